@@ -1,0 +1,125 @@
+"""Full state feedback adaptive robust control (ARC), (17)-(25)."""
+
+from typing import NamedTuple
+
+from valve_control.laws import projection, reshaping, velocity
+from valve_control.laws.projection import Theta
+from valve_control.laws.signals import Start, saturate
+
+
+class Params(NamedTuple):
+    """Gains and bounds of the ARC law."""
+
+    k1: float  # 1/s      (18)
+    k2: float  # 1/s      (20)
+    gamma: Theta  # diagonal of Γ, (15)
+    theta_initial: Theta  # θ̂(0)
+    theta_min: Theta  # (5)
+    theta_max: Theta  # (5)
+    robust: float  # -        1.0: quadratic u_s2, 0.0: none
+    epsilon: float  # V²/s³    ε2 of (23)
+    disturbance_bound: float  # V/s²     δ_d of (5)
+    u_max: float  # V
+    period: float  # s        ΔT
+    reshaping: reshaping.Params
+    velocity: velocity.Params
+
+
+class State(NamedTuple):
+    """Reference, velocity filter and estimates."""
+
+    reference: reshaping.State
+    velocity: velocity.State
+    theta: Theta  # θ̂
+
+
+class Terms(NamedTuple):
+    """What the law computed at this sample."""
+
+    reference: float  # V     x_vd
+    reference_rate: float  # V/s
+    reference_accel: float  # V/s²
+    velocity: float  # V/s   x_2
+    z1: float  # V     tracking error
+    z2: float  # V/s   (18)
+    lyapunov: float  # V²/s² V_2 of (24)
+    model_voltage: float  # V     u_a of (20)
+    feedback_voltage: float  # V     u_s1 of (20)
+    robust_voltage: float  # V     u_s2 of (23)
+    unsaturated_voltage: float  # V
+    theta: Theta  # θ̂ used at this sample
+
+
+def initial(p: Params, start: Start) -> State:
+    """State that starts at ``start`` with the initial estimates."""
+    return State(
+        reshaping.State(start.reference, start.reference_rate),
+        velocity.State(start.measurement, start.reference_rate),
+        p.theta_initial,
+    )
+
+
+def law(
+    p: Params, theta: Theta, x1: float, x2: float, reference: float, rate: float, accel: float
+) -> tuple[Terms, Theta]:
+    """The continuous law for one instant: terms with the voltage before saturation, and τ of (21).
+
+    ``x1`` [V], ``x2`` [V/s]: spool position and velocity; ``reference`` [V], ``rate`` [V/s] and
+    ``accel`` [V/s²]: x_vd and its derivatives.
+    """
+    z1 = x1 - reference
+    x2eq = rate - p.k1 * z1  # (18)
+    z2 = x2 - x2eq  # (18)
+    x2eq_dot = accel - p.k1 * (x2 - rate)  # (19)
+    u_a = (theta.a1 * x2 + theta.a0 * x1 - theta.b0dn + x2eq_dot - z1) / theta.b0  # (20)
+    u_s1 = -p.k2 * z2 / p.theta_min.b0  # (20)
+    phi2 = Theta(-x2, -x1, u_a, 1.0)  # (21)
+    u_s2 = 0.0
+    if p.robust > 0.0:
+        span = Theta(
+            p.theta_max.a1 - p.theta_min.a1,
+            p.theta_max.a0 - p.theta_min.a0,
+            p.theta_max.b0 - p.theta_min.b0,
+            p.theta_max.b0dn - p.theta_min.b0dn,
+        )
+        h = projection.uncertainty(span, phi2, p.disturbance_bound)
+        u_s2 = -h * h * z2 / (4.0 * p.epsilon * p.theta_min.b0)  # (23), completing the square
+    tau = Theta(phi2.a1 * z2, phi2.a0 * z2, phi2.b0 * z2, phi2.b0dn * z2)  # (21)
+    terms = Terms(
+        reference,
+        rate,
+        accel,
+        x2,
+        z1,
+        z2,
+        0.5 * z1 * z1 + 0.5 * z2 * z2,  # (24)
+        u_a,
+        u_s1,
+        u_s2,
+        u_a + u_s1 + u_s2,  # (20)
+        theta,
+    )
+    return terms, tau
+
+
+def step(
+    p: Params, s: State, command: float, measurement: float, offset: float
+) -> tuple[float, State, Terms]:
+    """One sample: returns voltage [V] within ±u_max, the next state and the terms.
+
+    The estimates rest while the amplifier saturates: (22), from which τ follows, holds only when the
+    voltage of (20) is the one applied.
+    """
+    accel = reshaping.acceleration(p.reshaping, s.reference, command)
+    estimate = velocity.step(p.velocity, s.velocity, measurement)
+    terms, tau = law(
+        p, s.theta, measurement, estimate.velocity, s.reference.reference, s.reference.rate, accel
+    )
+    wanted = terms.unsaturated_voltage + offset
+    voltage = saturate(wanted, p.u_max)
+    theta = s.theta
+    if voltage == wanted:
+        rate = projection.rates(theta, p.gamma, tau, p.theta_min, p.theta_max)  # (15)
+        theta = projection.advance(theta, rate, p.period, p.theta_min, p.theta_max)
+    reference = reshaping.advance(p.reshaping, s.reference, accel)
+    return voltage, State(reference, estimate, theta), terms
