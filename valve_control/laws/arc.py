@@ -47,7 +47,10 @@ class Terms(NamedTuple):
     feedback_voltage: float  # V     u_s1 of (20)
     robust_voltage: float  # V     u_s2 of (23)
     unsaturated_voltage: float  # V
-    theta: Theta  # θ̂ used at this sample
+    a1: float  # 1/s   θ̂1 used at this sample
+    a0: float  # 1/s²  θ̂2
+    b0: float  # 1/s²  θ̂3
+    b0dn: float  # V/s²  θ̂4
 
 
 def initial(p: Params, start: Start) -> State:
@@ -97,7 +100,10 @@ def law(
         u_s1,
         u_s2,
         u_a + u_s1 + u_s2,  # (20)
-        theta,
+        theta.a1,
+        theta.a0,
+        theta.b0,
+        theta.b0dn,
     )
     return terms, tau
 

@@ -1,0 +1,1 @@
+"""Indices, frequency response and figures."""

@@ -1,0 +1,52 @@
+"""Performance indices I1-I5 of section 4.1."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+class Indices(NamedTuple):
+    """I1-I5; keys of the JSON output."""
+
+    e_M: float  # V  (I2) largest error
+    e_F: float  # V  (I3) largest error of the last two seconds
+    e_rms: float  # V  (I1)
+    u_rms: float  # V  (I4)
+    c_u: float  # -  (I5) normalised control variation
+
+
+# Table 1.
+PAPER_TABLE_1 = {
+    "pid": Indices(0.207, 0.147, 0.038, 2.313, 0.423),
+    "arc": Indices(0.145, 0.112, 0.032, 2.362, 0.416),
+    "oarc": Indices(0.158, 0.120, 0.036, 2.314, 0.341),
+}
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def indices(error: Array, voltage: Array, period: float) -> Indices:
+    """I1-I5 of ``error`` [V] and ``voltage`` [V], both sampled every ``period`` [s].
+
+    c_u is 0 when the voltage is 0 throughout. Raises ValueError for arrays that are empty or unequal.
+    """
+    if len(error) == 0 or len(error) != len(voltage):
+        raise ValueError(
+            f"indices need two arrays of one length, not {len(error)} errors and {len(voltage)} voltages"
+        )
+    last = max(1, min(len(error), round(2.0 / period) + 1))
+    u_rms = rms(voltage)
+    variation = rms(np.diff(voltage)) if len(voltage) > 1 else 0.0
+    return Indices(
+        e_M=float(np.max(np.abs(error))),
+        e_F=float(np.max(np.abs(error[-last:]))),
+        e_rms=rms(error),
+        u_rms=u_rms,
+        c_u=variation / u_rms if u_rms > 0.0 else 0.0,
+    )

@@ -1,0 +1,90 @@
+"""Constants of the laws that are designed once, not computed at each sample (scipy does the work)."""
+
+import numpy as np
+import scipy.linalg
+import scipy.signal
+
+from valve_control.laws import compensator, oarc
+from valve_control.plant.models import TransferFunction
+
+
+class DesignError(ValueError):
+    """A compensator that cannot be designed as asked."""
+
+
+def k_filter(k1: float, k2: float, period: float) -> oarc.Filter:
+    """Exact zero-order-hold discretisation of ẋ = A0·x + e2·input, A0 of (28).
+
+    ``k1`` [1/s] and ``k2`` [1/s²]: observer gains; ``period`` [s].
+    """
+    augmented = np.array([[-k1, 1.0, 0.0], [-k2, 0.0, 1.0], [0.0, 0.0, 0.0]])
+    m = scipy.linalg.expm(augmented * period)
+    return oarc.Filter(*(float(v) for v in (m[0, 0], m[0, 1], m[1, 0], m[1, 1], m[0, 2], m[1, 2])))
+
+
+# (12) and (13) as printed.
+PRINTED_SECOND_ORDER = TransferFunction(
+    tuple(6168503 / 1455.97 * c for c in (1.0, 54.05, 1561.22)),
+    (1.0, 470.0, 79652.0, 6168503.0),
+)
+PRINTED_FOURTH_ORDER = TransferFunction(
+    (2880.0, 469440.0, 137833920.0, 5673044160.0, 162874733760.0),
+    (1.0, 753.0, 237999.0, 40483517.0, 3703487601.0, 151893300250.0),
+)
+
+
+def pole_zero_compensator(model: TransferFunction, bandwidth: float) -> TransferFunction:
+    """Compensator that turns a stable ``model`` into a Bessel low-pass of ``bandwidth`` [Hz] (-3 dB).
+
+    It cancels all poles of the model and those zeros that lie left of the imaginary axis; a zero to
+    the right stays in the response, since cancelling it would be unstable. The Bessel filter has one
+    order more than the valve's relative degree, so that the compensator rolls off.
+
+    Raises DesignError for an unstable model, a bandwidth that is not positive, or too high an order.
+    """
+    if bandwidth <= 0.0:
+        raise DesignError(f"compensator.bandwidth is {bandwidth:g} Hz; it must be positive")
+    zeros, poles, gain = scipy.signal.tf2zpk(model.numerator, model.denominator)
+    if np.any(poles.real >= 0.0):
+        raise DesignError(
+            f"the model has a pole at {poles[np.argmax(poles.real)]:.4g} rad/s; "
+            "a pole-zero compensator needs a stable model"
+        )
+    cancelled = zeros[zeros.real < 0.0]
+    kept = zeros[zeros.real >= 0.0]
+    order = len(poles) - len(cancelled) + 1
+    _, target, _ = scipy.signal.bessel(
+        order, 2.0 * np.pi * bandwidth, analog=True, output="zpk", norm="mag"
+    )
+    denominator = np.poly(np.concatenate([target, cancelled])).real
+    if len(denominator) > 7:
+        raise DesignError("the model's order is too high: a compensator has at most 6 poles")
+    numerator = np.poly(poles).real
+    static = gain * np.prod(-kept).real * np.prod(-cancelled).real / np.prod(-poles).real
+    numerator = numerator * (denominator[-1] / numerator[-1] / static)
+    return TransferFunction(tuple(map(float, numerator)), tuple(map(float, denominator)))
+
+
+def compensator_params(
+    transfer_function: TransferFunction, period: float, u_max: float
+) -> compensator.Params:
+    """Sections of a continuous compensator, discretised by the bilinear transform at ``period`` [s].
+
+    The bilinear transform adds no delay of its own, and at 25 Hz and 1 kHz warps frequency by 0.2 %.
+    """
+    z, p, k = scipy.signal.tf2zpk(transfer_function.numerator, transfer_function.denominator)
+    sos = scipy.signal.zpk2sos(*scipy.signal.bilinear_zpk(z, p, k, 1.0 / period))
+    if len(sos) > 3:
+        raise DesignError("the compensator has more than 6 poles")
+    sections = [compensator.Section(*(float(c) for c in (*row[:3], *row[4:]))) for row in sos]
+    sections += [compensator.PASS] * (3 - len(sections))
+    static_gain = transfer_function.static_gain
+    return compensator.Params(*sections, static_gain=static_gain, u_max=u_max)
+
+
+def static_params(valve_gain: float, u_max: float) -> compensator.Params:
+    """The open loop without compensator: command divided by the valve's static gain [V/V]."""
+    section = compensator.Section(1.0 / valve_gain, 0.0, 0.0, 0.0, 0.0)
+    return compensator.Params(
+        section, compensator.PASS, compensator.PASS, static_gain=1.0 / valve_gain, u_max=u_max
+    )

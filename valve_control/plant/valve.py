@@ -1,0 +1,196 @@
+"""One sample of the valve as a pure scalar step: linear model, input disturbances, amplifier, LVDT.
+
+The linear part is the observability form of its transfer function, whose first two states are spool
+position and velocity, discretised exactly for a voltage that is held over the period. Friction and flow
+force enter as the input disturbance d of (1).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from valve_control.laws.signals import saturate
+from valve_control.plant.models import TransferFunction
+
+
+class Row(NamedTuple):
+    """Four numbers: a row of the transition matrix, the input column, or the state."""
+
+    x0: float
+    x1: float
+    x2: float
+    x3: float
+
+
+class Disturbance(NamedTuple):
+    """Friction, flow force and drift, all as voltages at the input."""
+
+    coulomb: float  # V      Coulomb friction
+    static_ratio: float  # -      static over Coulomb friction, at least 1
+    stribeck_velocity: float  # V/s    decay of the static part
+    velocity_scale: float  # V/s    half-width of the linear zone around standstill
+    flow_force: float  # V/V    d = -flow_force·x
+    offset: float  # V      constant part, b0·dn / b0
+    stiffness_drift: float  # V/V/s  growth of an additional flow_force
+    gain_drift: float  # 1/s    relative growth of the gain
+
+
+class Lvdt(NamedTuple):
+    """The position sensor."""
+
+    noise: float  # V  standard deviation
+    resolution: float  # V  quantisation step, 0: none
+    bias: float  # V
+    delay: float  # periods
+
+
+class Params(NamedTuple):
+    """One valve at one sample period."""
+
+    row0: Row
+    row1: Row
+    row2: Row
+    row3: Row
+    input: Row
+    gain_scale: float  # -  multiplies the model's gain
+    u_max: float  # V  limit of the amplifier
+    period: float  # s  ΔT
+    disturbance: Disturbance
+    lvdt: Lvdt
+
+
+class State(NamedTuple):
+    """State of valve and LVDT. ``history`` is a ring of past positions and is overwritten in place."""
+
+    x: Row  # position [V], velocity [V/s] and two inner states
+    time: float  # s
+    history: npt.NDArray[np.float64]  # V
+    newest: int  # index into history
+
+
+class ModelError(ValueError):
+    """A transfer function that cannot stand for a valve."""
+
+
+def realisation(
+    model: TransferFunction,
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Matrices A (n×n) and B (n) of the observability form: x = (position, velocity, …), C = e1ᵀ.
+
+    Raises ModelError unless the order is 2 to 4 and the relative degree at least 2 (a voltage must not
+    make the velocity jump, or friction would have no meaning).
+    """
+    denominator = np.trim_zeros(np.asarray(model.denominator, dtype=float), "f")
+    numerator = np.trim_zeros(np.asarray(model.numerator, dtype=float), "f")
+    n = len(denominator) - 1
+    if not 2 <= n <= 4 or not 1 <= len(numerator) <= n - 1:
+        raise ModelError(
+            f"a valve model has order 2 to 4 and at least two more poles than zeros; "
+            f"this one has {n} poles and {len(numerator) - 1} zeros"
+        )
+    a = denominator[1:] / denominator[0]
+    c = np.concatenate([np.zeros(n - len(numerator)), numerator / denominator[0]])
+    markov = np.zeros(n)
+    for i in range(n):
+        markov[i] = c[i] - a[:i] @ markov[:i][::-1]
+    companion = np.diag(np.ones(n - 1), 1)
+    companion[-1] = -a[::-1]
+    return companion, markov
+
+
+def design(
+    model: TransferFunction,
+    period: float,
+    u_max: float,
+    gain_scale: float,
+    disturbance: Disturbance,
+    lvdt_noise: float,
+    lvdt_resolution: float,
+    lvdt_bias: float,
+    lvdt_delay: float,
+) -> Params:
+    """Valve with ``model``, discretised exactly at ``period`` [s]; ``lvdt_*`` in V, the delay in s."""
+    a, b = realisation(model)
+    n = len(b)
+    augmented = np.zeros((n + 1, n + 1))
+    augmented[:n, :n] = a
+    augmented[:n, n] = b
+    transition = scipy.linalg.expm(augmented * period)
+    full = np.zeros((4, 5))
+    full[:n, :n] = transition[:n, :n]
+    full[:n, 4] = transition[:n, n]
+    rows = [Row(*(float(v) for v in row[:4])) for row in full]
+    column = Row(*(float(v) for v in full[:, 4]))
+    lvdt = Lvdt(lvdt_noise, lvdt_resolution, lvdt_bias, lvdt_delay / period)
+    return Params(*rows, column, gain_scale, u_max, period, disturbance, lvdt)
+
+
+def initial(p: Params) -> State:
+    """Spool at rest in the centre, no voltage."""
+    length = int(p.lvdt.delay) + 2
+    return State(Row(0.0, 0.0, 0.0, 0.0), 0.0, np.zeros(length), 0)
+
+
+def read(p: Params, s: State, noise: float) -> float:
+    """LVDT reading [V] at this sample; ``noise`` is a standard normal number."""
+    whole = int(p.lvdt.delay)
+    part = p.lvdt.delay - whole
+    n = len(s.history)
+    later = float(s.history[(s.newest - whole) % n])
+    earlier = float(s.history[(s.newest - whole - 1) % n])
+    reading = later + part * (earlier - later) + p.lvdt.bias + p.lvdt.noise * noise
+    if p.lvdt.resolution > 0.0:
+        reading = p.lvdt.resolution * math.floor(reading / p.lvdt.resolution + 0.5)
+    return reading
+
+
+def dot(row: Row, x: Row) -> float:
+    """Scalar product."""
+    return row.x0 * x.x0 + row.x1 * x.x1 + row.x2 * x.x2 + row.x3 * x.x3
+
+
+def friction(d: Disturbance, velocity: float, free_velocity: float, mobility: float) -> float:
+    """Friction voltage over the next period, solved implicitly.
+
+    Friction is level·clip(v/velocity_scale, -1, 1) with the Stribeck level at the present ``velocity``
+    [V/s]. It acts on the velocity that it leads to, v = ``free_velocity`` - ``mobility``·friction, for
+    which this shape has a closed solution: the spool sticks without chatter at any period, and friction
+    never exceeds its level. ``mobility`` in V/s per V.
+    """
+    level = d.coulomb
+    if d.static_ratio > 1.0:
+        ratio = velocity / d.stribeck_velocity
+        level = d.coulomb * (1.0 + (d.static_ratio - 1.0) * math.exp(-ratio * ratio))
+    damping = level / d.velocity_scale
+    linear = damping * free_velocity / (1.0 + mobility * damping)
+    if linear > level:
+        return level
+    if linear < -level:
+        return -level
+    return linear
+
+
+def step(p: Params, s: State, voltage: float) -> State:
+    """Valve one period later, with ``voltage`` [V] held over it."""
+    d = p.disturbance
+    x = s.x
+    force = (
+        saturate(voltage, p.u_max) + d.offset - (d.flow_force + d.stiffness_drift * s.time) * x.x0
+    )
+    gain = p.gain_scale * (1.0 + d.gain_drift * s.time)
+    v_free = dot(p.row1, x) + p.input.x1 * gain * force
+    if d.coulomb > 0.0:
+        force -= friction(d, x.x1, v_free, p.input.x1 * gain)
+    u = gain * force
+    following = Row(
+        dot(p.row0, x) + p.input.x0 * u,
+        dot(p.row1, x) + p.input.x1 * u,
+        dot(p.row2, x) + p.input.x2 * u,
+        dot(p.row3, x) + p.input.x3 * u,
+    )
+    newest = (s.newest + 1) % len(s.history)
+    s.history[newest] = following.x0
+    return State(following, s.time + p.period, s.history, newest)

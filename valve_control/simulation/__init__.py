@@ -1,0 +1,1 @@
+"""Command shapes, the compiled closed loop, and offline runs."""
