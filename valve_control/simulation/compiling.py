@@ -5,6 +5,7 @@ rebuilds a function with every such helper replaced by its compiled twin, so tha
 stay plain Python without an import of numba.
 """
 
+import dis
 import functools
 import hashlib
 import os
@@ -57,7 +58,10 @@ def _compile(
     assert isinstance(function, types.FunctionType)
     scope = dict(function.__globals__)
     scope.update(replace)
-    for name in function.__code__.co_names:
+    for instruction in dis.get_instructions(function):
+        if instruction.opname != "LOAD_GLOBAL":
+            continue
+        name = instruction.argval
         value = scope.get(name)
         if isinstance(value, types.FunctionType) and value.__module__.startswith(PACKAGE):
             scope[name] = compile_function(value)
