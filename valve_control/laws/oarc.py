@@ -126,6 +126,8 @@ def law(
     """
     k1, k2, rho = p.k1, p.k2, p.z2_weight
     b0_min = p.theta_min.b0
+    inverse_b0 = 1.0 / theta.b0
+    stiffness = p.ks1 / b0_min
     span = Theta(
         p.theta_max.a1 - p.theta_min.a1,
         p.theta_max.a0 - p.theta_min.a0,
@@ -146,8 +148,8 @@ def law(
     z1 = x1 - reference  # (36)
     alpha_a = (
         -xi22 + theta.a1 * (xi12 + x1) + theta.a0 * xi02 - theta.b0dn * psi2 + rate
-    ) / theta.b0  # (39)
-    alpha_s1 = -p.ks1 * z1 / b0_min  # (39)
+    ) * inverse_b0  # (39)
+    alpha_s1 = -stiffness * z1  # (39)
     phi1 = Theta(-(xi12 + x1), -xi02, alpha_a, psi2)  # (40)
 
     w1 = span.a1 * span.a1
@@ -168,8 +170,8 @@ def law(
     alpha = alpha_a + alpha_s1 + alpha_s2  # (39)
     z2 = v02 - alpha
 
-    gain_slope = 2.0 * scale * (w3 * phi1.b0 * theta.a1 / theta.b0 - w1 * phi1.a1)
-    slope = theta.a1 / theta.b0 - p.ks1 / b0_min - gain - gain_slope * z1  # ∂α1/∂x1
+    gain_slope = 2.0 * scale * (w3 * phi1.b0 * theta.a1 * inverse_b0 - w1 * phi1.a1)
+    slope = theta.a1 * inverse_b0 - stiffness - gain - gain_slope * z1  # ∂α1/∂x1
     phi2 = Theta(
         slope * (xi12 + x1), slope * xi02, z1 / rho - slope * v02, -slope * psi2
     )  # (49), corrected
@@ -194,7 +196,7 @@ def law(
         - theta.b0dn * psi2_dot
         + accel
         - theta_rate.b0 * alpha_a
-    ) / theta.b0
+    ) * inverse_b0
     gain_dot = 2.0 * scale * (
         w1 * phi1.a1 * -(xi12_dot + x1_dot)
         + w2 * phi1.a0 * -xi02_dot
@@ -202,7 +204,7 @@ def law(
         + w4 * phi1.b0dn * psi2_dot
     )
     alpha_dot = (
-        alpha_a_dot - (p.ks1 / b0_min + gain) * (x1_dot - rate) - gain_dot * z1
+        alpha_a_dot - (stiffness + gain) * (x1_dot - rate) - gain_dot * z1
     )  # (45), whole
 
     u_a = k2 * v0.first - theta.b0 * z1 / rho + alpha_dot  # (48), corrected

@@ -136,12 +136,15 @@ def initial(p: Params) -> State:
 
 def read(p: Params, s: State, noise: float) -> float:
     """LVDT reading [V] at this sample; ``noise`` is a standard normal number."""
-    whole = int(p.lvdt.delay)
-    part = p.lvdt.delay - whole
-    n = len(s.history)
-    later = float(s.history[(s.newest - whole) % n])
-    earlier = float(s.history[(s.newest - whole - 1) % n])
-    reading = later + part * (earlier - later) + p.lvdt.bias + p.lvdt.noise * noise
+    position = s.x.x0
+    if p.lvdt.delay > 0.0:
+        whole = int(p.lvdt.delay)
+        part = p.lvdt.delay - whole
+        n = len(s.history)
+        later = float(s.history[(s.newest - whole) % n])
+        earlier = float(s.history[(s.newest - whole - 1) % n])
+        position = later + part * (earlier - later)
+    reading = position + p.lvdt.bias + p.lvdt.noise * noise
     if p.lvdt.resolution > 0.0:
         reading = p.lvdt.resolution * math.floor(reading / p.lvdt.resolution + 0.5)
     return reading
@@ -191,6 +194,8 @@ def step(p: Params, s: State, voltage: float) -> State:
         dot(p.row2, x) + p.input.x2 * u,
         dot(p.row3, x) + p.input.x3 * u,
     )
-    newest = (s.newest + 1) % len(s.history)
-    s.history[newest] = following.x0
+    newest = s.newest
+    if p.lvdt.delay > 0.0:
+        newest = (newest + 1) % len(s.history)
+        s.history[newest] = following.x0
     return State(following, s.time + p.period, s.history, newest)

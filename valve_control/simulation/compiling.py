@@ -70,7 +70,7 @@ def _compile(
     rebuilt = types.FunctionType(function.__code__, scope, function.__name__)
     rebuilt.__module__ = function.__module__
     rebuilt.__qualname__ = function.__qualname__
-    return numba.njit(cache=True, error_model="numpy")(rebuilt)  # type: ignore[no-any-return]
+    return numba.njit(cache=True, error_model="numpy", forceinline=True)(rebuilt)  # type: ignore[no-any-return]
 
 
 @functools.cache
