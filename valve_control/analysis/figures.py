@@ -1,0 +1,62 @@
+"""Figures as PNG files."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+
+
+class Trace(NamedTuple):
+    """One run as a figure shows it."""
+
+    time: Array  # s
+    command: Array  # V
+    position: Array  # V
+    voltage: Array  # V
+
+
+def draw_traces(path: Path, groups: Mapping[str, Mapping[str, Trace]], title: str) -> None:
+    """Command and position, error, and voltage over time; one column per group, one colour per run.
+
+    Raises OSError if ``path`` cannot be written.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(
+        3, len(groups), figsize=(9.0 * len(groups), 8.5), sharex="col", squeeze=False
+    )
+    for column, (name, traces) in enumerate(groups.items()):
+        _draw_column(axes[:, column], traces)
+        axes[0, column].set_title(name)
+    figure.suptitle(title)
+    figure.tight_layout()
+    try:
+        figure.savefig(path, dpi=110)
+    finally:
+        plt.close(figure)
+
+
+def _draw_column(axes: Sequence[Any], traces: Mapping[str, Trace]) -> None:
+    top, middle, bottom = axes
+    for i, (label, trace) in enumerate(traces.items()):
+        colour = COLOURS[i % len(COLOURS)]
+        if i == 0:
+            top.plot(trace.time, trace.command, color="black", lw=1.2, label="command")
+        top.plot(trace.time, trace.position, color=colour, lw=1.0, label=label)
+        middle.plot(trace.time, trace.position - trace.command, color=colour, lw=0.8, label=label)
+        bottom.plot(trace.time, trace.voltage, color=colour, lw=0.8, label=label)
+    top.set_ylabel("spool position [V]")
+    middle.set_ylabel("error [V]")
+    bottom.set_ylabel("solenoid voltage [V]")
+    bottom.set_xlabel("time [s]")
+    top.legend(loc="upper right")
+    for axis in axes:
+        axis.grid(True, alpha=0.3)

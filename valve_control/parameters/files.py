@@ -1,0 +1,121 @@
+"""Parameters from ROS 2 YAML files and from --set, for the command line."""
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from valve_control.parameters.table import (
+    NODES,
+    Parameter,
+    ParameterError,
+    Table,
+    Value,
+    Values,
+    lookup,
+)
+
+
+def _flat(tree: dict[Any, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict):
+            flat.update(_flat(value, f"{name}."))
+        else:
+            flat[name] = value
+    return flat
+
+
+def _number(value: Any) -> Any:
+    """YAML 1.1 reads 1.44e6 as a word, ROS as a number."""
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value
+
+
+def from_yaml(parameter: Parameter, value: Any) -> Value:
+    """A value of a YAML file, of the type that ROS would give it. Raises ParameterError."""
+    if isinstance(parameter.default, float):
+        value = _number(value)
+    elif isinstance(parameter.default, list) and isinstance(value, list):
+        value = [_number(v) for v in value]
+    return parameter.check(value)
+
+
+def load(path: str) -> dict[str, Values]:
+    """Checked values of a ROS 2 parameter file, by node name. Raises ParameterError.
+
+    A section is named after a node of this package (`controller`, with or without a namespace before
+    it) or is a wildcard (`/**`), whose parameters go to each node that has them.
+    """
+    try:
+        tree = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParameterError(
+            f"parameter file {path} cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from error
+    except yaml.YAMLError as error:
+        raise ParameterError(
+            f"parameter file {path} is not YAML: {' '.join(str(error).split())}"
+        ) from error
+    if not isinstance(tree, dict):
+        raise ParameterError(f"parameter file {path} must hold 'node: ros__parameters: …' sections")
+    result: dict[str, Values] = {name: {} for name in NODES}
+    for section, content in tree.items():
+        if not isinstance(content, dict) or not isinstance(content.get("ros__parameters"), dict):
+            raise ParameterError(f"section '{section}' of {path} has no 'ros__parameters:' below it")
+        node = str(section).split("/")[-1]
+        if "*" not in node and node not in NODES:
+            continue
+        targets = list(NODES) if "*" in node else [node]
+        for name, value in _flat(content["ros__parameters"]).items():
+            if name in ("use_sim_time", "start_type_description_service"):
+                continue
+            try:
+                _assign(result, targets, name, value)
+            except ParameterError as error:
+                raise ParameterError(f"{path}: {error}") from error
+    return result
+
+
+def _assign(result: dict[str, Values], targets: list[str], name: str, value: Any) -> None:
+    owners = [node for node in targets if any(p.name == name for p in NODES[node])]
+    if not owners:
+        lookup(_joined(targets), name)
+    for node in owners:
+        result[node][name] = from_yaml(lookup(NODES[node], name), value)
+
+
+def _joined(nodes: list[str]) -> Table:
+    return tuple(parameter for node in nodes for parameter in NODES[node])
+
+
+def parse_setting(text: str) -> tuple[str, dict[str, Value]]:
+    """``name=value`` of --set as (name, value by node); whole numbers may stand for doubles."""
+    name, equals, word = text.partition("=")
+    if not equals:
+        raise ParameterError(f"--set takes name=value, not '{text}'")
+    name = name.strip()
+    parameter = lookup(_joined(list(NODES)), name)
+    value: Any
+    if isinstance(parameter.default, str):
+        value = word.strip()
+    else:
+        try:
+            value = yaml.safe_load(word)
+        except yaml.YAMLError as error:
+            raise ParameterError(f"'{word}' of --set {name} is not a value") from error
+        if isinstance(parameter.default, float) and type(value) is int:
+            value = float(value)
+        if isinstance(parameter.default, list) and isinstance(value, list):
+            value = [float(v) if type(v) is int else v for v in value]
+    by_node = {
+        node: from_yaml(lookup(table, name), value)
+        for node, table in NODES.items()
+        if any(p.name == name for p in table)
+    }
+    return name, by_node
