@@ -1,0 +1,197 @@
+"""What the nodes share: parameters from the table, polled subscriptions, start and clean end."""
+
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.callback_groups import CallbackGroup
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64
+
+from valve_control.parameters.build import as_text
+from valve_control.parameters.table import (
+    Parameter,
+    ParameterError,
+    Table,
+    Value,
+    Values,
+    lookup,
+    updated,
+)
+
+SAMPLES = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)  # LVDT and voltage
+LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)  # command
+
+
+def descriptor(parameter: Parameter) -> ParameterDescriptor:
+    """ROS descriptor: text with unit, finite range, choices."""
+    unit = f" [{parameter.unit}]" if parameter.unit not in ("", "-") else ""
+    result = ParameterDescriptor(description=parameter.text + unit)
+    if parameter.choices:
+        result.additional_constraints = "one of " + ", ".join(parameter.choices)
+    if isinstance(parameter.default, float):
+        result.floating_point_range = [
+            FloatingPointRange(from_value=parameter.low, to_value=parameter.high, step=0.0)
+        ]
+    elif isinstance(parameter.default, int) and not isinstance(parameter.default, bool):
+        result.integer_range = [
+            IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=0)
+        ]
+    return result
+
+
+def plain(value: Any) -> Any:
+    """Parameter value as the table has it: arrays as lists."""
+    return value if isinstance(value, (bool, int, float, str)) else list(value)
+
+
+class ParameterSet:
+    """The table's parameters on a node: each set is checked as a whole, then applied as a whole.
+
+    ``build`` makes the node's immutable parameters from all values or raises ParameterError; ``apply``
+    takes them into use. Both run between two samples, since the node has one thread.
+    """
+
+    def __init__(
+        self, node: Node, table: Table, build: Callable[[Values], Any], apply: Callable[[Values, Any], None]
+    ) -> None:
+        self._node = node
+        self._table = table
+        self._build = build
+        self._apply = apply
+        declared: dict[str, Value] = {}
+        for parameter in table:
+            try:
+                got = node.declare_parameter(
+                    parameter.name, parameter.default, descriptor(parameter)
+                )
+            except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+                override = node._parameter_overrides.get(parameter.name)
+                value = getattr(override, "value", override)
+                parameter.check(plain(value))
+                raise ParameterError(f"{parameter.name} is {value!r}: {error}") from error
+            declared[parameter.name] = plain(got.value)
+        self.values = updated(table, {}, declared)
+        self._prepared: tuple[Values, Any] | None = None
+        apply(self.values, build(self.values))
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._use)
+
+    def _changes(self, parameters: list[Any]) -> Values:
+        names = {p.name for p in self._table}
+        return updated(
+            self._table,
+            self.values,
+            {p.name: plain(p.value) for p in parameters if p.name in names},
+        )
+
+    def _check(self, parameters: list[Any]) -> SetParametersResult:
+        try:
+            self._build(self._changes(parameters))
+        except ParameterError as error:
+            self._node.get_logger().warning(f"parameters not changed: {error}")
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _use(self, parameters: list[Any]) -> None:
+        values = self._changes(parameters)
+        built = self._build(values)
+        changed = [name for name in values if values[name] != self.values[name]]
+        self.values = values
+        self._apply(values, built)
+        text = ", ".join(f"{name} = {as_text(values[name])}" for name in changed)
+        if text:
+            self._node.get_logger().info(f"now {text}")
+
+    def __getitem__(self, name: str) -> Any:
+        lookup(self._table, name)
+        return self.values[name]
+
+
+class Unwatched(CallbackGroup):
+    """Callback group that the executor passes over; its subscriptions are polled instead."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        return
+
+
+class PolledSubscription:
+    """Float64 subscription that wakes nobody: messages wait until they are asked for.
+
+    A command that arrives between two LVDT samples is of no use before the next one, and a wake-up of
+    the executor costs more than the whole control law.
+    """
+
+    def __init__(self, node: Node, topic: str, qos: QoSProfile) -> None:
+        self._subscription = node.create_subscription(
+            Float64, topic, lambda message: None, qos, callback_group=Unwatched()
+        )
+
+    def take(self) -> Iterator[tuple[float, dict[str, Any]]]:
+        """Waiting values, oldest first, each with its message info."""
+        handle = self._subscription.handle
+        with handle:
+            while (taken := handle.take_message(Float64, False)) is not None:
+                yield taken[0].data, taken[1]
+
+
+def diagnostics(node: Node, level: bytes, message: str, values: dict[str, Any]) -> DiagnosticArray:
+    """One status of ``node`` with its values as text."""
+    status = DiagnosticStatus(
+        level=level,
+        name=node.get_fully_qualified_name().lstrip("/"),
+        hardware_id=node.get_namespace(),
+        message=message,
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+    )
+    array = DiagnosticArray(status=[status])
+    array.header.stamp = node.get_clock().now().to_msg()
+    return array
+
+
+def run(make: Callable[[], Node]) -> int:
+    """Spin the node that ``make`` gives until SIGINT or SIGTERM; returns the exit status."""
+    try:
+        rclpy.init(args=sys.argv)
+    except Exception as error:  # rclpy has no public type for bad --ros-args
+        print(f"{sys.argv[0]}: {first_line(error)}", file=sys.stderr)
+        return 2
+    node = None
+    executor = SingleThreadedExecutor()
+    try:
+        node = make()
+        executor.add_node(node)
+        executor.spin()
+    except ParameterError as error:
+        print(f"valve_control: {error}", file=sys.stderr)
+        return 2
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        executor.shutdown(timeout_sec=0.0)
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def first_line(error: Exception) -> str:
+    """The first line of an error's text."""
+    return (str(error).splitlines() or [type(error).__name__])[0]
