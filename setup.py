@@ -1,0 +1,40 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "valve_control"
+NODES = ["controller", "valve_simulator", "command_source", "demo"]
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", glob("config/*.yaml")),
+    ],
+    package_data={NAME: ["py.typed"]},
+    install_requires=[
+        "setuptools",
+        "numpy>=1.26",
+        "scipy>=1.11",
+        "numba>=0.58",
+        "matplotlib>=3.6",
+        "PyYAML>=6",
+        "tqdm>=4.60",
+    ],
+    extras_require={"test": ["pytest>=7.4", "hypothesis>=6.90", "sympy>=1.12"]},
+    python_requires=">=3.11",
+    zip_safe=True,
+    maintainer="valve_control developers",
+    maintainer_email="maintainers@valve-control.example.com",
+    description="Local control of a proportional directional control valve.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "valve-control = valve_control.cli:main",
+            *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
+        ]
+    },
+)
