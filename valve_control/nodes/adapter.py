@@ -1,5 +1,6 @@
 """What the nodes share: parameters from the table, polled subscriptions, start and clean end."""
 
+import gc
 import sys
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -178,6 +179,9 @@ def run(make: Callable[[], Node]) -> int:
     try:
         node = make()
         executor.add_node(node)
+        # A collection of everything that the imports brought takes tens of milliseconds, many samples.
+        gc.collect()
+        gc.freeze()
         executor.spin()
     except ParameterError as error:
         print(f"valve_control: {error}", file=sys.stderr)

@@ -87,7 +87,7 @@ def one_of(words: Iterable[str]) -> str:
 
 THETA = "[a1 1/s, a0 1/s², b0 1/s², b0·dn V/s²]"
 THETA_INITIAL = [20.0, 1200.0, 1200.0, 0.0]
-THETA_MIN = [5.0, 500.0, 980.0, -6000.0]
+THETA_MIN = [5.0, 500.0, 900.0, -6000.0]
 THETA_MAX = [150.0, 3000.0, 2500.0, 6000.0]
 BIG = 1e12
 
@@ -185,7 +185,7 @@ CONTROLLER: Table = (
     Parameter("arc.epsilon", 1e6, "V²/s³", "ε2 of (23) for the quadratic robust term", 1e-9, BIG),
     Parameter("arc.disturbance_bound", 1000.0, "V/s²", "bound δ_d of (5)", 0.0, 1e9),
     Parameter(
-        "arc.velocity_cutoff", 300.0, "Hz", "cut-off of the velocity estimate's low-pass", 1.0, 1e5
+        "arc.velocity_cutoff", 150.0, "Hz", "cut-off of the velocity estimate's low-pass", 1.0, 1e5
     ),
     Parameter("oarc.k1", 308.0, "1/s", "observer gain k1 of (28)", 1e-3, 1e6),
     Parameter("oarc.k2", 48400.0, "1/s²", "observer gain k2 of (28)", 1e-3, BIG),
