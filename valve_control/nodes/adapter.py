@@ -18,6 +18,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy._rclpy_pybind11 import RCLError
 from std_msgs.msg import Float64
 
 from valve_control.parameters.build import as_text
@@ -188,6 +189,10 @@ def run(make: Callable[[], Node]) -> int:
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except RCLError:
+        if rclpy.ok():
+            raise
+        # SIGINT or SIGTERM came between the check of the context and a publish.
     finally:
         executor.shutdown(timeout_sec=0.0)
         if node is not None:

@@ -14,7 +14,7 @@ from valve_control.simulation import offline
 
 
 class CommandSource(Node):
-    """Publishes `spool_command` once per sample period, from the moment somebody listens.
+    """Publishes `spool_command` once per sample period, from the moment enough others listen.
 
     A change of parameters starts the new shape from its beginning; at the end the last value is held.
     """
@@ -29,6 +29,7 @@ class CommandSource(Node):
 
     def _apply(self, values: Values, commands: Any) -> None:
         self._commands = commands.tolist()
+        self._listeners = int(build.number(values, "listeners"))
         self._began: float | None = None
         self._done = False
         period = build.number(values, "sample_period")
@@ -38,12 +39,12 @@ class CommandSource(Node):
                 self.destroy_timer(self._timer)
             self._timer = self.create_timer(period, self._tick)
         self.get_logger().info(
-            f"{values['scenario']}: {len(self._commands) * period:g} s of commands, waiting for a listener"
+            f"{values['scenario']}: {len(self._commands) * period:g} s of commands, waiting for {self._listeners} listener(s)"
         )
 
     def _tick(self) -> None:
         if self._began is None:
-            if self._publisher.get_subscription_count() == 0:
+            if self._publisher.get_subscription_count() < self._listeners:
                 return
             self._began = time.monotonic()
             self.get_logger().info("begins")

@@ -41,6 +41,7 @@ class Controller(Node):
         self._command: float | None = None
         self._measurement = 0.0
         self._voltage = 0.0
+        self._start_position = 0.0
         self._unusable = 0
         self._last_sequence: int | None = None
         self._samples = 0
@@ -103,7 +104,9 @@ class Controller(Node):
             self._command = saturate(value, self._command_limit)
             if self._command != value:
                 self._counts["command_limited"] += 1
-        return self._measurement if self._command is None else self._command
+        if self._command is None:
+            return self._measurement if self._state is None else self._start_position
+        return self._command
 
     def _refuse(self, counter: str, text: str) -> None:
         self._counts[counter] += 1
@@ -145,6 +148,7 @@ class Controller(Node):
         law, params, y = self._law, self._params, self._measurement
         if self._state is None:
             self._state = law.initial(params, Start(y, self._voltage, y, 0.0))
+            self._start_position = y
         if self._taking_over:
             _, _, terms = law.step(params, self._state, command, y, 0.0)
             self._offset = self._voltage - terms.unsaturated_voltage

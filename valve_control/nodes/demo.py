@@ -46,16 +46,17 @@ class Job(NamedTuple):
 
 TABLE_1 = "point to point (Table 1, Fig. 5)"
 SINE = "6 Hz sine, model (3) (Fig. 4)"
+LISTENERS = {"listeners": 2}  # the controller and the demo itself
 SINE_SETTINGS = {"scenario": "sine", "amplitude": 1.0, "frequency": 6.0, "duration": 6.0}
 JOBS = (
-    Job("arc", TABLE_1, ("arc.yaml", "d3fxe.yaml", "command_source.yaml"), {}),
-    Job("oarc", TABLE_1, ("oarc.yaml", "d3fxe.yaml", "command_source.yaml"), {}),
-    Job("pid", TABLE_1, ("pid.yaml", "d3fxe.yaml", "command_source.yaml"), {}),
+    Job("arc", TABLE_1, ("arc.yaml", "d3fxe.yaml", "command_source.yaml"), LISTENERS),
+    Job("oarc", TABLE_1, ("oarc.yaml", "d3fxe.yaml", "command_source.yaml"), LISTENERS),
+    Job("pid", TABLE_1, ("pid.yaml", "d3fxe.yaml", "command_source.yaml"), LISTENERS),
     Job(
         "compensator",
         SINE,
         ("compensator.yaml",),
-        {**SINE_SETTINGS, "lvdt.noise": 0.0056, "lvdt.resolution": 0.0037},
+        {**LISTENERS, **SINE_SETTINGS, "lvdt.noise": 0.0056, "lvdt.resolution": 0.0037},
     ),
 )
 
@@ -70,6 +71,7 @@ class Measured(NamedTuple):
     latency: Array  # s, from publication of the reading to publication of its voltage
     lost: int  # LVDT readings without a voltage
     rate: float  # LVDT readings per second
+    lead: int  # readings that the simulator had published before the first command
 
 
 def config_folder() -> Path:
@@ -138,6 +140,7 @@ class Listener(Node):
         self._topics = {topic: PolledSubscription(self, topic, EVERYTHING) for topic in TOPICS}
         self.values: dict[str, list[float]] = {topic: [] for topic in TOPICS}
         self.stamps: dict[str, list[int]] = {topic: [] for topic in TOPICS}
+        self.sequence: dict[str, list[int]] = {topic: [] for topic in TOPICS}
 
     def fetch(self) -> None:
         """Take what has arrived since the last call."""
@@ -145,6 +148,7 @@ class Listener(Node):
             for value, info in subscription.take():
                 self.values[topic].append(value)
                 self.stamps[topic].append(info["source_timestamp"])
+                self.sequence[topic].append(info["publication_sequence_number"])
 
     def arrays(self, topic: str) -> tuple[Array, Array]:
         """Values [V] and source times [s] of ``topic``."""
@@ -174,8 +178,8 @@ def measure(listener: Listener, period: float, duration: float) -> Measured:
     inside = (reading_times >= command_times[0]) & (reading_times < command_times[0] + duration)
     newest = np.searchsorted(command_times, reading_times[inside], side="right") - 1
     latency = voltage_times[inside] - reading_times[inside]
-    answered = np.searchsorted(voltage_times, voltage_times[inside])
     count = int(np.count_nonzero(inside))
+    sequence = np.array(listener.sequence["spool_position"])[-n:][inside]
     span = reading_times[inside][-1] - reading_times[inside][0]
     return Measured(
         period,
@@ -183,8 +187,9 @@ def measure(listener: Listener, period: float, duration: float) -> Measured:
         readings[inside],
         voltages[inside],
         latency,
-        count - len(np.unique(answered)) + int(np.count_nonzero(latency < 0.0)),
+        round(duration / period) - count + int(np.count_nonzero(latency < 0.0)),
         (count - 1) / span,
+        int(sequence[0]) - 1,
     )
 
 
@@ -207,7 +212,7 @@ def run_cascade(job: Job, folder: Path, progress: tqdm) -> Measured:
 
                 def closed() -> bool:
                     listener.fetch()
-                    return len(listener.values["valve_voltage"]) >= need
+                    return all(len(listener.values[topic]) >= need for topic in TOPICS[1:])
 
                 wait_until(closed, "the closed loop", children)
                 with process(
@@ -253,11 +258,12 @@ def _drain(listener: Listener) -> None:
         time.sleep(0.02)
 
 
-def offline_twin(job: Job) -> Indices:
-    """Indices of the same run without middleware."""
+def offline_twin(job: Job, lead: int) -> Indices:
+    """Indices of the same run without middleware, after the same ``lead`` samples of standstill."""
     values = values_of(job)
-    command = offline.commands(values["command_source"])
-    return offline.simulate(values["controller"], values["valve_simulator"], command).indices
+    command = np.concatenate([np.zeros(lead), offline.commands(values["command_source"])])
+    run = offline.simulate(values["controller"], values["valve_simulator"], command)
+    return indices((run.measurement - run.command)[lead:], run.voltage[lead:], run.period)
 
 
 def report(jobs: list[tuple[Job, Measured]], folder: Path) -> None:
@@ -266,7 +272,7 @@ def report(jobs: list[tuple[Job, Measured]], folder: Path) -> None:
     print(f"\n{HEADER}")
     for job, run in jobs:
         over_dds = indices(run.measurement - run.command, run.voltage, run.period)
-        twin = offline_twin(job)
+        twin = offline_twin(job, run.lead)
         worst = max(abs(a / b - 1.0) for a, b in zip(over_dds, twin, strict=True) if b != 0.0)
         print(index_row(job.name, over_dds))
         print(index_row("  offline", twin))
@@ -342,6 +348,8 @@ def main() -> int:
                 desc=f"{job.name:12}",
                 unit="s",
                 bar_format="{desc} {bar} {n:.1f}/{total:.1f} s",
+                ascii=not sys.stderr.isatty(),
+                mininterval=0.1 if sys.stderr.isatty() else 2.0,
             ) as progress:
                 done.append((job, run_cascade(job, folder, progress)))
         report(done, folder)

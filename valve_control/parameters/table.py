@@ -316,6 +316,7 @@ COMMAND: Table = (
         choices=("point_to_point", "sine", "step", "sweep", "constant", "array"),
     ),
     Parameter("command_file", "", "", "CSV or NPY file with one command per sample period (array)"),
+    Parameter("listeners", 1, "", "subscriptions to wait for before the command begins", 0, 100),
     Parameter("duration", 6.0, "s", "length; afterwards the last command is held", 0.001, 1e6),
     Parameter("amplitude", 2.92, "V", "height, stroke or amplitude", -10.0, 10.0),
     Parameter("offset", 0.0, "V", "added to the command", -10.0, 10.0),
