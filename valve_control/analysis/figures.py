@@ -30,9 +30,7 @@ def draw_traces(path: Path, groups: Mapping[str, Mapping[str, Trace]], title: st
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(
-        3, len(groups), figsize=(9.0 * len(groups), 8.5), sharex="col", squeeze=False
-    )
+    figure, axes = plt.subplots(3, len(groups), figsize=(9.0 * len(groups), 8.5), sharex="col", squeeze=False)
     for column, (name, traces) in enumerate(groups.items()):
         _draw_column(axes[:, column], traces)
         axes[0, column].set_title(name)

@@ -172,9 +172,7 @@ def law(
 
     gain_slope = 2.0 * scale * (w3 * phi1.b0 * theta.a1 * inverse_b0 - w1 * phi1.a1)
     slope = theta.a1 * inverse_b0 - stiffness - gain - gain_slope * z1  # ∂α1/∂x1
-    phi2 = Theta(
-        slope * (xi12 + x1), slope * xi02, z1 / rho - slope * v02, -slope * psi2
-    )  # (49), corrected
+    phi2 = Theta(slope * (xi12 + x1), slope * xi02, z1 / rho - slope * v02, -slope * psi2)  # (49), corrected
     tau = Theta(
         phi1.a1 * z1 + rho * phi2.a1 * z2,
         phi1.a0 * z1 + rho * phi2.a0 * z2,
@@ -197,15 +195,17 @@ def law(
         + accel
         - theta_rate.b0 * alpha_a
     ) * inverse_b0
-    gain_dot = 2.0 * scale * (
-        w1 * phi1.a1 * -(xi12_dot + x1_dot)
-        + w2 * phi1.a0 * -xi02_dot
-        + w3 * phi1.b0 * alpha_a_dot
-        + w4 * phi1.b0dn * psi2_dot
+    gain_dot = (
+        2.0
+        * scale
+        * (
+            w1 * phi1.a1 * -(xi12_dot + x1_dot)
+            + w2 * phi1.a0 * -xi02_dot
+            + w3 * phi1.b0 * alpha_a_dot
+            + w4 * phi1.b0dn * psi2_dot
+        )
     )
-    alpha_dot = (
-        alpha_a_dot - (stiffness + gain) * (x1_dot - rate) - gain_dot * z1
-    )  # (45), whole
+    alpha_dot = alpha_a_dot - (stiffness + gain) * (x1_dot - rate) - gain_dot * z1  # (45), whole
 
     u_a = k2 * v0.first - theta.b0 * z1 / rho + alpha_dot  # (48), corrected
     u_s1 = -p.ks2 * z2  # (48)

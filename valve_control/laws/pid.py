@@ -73,9 +73,7 @@ def initial(p: Params, start: Start) -> State:
     z1 = start.measurement - start.reference
     model = (p.a1 * start.reference_rate + p.a0 * start.measurement) / p.b0
     integral = start.voltage - model + p.kp * z1
-    return State(
-        reference, velocity.State(start.measurement, start.reference_rate), -integral, 1.0
-    )
+    return State(reference, velocity.State(start.measurement, start.reference_rate), -integral, 1.0)
 
 
 def step(

@@ -13,13 +13,12 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy._rclpy_pybind11 import RCLError
-from std_msgs.msg import Float64
 
 from valve_control.parameters.build import as_text
 from valve_control.parameters.table import (
@@ -75,9 +74,7 @@ class ParameterSet:
         declared: dict[str, Value] = {}
         for parameter in table:
             try:
-                got = node.declare_parameter(
-                    parameter.name, parameter.default, descriptor(parameter)
-                )
+                got = node.declare_parameter(parameter.name, parameter.default, descriptor(parameter))
             except (InvalidParameterTypeException, InvalidParameterValueException) as error:
                 override = node._parameter_overrides.get(parameter.name)
                 value = getattr(override, "value", override)
@@ -135,23 +132,24 @@ class Unwatched(CallbackGroup):
 
 
 class PolledSubscription:
-    """Float64 subscription that wakes nobody: messages wait until they are asked for.
+    """Subscription that wakes nobody: messages wait until they are asked for.
 
     A command that arrives between two LVDT samples is of no use before the next one, and a wake-up of
     the executor costs more than the whole control law.
     """
 
-    def __init__(self, node: Node, topic: str, qos: QoSProfile) -> None:
+    def __init__(self, node: Node, message_type: Any, topic: str, qos: QoSProfile) -> None:
+        self._type = message_type
         self._subscription = node.create_subscription(
-            Float64, topic, lambda message: None, qos, callback_group=Unwatched()
+            message_type, topic, lambda message: None, qos, callback_group=Unwatched()
         )
 
-    def take(self) -> Iterator[tuple[float, dict[str, Any]]]:
-        """Waiting values, oldest first, each with its message info."""
+    def take(self) -> Iterator[tuple[Any, dict[str, Any]]]:
+        """Waiting messages, oldest first, each with its message info."""
         handle = self._subscription.handle
         with handle:
-            while (taken := handle.take_message(Float64, False)) is not None:
-                yield taken[0].data, taken[1]
+            while (taken := handle.take_message(self._type, False)) is not None:
+                yield taken
 
 
 def diagnostics(node: Node, level: bytes, message: str, values: dict[str, Any]) -> DiagnosticArray:

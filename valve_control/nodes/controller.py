@@ -53,14 +53,12 @@ class Controller(Node):
         self._state_message = Float64MultiArray()
         self._state_publisher = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
         self._parameters = ParameterSet(self, CONTROLLER, build.law_params, self._apply)
-        self._commands = PolledSubscription(self, "spool_command", LATEST)
+        self._commands = PolledSubscription(self, Float64, "spool_command", LATEST)
         self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         self.create_subscription(Float64, "spool_position", self._on_measurement, SAMPLES)
         self.create_timer(1.0, self._diagnose)
-        self.get_logger().info(
-            f"{self._name} at {1.0 / self._period:g} Hz, waiting for spool_position"
-        )
+        self.get_logger().info(f"{self._name} at {1.0 / self._period:g} Hz, waiting for spool_position")
 
     def _apply(self, values: Values, params: Any) -> None:
         name = build.word(values, "controller")
@@ -97,7 +95,8 @@ class Controller(Node):
         return Start(self._measurement, self._voltage, reference.reference, reference.rate)
 
     def _take_command(self) -> float:
-        for value, _ in self._commands.take():
+        for message, _ in self._commands.take():
+            value = message.data
             if not math.isfinite(value):
                 self._refuse("command_refused", f"command {value} refused, the last one holds")
                 continue

@@ -16,8 +16,10 @@ import numpy as np
 import numpy.typing as npt
 import rclpy
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64
 from tqdm import tqdm
 
 from valve_control.analysis.figures import Trace, draw_traces
@@ -31,6 +33,7 @@ from valve_control.simulation import offline
 Array = npt.NDArray[np.float64]
 EVERYTHING = QoSProfile(depth=50000, reliability=ReliabilityPolicy.RELIABLE)
 START_LIMIT = 30.0  # s
+DIAGNOSED = 1.2  # s, after which a last /diagnostics has come
 SETTLE = 0.5  # s of the closed loop at rest before the command begins
 TOPICS = ("spool_command", "spool_position", "valve_voltage")
 
@@ -69,7 +72,7 @@ class Measured(NamedTuple):
     measurement: Array  # V
     voltage: Array  # V
     latency: Array  # s, from publication of the reading to publication of its voltage
-    lost: int  # LVDT readings without a voltage
+    lost: int  # LVDT readings that the controller missed, by their sequence numbers
     rate: float  # LVDT readings per second
     lead: int  # readings that the simulator had published before the first command
 
@@ -137,7 +140,9 @@ class Listener(Node):
 
     def __init__(self) -> None:
         super().__init__("demo")
-        self._topics = {topic: PolledSubscription(self, topic, EVERYTHING) for topic in TOPICS}
+        self._topics = {topic: PolledSubscription(self, Float64, topic, EVERYTHING) for topic in TOPICS}
+        self._diagnostics = PolledSubscription(self, DiagnosticArray, "/diagnostics", EVERYTHING)
+        self.lost_counts: list[tuple[int, int]] = []  # source time [ns], controller's lvdt_lost
         self.values: dict[str, list[float]] = {topic: [] for topic in TOPICS}
         self.stamps: dict[str, list[int]] = {topic: [] for topic in TOPICS}
         self.sequence: dict[str, list[int]] = {topic: [] for topic in TOPICS}
@@ -145,10 +150,20 @@ class Listener(Node):
     def fetch(self) -> None:
         """Take what has arrived since the last call."""
         for topic, subscription in self._topics.items():
-            for value, info in subscription.take():
-                self.values[topic].append(value)
+            for message, info in subscription.take():
+                self.values[topic].append(message.data)
                 self.stamps[topic].append(info["source_timestamp"])
                 self.sequence[topic].append(info["publication_sequence_number"])
+
+        for message, info in self._diagnostics.take():
+            for value in message.status[0].values:
+                if value.key == "lvdt_lost":
+                    self.lost_counts.append((info["source_timestamp"], int(value.value)))
+
+    def lost_since(self, begin: float) -> int:
+        """LVDT readings that the controller missed after source time ``begin`` [s]."""
+        before = [count for stamp, count in self.lost_counts if stamp * 1e-9 < begin]
+        return self.lost_counts[-1][1] - (before[-1] if before else 0)
 
     def arrays(self, topic: str) -> tuple[Array, Array]:
         """Values [V] and source times [s] of ``topic``."""
@@ -187,7 +202,7 @@ def measure(listener: Listener, period: float, duration: float) -> Measured:
         readings[inside],
         voltages[inside],
         latency,
-        round(duration / period) - count + int(np.count_nonzero(latency < 0.0)),
+        listener.lost_since(command_times[0]),
         (count - 1) / span,
         int(sequence[0]) - 1,
     )
@@ -201,9 +216,7 @@ def run_cascade(job: Job, folder: Path, progress: tqdm) -> Measured:
     log = {node: folder / f"{job.name}_{node}.log" for node in NODES}
     listener = Listener()
     try:
-        with process(
-            "controller", node_arguments(job, "controller"), log["controller"]
-        ) as controller:
+        with process("controller", node_arguments(job, "controller"), log["controller"]) as controller:
             with process(
                 "valve_simulator", node_arguments(job, "valve_simulator"), log["valve_simulator"]
             ) as simulator:
@@ -245,7 +258,7 @@ def _watch(listener: Listener, duration: float, progress: tqdm, children: list[A
         now = min(time.monotonic() - began, duration)
         progress.update(now - shown)
         shown = now
-    time.sleep(0.1)
+    time.sleep(DIAGNOSED)
     listener.fetch()
 
 
@@ -294,7 +307,9 @@ def report(jobs: list[tuple[Job, Measured]], folder: Path) -> None:
                 "latency_s": {"p50": p50, "p99": p99, "max": float(np.max(run.latency))},
             }
         )
-    print(f"\n{'':14}{'rate [Hz]':>10}{'samples':>9}{'lost':>6}{'LVDT to voltage [ms]: p50':>28}{'p99':>8}{'max':>8}")
+    print(
+        f"\n{'':14}{'rate [Hz]':>10}{'samples':>9}{'lost':>6}{'LVDT to voltage [ms]: p50':>28}{'p99':>8}{'max':>8}"
+    )
     for entry in result:
         ms = {k: 1e3 * v for k, v in entry["latency_s"].items()}
         print(

@@ -43,7 +43,7 @@ class ValveSimulator(Node):
         self._samples = 0
         self._counts = dict.fromkeys(("late_voltages", "voltage_refused", "samples_skipped"), 0)
         self._message = Float64()
-        self._voltages = PolledSubscription(self, "valve_voltage", SAMPLES)
+        self._voltages = PolledSubscription(self, Float64, "valve_voltage", SAMPLES)
         self._positions = self.create_publisher(Float64, "spool_position", SAMPLES)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         self._parameters = ParameterSet(self, VALVE, build.valve_params, self._apply)
@@ -92,7 +92,8 @@ class ValveSimulator(Node):
 
     def _take_voltage(self) -> None:
         arrived = False
-        for value, _ in self._voltages.take():
+        for message, _ in self._voltages.take():
+            value = message.data
             arrived = True
             if math.isfinite(value):
                 self._voltage = saturate(value, self._params.u_max)
@@ -111,9 +112,7 @@ class ValveSimulator(Node):
             "position": f"{self._state.x.x0:.4f}",
             "voltage": f"{self._voltage:.4f}",
         }
-        self._diagnostics.publish(
-            diagnostics(self, DiagnosticStatus.OK, "simulating", values)
-        )
+        self._diagnostics.publish(diagnostics(self, DiagnosticStatus.OK, "simulating", values))
 
 
 def main() -> int:

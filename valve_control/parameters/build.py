@@ -169,9 +169,7 @@ def _model(values: Values, choice: str, prefix: str) -> TransferFunction:
             f"{prefix}denominator is {list(model.denominator)}; its last entry must not be 0"
         )
     if not model.numerator or model.numerator[-1] == 0.0:
-        raise ParameterError(
-            f"{prefix}numerator is {list(model.numerator)}; its last entry must not be 0"
-        )
+        raise ParameterError(f"{prefix}numerator is {list(model.numerator)}; its last entry must not be 0")
     return model
 
 

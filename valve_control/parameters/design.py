@@ -53,9 +53,7 @@ def pole_zero_compensator(model: TransferFunction, bandwidth: float) -> Transfer
     cancelled = zeros[zeros.real < 0.0]
     kept = zeros[zeros.real >= 0.0]
     order = len(poles) - len(cancelled) + 1
-    _, target, _ = scipy.signal.bessel(
-        order, 2.0 * np.pi * bandwidth, analog=True, output="zpk", norm="mag"
-    )
+    _, target, _ = scipy.signal.bessel(order, 2.0 * np.pi * bandwidth, analog=True, output="zpk", norm="mag")
     denominator = np.poly(np.concatenate([target, cancelled])).real
     if len(denominator) > 7:
         raise DesignError("the model's order is too high: a compensator has at most 6 poles")

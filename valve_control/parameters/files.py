@@ -59,9 +59,7 @@ def load(path: str) -> dict[str, Values]:
             f"parameter file {path} cannot be read: {getattr(error, 'strerror', None) or error}"
         ) from error
     except yaml.YAMLError as error:
-        raise ParameterError(
-            f"parameter file {path} is not YAML: {' '.join(str(error).split())}"
-        ) from error
+        raise ParameterError(f"parameter file {path} is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(tree, dict):
         raise ParameterError(f"parameter file {path} must hold 'node: ros__parameters: …' sections")
     result: dict[str, Values] = {name: {} for name in NODES}

@@ -50,9 +50,7 @@ class Parameter(NamedTuple):
             if any(type(v) is not float for v in numbers):
                 raise ParameterError(self._wrong_type(numbers))
             if self.length and len(numbers) != self.length:
-                raise ParameterError(
-                    f"{self.name} has {len(numbers)} entries; it must have {self.length}"
-                )
+                raise ParameterError(f"{self.name} has {len(numbers)} entries; it must have {self.length}")
             for i, number in enumerate(numbers):
                 self._check_range(number, f"{self.name}[{i}]")
             return numbers
@@ -91,9 +89,7 @@ THETA_MIN = [5.0, 500.0, 900.0, -6000.0]
 THETA_MAX = [150.0, 3000.0, 2500.0, 6000.0]
 BIG = 1e12
 
-SAMPLE_PERIOD = Parameter(
-    "sample_period", 0.001, "s", "sample period ΔT of LVDT and controller", 1e-5, 0.1
-)
+SAMPLE_PERIOD = Parameter("sample_period", 0.001, "s", "sample period ΔT of LVDT and controller", 1e-5, 0.1)
 U_MAX = Parameter("u_max", 10.0, "V", "limit of the solenoid voltage", 0.1, 100.0)
 
 
@@ -173,9 +169,7 @@ CONTROLLER: Table = (
         1000,
     ),
     Parameter("state_decimation", 10, "", "every n-th sample appears on ~/state; 0: none", 0, 100000),
-    Parameter(
-        "reshaping.natural_frequency", 314.0, "rad/s", "natural frequency ω_n of (8)", 1.0, 1e5
-    ),
+    Parameter("reshaping.natural_frequency", 314.0, "rad/s", "natural frequency ω_n of (8)", 1.0, 1e5),
     Parameter("reshaping.damping", 0.8, "-", "damping ratio ξ_n of (8)", 0.1, 10.0),
     Parameter("reshaping.max_rate", 250.0, "V/s", "largest reference rate, (7)", 0.1, 1e5),
     Parameter("reshaping.max_accel", 12000.0, "V/s²", "largest reference acceleration, (6)", 1.0, 1e7),
@@ -184,9 +178,7 @@ CONTROLLER: Table = (
     *_estimates("arc", [2.0, 110.0, 120.0, 500.0]),
     Parameter("arc.epsilon", 1e6, "V²/s³", "ε2 of (23) for the quadratic robust term", 1e-9, BIG),
     Parameter("arc.disturbance_bound", 1000.0, "V/s²", "bound δ_d of (5)", 0.0, 1e9),
-    Parameter(
-        "arc.velocity_cutoff", 150.0, "Hz", "cut-off of the velocity estimate's low-pass", 1.0, 1e5
-    ),
+    Parameter("arc.velocity_cutoff", 150.0, "Hz", "cut-off of the velocity estimate's low-pass", 1.0, 1e5),
     Parameter("oarc.k1", 308.0, "1/s", "observer gain k1 of (28)", 1e-3, 1e6),
     Parameter("oarc.k2", 48400.0, "1/s²", "observer gain k2 of (28)", 1e-3, BIG),
     Parameter("oarc.ks1", 120.0, "1/s", "gain ks1 of (39)", 1e-3, 1e5),
@@ -247,7 +239,12 @@ CONTROLLER: Table = (
         "compensator.bandwidth", 25.0, "Hz", "wanted -3 dB bandwidth of a designed compensator", 0.1, 1e4
     ),
     Parameter(
-        "compensator.numerator", [1502.057], "", "custom model, numerator in s, highest power first", -BIG, BIG
+        "compensator.numerator",
+        [1502.057],
+        "",
+        "custom model, numerator in s, highest power first",
+        -BIG,
+        BIG,
     ),
     Parameter(
         "compensator.denominator",
@@ -293,9 +290,7 @@ VALVE: Table = (
     Parameter(
         "friction.stribeck_velocity", 0.1, "V/s", "velocity at which the static part decays", 1e-6, 1e3
     ),
-    Parameter(
-        "friction.velocity_scale", 0.02, "V/s", "half-width of friction's linear zone", 1e-6, 1e3
-    ),
+    Parameter("friction.velocity_scale", 0.02, "V/s", "half-width of friction's linear zone", 1e-6, 1e3),
     Parameter("flow_force", 0.0, "V/V", "flow force as input voltage against the position", -10.0, 10.0),
     Parameter("disturbance.offset", 0.0, "V", "constant input disturbance d_n", -10.0, 10.0),
     Parameter("drift.gain", 0.0, "1/s", "relative growth of the gain per second", -0.01, 10.0),

@@ -180,9 +180,7 @@ def step(p: Params, s: State, voltage: float) -> State:
     """Valve one period later, with ``voltage`` [V] held over it."""
     d = p.disturbance
     x = s.x
-    force = (
-        saturate(voltage, p.u_max) + d.offset - (d.flow_force + d.stiffness_drift * s.time) * x.x0
-    )
+    force = saturate(voltage, p.u_max) + d.offset - (d.flow_force + d.stiffness_drift * s.time) * x.x0
     gain = p.gain_scale * (1.0 + d.gain_drift * s.time)
     v_free = dot(p.row1, x) + p.input.x1 * gain * force
     if d.coulomb > 0.0:

@@ -42,7 +42,6 @@ def _numba() -> Any:
     return numba
 
 
-
 def compile_function(
     function: Callable[..., Any], replace: Mapping[str, Callable[..., Any]] | None = None
 ) -> Callable[..., Any]:

@@ -58,9 +58,7 @@ def read_commands(path: str) -> Array:
         else:
             array = np.loadtxt(path, delimiter=",", comments="#", ndmin=1)
     except OSError as error:
-        raise ParameterError(
-            f"command file {path} cannot be read: {error.strerror or error}"
-        ) from error
+        raise ParameterError(f"command file {path} cannot be read: {error.strerror or error}") from error
     except (ValueError, EOFError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise ParameterError(
@@ -82,9 +80,7 @@ def read_commands(path: str) -> Array:
     return array
 
 
-def simulate(
-    controller_values: Values, valve_values: Values, command: Array, compiled: bool = True
-) -> Run:
+def simulate(controller_values: Values, valve_values: Values, command: Array, compiled: bool = True) -> Run:
     """Run the loop over ``command`` [V], one entry per sample. Raises ParameterError."""
     for name in ("sample_period", "u_max"):
         if controller_values[name] != valve_values[name]:
