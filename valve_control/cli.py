@@ -42,8 +42,8 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
-def _setup_options() -> argparse.ArgumentParser:
-    options = argparse.ArgumentParser(add_help=False)
+def _setup_options() -> "_Parser":
+    options = _Parser(add_help=False)
     group = options.add_argument_group("what is simulated")
     group.add_argument("--valve", choices=VALVES, help="linear valve model (default: fourth_order)")
     group.add_argument("--scenario", choices=SCENARIOS[:-1], help="command shape (default: point_to_point)")
@@ -250,7 +250,7 @@ def _traces(arguments: argparse.Namespace, run: "Run") -> None:
         _say(arguments, f"wrote {arguments.csv}")
     if arguments.npz is not None:
         with open(arguments.npz, "wb") as stream:
-            np.savez_compressed(stream, **columns)
+            np.savez_compressed(stream, allow_pickle=False, **columns)
         _say(arguments, f"wrote {arguments.npz}")
 
 

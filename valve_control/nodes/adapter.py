@@ -27,7 +27,6 @@ from valve_control.parameters.table import (
     Table,
     Value,
     Values,
-    lookup,
     updated,
 )
 
@@ -113,22 +112,20 @@ class ParameterSet:
         if text:
             self._node.get_logger().info(f"now {text}")
 
-    def __getitem__(self, name: str) -> Any:
-        lookup(self._table, name)
-        return self.values[name]
-
 
 class Unwatched(CallbackGroup):
     """Callback group that the executor passes over; its subscriptions are polled instead."""
 
     def can_execute(self, entity: Any) -> bool:
+        """Never."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
+        """Never."""
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        return
+        """Nothing was begun."""
 
 
 class PolledSubscription:

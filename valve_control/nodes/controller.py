@@ -80,9 +80,12 @@ class Controller(Node):
             if self._state is not None:
                 self._state = self._law.initial(params, self._takeover())
                 self._taking_over = True
-        elif self._state is not None and "theta" in self._state._fields:
-            if params.theta_initial != former.theta_initial:
-                self._state = self._state._replace(theta=params.theta_initial)
+        elif (
+            self._state is not None
+            and "theta" in self._state._fields
+            and params.theta_initial != former.theta_initial
+        ):
+            self._state = self._state._replace(theta=params.theta_initial)
         text = stability.warning(name, self._law, params)
         if text:
             self.get_logger().warning(text)

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 import rclpy
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
@@ -33,7 +32,7 @@ from valve_control.simulation import offline
 Array = npt.NDArray[np.float64]
 EVERYTHING = QoSProfile(depth=50000, reliability=ReliabilityPolicy.RELIABLE)
 START_LIMIT = 30.0  # s
-DIAGNOSED = 1.2  # s, after which a last /diagnostics has come
+SHIFT_SAMPLES = 200  # over which readings and voltages are matched
 SETTLE = 0.5  # s of the closed loop at rest before the command begins
 TOPICS = ("spool_command", "spool_position", "valve_voltage")
 
@@ -49,17 +48,18 @@ class Job(NamedTuple):
 
 TABLE_1 = "point to point (Table 1, Fig. 5)"
 SINE = "6 Hz sine, model (3) (Fig. 4)"
-LISTENERS = {"listeners": 2}  # the controller and the demo itself
+# The controller and the demo itself listen; the upper level runs in step with the LVDT.
+PACE = {"listeners": 2, "trigger": "spool_position"}
 SINE_SETTINGS = {"scenario": "sine", "amplitude": 1.0, "frequency": 6.0, "duration": 6.0}
 JOBS = (
-    Job("arc", TABLE_1, ("arc.yaml", "d3fxe.yaml", "command_source.yaml"), LISTENERS),
-    Job("oarc", TABLE_1, ("oarc.yaml", "d3fxe.yaml", "command_source.yaml"), LISTENERS),
-    Job("pid", TABLE_1, ("pid.yaml", "d3fxe.yaml", "command_source.yaml"), LISTENERS),
+    Job("arc", TABLE_1, ("arc.yaml", "d3fxe.yaml", "command_source.yaml"), PACE),
+    Job("oarc", TABLE_1, ("oarc.yaml", "d3fxe.yaml", "command_source.yaml"), PACE),
+    Job("pid", TABLE_1, ("pid.yaml", "d3fxe.yaml", "command_source.yaml"), PACE),
     Job(
         "compensator",
         SINE,
         ("compensator.yaml",),
-        {**LISTENERS, **SINE_SETTINGS, "lvdt.noise": 0.0056, "lvdt.resolution": 0.0037},
+        {**PACE, **SINE_SETTINGS, "lvdt.noise": 0.0056, "lvdt.resolution": 0.0037},
     ),
 )
 
@@ -72,9 +72,10 @@ class Measured(NamedTuple):
     measurement: Array  # V
     voltage: Array  # V
     latency: Array  # s, from publication of the reading to publication of its voltage
-    lost: int  # LVDT readings that the controller missed, by their sequence numbers
+    lost: int  # LVDT readings without a voltage
     rate: float  # LVDT readings per second
-    lead: int  # readings that the simulator had published before the first command
+    lead: int  # voltages that the controller had published before the first command
+    joined: int  # readings that the simulator had published before the controller's first voltage
 
 
 def config_folder() -> Path:
@@ -141,8 +142,6 @@ class Listener(Node):
     def __init__(self) -> None:
         super().__init__("demo")
         self._topics = {topic: PolledSubscription(self, Float64, topic, EVERYTHING) for topic in TOPICS}
-        self._diagnostics = PolledSubscription(self, DiagnosticArray, "/diagnostics", EVERYTHING)
-        self.lost_counts: list[tuple[int, int]] = []  # source time [ns], controller's lvdt_lost
         self.values: dict[str, list[float]] = {topic: [] for topic in TOPICS}
         self.stamps: dict[str, list[int]] = {topic: [] for topic in TOPICS}
         self.sequence: dict[str, list[int]] = {topic: [] for topic in TOPICS}
@@ -154,16 +153,6 @@ class Listener(Node):
                 self.values[topic].append(message.data)
                 self.stamps[topic].append(info["source_timestamp"])
                 self.sequence[topic].append(info["publication_sequence_number"])
-
-        for message, info in self._diagnostics.take():
-            for value in message.status[0].values:
-                if value.key == "lvdt_lost":
-                    self.lost_counts.append((info["source_timestamp"], int(value.value)))
-
-    def lost_since(self, begin: float) -> int:
-        """LVDT readings that the controller missed after source time ``begin`` [s]."""
-        before = [count for stamp, count in self.lost_counts if stamp * 1e-9 < begin]
-        return self.lost_counts[-1][1] - (before[-1] if before else 0)
 
     def arrays(self, topic: str) -> tuple[Array, Array]:
         """Values [V] and source times [s] of ``topic``."""
@@ -181,30 +170,48 @@ def wait_until(condition: Callable[[], bool], what: str, children: list[Any]) ->
         time.sleep(0.02)
 
 
+def answer_shift(reading_times: Array, voltage_times: Array, period: float) -> int:
+    """By how many entries the first of ``reading_times`` [s] lies before its answer in ``voltage_times``.
+
+    One voltage answers one reading, so the shift is constant as long as none is lost; it is the one with
+    which voltages follow readings after the shortest positive median time.
+    """
+    near = int(np.searchsorted(voltage_times, reading_times[0]))
+    n = min(SHIFT_SAMPLES, len(reading_times))
+    lags = {
+        shift: float(np.median(voltage_times[shift : shift + n] - reading_times[:n]))
+        for shift in range(max(0, near - 5), near + 6)
+        if len(voltage_times) >= shift + n
+    }
+    return min((shift for shift, lag in lags.items() if lag > 0.0), key=lags.__getitem__)
+
+
 def measure(listener: Listener, period: float, duration: float) -> Measured:
     """Align the three topics over ``duration`` [s] from the first command on."""
     commands, command_times = listener.arrays("spool_command")
     readings, reading_times = listener.arrays("spool_position")
     voltages, voltage_times = listener.arrays("valve_voltage")
-    n = min(len(readings), len(voltages))
-    # The simulator ended first: the last voltage answers the last reading.
-    readings, reading_times = readings[-n:], reading_times[-n:]
-    voltages, voltage_times = voltages[-n:], voltage_times[-n:]
-    inside = (reading_times >= command_times[0]) & (reading_times < command_times[0] + duration)
+    inside = np.flatnonzero(
+        (reading_times >= command_times[0]) & (reading_times < command_times[0] + duration)
+    )
+    first = answer_shift(reading_times[inside], voltage_times, period)
+    last = answer_shift(reading_times[inside[-SHIFT_SAMPLES:]], voltage_times, period)
+    lost = len(inside) - min(SHIFT_SAMPLES, len(inside)) - (last - first)
+    answers = np.minimum(first + np.arange(len(inside)), len(voltages) - 1)
     newest = np.searchsorted(command_times, reading_times[inside], side="right") - 1
-    latency = voltage_times[inside] - reading_times[inside]
-    count = int(np.count_nonzero(inside))
-    sequence = np.array(listener.sequence["spool_position"])[-n:][inside]
-    span = reading_times[inside][-1] - reading_times[inside][0]
+    reading_number = listener.sequence["spool_position"][int(inside[0])]
+    voltage_number = listener.sequence["valve_voltage"][first]
+    span = float(reading_times[inside[-1]] - reading_times[inside[0]])
     return Measured(
         period,
         commands[newest],
         readings[inside],
-        voltages[inside],
-        latency,
-        listener.lost_since(command_times[0]),
-        (count - 1) / span,
-        int(sequence[0]) - 1,
+        voltages[answers],
+        voltage_times[answers] - reading_times[inside],
+        lost,
+        (len(inside) - 1) / span,
+        voltage_number - 1,
+        reading_number - voltage_number,
     )
 
 
@@ -258,7 +265,7 @@ def _watch(listener: Listener, duration: float, progress: tqdm, children: list[A
         now = min(time.monotonic() - began, duration)
         progress.update(now - shown)
         shown = now
-    time.sleep(DIAGNOSED)
+    time.sleep(0.2)
     listener.fetch()
 
 
@@ -271,21 +278,21 @@ def _drain(listener: Listener) -> None:
         time.sleep(0.02)
 
 
-def offline_twin(job: Job, lead: int) -> Indices:
-    """Indices of the same run without middleware, after the same ``lead`` samples of standstill."""
+def offline_twin(job: Job, lead: int, joined: int) -> Indices:
+    """Indices of the same run without middleware: same LVDT noise, same ``lead`` samples of standstill."""
     values = values_of(job)
     command = np.concatenate([np.zeros(lead), offline.commands(values["command_source"])])
-    run = offline.simulate(values["controller"], values["valve_simulator"], command)
+    run = offline.simulate(values["controller"], values["valve_simulator"], command, noise_start=joined)
     return indices((run.measurement - run.command)[lead:], run.voltage[lead:], run.period)
 
 
 def report(jobs: list[tuple[Job, Measured]], folder: Path) -> None:
     """Print the tables, write JSON and figure."""
-    result = []
+    result: list[dict[str, Any]] = []
     print(f"\n{HEADER}")
     for job, run in jobs:
         over_dds = indices(run.measurement - run.command, run.voltage, run.period)
-        twin = offline_twin(job, run.lead)
+        twin = offline_twin(job, run.lead, run.joined)
         worst = max(abs(a / b - 1.0) for a, b in zip(over_dds, twin, strict=True) if b != 0.0)
         print(index_row(job.name, over_dds))
         print(index_row("  offline", twin))
@@ -308,7 +315,8 @@ def report(jobs: list[tuple[Job, Measured]], folder: Path) -> None:
             }
         )
     print(
-        f"\n{'':14}{'rate [Hz]':>10}{'samples':>9}{'lost':>6}{'LVDT to voltage [ms]: p50':>28}{'p99':>8}{'max':>8}"
+        f"\n{'':14}{'rate [Hz]':>10}{'samples':>9}{'lost':>6}"
+        f"{'LVDT to voltage [ms]: p50':>28}{'p99':>8}{'max':>8}"
     )
     for entry in result:
         ms = {k: 1e3 * v for k, v in entry["latency_s"].items()}
@@ -325,7 +333,7 @@ def report(jobs: list[tuple[Job, Measured]], folder: Path) -> None:
     (folder / "demo.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     groups: dict[str, dict[str, Trace]] = {}
     for job, run in jobs:
-        time_axis = np.arange(len(run.command)) * run.period
+        time_axis = np.arange(len(run.command), dtype=np.float64) * run.period
         groups.setdefault(job.group, {})[job.name] = Trace(
             time_axis, run.command, run.measurement, run.voltage
         )

@@ -48,7 +48,6 @@ class ValveSimulator(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         self._parameters = ParameterSet(self, VALVE, build.valve_params, self._apply)
         self.create_timer(1.0, self._diagnose)
-        self.get_logger().info(f"{self._parameters['valve']} valve at {1.0 / self._params.period:g} Hz")
 
     def _apply(self, values: Values, params: Any) -> None:
         self._params = params
@@ -68,6 +67,7 @@ class ValveSimulator(Node):
                 self.destroy_timer(self._timer)
             self._next = time.monotonic() + params.period
             self._timer = self.create_timer(params.period, self._tick)
+            self.get_logger().info(f"{values['valve']} valve at {1.0 / params.period:g} Hz")
 
     def _tick(self) -> None:
         period = self._params.period

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from valve_control.laws import arc, oarc, pid, reshaping, velocity
+from valve_control.laws import arc, compensator, oarc, pid, reshaping, velocity
 from valve_control.laws.projection import Theta
 from valve_control.parameters import design
 from valve_control.parameters.table import ParameterError, Value, Values
@@ -173,7 +173,7 @@ def _model(values: Values, choice: str, prefix: str) -> TransferFunction:
     return model
 
 
-def compensator_params(values: Values) -> design.compensator.Params:
+def compensator_params(values: Values) -> compensator.Params:
     """Compensator from the controller's values. Raises ParameterError."""
     chosen = word(values, "compensator.design")
     period = number(values, "sample_period")
@@ -192,7 +192,7 @@ def compensator_params(values: Values) -> design.compensator.Params:
         raise ParameterError(str(error)) from error
 
 
-def open_loop_params(values: Values) -> design.compensator.Params:
+def open_loop_params(values: Values) -> compensator.Params:
     """Static gain from the controller's values."""
     return design.static_params(number(values, "open_loop.static_gain"), number(values, "u_max"))
 
@@ -262,7 +262,8 @@ def shape(values: Values) -> Shape:
         needed = 2.0 * (2.0 * ramp + cruise)
         if needed > made.cycle:
             raise ParameterError(
-                f"cycle is {made.cycle:g} s; a stroke of {made.amplitude:g} V there and back takes {needed:.3g} s"
+                f"cycle is {made.cycle:g} s; a stroke of {made.amplitude:g} V there and back takes "
+                f"{needed:.3g} s"
             )
     return made
 

@@ -77,7 +77,8 @@ def compensator_params(
     sections = [compensator.Section(*(float(c) for c in (*row[:3], *row[4:]))) for row in sos]
     sections += [compensator.PASS] * (3 - len(sections))
     static_gain = transfer_function.static_gain
-    return compensator.Params(*sections, static_gain=static_gain, u_max=u_max)
+    first, second, third = sections
+    return compensator.Params(first, second, third, static_gain, u_max)
 
 
 def static_params(valve_gain: float, u_max: float) -> compensator.Params:

@@ -36,7 +36,7 @@ class Parameter(NamedTuple):
 
     def check(self, value: object) -> Value:
         """``value`` itself if it can be taken. Raises ParameterError otherwise."""
-        if isinstance(self.default, bool) or isinstance(self.default, str):
+        if isinstance(self.default, (bool, str)):
             if type(value) is not type(self.default):
                 raise ParameterError(self._wrong_type(value))
             assert isinstance(value, (bool, str))
@@ -311,6 +311,13 @@ COMMAND: Table = (
         choices=("point_to_point", "sine", "step", "sweep", "constant", "array"),
     ),
     Parameter("command_file", "", "", "CSV or NPY file with one command per sample period (array)"),
+    Parameter(
+        "trigger",
+        "timer",
+        "",
+        "what paces the commands: a timer of the node's own, or spool_position (one command per reading)",
+        choices=("timer", "spool_position"),
+    ),
     Parameter("listeners", 1, "", "subscriptions to wait for before the command begins", 0, 100),
     Parameter("duration", 6.0, "s", "length; afterwards the last command is held", 0.001, 1e6),
     Parameter("amplitude", 2.92, "V", "height, stroke or amplitude", -10.0, 10.0),

@@ -125,7 +125,8 @@ def design(
     rows = [Row(*(float(v) for v in row[:4])) for row in full]
     column = Row(*(float(v) for v in full[:, 4]))
     lvdt = Lvdt(lvdt_noise, lvdt_resolution, lvdt_bias, lvdt_delay / period)
-    return Params(*rows, column, gain_scale, u_max, period, disturbance, lvdt)
+    row0, row1, row2, row3 = rows
+    return Params(row0, row1, row2, row3, column, gain_scale, u_max, period, disturbance, lvdt)
 
 
 def initial(p: Params) -> State:

@@ -1,7 +1,7 @@
 """A whole run offline: law, valve and command as the nodes run them, without middleware."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +34,7 @@ class Run(NamedTuple):
     @property
     def time(self) -> Array:
         """Time [s] of each sample."""
-        return np.arange(len(self.command)) * self.period
+        return np.arange(len(self.command), dtype=np.float64) * self.period
 
 
 def commands(values: Values) -> Array:
@@ -54,7 +54,7 @@ def read_commands(path: str) -> Array:
         raise ParameterError("scenario 'array' needs command_file, a CSV or NPY file")
     try:
         if Path(path).suffix == ".npy":
-            array = np.load(path, allow_pickle=False)
+            array: npt.NDArray[Any] = np.load(path, allow_pickle=False)
         else:
             array = np.loadtxt(path, delimiter=",", comments="#", ndmin=1)
     except OSError as error:
@@ -62,30 +62,41 @@ def read_commands(path: str) -> Array:
     except (ValueError, EOFError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise ParameterError(
-            f"command file {path} must hold one number a line (CSV) or a one-dimensional array (NPY): {reason}"
+            f"command file {path} must hold one number a line (CSV) or a one-dimensional array (NPY): "
+            f"{reason}"
         ) from error
     try:
-        array = np.asarray(array, dtype=np.float64)
+        numbers: Array = np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ParameterError(f"command file {path} must hold numbers, not {array.dtype}") from error
-    if array.ndim == 2 and 1 in array.shape:
-        array = array.ravel()
-    if array.ndim != 1 or array.size == 0:
+    if numbers.ndim == 2 and 1 in numbers.shape:
+        numbers = numbers.ravel()
+    if numbers.ndim != 1 or numbers.size == 0:
         raise ParameterError(
-            f"command file {path} must hold one column of numbers; its shape is {array.shape}"
+            f"command file {path} must hold one column of numbers; its shape is {numbers.shape}"
         )
-    if not np.all(np.isfinite(array)):
-        first = int(np.flatnonzero(~np.isfinite(array))[0])
-        raise ParameterError(f"command file {path} has {array[first]} in entry {first + 1}")
-    return array
+    if not np.all(np.isfinite(numbers)):
+        first = int(np.flatnonzero(~np.isfinite(numbers))[0])
+        raise ParameterError(f"command file {path} has {numbers[first]} in entry {first + 1}")
+    return numbers
 
 
-def simulate(controller_values: Values, valve_values: Values, command: Array, compiled: bool = True) -> Run:
-    """Run the loop over ``command`` [V], one entry per sample. Raises ParameterError."""
+def simulate(
+    controller_values: Values,
+    valve_values: Values,
+    command: Array,
+    compiled: bool = True,
+    noise_start: int = 0,
+) -> Run:
+    """Run the loop over ``command`` [V], one entry per sample. Raises ParameterError.
+
+    ``noise_start``: how many LVDT readings the simulator had already made when the controller joined.
+    """
     for name in ("sample_period", "u_max"):
         if controller_values[name] != valve_values[name]:
             raise ParameterError(
-                f"{name} is {controller_values[name]} for the controller and {valve_values[name]} for the valve; they must agree"
+                f"{name} is {controller_values[name]} for the controller and {valve_values[name]} "
+                "for the valve; they must agree"
             )
     name = build.word(controller_values, "controller")
     law = closed_loop.LAWS[name]
@@ -95,7 +106,8 @@ def simulate(controller_values: Values, valve_values: Values, command: Array, co
     command = np.clip(np.ascontiguousarray(command, dtype=np.float64), -limit, limit)
     period = valve_params.period
     n = len(command)
-    noise = np.random.default_rng(int(build.number(valve_values, "seed"))).standard_normal(n)
+    random = np.random.default_rng(int(build.number(valve_values, "seed")))
+    noise = random.standard_normal(noise_start + n)[noise_start:]
     signals = np.zeros((n, len(closed_loop.SIGNALS)))
     labels = closed_loop.term_labels(law)
     terms = np.zeros((n, len(labels)))
