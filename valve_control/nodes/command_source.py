@@ -32,6 +32,8 @@ class CommandSource(Node):
         self._commands = commands.tolist()
         self._listeners = int(build.number(values, "listeners"))
         self._period = build.number(values, "sample_period")
+        self._delay = build.number(values, "delay")
+        self._met: float | None = None
         self._began: float | None = None
         self._done = False
         trigger = build.word(values, "trigger")
@@ -65,6 +67,10 @@ class CommandSource(Node):
         """Publish the command that is due at ``now``, in periods."""
         if self._began is None:
             if self._publisher.get_subscription_count() < self._listeners:
+                return
+            if self._met is None:
+                self._met = now
+            if (now - self._met) * self._period < self._delay:
                 return
             self._began = now
             self.get_logger().info("begins")

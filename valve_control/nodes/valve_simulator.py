@@ -22,14 +22,16 @@ from valve_control.parameters import build
 from valve_control.parameters.table import VALVE, Values
 from valve_control.plant import valve
 
+POLL = 5e-5  # s between two looks for a late voltage
 STALL = 0.1  # s; a longer pause of the process is skipped, not made good
 
 
 class ValveSimulator(Node):
     """Reads `valve_voltage`, publishes `spool_position` once per sample period.
 
-    Samples fall on an absolute schedule: a tick that comes late makes good the samples that are due. A
-    voltage counts from the next sample on, as a digital amplifier would apply it.
+    Samples fall on an absolute schedule: a tick that comes late makes good the samples that are due. The
+    voltage of sample k acts from k to k+1. No real valve waits for a process that the operating system
+    has put aside, so that the simulated one holds back sample k+1 for up to `patience`.
     """
 
     def __init__(self) -> None:
@@ -40,6 +42,7 @@ class ValveSimulator(Node):
         self._period: float | None = None
         self._timer: Any = None
         self._voltage = 0.0
+        self._answered = False
         self._samples = 0
         self._counts = dict.fromkeys(("late_voltages", "voltage_refused", "samples_skipped"), 0)
         self._message = Float64()
@@ -51,6 +54,7 @@ class ValveSimulator(Node):
 
     def _apply(self, values: Values, params: Any) -> None:
         self._params = params
+        self._patience = build.number(values, "patience")
         fresh = valve.initial(params)
         if self._state is None:
             self._state = fresh
@@ -91,19 +95,29 @@ class ValveSimulator(Node):
         self._samples += 1
 
     def _take_voltage(self) -> None:
+        """Take the voltage of the sample before; wait for it if the controller answered until now."""
+        arrived = self._poll_voltage()
+        if not arrived and self._answered:
+            limit = time.monotonic() + self._patience
+            while not arrived and time.monotonic() < limit:
+                time.sleep(POLL)
+                arrived = self._poll_voltage()
+        if not arrived:
+            self._counts["late_voltages"] += 1
+        self._answered = arrived
+
+    def _poll_voltage(self) -> bool:
         arrived = False
         for message, _ in self._voltages.take():
-            value = message.data
             arrived = True
-            if math.isfinite(value):
-                self._voltage = saturate(value, self._params.u_max)
+            if math.isfinite(message.data):
+                self._voltage = saturate(message.data, self._params.u_max)
             else:
                 self._counts["voltage_refused"] += 1
                 self.get_logger().warning(
-                    f"voltage {value} refused, the last one holds", throttle_duration_sec=1.0
+                    f"voltage {message.data} refused, the last one holds", throttle_duration_sec=1.0
                 )
-        if not arrived:
-            self._counts["late_voltages"] += 1
+        return arrived
 
     def _diagnose(self) -> None:
         values = {

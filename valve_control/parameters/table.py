@@ -285,6 +285,14 @@ VALVE: Table = (
     ),
     Parameter("gain_scale", 1.0, "-", "multiplies the gain of the model", 0.01, 100.0),
     Parameter("seed", 1, "", "seed of the LVDT noise", 0, 2**31 - 1),
+    Parameter(
+        "patience",
+        0.002,
+        "s",
+        "how long the next sample is held back for a voltage that is late; then the last one holds",
+        0.0,
+        1.0,
+    ),
     Parameter("friction.coulomb", 0.0, "V", "Coulomb friction as input voltage", 0.0, 100.0),
     Parameter("friction.static_ratio", 1.0, "-", "static over Coulomb friction", 1.0, 10.0),
     Parameter(
@@ -319,6 +327,7 @@ COMMAND: Table = (
         choices=("timer", "spool_position"),
     ),
     Parameter("listeners", 1, "", "subscriptions to wait for before the command begins", 0, 100),
+    Parameter("delay", 0.5, "s", "pause between their arrival and the beginning", 0.0, 1e6),
     Parameter("duration", 6.0, "s", "length; afterwards the last command is held", 0.001, 1e6),
     Parameter("amplitude", 2.92, "V", "height, stroke or amplitude", -10.0, 10.0),
     Parameter("offset", 0.0, "V", "added to the command", -10.0, 10.0),
