@@ -1,0 +1,112 @@
+"""ARC against SymPy, and both parts of Theorem 1."""
+
+import math
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from valve_control.laws import arc, projection
+from valve_control.laws.projection import Theta
+from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER, defaults, updated
+
+
+def params(**changes):
+    values = updated(
+        CONTROLLER, defaults(CONTROLLER), {k.replace("__", "."): v for k, v in changes.items()}
+    )
+    return build.arc_params(values)
+
+
+def test_error_dynamics_are_equation_22():
+    """Put the law's voltage into the plant (17): what remains must be (22), for any numbers."""
+    x1, x2, xd, xd1, xd2 = sp.symbols("x1 x2 xd xd1 xd2")
+    th = sp.symbols("th1:5")
+    rng = np.random.default_rng(1)
+    p = params(arc__robust_term="quadratic", arc__epsilon=1e4)
+    for _ in range(50):
+        estimate = Theta(*rng.uniform(p.theta_min, p.theta_max))
+        truth = rng.uniform(p.theta_min, p.theta_max)
+        numbers = rng.normal(size=5) * [3.0, 30.0, 3.0, 30.0, 500.0]
+        terms, tau = arc.law(p, estimate, *(float(v) for v in numbers))
+        z1 = x1 - xd
+        z2 = (x2 - xd1) + p.k1 * z1
+        u = terms.unsaturated_voltage
+        z2_dot = -th[0] * x2 - th[1] * x1 + th[2] * u + th[3] - (xd2 - p.k1 * (x2 - xd1))  # (19)
+        values = dict(zip((x1, x2, xd, xd1, xd2, *th), (*numbers, *truth), strict=True))
+        got = float(z2_dot.subs(values))
+        phi = np.array([-numbers[1], -numbers[0], terms.model_voltage, 1.0])
+        z2_value = float(z2.subs(values))
+        expected = (
+            -terms.z1
+            - truth[2] / p.theta_min.b0 * p.k2 * z2_value
+            + truth[2] * terms.robust_voltage
+            - (np.array(estimate) - truth) @ phi
+        )  # (22)
+        assert math.isclose(got, expected, rel_tol=1e-9, abs_tol=1e-6)
+        assert np.allclose(tau, phi * z2_value)
+
+
+def continuous(p, theta_true, duration, period, reference, disturbance, adapt=True):
+    """Theorem's own setting: true states, Euler-fine period, plant (17) with disturbance [V/s²]."""
+    a1, a0, b0, b0dn = theta_true
+    x1 = x2 = 0.0
+    theta = p.theta_initial
+    history = []
+    for k in range(round(duration / period)):
+        t = k * period
+        xd, xd1, xd2 = reference(t)
+        terms, tau = arc.law(p, theta, x1, x2, xd, xd1, xd2)
+        history.append((terms.z1, terms.z2, terms.lyapunov))
+        accel = -a1 * x2 - a0 * x1 + b0 * terms.unsaturated_voltage + b0dn + disturbance(t)
+        x2 += accel * period
+        x1 += x2 * period
+        if adapt:
+            rate = projection.rates(theta, p.gamma, tau, p.theta_min, p.theta_max)
+            theta = projection.advance(theta, rate, period, p.theta_min, p.theta_max)
+    return np.array(history)
+
+
+def sine(t, amplitude=1.0, w=2.0 * math.pi * 2.0):
+    return (
+        amplitude * (1.0 - math.cos(w * t)),
+        amplitude * w * math.sin(w * t),
+        amplitude * w * w * math.cos(w * t),
+    )
+
+
+@pytest.mark.parametrize("block", range(4))
+def test_theorem_1a_v2_stays_under_its_bound(block):
+    """200 random valves in the bounds, disturbances at their bound: (25) holds all the time."""
+    rng = np.random.default_rng(block)
+    period, epsilon, bound = 5e-5, 1e5, 2000.0
+    p = params(
+        arc__robust_term="quadratic", arc__epsilon=epsilon, arc__disturbance_bound=bound, u_max=100.0
+    )
+    rate = 2.0 * min(p.k1, p.k2)
+    for _ in range(50):
+        truth = rng.uniform(p.theta_min, p.theta_max)
+        f, phase = rng.uniform(1.0, 200.0), rng.uniform(0.0, 6.0)
+        square = rng.random() < 0.5
+
+        def disturbance(t, f=f, phase=phase, square=square):
+            value = math.sin(2.0 * math.pi * f * t + phase)
+            return bound * (math.copysign(1.0, value) if square else value)
+
+        v2 = continuous(p, truth, 0.1, period, sine, disturbance)[:, 2]
+        t = np.arange(len(v2)) * period
+        assert np.all(v2 <= np.exp(-rate * t) * v2[0] + epsilon / rate * (1.0 - np.exp(-rate * t)) + 1e-6)
+
+
+def test_theorem_1b_error_vanishes_under_parametric_error_only():
+    # Γ below is larger than the paper's only to see the limit within seconds.
+    p = params(arc__gamma=[20.0, 1100.0, 1200.0, 5000.0])
+    history = continuous(p, (58.771, 1657.206, 1502.057, 300.0), 20.0, 2e-4, sine, lambda t: 0.0)
+    early = np.max(np.abs(history[:2500, 0]))
+    late = np.max(np.abs(history[-2500:, 0]))
+    assert late < 0.03 * early  # the Euler step leaves a floor of order ΔT
+    fixed = continuous(
+        p, (58.771, 1657.206, 1502.057, 300.0), 20.0, 2e-4, sine, lambda t: 0.0, adapt=False
+    )
+    assert np.max(np.abs(fixed[-2500:, 0])) > 20.0 * late
