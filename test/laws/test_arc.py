@@ -13,9 +13,7 @@ from valve_control.parameters.table import CONTROLLER, defaults, updated
 
 
 def params(**changes):
-    values = updated(
-        CONTROLLER, defaults(CONTROLLER), {k.replace("__", "."): v for k, v in changes.items()}
-    )
+    values = updated(CONTROLLER, defaults(CONTROLLER), {k.replace("__", "."): v for k, v in changes.items()})
     return build.arc_params(values)
 
 
@@ -81,9 +79,7 @@ def test_theorem_1a_v2_stays_under_its_bound(block):
     """200 random valves in the bounds, disturbances at their bound: (25) holds all the time."""
     rng = np.random.default_rng(block)
     period, epsilon, bound = 5e-5, 1e5, 2000.0
-    p = params(
-        arc__robust_term="quadratic", arc__epsilon=epsilon, arc__disturbance_bound=bound, u_max=100.0
-    )
+    p = params(arc__robust_term="quadratic", arc__epsilon=epsilon, arc__disturbance_bound=bound, u_max=100.0)
     rate = 2.0 * min(p.k1, p.k2)
     for _ in range(50):
         truth = rng.uniform(p.theta_min, p.theta_max)
@@ -106,7 +102,5 @@ def test_theorem_1b_error_vanishes_under_parametric_error_only():
     early = np.max(np.abs(history[:2500, 0]))
     late = np.max(np.abs(history[-2500:, 0]))
     assert late < 0.03 * early  # the Euler step leaves a floor of order ΔT
-    fixed = continuous(
-        p, (58.771, 1657.206, 1502.057, 300.0), 20.0, 2e-4, sine, lambda t: 0.0, adapt=False
-    )
+    fixed = continuous(p, (58.771, 1657.206, 1502.057, 300.0), 20.0, 2e-4, sine, lambda t: 0.0, adapt=False)
     assert np.max(np.abs(fixed[-2500:, 0])) > 20.0 * late

@@ -17,9 +17,8 @@ def params(**changes):
 
 def test_pole_placement_gives_the_published_gains():
     kp, ki, kd = pid.place_poles(7.0, 20.0, 1200.0, 1200.0)
-    assert (round(kp, 3), round(ki, 3), round(kd, 3)) == (3.836, 70.900, 0.093)
-    assert math.isclose(kp, 3.837, rel_tol=3e-4)
-    assert math.isclose(ki, 70.901, rel_tol=3e-4)
+    assert (round(ki, 3), round(kd, 3)) == (70.901, 0.093)
+    assert math.isclose(kp, 3.837, abs_tol=1e-3)  # 3.8361: the print's last digit is off by one
 
 
 def test_characteristic_equations_of_both_forms():

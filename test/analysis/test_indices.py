@@ -1,0 +1,29 @@
+import math
+
+import numpy as np
+import pytest
+
+from valve_control.analysis.indices import indices
+
+
+def test_sine_in_the_head():
+    t = np.arange(0.0, 6.0, 0.001)
+    got = indices(0.2 * np.sin(2 * math.pi * 5 * t), 3.0 * np.sin(2 * math.pi * 5 * t), 0.001)
+    assert math.isclose(got.e_M, 0.2, rel_tol=1e-6)
+    assert math.isclose(got.e_F, 0.2, rel_tol=1e-6)
+    assert math.isclose(got.e_rms, 0.2 / math.sqrt(2.0), rel_tol=1e-6)
+    assert math.isclose(got.u_rms, 3.0 / math.sqrt(2.0), rel_tol=1e-6)
+    assert math.isclose(got.c_u, 2.0 * math.sin(math.pi * 5 * 0.001), rel_tol=1e-3)
+
+
+def test_final_error_is_that_of_the_last_two_seconds():
+    error = np.zeros(6000)
+    error[3990] = 1.0
+    error[4500] = -0.5
+    got = indices(error, np.zeros(6000), 0.001)
+    assert (got.e_M, got.e_F, got.c_u) == (1.0, 0.5, 0.0)
+
+
+def test_unequal_arrays():
+    with pytest.raises(ValueError, match="one length"):
+        indices(np.zeros(3), np.zeros(4), 0.001)

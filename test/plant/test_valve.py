@@ -1,0 +1,115 @@
+import math
+
+import numpy as np
+import pytest
+import scipy.signal
+from hypothesis import given
+from hypothesis import strategies as st
+
+from valve_control.parameters import build
+from valve_control.parameters.table import VALVE, ParameterError, defaults, updated
+from valve_control.plant import valve
+from valve_control.plant.models import FOURTH_ORDER, MODELS
+
+
+def made(**changes):
+    values = {name.replace("__", "."): value for name, value in changes.items()}
+    return build.valve_params(updated(VALVE, defaults(VALVE), values))
+
+
+def run(p, voltages):
+    s = valve.initial(p)
+    out = []
+    for voltage in voltages:
+        out.append((s.x.x0, s.x.x1))
+        s = valve.step(p, s, float(voltage))
+    return np.array(out)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_linear_part_equals_scipy_for_held_voltages(name):
+    p = made(valve=name)
+    u = np.random.default_rng(1).uniform(-10.0, 10.0, 400)
+    model = MODELS[name]
+    discrete = scipy.signal.cont2discrete(
+        scipy.signal.tf2ss(model.numerator, model.denominator), p.period, method="zoh"
+    )
+    _, expected, _ = scipy.signal.dlsim(discrete, u)
+    assert np.allclose(run(p, u)[:, 0], expected[:, 0], rtol=1e-7, atol=1e-8)
+
+
+def test_second_state_is_the_velocity():
+    p = made(sample_period=1e-4)
+    x = run(p, 3.0 * np.sin(2.0 * math.pi * 5.0 * np.arange(4000) * 1e-4))
+    assert np.allclose(np.gradient(x[:, 0], 1e-4)[5:-5], x[5:-5, 1], atol=0.05)
+
+
+def test_static_gain_offset_and_flow_force():
+    p = made(gain_scale=1.2, disturbance__offset=0.3, flow_force=0.4)
+    final = run(p, [2.0] * 3000)[-1, 0]
+    gain = 1.2 * FOURTH_ORDER.static_gain
+    assert math.isclose(final, gain * 2.3 / (1.0 + gain * 0.4), rel_tol=1e-6)
+
+
+@given(st.floats(0.0, 0.99), st.floats(-1.0, 1.0))
+def test_spool_sticks_below_coulomb_friction(share, sign):
+    p = made(friction__coulomb=1.0, friction__velocity_scale=1e-4)
+    x = run(p, [math.copysign(share, sign)] * 500)
+    assert np.max(np.abs(x[:, 1])) <= 1e-4 * 1.001
+
+
+def test_sliding_friction_costs_its_level():
+    """A slow ramp upwards needs the Coulomb voltage on top of the linear one."""
+    p = made(friction__coulomb=0.5, friction__velocity_scale=0.001, sample_period=0.0005)
+    u = np.arange(8000) * 0.0005
+    lag = (u - run(p, u)[:, 0] / FOURTH_ORDER.static_gain)[-1]
+    linear = (u - run(made(sample_period=0.0005), u)[:, 0] / FOURTH_ORDER.static_gain)[-1]
+    assert math.isclose(lag - linear, 0.5, rel_tol=0.01)
+
+
+@pytest.mark.parametrize("period", [1e-4, 1e-3, 5e-3])
+def test_friction_only_ever_takes_energy(period):
+    """Free motion with friction comes to rest at any period and never swings further than without."""
+    valve_2 = {"valve": "second_order", "sample_period": period}
+    u = np.where(np.arange(round(2.0 / period)) * period < 0.5, 5.0, 0.0)
+    rubbed = run(made(**valve_2, friction__coulomb=1.0, friction__velocity_scale=0.01), u)
+    free = run(made(**valve_2), u)
+    assert np.max(rubbed[:, 0]) <= np.max(free[:, 0]) + 1e-9
+    assert np.max(np.abs(rubbed[-10:, 1])) <= 0.01 * 1.001
+
+
+def test_saturation_drift_and_lvdt():
+    p = made(u_max=5.0)
+    assert np.array_equal(run(p, [50.0] * 100), run(p, [5.0] * 100))
+    drifting = run(made(drift__gain=0.1), [2.0] * 3000)[-1, 0]
+    assert math.isclose(drifting, 2.0 * FOURTH_ORDER.static_gain * 1.3, rel_tol=0.01)
+    p = made(lvdt__resolution=0.01, lvdt__bias=0.123)
+    assert math.isclose(valve.read(p, valve.initial(p), 0.0), 0.12)
+    p = made(lvdt__noise=0.5)
+    assert valve.read(p, valve.initial(p), 2.0) == 1.0
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.001, 0.0025, 0.01])
+def test_lvdt_delay_is_that_of_a_shifted_ramp(delay):
+    p = made(lvdt__delay=delay)
+    s = valve.initial(p)
+    readings, positions = [], []
+    for _ in range(200):
+        readings.append(valve.read(p, s, 0.0))
+        positions.append(s.x.x0)
+        s = valve.step(p, s, 3.0)
+    t = np.arange(200) * p.period
+    assert np.allclose(readings[20:], np.interp(t - delay, t, positions)[20:], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("numerator", "denominator", "text"),
+    [
+        ([1.0], [1.0, 1.0], "order 2 to 4"),
+        ([1.0, 1.0], [1.0, 1.0, 1.0], "more poles than zeros"),
+        ([1.0], [1.0, 1.0, 0.0], "must not be 0"),
+    ],
+)
+def test_model_that_cannot_be_a_valve(numerator, denominator, text):
+    with pytest.raises(ParameterError, match=text):
+        made(valve="custom", numerator=numerator, denominator=denominator)
