@@ -26,7 +26,7 @@ class CommandSource(Node):
         self._paced_by: tuple[str, float] | None = None
         self._message = Float64()
         self._publisher = self.create_publisher(Float64, "spool_command", LATEST)
-        self._parameters = ParameterSet(self, COMMAND, offline.commands, self._apply)
+        self._tuning = ParameterSet(self, COMMAND, offline.commands, self._apply)
 
     def _apply(self, values: Values, commands: Any) -> None:
         self._commands = commands.tolist()

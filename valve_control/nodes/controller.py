@@ -52,7 +52,7 @@ class Controller(Node):
         self._message = Float64()
         self._state_message = Float64MultiArray()
         self._state_publisher = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
-        self._parameters = ParameterSet(self, CONTROLLER, build.law_params, self._apply)
+        self._tuning = ParameterSet(self, CONTROLLER, build.law_params, self._apply)
         self._commands = PolledSubscription(self, Float64, "spool_command", LATEST)
         self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)

@@ -49,7 +49,7 @@ class ValveSimulator(Node):
         self._voltages = PolledSubscription(self, Float64, "valve_voltage", SAMPLES)
         self._positions = self.create_publisher(Float64, "spool_position", SAMPLES)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
-        self._parameters = ParameterSet(self, VALVE, build.valve_params, self._apply)
+        self._tuning = ParameterSet(self, VALVE, build.valve_params, self._apply)
         self.create_timer(1.0, self._diagnose)
 
     def _apply(self, values: Values, params: Any) -> None:

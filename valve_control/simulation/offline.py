@@ -1,5 +1,6 @@
 """A whole run offline: law, valve and command as the nodes run them, without middleware."""
 
+import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,7 +57,9 @@ def read_commands(path: str) -> Array:
         if Path(path).suffix == ".npy":
             array: npt.NDArray[Any] = np.load(path, allow_pickle=False)
         else:
-            array = np.loadtxt(path, delimiter=",", comments="#", ndmin=1)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # an empty file is refused below
+                array = np.loadtxt(path, delimiter=",", comments="#", ndmin=1)
     except OSError as error:
         raise ParameterError(f"command file {path} cannot be read: {error.strerror or error}") from error
     except (ValueError, EOFError) as error:
