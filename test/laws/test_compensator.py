@@ -64,7 +64,7 @@ def test_unstable_model_is_refused():
 def test_sampled_compensator_follows_the_continuous_one(printed):
     period = 0.001
     p = design.compensator_params(printed, period, 1e6)
-    s = compensator.initial(p, Start(0.0, 0.0, 0.0, 0.0))
+    s = compensator.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     t = np.arange(3000) * period
     u = np.sin(2.0 * math.pi * 6.0 * t)
     out = []
@@ -77,7 +77,7 @@ def test_sampled_compensator_follows_the_continuous_one(printed):
 
 def test_starts_in_the_steady_state_of_the_voltage():
     p = design.compensator_params(design.PRINTED_FOURTH_ORDER, 0.001, 10.0)
-    s = compensator.initial(p, Start(0.0, 3.0, 0.0, 0.0))
+    s = compensator.initial(p, Start(0.0, 3.0, 0.0, 0.0, 0.0))
     for _ in range(100):
         voltage, s, _ = compensator.step(p, s, 3.0 / p.static_gain, 0.0, 0.0)
         assert math.isclose(voltage, 3.0, rel_tol=1e-9)

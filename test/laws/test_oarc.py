@@ -194,11 +194,22 @@ def test_start_is_a_steady_state():
     p = params(oarc__theta_initial=[58.771, 1657.206, 1502.057, 0.0])
     y = 1.5
     u = 1657.206 / 1502.057 * y
-    s = oarc.initial(p, oarc.Start(y, u, y, 0.0))
+    s = oarc.initial(p, oarc.Start(y, u, y, 0.0, 0.0))
     voltage, after, terms = oarc.step(p, s, y, y, 0.0)
     assert math.isclose(voltage, u, rel_tol=1e-9)
     assert abs(terms.z2) < 1e-12 and abs(terms.velocity) < 1e-9
     assert np.allclose(after.eta, s.eta) and np.allclose(after.v0, s.v0)
+
+
+def test_start_in_motion_knows_its_velocity():
+    """A ramp with true θ: the estimate of dx1/dt is the spool's velocity, and stays it."""
+    p = params(oarc__theta_initial=[58.771, 1657.206, 1502.057, 0.0])
+    y, v = 0.7, 12.0
+    u = (58.771 * v + 1657.206 * y) / 1502.057
+    s = oarc.initial(p, oarc.Start(y, u, y, v, v))
+    terms, _ = oarc.law(p, s.theta, s.eta, s.v0, s.psi, y, y, v, 0.0)
+    assert math.isclose(terms.velocity, v, rel_tol=1e-9)
+    assert math.isclose(terms.unsaturated_voltage, u, rel_tol=1e-9)
 
 
 def test_projected_rate_is_used_in_alpha_dot():

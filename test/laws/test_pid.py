@@ -38,7 +38,7 @@ def test_characteristic_equations_of_both_forms():
 def test_one_step_in_the_head():
     """Plain form at rest at 1 V, command 2 V: ff 1.18*2, P 15*1, I and D still at their start."""
     p = params(form="plain", kp=2.0, ki=10.0, kd=0.0, static_feedforward=1.18)
-    s = pid.initial(p, Start(1.0, 1.18, 1.0, 0.0))
+    s = pid.initial(p, Start(1.0, 1.18, 1.0, 0.0, 0.0))
     voltage, s, terms = pid.step(p, s, 2.0, 1.0, 0.0)
     assert math.isclose(terms.feedforward_voltage, 2.36)
     assert math.isclose(terms.proportional_voltage, 2.0)
@@ -50,7 +50,7 @@ def test_one_step_in_the_head():
 @pytest.mark.parametrize("form", ["paper", "reference", "plain"])
 def test_integrator_rests_in_saturation_and_leaves_it(form):
     p = params(form=form, ki=1000.0)
-    s = pid.initial(p, Start(0.0, 0.0, 0.0, 0.0))
+    s = pid.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     seen = []
     for _ in range(2000):
         voltage, s, _ = pid.step(p, s, 9.0, 0.0, 0.0)
@@ -63,6 +63,6 @@ def test_integrator_rests_in_saturation_and_leaves_it(form):
 @pytest.mark.parametrize("form", ["paper", "reference", "plain"])
 def test_takes_over_without_a_bump(form):
     p = params(form=form)
-    s = pid.initial(p, Start(1.3, 2.7, 1.3, 0.0))
+    s = pid.initial(p, Start(1.3, 2.7, 1.3, 0.0, 0.0))
     voltage, _, _ = pid.step(p, s, 1.3, 1.3, 0.0)
     assert np.isclose(voltage, 2.7)

@@ -57,7 +57,7 @@ def initial(p: Params, start: Start) -> State:
     """State that starts at ``start`` with the initial estimates."""
     return State(
         reshaping.State(start.reference, start.reference_rate),
-        velocity.State(start.measurement, start.reference_rate),
+        velocity.State(start.measurement, start.velocity),
         p.theta_initial,
     )
 

@@ -83,21 +83,29 @@ class Terms(NamedTuple):
     b0dn: float  # V/s²  θ̂4
 
 
-def steady_filters(p: Params, measurement: float, voltage: float) -> tuple[Pair, Pair, Pair]:
-    """Steady states of η, v_0 and ψ_1 for a constant reading and voltage [V]: -A0⁻¹·e2·input."""
+def ramp_filter(p: Params, value: float, rate: float) -> Pair:
+    """Filter state that an input ``value`` + ``rate``·t leads to: -A0⁻¹·e2·value - A0⁻²·e2·rate."""
     k1, k2 = p.k1, p.k2
-    return (
-        Pair(measurement / k2, k1 * measurement / k2),
-        Pair(voltage / k2, k1 * voltage / k2),
-        Pair(1.0 / k2, k1 / k2),
+    return Pair(
+        value / k2 - rate * k1 / (k2 * k2),
+        k1 * value / k2 - rate * (k1 * k1 / k2 - 1.0) / k2,
     )
 
 
 def initial(p: Params, start: Start) -> State:
-    """State that starts at ``start``: K-filters in its steady state, initial estimates."""
-    eta, v0, psi = steady_filters(p, start.measurement, start.voltage)
-    reference = reshaping.State(start.reference, start.reference_rate)
-    return State(reference, eta, v0, psi, p.theta_initial)
+    """State that starts at ``start`` with the initial estimates.
+
+    The K-filters are where a steady motion at ``start.velocity`` would have brought them, with the
+    voltage rising as the spool's stiffness asks; at rest this is their steady state.
+    """
+    voltage_rate = p.theta_initial.a0 / p.theta_initial.b0 * start.velocity
+    return State(
+        reshaping.State(start.reference, start.reference_rate),
+        ramp_filter(p, start.measurement, start.velocity),
+        ramp_filter(p, start.voltage, voltage_rate),
+        ramp_filter(p, 1.0, 0.0),
+        p.theta_initial,
+    )
 
 
 def advance_filter(f: Filter, x: Pair, value: float) -> Pair:

@@ -71,9 +71,13 @@ def initial(p: Params, start: Start) -> State:
         integral = start.voltage - p.static_feedforward * start.measurement
         return State(reference, velocity.State(0.0, 0.0), -integral, 0.0)
     z1 = start.measurement - start.reference
-    model = (p.a1 * start.reference_rate + p.a0 * start.measurement) / p.b0
-    integral = start.voltage - model + p.kp * z1
-    return State(reference, velocity.State(start.measurement, start.reference_rate), -integral, 1.0)
+    if p.measured_model_terms > 0.0:
+        model = (p.a1 * start.velocity + p.a0 * start.measurement) / p.b0
+    else:
+        model = (p.a1 * start.reference_rate + p.a0 * start.reference) / p.b0
+    derivative = -p.kd * (start.velocity - start.reference_rate)
+    integral = start.voltage - model + p.kp * z1 - derivative
+    return State(reference, velocity.State(start.measurement, start.velocity), -integral, 1.0)
 
 
 def step(

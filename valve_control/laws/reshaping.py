@@ -36,6 +36,11 @@ def acceleration(p: Params, s: State, command: float) -> float:
     return accel
 
 
+def steady_command(p: Params, reference: float, rate: float) -> float:
+    """Command [V] under which a reference [V] that moves at ``rate`` [V/s] keeps its rate, from (8)."""
+    return reference + 2.0 * p.damping / p.natural_frequency * rate
+
+
 def advance(p: Params, s: State, accel: float) -> State:
     """Reference at the next sample (11)."""
     return State(s.reference + s.rate * p.period, s.rate + accel * p.period)

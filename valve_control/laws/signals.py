@@ -10,6 +10,7 @@ class Start(NamedTuple):
     voltage: float  # V    voltage applied until now
     reference: float  # V    x_vd(0); equal to the reading for a start from rest
     reference_rate: float  # V/s  dx_vd(0)/dt
+    velocity: float  # V/s  spool velocity, as well as it is known
 
 
 def saturate(voltage: float, limit: float) -> float:

@@ -11,6 +11,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
+from valve_control.laws import reshaping, velocity
+from valve_control.laws.projection import Theta, advance
 from valve_control.laws.signals import Start, saturate
 from valve_control.nodes.adapter import (
     LATEST,
@@ -24,6 +26,7 @@ from valve_control.parameters import build, stability
 from valve_control.parameters.table import CONTROLLER, Values
 from valve_control.simulation.closed_loop import LAWS
 
+TACHOMETER_CUTOFF = 50.0  # Hz, of the velocity with which a law takes over
 HEAD = ("sample", "command", "measurement", "voltage", "offset")
 
 
@@ -36,10 +39,12 @@ class Controller(Node):
         self._law: Any = None
         self._params: Any = None
         self._state: Any = None
-        self._offset = 0.0
+        self._offset = 0.0  # V, on the voltage; both fade after a change of controller
+        self._command_offset = 0.0  # V, on the command
         self._taking_over = False
         self._command: float | None = None
         self._measurement = 0.0
+        self._velocity = velocity.State(0.0, 0.0)
         self._voltage = 0.0
         self._start_position = 0.0
         self._unusable = 0
@@ -69,6 +74,7 @@ class Controller(Node):
         self._command_limit = build.number(values, "command_limit")
         self._hold_samples = int(build.number(values, "lvdt_hold_samples"))
         self._decimation = int(build.number(values, "state_decimation"))
+        self._tachometer = velocity.design(TACHOMETER_CUTOFF, self._period)
         self._fade = math.exp(-self._period / build.number(values, "transfer_time"))
         if name != self._name:
             self._name = name
@@ -78,8 +84,7 @@ class Controller(Node):
                 dim=[MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
             )
             if self._state is not None:
-                self._state = self._law.initial(params, self._takeover())
-                self._taking_over = True
+                self._take_over()
         elif (
             self._state is not None
             and "theta" in self._state._fields
@@ -90,12 +95,35 @@ class Controller(Node):
         if text:
             self.get_logger().warning(text)
 
-    def _takeover(self) -> Start:
-        """Where the next law begins: the present reading, voltage and, if there is one, reference."""
-        reference = getattr(self._state, "reference", None)
-        if reference is None:
-            return Start(self._measurement, self._voltage, self._measurement, 0.0)
-        return Start(self._measurement, self._voltage, reference.reference, reference.rate)
+    def _take_over(self) -> None:
+        """Begin with a new law where the old one is: reading, voltage, motion, reference and estimates."""
+        former, params = self._state, self._params
+        start = Start(
+            self._measurement,
+            self._voltage,
+            self._measurement,
+            self._velocity.velocity,
+            self._velocity.velocity,
+        )
+        self._command_offset = 0.0
+        if "reference" in former._fields and "reference" in self._law.State._fields:
+            reference, rate = former.reference
+            start = start._replace(reference=reference, reference_rate=rate)
+        elif self._command is not None:
+            self._command_offset = self._steady_command(start) - self._command
+        if "theta" in former._fields and "theta" in self._law.State._fields:
+            theta = advance(former.theta, Theta(0.0, 0.0, 0.0, 0.0), 0.0, params.theta_min, params.theta_max)
+            params = params._replace(theta_initial=theta)
+        self._state = self._law.initial(params, start)
+        self._taking_over = True
+
+    def _steady_command(self, start: Start) -> float:
+        """Command under which the law would go on as at ``start``; the real one is faded in from there."""
+        if "static_gain" in self._params._fields:
+            return start.voltage / float(self._params.static_gain)
+        if getattr(self._params, "plain", 0.0) > 0.0:
+            return start.measurement
+        return reshaping.steady_command(self._params.reshaping, start.measurement, start.velocity)
 
     def _take_command(self) -> float:
         for message, _ in self._commands.take():
@@ -148,9 +176,12 @@ class Controller(Node):
 
     def _control(self, command: float) -> None:
         law, params, y = self._law, self._params, self._measurement
+        command += self._command_offset
         if self._state is None:
-            self._state = law.initial(params, Start(y, self._voltage, y, 0.0))
+            self._state = law.initial(params, Start(y, self._voltage, y, 0.0, 0.0))
             self._start_position = y
+            self._velocity = velocity.State(y, 0.0)
+        self._velocity = velocity.step(self._tachometer, self._velocity, y)
         if self._taking_over:
             _, _, terms = law.step(params, self._state, command, y, 0.0)
             self._offset = self._voltage - terms.unsaturated_voltage
@@ -158,8 +189,8 @@ class Controller(Node):
         voltage, state, terms = law.step(params, self._state, command, y, self._offset)
         if not all(map(math.isfinite, (voltage, *terms))):
             self._refuse("resets", f"{self._name} left the finite numbers, 0 V and a fresh start")
-            self._voltage, self._offset = 0.0, 0.0
-            self._state = law.initial(params, Start(y, 0.0, y, 0.0))
+            self._voltage, self._offset, self._command_offset = 0.0, 0.0, 0.0
+            self._state = law.initial(params, Start(y, 0.0, y, 0.0, 0.0))
             return
         self._state = state
         self._voltage = voltage
@@ -170,6 +201,7 @@ class Controller(Node):
             self._state_message.data = [*head, *terms]
             self._state_publisher.publish(self._state_message)
         self._offset *= self._fade
+        self._command_offset *= self._fade
 
     def _diagnose(self) -> None:
         values: dict[str, Any] = {"controller": self._name, "samples": self._samples, **self._counts}

@@ -43,7 +43,7 @@ def spectral_radius(law: types.ModuleType, params: Any, theta: tuple[float, ...]
     plant = valve.design(
         model, period, params.u_max, 1.0, valve.Disturbance(0, 1, 1, 1, 0, 0, 0, 0), 0.0, 0.0, 0.0, 0.0
     )
-    law_zero = law.initial(params, Start(0.0, 0.0, 0.0, 0.0))
+    law_zero = law.initial(params, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     if "started" in law_zero._fields:
         law_zero = law_zero._replace(started=1.0)
     base = flatten(law_zero)

@@ -116,7 +116,7 @@ def simulate(
     terms = np.zeros((n, len(labels)))
     valve_state = valve.initial(valve_params)
     first = valve.read(valve_params, valve_state, noise[0])
-    law_state = law.initial(law_params, Start(first, 0.0, first, 0.0))
+    law_state = law.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
     law_state, _ = closed_loop.loop_for(law, compiled)(
         law_params, law_state, valve_params, valve_state, command, noise, signals, terms
     )
