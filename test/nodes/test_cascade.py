@@ -209,10 +209,11 @@ def test_change_of_controller_is_bumpless(ros, tmp_path):
         for law in ("oarc", "pid", "compensator", "arc", "open_loop", "oarc", "arc"):
             count = len(bench.states)
             spin_until(ros, lambda count=count: len(bench.states) > count + 300, "motion before")
+            begin = len(bench.states) - 5
             assert set_parameters(ros, controller=law).successful
             at = len(bench.states)
             spin_until(ros, lambda at=at: len(bench.states) > at + 300, "motion after")
-            window = bench.states[at - 300 :]
+            window = bench.states[begin:]
             samples = [m.data[0] for m in window]
             voltages = [m.data[3] for m in window]
             steps = [
