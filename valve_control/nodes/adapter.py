@@ -96,7 +96,8 @@ class ParameterSet:
 
     def _check(self, parameters: list[Any]) -> SetParametersResult:
         try:
-            self._build(self._changes(parameters))
+            changes = self._changes(parameters)
+            self._prepared = (changes, self._build(changes))
         except ParameterError as error:
             self._node.get_logger().warning(f"parameters not changed: {error}")
             return SetParametersResult(successful=False, reason=str(error))
@@ -104,7 +105,10 @@ class ParameterSet:
 
     def _use(self, parameters: list[Any]) -> None:
         values = self._changes(parameters)
-        built = self._build(values)
+        # Building costs a good part of a period: what the check built is used if it is of these values.
+        if self._prepared is None or self._prepared[0] != values:
+            self._prepared = (values, self._build(values))
+        built = self._prepared[1]
         changed = [name for name in values if values[name] != self.values[name]]
         self.values = values
         self._apply(values, built)

@@ -63,6 +63,7 @@ class Controller(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         self.create_subscription(Float64, "spool_position", self._on_measurement, SAMPLES)
         self.create_timer(1.0, self._diagnose)
+        self._check_stability()
         self.get_logger().info(f"{self._name} at {1.0 / self._period:g} Hz, waiting for spool_position")
 
     def _apply(self, values: Values, params: Any) -> None:
@@ -91,9 +92,7 @@ class Controller(Node):
             and params.theta_initial != former.theta_initial
         ):
             self._state = self._state._replace(theta=params.theta_initial)
-        text = stability.warning(name, self._law, params)
-        if text:
-            self.get_logger().warning(text)
+        self._unchecked = True
 
     def _take_over(self) -> None:
         """Begin with a new law where the old one is: reading, voltage, motion, reference and estimates."""
@@ -203,7 +202,16 @@ class Controller(Node):
         self._offset *= self._fade
         self._command_offset *= self._fade
 
+    def _check_stability(self) -> None:
+        """Warn about unstable gains; after they came into use, since it takes longer than a period."""
+        if self._unchecked:
+            self._unchecked = False
+            text = stability.warning(self._name, self._law, self._params)
+            if text:
+                self.get_logger().warning(text)
+
     def _diagnose(self) -> None:
+        self._check_stability()
         values: dict[str, Any] = {"controller": self._name, "samples": self._samples, **self._counts}
         level, text = DiagnosticStatus.OK, "controlling"
         if self._durations:

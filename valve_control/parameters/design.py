@@ -1,5 +1,7 @@
 """Constants of the laws that are designed once, not computed at each sample (scipy does the work)."""
 
+import functools
+
 import numpy as np
 import scipy.linalg
 import scipy.signal
@@ -33,6 +35,7 @@ PRINTED_FOURTH_ORDER = TransferFunction(
 )
 
 
+@functools.cache
 def pole_zero_compensator(model: TransferFunction, bandwidth: float) -> TransferFunction:
     """Compensator that turns a stable ``model`` into a Bessel low-pass of ``bandwidth`` [Hz] (-3 dB).
 
@@ -63,6 +66,7 @@ def pole_zero_compensator(model: TransferFunction, bandwidth: float) -> Transfer
     return TransferFunction(tuple(map(float, numerator)), tuple(map(float, denominator)))
 
 
+@functools.cache
 def compensator_params(
     transfer_function: TransferFunction, period: float, u_max: float
 ) -> compensator.Params:

@@ -287,7 +287,7 @@ VALVE: Table = (
     Parameter("seed", 1, "", "seed of the LVDT noise", 0, 2**31 - 1),
     Parameter(
         "patience",
-        0.002,
+        0.01,
         "s",
         "how long the next sample is held back for a voltage that is late; then the last one holds",
         0.0,
