@@ -96,11 +96,13 @@ class Bench:
         self.settle()
 
     def settle(self):
-        """Until nothing more comes: the answers to the knocking above."""
-        count = -1
-        while count != len(self.voltages):
+        """Until 0.5 s pass without an answer to the knocking above."""
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
             count = len(self.voltages)
-            rclpy.spin_once(self.node, timeout_sec=0.3)
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+            if len(self.voltages) != count:
+                end = time.monotonic() + 0.5
 
     def sample(self, reading):
         count = len(self.voltages)
