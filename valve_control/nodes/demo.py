@@ -170,7 +170,7 @@ def wait_until(condition: Callable[[], bool], what: str, children: list[Any]) ->
         time.sleep(0.02)
 
 
-def answer_shift(reading_times: Array, voltage_times: Array, period: float) -> int:
+def answer_shift(reading_times: Array, voltage_times: Array) -> int:
     """By how many entries the first of ``reading_times`` [s] lies before its answer in ``voltage_times``.
 
     One voltage answers one reading, so the shift is constant as long as none is lost; it is the one with
@@ -194,8 +194,8 @@ def measure(listener: Listener, period: float, duration: float) -> Measured:
     inside = np.flatnonzero(
         (reading_times >= command_times[0]) & (reading_times < command_times[0] + duration)
     )
-    first = answer_shift(reading_times[inside], voltage_times, period)
-    last = answer_shift(reading_times[inside[-SHIFT_SAMPLES:]], voltage_times, period)
+    first = answer_shift(reading_times[inside], voltage_times)
+    last = answer_shift(reading_times[inside[-SHIFT_SAMPLES:]], voltage_times)
     lost = len(inside) - min(SHIFT_SAMPLES, len(inside)) - (last - first)
     answers = np.minimum(first + np.arange(len(inside)), len(voltages) - 1)
     newest = np.searchsorted(command_times, reading_times[inside], side="right") - 1
