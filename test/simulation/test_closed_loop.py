@@ -154,6 +154,7 @@ def test_spectral_radius_of_a_loop_with_known_poles():
         p.period,
     )
     expected = max(np.abs(np.linalg.eigvals(a - 2.0 * b @ c)))
+    assert expected < 1.0
     # the integrator of gain 0 is a pole at 1 of its own; it hides nothing if the loop is unstable
     assert stability.spectral_radius(pid, p, (58.0, 1657.0, 1500.0)) == pytest.approx(1.0)
     values["pid.kp"] = 2e3

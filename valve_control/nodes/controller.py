@@ -27,7 +27,17 @@ from valve_control.parameters.table import CONTROLLER, Values
 from valve_control.simulation.closed_loop import LAWS
 
 TACHOMETER_CUTOFF = 50.0  # Hz, of the velocity with which a law takes over
+# Parameters after whose change a law's state means something else, so that it takes over from itself.
+FORMS = {
+    "pid": ("pid.form",),
+    "compensator": tuple(p.name for p in CONTROLLER if p.name.startswith("compensator.")),
+}
 HEAD = ("sample", "command", "measurement", "voltage", "offset")
+
+
+def reshapes(params: Any) -> bool:
+    """Whether the law of ``params`` follows a reshaped reference; the plain PID only carries the command."""
+    return "reshaping" in params._fields and getattr(params, "plain", 0.0) == 0.0
 
 
 class Controller(Node):
@@ -36,6 +46,7 @@ class Controller(Node):
     def __init__(self) -> None:
         super().__init__("controller")
         self._name = ""
+        self._form: tuple[Any, ...] = ()
         self._law: Any = None
         self._params: Any = None
         self._state: Any = None
@@ -77,7 +88,9 @@ class Controller(Node):
         self._decimation = int(build.number(values, "state_decimation"))
         self._tachometer = velocity.design(TACHOMETER_CUTOFF, self._period)
         self._fade = math.exp(-self._period / build.number(values, "transfer_time"))
-        if name != self._name:
+        form = (name, *(values[key] for key in FORMS.get(name, ())))
+        if form != self._form:
+            self._form = form
             self._name = name
             self._law = LAWS[name]
             labels = (*HEAD, *self._law.Terms._fields)
@@ -85,7 +98,7 @@ class Controller(Node):
                 dim=[MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
             )
             if self._state is not None:
-                self._take_over()
+                self._take_over(reshapes(former) and reshapes(params))
         elif (
             self._state is not None
             and "theta" in self._state._fields
@@ -94,7 +107,7 @@ class Controller(Node):
             self._state = self._state._replace(theta=params.theta_initial)
         self._unchecked = True
 
-    def _take_over(self) -> None:
+    def _take_over(self, same_reference: bool) -> None:
         """Begin with a new law where the old one is: reading, voltage, motion, reference and estimates."""
         former, params = self._state, self._params
         start = Start(
@@ -105,7 +118,7 @@ class Controller(Node):
             self._velocity.velocity,
         )
         self._command_offset = 0.0
-        if "reference" in former._fields and "reference" in self._law.State._fields:
+        if same_reference:
             reference, rate = former.reference
             start = start._replace(reference=reference, reference_rate=rate)
         elif self._command is not None:

@@ -53,12 +53,13 @@ class ValveSimulator(Node):
         self.create_timer(1.0, self._diagnose)
 
     def _apply(self, values: Values, params: Any) -> None:
+        former = self._params
         self._params = params
         self._patience = build.number(values, "patience")
         fresh = valve.initial(params)
         if self._state is None:
             self._state = fresh
-        elif len(self._state.history) != len(fresh.history):
+        elif params.lvdt.delay != former.lvdt.delay:
             fresh.history[:] = self._state.x.x0
             self._state = self._state._replace(history=fresh.history, newest=0)
         seed = int(build.number(values, "seed"))

@@ -1,4 +1,4 @@
-"""The closed loop of one valve and one law, sample by sample in the order of the README."""
+"""The closed loop of one valve and one law, sample by sample: read, step, hold the voltage."""
 
 import types
 from collections.abc import Callable
