@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from valve_control.laws import arc, projection
+from valve_control.laws import arc, guarantee, projection
 from valve_control.laws.projection import Theta
 from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, defaults, updated
@@ -27,7 +27,7 @@ def test_error_dynamics_are_equation_22():
         estimate = Theta(*rng.uniform(p.theta_min, p.theta_max))
         truth = rng.uniform(p.theta_min, p.theta_max)
         numbers = rng.normal(size=5) * [3.0, 30.0, 3.0, 30.0, 500.0]
-        terms, tau = arc.law(p, estimate, *(float(v) for v in numbers))
+        terms, tau, _ = arc.law(p, estimate, guarantee.ANEW, *(float(v) for v in numbers))
         z1 = x1 - xd
         z2 = (x2 - xd1) + p.k1 * z1
         u = terms.unsaturated_voltage
@@ -55,7 +55,7 @@ def continuous(p, theta_true, duration, period, reference, disturbance, adapt=Tr
     for k in range(round(duration / period)):
         t = k * period
         xd, xd1, xd2 = reference(t)
-        terms, tau = arc.law(p, theta, x1, x2, xd, xd1, xd2)
+        terms, tau, _ = arc.law(p, theta, guarantee.ANEW, x1, x2, xd, xd1, xd2)
         history.append((terms.z1, terms.z2, terms.lyapunov))
         accel = -a1 * x2 - a0 * x1 + b0 * terms.unsaturated_voltage + b0dn + disturbance(t)
         x2 += accel * period

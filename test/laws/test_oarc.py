@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 import sympy as sp
 
-from valve_control.laws import oarc, projection
+from valve_control.laws import guarantee, oarc, projection
 from valve_control.laws.oarc import Pair
 from valve_control.laws.projection import Theta
 from valve_control.parameters import build
@@ -122,7 +122,7 @@ def test_alpha_dot_is_the_sympy_total_derivative(robust):
     rng = np.random.default_rng(5)
     for _ in range(100):
         theta, eta_v, v0, psi, *signals = random_point(p, rng)
-        terms, rate = oarc.law(p, theta, eta_v, v0, psi, *signals)
+        terms, rate, _ = oarc.law(p, theta, guarantee.ANEW, eta_v, v0, psi, *signals)
         expected = evaluate(*theta, *eta_v, v0.second, *psi, *signals, *rate)
         assert math.isclose(terms.virtual_control, expected[0], rel_tol=1e-9)
         assert math.isclose(terms.virtual_control_rate, expected[2], rel_tol=1e-7, abs_tol=1e-7)
@@ -138,7 +138,7 @@ def test_parametric_error_enters_v2_dot_only_through_tau(rho):
     for _ in range(100):
         theta, eta, v0, psi, x1, xd, xd1, xd2 = random_point(p, rng)
         truth = np.array(rng.uniform(p.theta_min, p.theta_max))
-        terms, rate = oarc.law(wide, theta, eta, v0, psi, x1, xd, xd1, xd2)
+        terms, rate, _ = oarc.law(wide, theta, guarantee.ANEW, eta, v0, psi, x1, xd, xd1, xd2)
         k1, k2 = p.k1, p.k2
         xi22 = -k1 * k2 * eta.first + k2 * eta.second
         xi12, xi02 = -k2 * eta.first, eta.second
@@ -207,7 +207,7 @@ def test_start_in_motion_knows_its_velocity():
     y, v = 0.7, 12.0
     u = (58.771 * v + 1657.206 * y) / 1502.057
     s = oarc.initial(p, oarc.Start(y, u, y, v, v))
-    terms, _ = oarc.law(p, s.theta, s.eta, s.v0, s.psi, y, y, v, 0.0)
+    terms, _, _ = oarc.law(p, s.theta, guarantee.ANEW, s.eta, s.v0, s.psi, y, y, v, 0.0)
     assert math.isclose(terms.velocity, v, rel_tol=1e-9)
     assert math.isclose(terms.unsaturated_voltage, u, rel_tol=1e-9)
 
@@ -217,6 +217,6 @@ def test_projected_rate_is_used_in_alpha_dot():
     rng = np.random.default_rng(9)
     theta, eta, v0, psi, *signals = random_point(p, rng)
     theta = theta._replace(a1=p.theta_max.a1, a0=p.theta_min.a0)
-    _, rate = oarc.law(p, theta, eta, v0, psi, *signals)
+    _, rate, _ = oarc.law(p, theta, guarantee.ANEW, eta, v0, psi, *signals)
     assert rate.a1 <= 0.0 and rate.a0 >= 0.0
     assert projection.projected_rate(theta.a1, 1.0, p.theta_min.a1, p.theta_max.a1) == 0.0

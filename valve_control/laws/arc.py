@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from valve_control.laws import projection, reshaping, velocity
+from valve_control.laws import guarantee, projection, reshaping, velocity
 from valve_control.laws.projection import Theta
 from valve_control.laws.signals import Start, saturate
 
@@ -23,14 +23,16 @@ class Params(NamedTuple):
     period: float  # s        ΔT
     reshaping: reshaping.Params
     velocity: velocity.Params
+    guarantee: guarantee.Params
 
 
 class State(NamedTuple):
-    """Reference, velocity filter and estimates."""
+    """Reference, velocity filter, estimates and the bound on V2."""
 
     reference: reshaping.State
     velocity: velocity.State
     theta: Theta  # θ̂
+    bound: float  # V²/s²  guaranteed bound on V_2
 
 
 class Terms(NamedTuple):
@@ -43,6 +45,7 @@ class Terms(NamedTuple):
     z1: float  # V     tracking error
     z2: float  # V/s   (18)
     lyapunov: float  # V²/s² V_2 of (24)
+    lyapunov_bound: float  # V²/s² guaranteed bound on V_2, (25)
     model_voltage: float  # V     u_a of (20)
     feedback_voltage: float  # V     u_s1 of (20)
     robust_voltage: float  # V     u_s2 of (23)
@@ -59,15 +62,24 @@ def initial(p: Params, start: Start) -> State:
         reshaping.State(start.reference, start.reference_rate),
         velocity.State(start.measurement, start.velocity),
         p.theta_initial,
+        guarantee.ANEW,
     )
 
 
 def law(
-    p: Params, theta: Theta, x1: float, x2: float, reference: float, rate: float, accel: float
-) -> tuple[Terms, Theta]:
-    """The continuous law for one instant: terms with the voltage before saturation, and τ of (21).
+    p: Params,
+    theta: Theta,
+    bound: float,
+    x1: float,
+    x2: float,
+    reference: float,
+    rate: float,
+    accel: float,
+) -> tuple[Terms, Theta, float]:
+    """The continuous law for one instant: terms with the voltage before saturation, τ of (21), growth of V2.
 
-    ``x1`` [V], ``x2`` [V/s]: spool position and velocity; ``reference`` [V], ``rate`` [V/s] and
+    ``bound`` [V²/s²]: of V2, from the sample before; ``x1`` [V], ``x2`` [V/s]: spool position and
+    velocity; ``reference`` [V], ``rate`` [V/s] and
     ``accel`` [V/s²]: x_vd and its derivatives.
     """
     z1 = x1 - reference
@@ -77,17 +89,15 @@ def law(
     u_a = (theta.a1 * x2 + theta.a0 * x1 - theta.b0dn + x2eq_dot - z1) / theta.b0  # (20)
     u_s1 = -p.k2 * z2 / p.theta_min.b0  # (20)
     phi2 = Theta(-x2, -x1, u_a, 1.0)  # (21)
+    span = projection.span(p.theta_min, p.theta_max)
+    h = projection.uncertainty(span, phi2, p.disturbance_bound)
     u_s2 = 0.0
+    growth = h * h / (2.0 * p.k2)
     if p.robust > 0.0:
-        span = Theta(
-            p.theta_max.a1 - p.theta_min.a1,
-            p.theta_max.a0 - p.theta_min.a0,
-            p.theta_max.b0 - p.theta_min.b0,
-            p.theta_max.b0dn - p.theta_min.b0dn,
-        )
-        h = projection.uncertainty(span, phi2, p.disturbance_bound)
+        growth = p.epsilon
         u_s2 = -h * h * z2 / (4.0 * p.epsilon * p.theta_min.b0)  # (23), completing the square
     tau = Theta(phi2.a1 * z2, phi2.a0 * z2, phi2.b0 * z2, phi2.b0dn * z2)  # (21)
+    lyapunov = 0.5 * z1 * z1 + 0.5 * z2 * z2  # (24)
     terms = Terms(
         reference,
         rate,
@@ -95,7 +105,8 @@ def law(
         x2,
         z1,
         z2,
-        0.5 * z1 * z1 + 0.5 * z2 * z2,  # (24)
+        lyapunov,
+        guarantee.begin(bound, lyapunov),
         u_a,
         u_s1,
         u_s2,
@@ -105,7 +116,7 @@ def law(
         theta.b0,
         theta.b0dn,
     )
-    return terms, tau
+    return terms, tau, growth
 
 
 def step(
@@ -118,8 +129,8 @@ def step(
     """
     accel = reshaping.acceleration(p.reshaping, s.reference, command)
     estimate = velocity.step(p.velocity, s.velocity, measurement)
-    terms, tau = law(
-        p, s.theta, measurement, estimate.velocity, s.reference.reference, s.reference.rate, accel
+    terms, tau, growth = law(
+        p, s.theta, s.bound, measurement, estimate.velocity, s.reference.reference, s.reference.rate, accel
     )
     wanted = terms.unsaturated_voltage + offset
     voltage = saturate(wanted, p.u_max)
@@ -128,4 +139,19 @@ def step(
         rate = projection.rates(theta, p.gamma, tau, p.theta_min, p.theta_max)  # (15)
         theta = projection.advance(theta, rate, p.period, p.theta_min, p.theta_max)
     reference = reshaping.advance(p.reshaping, s.reference, accel)
-    return voltage, State(reference, estimate, theta), terms
+    bound = guarantee.advance(p.guarantee, terms.lyapunov_bound, growth, voltage == terms.unsaturated_voltage)
+    return voltage, State(reference, estimate, theta, bound), terms
+
+
+def hold(p: Params, s: State, command: float, measurement: float, voltage: float) -> State:
+    """State after a sample at which nothing was read: ``voltage`` [V] held on, the estimates rest.
+
+    ``measurement`` [V]: what the reading may have been, interpolated.
+    """
+    accel = reshaping.acceleration(p.reshaping, s.reference, command)
+    return State(
+        reshaping.advance(p.reshaping, s.reference, accel),
+        velocity.step(p.velocity, s.velocity, measurement),
+        s.theta,
+        guarantee.ANEW,
+    )

@@ -92,3 +92,8 @@ def step(
     value, third = run_section(p.third, s.third, value)
     voltage = saturate(value + offset, p.u_max)
     return voltage, State(first, second, third), Terms(command, measurement - command, value)
+
+
+def hold(p: Params, s: State, command: float, measurement: float, voltage: float) -> State:
+    """State after a sample at which nothing was read: the sections take in the command all the same."""
+    return step(p, s, command, measurement, 0.0)[1]

@@ -6,7 +6,7 @@ paper. It changes the cross term to -θ̂3·z1/ρ, φ2's third entry likewise, a
 
 from typing import NamedTuple
 
-from valve_control.laws import projection, reshaping
+from valve_control.laws import guarantee, projection, reshaping
 from valve_control.laws.projection import Theta
 from valve_control.laws.signals import Start, saturate
 
@@ -49,16 +49,18 @@ class Params(NamedTuple):
     period: float  # s      ΔT
     filter: Filter
     reshaping: reshaping.Params
+    guarantee: guarantee.Params
 
 
 class State(NamedTuple):
-    """Reference, K-filters and estimates."""
+    """Reference, K-filters, estimates and the bound on V2."""
 
     reference: reshaping.State
     eta: Pair  # η of (35)
     v0: Pair  # v_0 of (29)
     psi: Pair  # ψ_1 of (29)
     theta: Theta  # θ̂
+    bound: float  # V²  guaranteed bound on V_2
 
 
 class Terms(NamedTuple):
@@ -71,6 +73,7 @@ class Terms(NamedTuple):
     z1: float  # V     tracking error
     z2: float  # V·s   input discrepancy v_0,2 - α_1
     lyapunov: float  # V²    V_2
+    lyapunov_bound: float  # V²    guaranteed bound on V_2, (52)
     virtual_control: float  # V·s   α_1 of (39)
     virtual_control_rate: float  # V     dα_1c/dt of (45)
     model_voltage: float  # V     u_a of (48)
@@ -105,6 +108,7 @@ def initial(p: Params, start: Start) -> State:
         ramp_filter(p, start.voltage, voltage_rate),
         ramp_filter(p, 1.0, 0.0),
         p.theta_initial,
+        guarantee.ANEW,
     )
 
 
@@ -119,6 +123,7 @@ def advance_filter(f: Filter, x: Pair, value: float) -> Pair:
 def law(
     p: Params,
     theta: Theta,
+    bound: float,
     eta: Pair,
     v0: Pair,
     psi: Pair,
@@ -126,22 +131,18 @@ def law(
     reference: float,
     rate: float,
     accel: float,
-) -> tuple[Terms, Theta]:
-    """The continuous law for one instant: terms with the voltage before saturation, and θ̂'s rate (15).
+) -> tuple[Terms, Theta, float]:
+    """The continuous law for one instant: terms with the voltage before saturation, θ̂'s rate, growth of V2.
 
-    ``eta``, ``v0``, ``psi``: K-filter states; ``x1`` [V]: reading; ``reference`` [V], ``rate`` [V/s]
+    ``bound`` [V²]: of V2, from the sample before; ``eta``, ``v0``, ``psi``: K-filter states;
+    ``x1`` [V]: reading; ``reference`` [V], ``rate`` [V/s]
     and ``accel`` [V/s²]: x_vd and its derivatives.
     """
     k1, k2, rho = p.k1, p.k2, p.z2_weight
     b0_min = p.theta_min.b0
     inverse_b0 = 1.0 / theta.b0
     stiffness = p.ks1 / b0_min
-    span = Theta(
-        p.theta_max.a1 - p.theta_min.a1,
-        p.theta_max.a0 - p.theta_min.a0,
-        p.theta_max.b0 - p.theta_min.b0,
-        p.theta_max.b0dn - p.theta_min.b0dn,
-    )
+    span = projection.span(p.theta_min, p.theta_max)
 
     xi22 = -k1 * k2 * eta.first + k2 * eta.second  # (35)
     xi12 = -k2 * eta.first  # (35)
@@ -217,10 +218,14 @@ def law(
 
     u_a = k2 * v0.first - theta.b0 * z1 / rho + alpha_dot  # (48), corrected
     u_s1 = -p.ks2 * z2  # (48)
+    h1 = projection.uncertainty(span, phi1, p.disturbance_bound)
+    h2 = projection.uncertainty(span, phi2, abs(slope) * p.disturbance_bound)
     u_s2 = 0.0
+    growth = h1 * h1 / (2.0 * p.ks1) + rho * h2 * h2 / (2.0 * p.ks2)
     if p.robust > 0.0:
-        h = projection.uncertainty(span, phi2, abs(slope) * p.disturbance_bound)
-        u_s2 = -rho * h * h * z2 / (4.0 * p.epsilon2)  # (50), completing the square
+        growth = p.epsilon1 + p.epsilon2
+        u_s2 = -rho * h2 * h2 * z2 / (4.0 * p.epsilon2)  # (50), completing the square
+    lyapunov = 0.5 * z1 * z1 + 0.5 * rho * z2 * z2
     terms = Terms(
         reference,
         rate,
@@ -228,7 +233,8 @@ def law(
         x1_dot,
         z1,
         z2,
-        0.5 * z1 * z1 + 0.5 * rho * z2 * z2,
+        lyapunov,
+        guarantee.begin(bound, lyapunov),
         alpha,
         alpha_dot,
         u_a,
@@ -240,7 +246,7 @@ def law(
         theta.b0,
         theta.b0dn,
     )
-    return terms, theta_rate
+    return terms, theta_rate, growth
 
 
 def step(
@@ -252,9 +258,10 @@ def step(
     the amplifier saturates, because (47), from which τ follows, does not hold then.
     """
     accel = reshaping.acceleration(p.reshaping, s.reference, command)
-    terms, theta_rate = law(
+    terms, theta_rate, growth = law(
         p,
         s.theta,
+        s.bound,
         s.eta,
         s.v0,
         s.psi,
@@ -274,5 +281,22 @@ def step(
         advance_filter(p.filter, s.v0, voltage),
         advance_filter(p.filter, s.psi, 1.0),
         theta,
+        guarantee.advance(p.guarantee, terms.lyapunov_bound, growth, voltage == terms.unsaturated_voltage),
     )
     return voltage, state, terms
+
+
+def hold(p: Params, s: State, command: float, measurement: float, voltage: float) -> State:
+    """State after a sample at which nothing was read: ``voltage`` [V] held on, the estimates rest.
+
+    ``measurement`` [V]: what the reading may have been, interpolated.
+    """
+    accel = reshaping.acceleration(p.reshaping, s.reference, command)
+    return State(
+        reshaping.advance(p.reshaping, s.reference, accel),
+        advance_filter(p.filter, s.eta, measurement),
+        advance_filter(p.filter, s.v0, voltage),
+        advance_filter(p.filter, s.psi, 1.0),
+        s.theta,
+        guarantee.ANEW,
+    )

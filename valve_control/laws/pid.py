@@ -131,3 +131,23 @@ def step(
     if p.plain == 0.0:
         reference = reshaping.advance(p.reshaping, reference, accel)
     return voltage, State(reference, filtered, accumulated, 1.0), terms
+
+
+def hold(p: Params, s: State, command: float, measurement: float, voltage: float) -> State:
+    """State after a sample at which nothing was read: ``voltage`` [V] held on, the integral goes on.
+
+    ``measurement`` [V]: what the reading may have been, interpolated.
+    """
+    if p.plain > 0.0:
+        z1 = measurement - command
+        filtered = velocity.step(p.velocity, s.velocity, z1)
+        reference = reshaping.State(command, 0.0)
+    else:
+        z1 = measurement - s.reference.reference
+        filtered = velocity.step(p.velocity, s.velocity, measurement)
+        accel = reshaping.acceleration(p.reshaping, s.reference, command)
+        reference = reshaping.advance(p.reshaping, s.reference, accel)
+    integral = s.integral
+    if abs(voltage) < p.u_max:
+        integral = s.integral + p.ki * z1 * p.period
+    return State(reference, filtered, integral, s.started)

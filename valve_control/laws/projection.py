@@ -50,6 +50,11 @@ def advance(theta: Theta, rate: Theta, period: float, lower: Theta, upper: Theta
     )
 
 
+def span(lower: Theta, upper: Theta) -> Theta:
+    """Widths θmax - θmin of the assumed ranges (5)."""
+    return Theta(upper.a1 - lower.a1, upper.a0 - lower.a0, upper.b0 - lower.b0, upper.b0dn - lower.b0dn)
+
+
 def uncertainty(span: Theta, regressor: Theta, disturbance_bound: float) -> float:
     """Bound h on |θ̃ᵀφ| + |d̃| over the box of width ``span`` = θmax - θmin.
 

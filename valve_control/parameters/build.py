@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from valve_control.laws import arc, compensator, oarc, pid, reshaping, velocity
+from valve_control.laws import arc, compensator, guarantee, oarc, pid, reshaping, velocity
 from valve_control.laws.projection import Theta
 from valve_control.parameters import design
 from valve_control.parameters.table import ParameterError, Value, Values
@@ -81,20 +81,23 @@ def arc_params(values: Values) -> arc.Params:
     """ARC from the controller's values. Raises ParameterError."""
     period = number(values, "sample_period")
     start, lower, upper = _bounds(values, "arc")
+    k1, k2 = number(values, "arc.k1"), number(values, "arc.k2")
+    robust = _robust(values, "arc")
     return arc.Params(
-        k1=number(values, "arc.k1"),
-        k2=number(values, "arc.k2"),
+        k1=k1,
+        k2=k2,
         gamma=Theta(*numbers(values, "arc.gamma")),
         theta_initial=start,
         theta_min=lower,
         theta_max=upper,
-        robust=_robust(values, "arc"),
+        robust=robust,
         epsilon=number(values, "arc.epsilon"),
         disturbance_bound=number(values, "arc.disturbance_bound"),
         u_max=number(values, "u_max"),
         period=period,
         reshaping=_reshaping(values),
         velocity=velocity.design(number(values, "arc.velocity_cutoff"), period),
+        guarantee=guarantee.design(2.0 * min(k1, k2) if robust > 0.0 else min(2.0 * k1, k2), period),
     )
 
 
@@ -103,17 +106,19 @@ def oarc_params(values: Values) -> oarc.Params:
     period = number(values, "sample_period")
     start, lower, upper = _bounds(values, "oarc")
     k1, k2 = number(values, "oarc.k1"), number(values, "oarc.k2")
+    ks1, ks2 = number(values, "oarc.ks1"), number(values, "oarc.ks2")
+    robust = _robust(values, "oarc")
     return oarc.Params(
         k1=k1,
         k2=k2,
-        ks1=number(values, "oarc.ks1"),
-        ks2=number(values, "oarc.ks2"),
+        ks1=ks1,
+        ks2=ks2,
         z2_weight=number(values, "oarc.z2_weight"),
         gamma=Theta(*numbers(values, "oarc.gamma")),
         theta_initial=start,
         theta_min=lower,
         theta_max=upper,
-        robust=_robust(values, "oarc"),
+        robust=robust,
         epsilon1=number(values, "oarc.epsilon1"),
         epsilon2=number(values, "oarc.epsilon2"),
         disturbance_bound=number(values, "oarc.disturbance_bound"),
@@ -121,6 +126,7 @@ def oarc_params(values: Values) -> oarc.Params:
         period=period,
         filter=design.k_filter(k1, k2, period),
         reshaping=_reshaping(values),
+        guarantee=guarantee.design((2.0 if robust > 0.0 else 1.0) * min(ks1, ks2), period),
     )
 
 

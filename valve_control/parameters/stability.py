@@ -71,7 +71,7 @@ def spectral_radius(law: types.ModuleType, params: Any, theta: tuple[float, ...]
 def _is_memory(state: Any, index: int) -> bool:
     """Whether entry ``index`` of the flattened state is an estimate or a flag, which does not move."""
     names = [name for name, field in state._asdict().items() for _ in flatten(field)]
-    return index >= 0 and names[index] in ("theta", "started", "psi", "reference")
+    return index >= 0 and names[index] in ("theta", "started", "psi", "reference", "bound")
 
 
 def warning(controller: str, law: types.ModuleType, params: Any) -> str:
