@@ -36,7 +36,8 @@ def word(values: Values, name: str) -> str:
     return value
 
 
-def _reshaping(values: Values) -> reshaping.Params:
+def reshaping_params(values: Values) -> reshaping.Params:
+    """Reshaping filter from the controller's values. Raises ParameterError."""
     wn = number(values, "reshaping.natural_frequency")
     damping = number(values, "reshaping.damping")
     period = number(values, "sample_period")
@@ -95,7 +96,7 @@ def arc_params(values: Values) -> arc.Params:
         disturbance_bound=number(values, "arc.disturbance_bound"),
         u_max=number(values, "u_max"),
         period=period,
-        reshaping=_reshaping(values),
+        reshaping=reshaping_params(values),
         velocity=velocity.design(number(values, "arc.velocity_cutoff"), period),
         guarantee=guarantee.design(2.0 * min(k1, k2) if robust > 0.0 else min(2.0 * k1, k2), period),
     )
@@ -125,7 +126,7 @@ def oarc_params(values: Values) -> oarc.Params:
         u_max=number(values, "u_max"),
         period=period,
         filter=design.k_filter(k1, k2, period),
-        reshaping=_reshaping(values),
+        reshaping=reshaping_params(values),
         guarantee=guarantee.design((2.0 if robust > 0.0 else 1.0) * min(ks1, ks2), period),
     )
 
@@ -158,7 +159,7 @@ def pid_params(values: Values) -> pid.Params:
         static_feedforward=number(values, "pid.static_feedforward"),
         u_max=number(values, "u_max"),
         period=period,
-        reshaping=_reshaping(values),
+        reshaping=reshaping_params(values),
         velocity=velocity.design(number(values, "pid.derivative_cutoff"), period),
     )
 

@@ -88,6 +88,19 @@ THETA_INITIAL = [20.0, 1200.0, 1200.0, 0.0]
 THETA_MIN = [5.0, 500.0, 900.0, -6000.0]
 THETA_MAX = [150.0, 3000.0, 2500.0, 6000.0]
 BIG = 1e12
+AUTOSTART = Parameter(
+    "autostart", True, "", "configure and activate at the start; false waits for lifecycle transitions"
+)
+REALTIME: Table = (
+    Parameter("realtime.lock_memory", False, "", "lock the process in memory (mlockall)"),
+    Parameter(
+        "realtime.priority", 0, "", "SCHED_FIFO priority of all threads; 0: leave the scheduler", 0, 99
+    ),
+    Parameter("realtime.cpus", "", "", "CPUs the process may use, such as 2 or 2,3; empty: leave them"),
+)
+FAULT_SAMPLES = Parameter(
+    "fault.samples", 0, "", "samples that an injected fault lasts; 0: until it is set to none", 0, 10**9
+)
 
 SAMPLE_PERIOD = Parameter("sample_period", 0.001, "s", "sample period ΔT of LVDT and controller", 1e-5, 0.1)
 U_MAX = Parameter("u_max", 10.0, "V", "limit of the solenoid voltage", 0.1, 100.0)
@@ -160,15 +173,73 @@ CONTROLLER: Table = (
         0.001,
         10.0,
     ),
-    Parameter(
-        "lvdt_hold_samples",
-        5,
-        "",
-        "unusable LVDT readings in a row that are bridged before the voltage goes to 0 V",
-        0,
-        1000,
-    ),
     Parameter("state_decimation", 10, "", "every n-th sample appears on ~/state; 0: none", 0, 100000),
+    Parameter(
+        "command_timeout",
+        0.5,
+        "s",
+        "silence of the command after which the spool returns to neutral; 0.0: never",
+        0.0,
+        1e6,
+    ),
+    Parameter("neutral_rate", 20.0, "V/s", "largest reference rate on the return to neutral", 0.01, 1e5),
+    Parameter("saturation_limit", 1.0, "s", "saturation that lasts longer is reported", 0.001, 1e6),
+    Parameter(
+        "lvdt.hold_samples",
+        20,
+        "",
+        "missing or unusable LVDT readings in a row that are bridged; after one more the voltage is 0 V",
+        0,
+        10000,
+    ),
+    Parameter(
+        "lvdt.recovery_samples",
+        20,
+        "",
+        "sound LVDT readings in a row after which control returns from 0 V",
+        1,
+        100000,
+    ),
+    Parameter("lvdt.limit", 11.0, "V", "readings beyond ± this are out of range", 0.1, 1000.0),
+    Parameter(
+        "lvdt.max_rate",
+        500.0,
+        "V/s",
+        "fastest motion of a spool; a reading that moved faster is a jump",
+        0.1,
+        1e7,
+    ),
+    Parameter("lvdt.tolerance", 0.1, "V", "jump that noise alone can make", 0.0, 100.0),
+    Parameter(
+        "lvdt.frozen_samples",
+        20,
+        "",
+        "equal readings in a row, while the voltage moves, that mean a frozen LVDT; 0: not watched",
+        0,
+        100000,
+    ),
+    Parameter(
+        "lvdt.frozen_voltage",
+        0.5,
+        "V",
+        "motion of the voltage that must show in the reading unless the LVDT is frozen",
+        0.001,
+        100.0,
+    ),
+    Parameter(
+        "lockstep",
+        False,
+        "",
+        "wait at each reading for the command of the same number (for clock: lockstep with a command source)",
+    ),
+    Parameter(
+        "save_file",
+        "controller.yaml",
+        "",
+        "file of ~/save_parameters, absolute or relative to the folder in which the node was started",
+    ),
+    AUTOSTART,
+    *REALTIME,
     Parameter("reshaping.natural_frequency", 314.0, "rad/s", "natural frequency ω_n of (8)", 1.0, 1e5),
     Parameter("reshaping.damping", 0.8, "-", "damping ratio ξ_n of (8)", 0.1, 10.0),
     Parameter("reshaping.max_rate", 250.0, "V/s", "largest reference rate, (7)", 0.1, 1e5),
@@ -307,6 +378,48 @@ VALVE: Table = (
     Parameter("lvdt.resolution", 0.0, "V", "quantisation step; 0: none", 0.0, 10.0),
     Parameter("lvdt.bias", 0.0, "V", "constant error of the reading", -10.0, 10.0),
     Parameter("lvdt.delay", 0.0, "s", "dead time of the reading", 0.0, 1.0),
+    Parameter(
+        "clock",
+        "wall",
+        "",
+        "wall: one sample per period of real time; lockstep: the next as soon as the voltage has come",
+        choices=("wall", "lockstep"),
+    ),
+    Parameter(
+        "voltage_timeout",
+        0.1,
+        "s",
+        "silence of the voltage after which it counts as 0 V and the spring centres the spool; 0.0: never",
+        0.0,
+        1e6,
+    ),
+    Parameter(
+        "fault.lvdt",
+        "none",
+        "",
+        "injected fault of the LVDT; a lost reading is sent as a frame that DDS cannot read",
+        choices=(
+            "none",
+            "lost",
+            "silent",
+            "frozen",
+            "out_of_range",
+            "not_finite",
+            "jump",
+            "second_publisher",
+        ),
+    ),
+    Parameter("fault.jump", 3.0, "V", "size of the fault jump", -100.0, 100.0),
+    Parameter(
+        "fault.valve",
+        "none",
+        "",
+        "injected fault of the valve: a stuck spool, or a weak solenoid (a fifth of the gain)",
+        choices=("none", "stuck", "weak"),
+    ),
+    FAULT_SAMPLES,
+    AUTOSTART,
+    *REALTIME,
 )
 
 COMMAND: Table = (
@@ -323,8 +436,9 @@ COMMAND: Table = (
         "trigger",
         "timer",
         "",
-        "what paces the commands: a timer of the node's own, or spool_position (one command per reading)",
-        choices=("timer", "spool_position"),
+        "what paces the commands: a timer of the node's own, spool_position (one command per reading), or "
+        "lockstep (the first at once, each further one per reading, none lost)",
+        choices=("timer", "spool_position", "lockstep"),
     ),
     Parameter("listeners", 1, "", "subscriptions to wait for before the command begins", 0, 100),
     Parameter("delay", 0.5, "s", "pause between their arrival and the beginning", 0.0, 1e6),
@@ -338,6 +452,14 @@ COMMAND: Table = (
     Parameter("max_velocity", 8.0, "V/s", "of the point-to-point motion", 1e-3, 1e4),
     Parameter("max_accel", 64.0, "V/s²", "of the point-to-point motion", 1e-3, 1e6),
     Parameter("cycle", 5.81, "s", "point to point: there and back again", 1e-2, 1e6),
+    Parameter(
+        "fault.command",
+        "none",
+        "",
+        "injected fault of the command",
+        choices=("none", "silent", "not_finite", "out_of_range", "second_publisher"),
+    ),
+    FAULT_SAMPLES,
 )
 
 NODES: dict[str, Table] = {

@@ -1,0 +1,1 @@
+"""What stands between a law and a machine: believable readings, timeouts, takeover, faults; no ROS."""

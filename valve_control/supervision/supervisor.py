@@ -1,0 +1,476 @@
+"""One valve under supervision: a law fed with what is believable, its voltage switched off when it must be.
+
+Three modes:
+
+ok        the law has the valve;
+degraded  the law has the valve, but something is reported: a silent or refused command, bridged readings,
+          long saturation, a broken assumption, a second publisher;
+safe      0 V, the spring centres the spool: the LVDT cannot be believed, or the law left the finite numbers.
+
+Time is counted in samples, so that a run is repeatable; only the silence of the LVDT, during which no sample
+comes, has to be told from outside (``silence``).
+"""
+
+import math
+from enum import IntEnum
+from typing import Any
+
+from valve_control.laws import reshaping, velocity
+from valve_control.laws.projection import Theta, clip
+from valve_control.laws.signals import Start, saturate
+from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER, Values
+from valve_control.simulation.closed_loop import LAWS
+from valve_control.supervision import lvdt
+
+TACHOMETER_CUTOFF = 50.0  # Hz, of the velocity with which a law takes over
+LATCH = 1.0  # s for which a passing event stays reported
+NEGLIGIBLE = 1e-9  # V; a fading offset ends here
+HEAD = ("sample", "mode", "command", "measurement", "voltage", "offset")
+# Parameters after whose change a law's state means something else, so that it takes over from itself.
+FORMS = {
+    "pid": ("pid.form",),
+    "compensator": tuple(p.name for p in CONTROLLER if p.name.startswith("compensator.")),
+}
+
+
+class Mode(IntEnum):
+    """Who has the valve."""
+
+    OK = 0
+    DEGRADED = 1
+    SAFE = 2
+
+
+def reshapes(params: Any) -> bool:
+    """Whether the law of ``params`` follows a reshaped reference; the plain PID only carries the command."""
+    return "reshaping" in params._fields and getattr(params, "plain", 0.0) == 0.0
+
+
+class Supervisor:
+    """Controller of one valve: readings and commands in, voltages out, and what to say about them."""
+
+    def __init__(self) -> None:
+        self.name = ""
+        self.voltage = 0.0  # V
+        self.samples = 0
+        self.changed = False  # set with each change of the reported conditions, cleared by the reader
+        self.counts = dict.fromkeys(
+            (
+                "lvdt_lost",
+                "lvdt_refused",
+                "command_refused",
+                "command_limited",
+                "saturated",
+                "assumption_violations",
+                "law_not_finite",
+                "safe_stops",
+            ),
+            0,
+        )
+        self.conditions: dict[str, str] = {}
+        self._expiry: dict[str, float] = {}
+        self._blocked = ""  # name of the condition that switched the voltage off
+        self._form: tuple[Any, ...] = ()
+        self._law: Any = None
+        self._params: Any = None
+        self._values: Values = {}
+        self._monitor: lvdt.Monitor | None = None
+        self.start()
+
+    # Life
+
+    def start(self) -> None:
+        """Begin at rest with 0 V, as after switching on; parameters and counters stay."""
+        self.voltage = 0.0
+        self._state: Any = None
+        self._former: Any = None
+        self._terms: tuple[float, ...] = ()
+        self._now = 0.0  # s
+        self._sequence: int | None = None
+        self._measurement = math.nan
+        self._start_position = 0.0
+        self._bridged = 0
+        self._sound = 0
+        self._saturated_for = 0.0  # s
+        self._command: float | None = None
+        self._command_time = 0.0
+        self._command_gone = False
+        self._neutral: reshaping.State | None = None
+        self._effective = math.nan
+        self._offset = 0.0  # V, on the voltage; both fade after a takeover
+        self._command_offset = 0.0  # V, on the command
+        self._taking_over = False
+        self._velocity = velocity.State(0.0, 0.0)
+        self._blocked = ""
+        self.conditions.clear()
+        self._expiry.clear()
+        self._report("lvdt_missing", "no LVDT reading yet")
+        if self._monitor is not None:
+            self._monitor.forget()
+
+    def apply(self, values: Values, params: Any) -> None:
+        """Take checked ``values`` and the law's ``params`` built from them into use, between two samples."""
+        former = self._params
+        name = build.word(values, "controller")
+        self._values = values
+        self._params = params
+        self._period = build.number(values, "sample_period")
+        self._u_max = build.number(values, "u_max")
+        self._command_limit = build.number(values, "command_limit")
+        self._command_timeout = build.number(values, "command_timeout")
+        self._saturation_limit = build.number(values, "saturation_limit")
+        self._hold_samples = int(build.number(values, "lvdt.hold_samples"))
+        self._recovery_samples = int(build.number(values, "lvdt.recovery_samples"))
+        self._tachometer = velocity.design(TACHOMETER_CUTOFF, self._period)
+        self._fade = math.exp(-self._period / build.number(values, "transfer_time"))
+        shaping = build.reshaping_params(values)
+        self._homing = shaping._replace(max_rate=min(shaping.max_rate, build.number(values, "neutral_rate")))
+        watched = lvdt.Params(
+            build.number(values, "lvdt.limit"),
+            build.number(values, "lvdt.max_rate"),
+            build.number(values, "lvdt.tolerance"),
+            int(build.number(values, "lvdt.frozen_samples")),
+            build.number(values, "lvdt.frozen_voltage"),
+            self._period,
+        )
+        if self._monitor is None:
+            self._monitor = lvdt.Monitor(watched)
+        self._monitor.params = watched
+        form = (name, *(values[key] for key in FORMS.get(name, ())))
+        if form != self._form:
+            self._form = form
+            self.name = name
+            self._law = LAWS[name]
+            self._terms = ()
+            if self._state is not None:
+                self._take_over(self._state, reshapes(former) and reshapes(params))
+        elif (
+            self._state is not None
+            and "theta" in self._state._fields
+            and params.theta_initial != former.theta_initial
+        ):
+            self._state = self._state._replace(theta=params.theta_initial)
+
+    def reset(self) -> None:
+        """Estimates and filters to their start; from 0 V if the voltage is off, without a bump otherwise."""
+        if self._monitor is not None:
+            self._monitor.forget()
+        self._former = None
+        if self._state is not None:
+            self._take_over(None, False)
+
+    # Inputs
+
+    def command(self, value: float) -> None:
+        """Take in a command [V] from the upper level."""
+        self._command_gone = False
+        if not math.isfinite(value):
+            self.counts["command_refused"] += 1
+            self._latch("command_refused", f"command {value} refused, the last one holds")
+            return
+        self._command_time = self._now
+        self._command = saturate(value, self._command_limit)
+        self._clear("command_missing")
+        if self._command != value:
+            self.counts["command_limited"] += 1
+            self._latch("command_limited", f"command {value:g} V limited to {self._command:g} V")
+
+    def command_gone(self) -> None:
+        """The upper level has left: its command counts as silent at once."""
+        self._command_gone = True
+
+    def observe(self, name: str, text: str) -> None:
+        """Report ``text`` under ``name``, something seen from outside; "" ends it."""
+        if text:
+            self._report(name, text)
+        else:
+            self._clear(name)
+
+    def silence(self) -> float:
+        """The LVDT has been silent for too long; returns the voltage [V]."""
+        if not self._blocked and self._state is not None:
+            self._switch_off(
+                "lvdt_silent", f"{lvdt.TEXTS['silent']} for more than {self._hold_samples} samples"
+            )
+        return self.voltage
+
+    def sample(self, reading: float, sequence: int | None = None) -> float:
+        """One LVDT reading [V]; returns the voltage [V] to apply until the next one.
+
+        ``sequence``: number of the reading, from which lost ones are known.
+        """
+        assert self._monitor is not None, "apply comes first"
+        missed = self._count_missed(sequence)
+        self.samples += 1
+        self._now += (1 + missed) * self._period
+        if self._expiry:
+            self._expire()
+        fault = self._monitor.judge(reading, missed, self.voltage, bool(self._blocked))
+        if fault:
+            self.counts["lvdt_refused"] += 1
+            self._bridged += 1 + missed
+            self._sound = 0
+            if not self._blocked and (fault == "frozen" or self._bridged > self._hold_samples):
+                self._switch_off(f"lvdt_{fault}", lvdt.TEXTS[fault])
+            elif not self._blocked:
+                self._latch("lvdt_bridged", f"{lvdt.TEXTS[fault]}: bridged")
+            return self.voltage
+        gap, self._bridged = missed + self._bridged, 0
+        if gap and not self._blocked and self._state is not None:
+            if gap > self._hold_samples:
+                self._switch_off("lvdt_silent", f"{gap} LVDT readings lost in a row")
+            else:
+                self._latch("lvdt_bridged", "LVDT readings lost: bridged")
+                self._step_over(gap, reading)
+        if self._blocked:
+            self._watch_recovery(reading)
+            if self._blocked:
+                return self.voltage
+        self._measurement = reading
+        if self._state is None:
+            self._begin(reading)
+        return self._control(reading)
+
+    # Outputs
+
+    @property
+    def mode(self) -> Mode:
+        """Present mode."""
+        if self._blocked or "lvdt_missing" in self.conditions:
+            return Mode.SAFE
+        return Mode.DEGRADED if self.conditions else Mode.OK
+
+    @property
+    def reason(self) -> str:
+        """All that is reported, in one line."""
+        return "; ".join(self.conditions.values()) or "controlling"
+
+    @property
+    def theta(self) -> tuple[float, ...] | None:
+        """Present estimates, of a law that adapts."""
+        state = self._state if self._state is not None else self._former
+        return tuple(state.theta) if state is not None and "theta" in state._fields else None
+
+    @property
+    def command_age(self) -> float:
+        """Seconds of sample time since the last command that was taken; inf before the first."""
+        return math.inf if self._command is None else self._now - self._command_time
+
+    @property
+    def lyapunov(self) -> tuple[float, float] | None:
+        """V2 and its guaranteed bound at the last sample, of a law that has them."""
+        fields = self._law.Terms._fields
+        if "lyapunov" not in fields or not self._terms:
+            return None
+        i = fields.index("lyapunov")
+        return self._terms[i], self._terms[i + 1]
+
+    def labels(self) -> tuple[str, ...]:
+        """Names of the numbers of ``telemetry``."""
+        return (*HEAD, *self._law.Terms._fields)
+
+    def telemetry(self) -> list[float]:
+        """Numbers of this sample; the law's terms are NaN while it does not have the valve."""
+        terms = self._terms or (math.nan,) * len(self._law.Terms._fields)
+        return [
+            float(self.samples),
+            float(self.mode),
+            self._effective,
+            self._measurement,
+            self.voltage,
+            self._offset,
+            *terms,
+        ]
+
+    def present_values(self) -> Values:
+        """The parameters in use, with the present estimates as the initial ones of the running law."""
+        values = dict(self._values)
+        if self.theta is not None:
+            values[f"{self.name}.theta_initial"] = list(self.theta)
+        return values
+
+    # The way from reading to voltage
+
+    def _count_missed(self, sequence: int | None) -> int:
+        last, self._sequence = self._sequence, sequence
+        if sequence is None or last is None or sequence <= last or "lvdt_publishers" in self.conditions:
+            return 0
+        missed = sequence - last - 1
+        self.counts["lvdt_lost"] += missed
+        return missed
+
+    def _begin(self, reading: float) -> None:
+        self._state = self._law.initial(self._params, Start(reading, self.voltage, reading, 0.0, 0.0))
+        self._velocity = velocity.State(reading, 0.0)
+        self._welcome(reading)
+
+    def _welcome(self, reading: float) -> None:
+        """The law has the valve from ``reading`` [V] on; there it stays until a command comes."""
+        self._clear("lvdt_missing")
+        if self._command is None:
+            self._start_position = reading
+            self._report("command_missing", "no command yet")
+
+    def _step_over(self, gap: int, reading: float) -> None:
+        """Bring the law over ``gap`` samples without a reading, on a straight line to the next one."""
+        slope = (reading - self._measurement) / (gap + 1)
+        for i in range(1, gap + 1):
+            between = self._measurement + i * slope
+            self._velocity = velocity.step(self._tachometer, self._velocity, between)
+            try:
+                self._state = self._law.hold(self._params, self._state, self._target(), between, self.voltage)
+            except (ArithmeticError, ValueError):
+                self._leave_the_finite()
+                return
+            self._let_fade()
+
+    def _control(self, reading: float) -> float:
+        law, params = self._law, self._params
+        command = self._target()
+        self._effective = command
+        self._velocity = velocity.step(self._tachometer, self._velocity, reading)
+        try:
+            if self._taking_over:
+                _, _, terms = law.step(params, self._state, command, reading, 0.0)
+                self._offset = self.voltage - terms.unsaturated_voltage
+                self._taking_over = False
+            voltage, state, terms = law.step(params, self._state, command, reading, self._offset)
+            finite = all(map(math.isfinite, (voltage, *terms)))
+        except (ArithmeticError, ValueError):
+            finite = False
+        if not finite:
+            self._leave_the_finite()
+            return self.voltage
+        self._state = state
+        self._terms = terms
+        self.voltage = voltage
+        self._watch(terms, voltage)
+        self._let_fade()
+        return self.voltage
+
+    def _leave_the_finite(self) -> None:
+        self.counts["law_not_finite"] += 1
+        self._switch_off("law_not_finite", f"{self.name} left the finite numbers")
+        self._former = None
+
+    def _let_fade(self) -> None:
+        if self._offset != 0.0:
+            self._offset = self._offset * self._fade if abs(self._offset) > NEGLIGIBLE else 0.0
+        if self._command_offset != 0.0:
+            large = abs(self._command_offset) > NEGLIGIBLE
+            self._command_offset = self._command_offset * self._fade if large else 0.0
+
+    def _watch(self, terms: Any, voltage: float) -> None:
+        if abs(voltage) >= self._u_max:
+            self.counts["saturated"] += 1
+            self._saturated_for += self._period
+            if self._saturated_for > self._saturation_limit:
+                self._report("saturation", f"saturated for more than {self._saturation_limit:g} s")
+        elif self._saturated_for > 0.0:
+            self._saturated_for = 0.0
+            self._clear("saturation")
+        if "lyapunov_bound" in terms._fields and terms.lyapunov > terms.lyapunov_bound:
+            self.counts["assumption_violations"] += 1
+            self._latch(
+                "assumptions",
+                "V2 is above its guaranteed bound: the valve has left the assumed parameter ranges or "
+                "disturbance bound",
+            )
+
+    def _target(self) -> float:
+        """Command [V] of this sample: the upper level's, the way back to neutral, or where we started."""
+        if self._command is None:
+            return self._start_position + self._command_offset
+        silent = self._command_timeout > 0.0 and (
+            self._command_gone or self._now - self._command_time > self._command_timeout
+        )
+        if silent:
+            if self._neutral is None:
+                self._neutral = reshaping.State(self._command + self._command_offset, 0.0)
+                self._command_offset = 0.0
+                self._report("command_silent", "command is silent, the spool returns to neutral")
+            accel = reshaping.acceleration(self._homing, self._neutral, 0.0)
+            target = self._neutral.reference
+            self._neutral = reshaping.advance(self._homing, self._neutral, accel)
+            return target + self._command_offset
+        if self._neutral is not None:
+            self._command_offset += self._neutral.reference - self._command
+            self._neutral = None
+            self._clear("command_silent")
+        return self._command + self._command_offset
+
+    # Off and on again
+
+    def _switch_off(self, name: str, text: str) -> None:
+        self._blocked = name
+        self._report(name, text)
+        self.counts["safe_stops"] += 1
+        self.voltage = 0.0
+        self._former, self._state = self._state, None
+        self._terms = ()
+        self._offset = self._command_offset = 0.0
+        self._taking_over = False
+        self._saturated_for = 0.0
+        self._clear("saturation")
+        self._sound = 0
+
+    def _watch_recovery(self, reading: float) -> None:
+        self._measurement = reading
+        if self._sound == 0:
+            self._velocity = velocity.State(reading, 0.0)
+        self._velocity = velocity.step(self._tachometer, self._velocity, reading)
+        self._sound += 1
+        if self._sound >= self._recovery_samples:
+            self._clear(self._blocked)
+            self._blocked = ""
+            self._welcome(reading)
+            self._take_over(self._former, False)
+
+    def _take_over(self, former: Any, same_reference: bool) -> None:
+        """Begin with the law where the spool is: reading, voltage, motion, reference and estimates."""
+        params = self._params
+        y, v = self._measurement, self._velocity.velocity
+        start = Start(y, self.voltage, y, v, v)
+        base = self._command if self._command is not None else self._start_position
+        if self._neutral is not None:
+            base = self._neutral.reference
+        self._command_offset = 0.0
+        if same_reference:
+            reference, rate = former.reference
+            start = start._replace(reference=reference, reference_rate=rate)
+        else:
+            self._command_offset = self._steady_command(start) - base
+        if former is not None and "theta" in former._fields and "theta" in self._law.State._fields:
+            theta = Theta(*map(clip, former.theta, params.theta_min, params.theta_max))
+            params = params._replace(theta_initial=theta)
+        self._state = self._law.initial(params, start)
+        self._taking_over = True
+
+    def _steady_command(self, start: Start) -> float:
+        """Command under which the law would go on as at ``start``; the real one is faded in from there."""
+        if "static_gain" in self._params._fields:
+            return start.voltage / float(self._params.static_gain)
+        if getattr(self._params, "plain", 0.0) > 0.0:
+            return start.measurement
+        return reshaping.steady_command(self._params.reshaping, start.measurement, start.velocity)
+
+    # What is reported
+
+    def _report(self, name: str, text: str) -> None:
+        if name not in self.conditions:
+            self.changed = True
+            self.conditions[name] = text
+
+    def _clear(self, name: str) -> None:
+        if self.conditions.pop(name, None) is not None:
+            self._expiry.pop(name, None)
+            self.changed = True
+
+    def _latch(self, name: str, text: str) -> None:
+        self._report(name, text)
+        self._expiry[name] = self._now + LATCH
+
+    def _expire(self) -> None:
+        for name in [name for name, time in self._expiry.items() if self._now > time]:
+            self._clear(name)
