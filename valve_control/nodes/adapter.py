@@ -1,11 +1,8 @@
 """What the nodes share: parameters from the table, polled subscriptions, start and clean end."""
 
-import gc
-import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -13,10 +10,8 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -30,8 +25,7 @@ from valve_control.parameters.table import (
     updated,
 )
 
-SAMPLES = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)  # LVDT and voltage
-LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)  # command
+SAMPLES = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:
@@ -140,17 +134,27 @@ class PolledSubscription:
     """
 
     def __init__(self, node: Node, message_type: Any, topic: str, qos: QoSProfile) -> None:
+        self._node = node
         self._type = message_type
         self._subscription = node.create_subscription(
             message_type, topic, lambda message: None, qos, callback_group=Unwatched()
         )
 
+        self.handle = self._subscription.handle
+
+    def one(self) -> tuple[Any, dict[str, Any]] | None:
+        """The oldest waiting message with its message info, None if there is none."""
+        with self.handle:
+            return self.handle.take_message(self._type, False)  # type: ignore[no-any-return]
+
     def take(self) -> Iterator[tuple[Any, dict[str, Any]]]:
         """Waiting messages, oldest first, each with its message info."""
-        handle = self._subscription.handle
-        with handle:
-            while (taken := handle.take_message(self._type, False)) is not None:
-                yield taken
+        while (taken := self.one()) is not None:
+            yield taken
+
+    def destroy(self) -> None:
+        """Leave the topic."""
+        self._node.destroy_subscription(self._subscription)
 
 
 def diagnostics(node: Node, level: bytes, message: str, values: dict[str, Any]) -> DiagnosticArray:
@@ -165,41 +169,3 @@ def diagnostics(node: Node, level: bytes, message: str, values: dict[str, Any]) 
     array = DiagnosticArray(status=[status])
     array.header.stamp = node.get_clock().now().to_msg()
     return array
-
-
-def run(make: Callable[[], Node]) -> int:
-    """Spin the node that ``make`` gives until SIGINT or SIGTERM; returns the exit status."""
-    try:
-        rclpy.init(args=sys.argv)
-    except Exception as error:  # rclpy has no public type for bad --ros-args
-        print(f"{sys.argv[0]}: {first_line(error)}", file=sys.stderr)
-        return 2
-    node = None
-    executor = SingleThreadedExecutor()
-    try:
-        node = make()
-        executor.add_node(node)
-        # A collection of everything that the imports brought takes tens of milliseconds, many samples.
-        gc.collect()
-        gc.freeze()
-        executor.spin()
-    except ParameterError as error:
-        print(f"valve_control: {error}", file=sys.stderr)
-        return 2
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except RCLError:
-        if rclpy.ok():
-            raise
-        # SIGINT or SIGTERM came between the check of the context and a publish.
-    finally:
-        executor.shutdown(timeout_sec=0.0)
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
-
-
-def first_line(error: Exception) -> str:
-    """The first line of an error's text."""
-    return (str(error).splitlines() or [type(error).__name__])[0]

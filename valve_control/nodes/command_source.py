@@ -1,34 +1,57 @@
-"""Node `command_source`: stands in for the upper-level hydraulic controller."""
+"""Node `command_source`: stands in for the upper-level hydraulic controller, and for its faults."""
 
+import math
 import sys
 import time
+from collections.abc import Sequence
 from typing import Any
 
-from rclpy.node import Node
+from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 
-from valve_control.nodes.adapter import LATEST, SAMPLES, ParameterSet, run
+from valve_control.nodes.adapter import SAMPLES, ParameterSet, PolledSubscription
+from valve_control.nodes.loop import Worker, run
 from valve_control.parameters import build
 from valve_control.parameters.table import COMMAND, Values
 from valve_control.simulation import offline
 
+BEYOND = 1000.0  # V, a command out of range
+SHAPING = [p.name for p in COMMAND if not p.name.startswith("fault.")]
 
-class CommandSource(Node):
+
+class CommandSource(Worker):
     """Publishes `spool_command` once per sample period or LVDT reading, from the moment enough others listen.
 
-    A change of parameters starts the new shape from its beginning; at the end the last value is held.
+    A change of its shape starts it from its beginning; at the end the last value is held.
     """
 
     def __init__(self) -> None:
         super().__init__("command_source")
-        self._timer: Any = None
-        self._readings: Any = None
-        self._paced_by: tuple[str, float] | None = None
+        self._readings: PolledSubscription | None = None
+        self._shaped_by: list[Any] = []
+        self._fault = "none"
+        self._fault_left = 0
+        self._second: Any = None
+        self._next = 0.0
+        self._sent = 0
         self._message = Float64()
-        self._publisher = self.create_publisher(Float64, "spool_command", LATEST)
-        self._tuning = ParameterSet(self, COMMAND, offline.commands, self._apply)
+        self._publisher = self.create_publisher(Float64, "spool_command", SAMPLES)
+        ParameterSet(self, COMMAND, offline.commands, self._apply)
 
     def _apply(self, values: Values, commands: Any) -> None:
+        fault = build.word(values, "fault.command")
+        if fault != self._fault:
+            self._fault = fault
+            self._fault_left = int(build.number(values, "fault.samples"))
+            if fault == "second_publisher" and self._second is None:
+                self._second = self.create_publisher(Float64, "spool_command", SAMPLES)
+            elif fault != "second_publisher" and self._second is not None:
+                self.destroy_publisher(self._second)
+                self._second = None
+        shaped_by = [values[name] for name in SHAPING]
+        if shaped_by == self._shaped_by:
+            return
+        self._shaped_by = shaped_by
         self._commands = commands.tolist()
         self._listeners = int(build.number(values, "listeners"))
         self._period = build.number(values, "sample_period")
@@ -36,32 +59,53 @@ class CommandSource(Node):
         self._met: float | None = None
         self._began: float | None = None
         self._done = False
-        trigger = build.word(values, "trigger")
-        if (trigger, self._period) != self._paced_by:
-            self._paced_by = (trigger, self._period)
-            self._pace(trigger)
+        self._trigger = build.word(values, "trigger")
+        if self._trigger != "timer" and self._readings is None:
+            self._readings = PolledSubscription(self, Float64, "spool_position", SAMPLES)
+        elif self._trigger == "timer" and self._readings is not None:
+            self._readings.destroy()
+            self._readings = None
+        self._next = time.monotonic()
         self.get_logger().info(
             f"{values['scenario']}: {len(self._commands) * self._period:g} s of commands, "
             f"waiting for {self._listeners} listener(s)"
         )
 
-    def _pace(self, trigger: str) -> None:
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-            self._timer = None
-        if self._readings is not None:
-            self.destroy_subscription(self._readings)
-            self._readings = None
-        if trigger == "timer":
-            self._timer = self.create_timer(self._period, self._tick)
-        else:
-            self._readings = self.create_subscription(Float64, "spool_position", self._on_reading, SAMPLES)
+    def inputs(self) -> Sequence[PolledSubscription]:
+        """The readings that pace the commands, if they do."""
+        return () if self._readings is None else (self._readings,)
 
-    def _tick(self) -> None:
-        self._send(time.monotonic() / self._period)
+    def due(self) -> float:
+        """When the timer's next command is due, or the next look at the listeners."""
+        if self._trigger == "timer" or (self._trigger == "lockstep" and self._began is None):
+            return self._next
+        return math.inf
 
-    def _on_reading(self, message: Float64, info: dict[str, Any]) -> None:
-        self._send(float(info["publication_sequence_number"]))
+    def work(self) -> bool:
+        """Send the commands that are due."""
+        if self._trigger == "timer":
+            now = time.monotonic()
+            if now < self._next:
+                return False
+            self._next = max(self._next + self._period, now)
+            self._send(now / self._period)
+            return True
+        assert self._readings is not None
+        worked = False
+        if self._trigger == "lockstep" and self._began is None:
+            if self._publisher.get_subscription_count() < self._listeners:
+                self._next = time.monotonic() + 10.0 * self._period
+                return False
+            self._begin(0.0)
+            self._publish(0)
+            worked = True
+        for _, info in self._readings.take():
+            if self._trigger == "lockstep":
+                self._publish(self._sent)
+            else:
+                self._send(float(info["publication_sequence_number"]))
+            worked = True
+        return worked
 
     def _send(self, now: float) -> None:
         """Publish the command that is due at ``now``, in periods."""
@@ -72,21 +116,38 @@ class CommandSource(Node):
                 self._met = now
             if (now - self._met) * self._period < self._delay:
                 return
-            self._began = now
-            self.get_logger().info("begins")
-        index = max(0, int(now - self._began))
+            self._begin(now)
+        assert self._began is not None
+        self._publish(max(0, int(now - self._began)))
+
+    def _begin(self, now: float) -> None:
+        self._began = now
+        self._sent = 0
+        self.get_logger().info("begins")
+
+    def _publish(self, index: int) -> None:
         if index >= len(self._commands):
             index = len(self._commands) - 1
             if not self._done:
                 self._done = True
                 self.get_logger().info("done, holds the last command")
         self._message.data = self._commands[index]
-        self._publisher.publish(self._message)
+        if self._fault == "not_finite":
+            self._message.data = math.nan
+        elif self._fault == "out_of_range":
+            self._message.data = BEYOND
+        self._sent += 1
+        if self._fault != "silent":
+            self._publisher.publish(self._message)
+        if self._fault_left > 0:
+            self._fault_left -= 1
+            if self._fault_left == 0:
+                self.set_parameters([Parameter("fault.command", value="none")])
 
 
 def main() -> int:
     """Entry point of `ros2 run valve_control command_source`."""
-    return run(CommandSource)
+    return run(lambda: [CommandSource()])
 
 
 if __name__ == "__main__":

@@ -1,249 +1,323 @@
-"""Node `controller`: one LVDT sample, one step of the law, one voltage."""
+"""Node `controller`: one LVDT reading, one step of the law, one voltage."""
 
 import math
+import os
 import sys
 import time
 from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.node import Node
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from std_srvs.srv import Trigger
 
-from valve_control.laws import reshaping, velocity
-from valve_control.laws.projection import Theta, advance
-from valve_control.laws.signals import Start, saturate
-from valve_control.nodes.adapter import (
-    LATEST,
-    SAMPLES,
-    ParameterSet,
-    PolledSubscription,
-    diagnostics,
-    run,
-)
-from valve_control.parameters import build, stability
+from valve_control.nodes import realtime
+from valve_control.nodes.adapter import SAMPLES, ParameterSet, PolledSubscription, diagnostics
+from valve_control.nodes.lifecycle import Managed
+from valve_control.nodes.loop import run
+from valve_control.parameters import build, files, stability
 from valve_control.parameters.table import CONTROLLER, Values
 from valve_control.simulation.closed_loop import LAWS
+from valve_control.supervision.supervisor import Mode, Supervisor
 
-TACHOMETER_CUTOFF = 50.0  # Hz, of the velocity with which a law takes over
-# Parameters after whose change a law's state means something else, so that it takes over from itself.
-FORMS = {
-    "pid": ("pid.form",),
-    "compensator": tuple(p.name for p in CONTROLLER if p.name.startswith("compensator.")),
+LEVELS = {
+    Mode.OK: DiagnosticStatus.OK,
+    Mode.DEGRADED: DiagnosticStatus.WARN,
+    Mode.SAFE: DiagnosticStatus.ERROR,
 }
-HEAD = ("sample", "command", "measurement", "voltage", "offset")
+REMIND = 0.1  # s between two voltages of 0 V while the LVDT is silent
+WATCH_GRAPH = 0.1  # s between two looks at who publishes
+LOCKSTEP_LIMIT = 5.0  # s to wait for a command in lockstep
+LAST_WORD = 0.2  # s to see the last voltage of 0 V received
+POLL = 2e-5  # s
+WINDOW = 1000  # samples of the timing statistics
+NEVER = math.inf
 
 
-def reshapes(params: Any) -> bool:
-    """Whether the law of ``params`` follows a reshaped reference; the plain PID only carries the command."""
-    return "reshaping" in params._fields and getattr(params, "plain", 0.0) == 0.0
-
-
-class Controller(Node):
+class Controller(Managed):
     """Reads `spool_position` and `spool_command`, publishes `valve_voltage` and `~/state`."""
 
-    def __init__(self) -> None:
-        super().__init__("controller")
-        self._name = ""
-        self._form: tuple[Any, ...] = ()
-        self._law: Any = None
-        self._params: Any = None
-        self._state: Any = None
-        self._offset = 0.0  # V, on the voltage; both fade after a change of controller
-        self._command_offset = 0.0  # V, on the command
-        self._taking_over = False
-        self._command: float | None = None
-        self._measurement = 0.0
-        self._velocity = velocity.State(0.0, 0.0)
-        self._voltage = 0.0
-        self._start_position = 0.0
-        self._unusable = 0
-        self._last_sequence: int | None = None
-        self._samples = 0
-        self._counts = dict.fromkeys(
-            ("lvdt_lost", "lvdt_refused", "command_refused", "command_limited", "saturated", "resets"), 0
-        )
-        self._durations: deque[float] = deque(maxlen=1000)
+    def __init__(self, **options: Any) -> None:
+        super().__init__("controller", **options)
+        self._supervisor = Supervisor()
+        self._said: tuple[Mode, str] | None = None
+        self._readings: PolledSubscription | None = None
+        self._watch_at = NEVER
+        self._pairing: int | None = None
         self._message = Float64()
         self._state_message = Float64MultiArray()
-        self._state_publisher = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
-        self._tuning = ParameterSet(self, CONTROLLER, build.law_params, self._apply)
-        self._commands = PolledSubscription(self, Float64, "spool_command", LATEST)
-        self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
+        self._last_command = NEVER  # wall time of the last one
+        self._commanders = 0
+        self._arrivals: deque[float] = deque(maxlen=WINDOW)
+        self._latencies: deque[int] = deque(maxlen=WINDOW)
+        self._durations: deque[float] = deque(maxlen=WINDOW)
+        self._overruns = 0
+        self._unchecked = False
+        self._realtime: realtime.Request | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
-        self.create_subscription(Float64, "spool_position", self._on_measurement, SAMPLES)
-        self.create_timer(1.0, self._diagnose)
+        ParameterSet(self, CONTROLLER, self._build, self._apply)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/save_parameters", self._on_save)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._diagnose, clock=steady)
+        self.create_timer(WATCH_GRAPH, self._watch_graph, clock=steady)
         self._check_stability()
-        self.get_logger().info(f"{self._name} at {1.0 / self._period:g} Hz, waiting for spool_position")
+        if self._values["autostart"]:
+            self.autostart()
 
-    def _apply(self, values: Values, params: Any) -> None:
-        name = build.word(values, "controller")
-        former = self._params
+    @staticmethod
+    def _build(values: Values) -> tuple[Any, realtime.Request]:
+        return build.law_params(values), realtime.request(values)
+
+    def _apply(self, values: Values, built: tuple[Any, realtime.Request]) -> None:
+        params, wanted = built
+        self._values = values
+        self._supervisor.apply(values, params)
         self._params = params
         self._period = build.number(values, "sample_period")
-        self._u_max = build.number(values, "u_max")
-        self._command_limit = build.number(values, "command_limit")
-        self._hold_samples = int(build.number(values, "lvdt_hold_samples"))
         self._decimation = int(build.number(values, "state_decimation"))
-        self._tachometer = velocity.design(TACHOMETER_CUTOFF, self._period)
-        self._fade = math.exp(-self._period / build.number(values, "transfer_time"))
-        form = (name, *(values[key] for key in FORMS.get(name, ())))
-        if form != self._form:
-            self._form = form
-            self._name = name
-            self._law = LAWS[name]
-            labels = (*HEAD, *self._law.Terms._fields)
+        self._lockstep = values["lockstep"] is True
+        self._hold = (1.0 + build.number(values, "lvdt.hold_samples")) * self._period
+        if self._lockstep:
+            self._watch_at = NEVER
+        labels = self._supervisor.labels()
+        if [entry.label for entry in self._state_message.layout.dim] != list(labels):
             self._state_message.layout = MultiArrayLayout(
                 dim=[MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
             )
-            if self._state is not None:
-                self._take_over(reshapes(former) and reshapes(params))
-        elif (
-            self._state is not None
-            and "theta" in self._state._fields
-            and params.theta_initial != former.theta_initial
-        ):
-            self._state = self._state._replace(theta=params.theta_initial)
+        if wanted != self._realtime:
+            self._realtime = wanted
+            realtime.obtain(wanted, self.get_logger().warning)
         self._unchecked = True
 
-    def _take_over(self, same_reference: bool) -> None:
-        """Begin with a new law where the old one is: reading, voltage, motion, reference and estimates."""
-        former, params = self._state, self._params
-        start = Start(
-            self._measurement,
-            self._voltage,
-            self._measurement,
-            self._velocity.velocity,
-            self._velocity.velocity,
-        )
-        self._command_offset = 0.0
-        if same_reference:
-            reference, rate = former.reference
-            start = start._replace(reference=reference, reference_rate=rate)
-        elif self._command is not None:
-            self._command_offset = self._steady_command(start) - self._command
-        if "theta" in former._fields and "theta" in self._law.State._fields:
-            theta = advance(former.theta, Theta(0.0, 0.0, 0.0, 0.0), 0.0, params.theta_min, params.theta_max)
-            params = params._replace(theta_initial=theta)
-        self._state = self._law.initial(params, start)
-        self._taking_over = True
+    # Life
 
-    def _steady_command(self, start: Start) -> float:
-        """Command under which the law would go on as at ``start``; the real one is faded in from there."""
-        if "static_gain" in self._params._fields:
-            return start.voltage / float(self._params.static_gain)
-        if getattr(self._params, "plain", 0.0) > 0.0:
-            return start.measurement
-        return reshaping.steady_command(self._params.reshaping, start.measurement, start.velocity)
+    def open(self) -> None:
+        """Topics."""
+        self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
+        self._states = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
+        self._commands = PolledSubscription(self, Float64, "spool_command", SAMPLES)
+        self._readings = PolledSubscription(self, Float64, "spool_position", SAMPLES)
 
-    def _take_command(self) -> float:
-        for message, _ in self._commands.take():
-            value = message.data
-            if not math.isfinite(value):
-                self._refuse("command_refused", f"command {value} refused, the last one holds")
-                continue
-            self._command = saturate(value, self._command_limit)
-            if self._command != value:
-                self._counts["command_limited"] += 1
-        if self._command is None:
-            return self._measurement if self._state is None else self._start_position
-        return self._command
+    def close(self) -> None:
+        """Topics left."""
+        assert self._readings is not None
+        self._readings.destroy()
+        self._commands.destroy()
+        self.destroy_publisher(self._voltages)
+        self.destroy_publisher(self._states)
+        self._readings = None
 
-    def _refuse(self, counter: str, text: str) -> None:
-        self._counts[counter] += 1
-        self.get_logger().warning(text, throttle_duration_sec=1.0)
+    def begin(self) -> None:
+        """From rest; what waited on the topics is stale."""
+        assert self._readings is not None
+        for topic in (self._readings, self._commands):
+            for _ in topic.take():
+                pass
+        self._supervisor.start()
+        self._watch_at = NEVER
+        self._pairing = None
+        rate = 1.0 / self._period
+        self.get_logger().info(f"{self._supervisor.name} at {rate:g} Hz, waiting for spool_position")
 
-    def _usable(self, measurement: float) -> bool:
-        if math.isfinite(measurement):
-            self._measurement = measurement
-            self._unusable = 0
-            return True
-        self._unusable += 1
-        self._refuse("lvdt_refused", f"LVDT reading {measurement} refused")
-        return self._state is not None and self._unusable <= self._hold_samples
+    def end(self) -> None:
+        """0 V, once, and seen to arrive."""
+        self._publish(0.0)
+        self._voltages.wait_for_all_acked(Duration(seconds=LAST_WORD))
+        self.get_logger().info("inactive, 0 V")
 
-    def _on_measurement(self, message: Float64, info: dict[str, Any]) -> None:
+    # Work
+
+    def inputs(self) -> Sequence[PolledSubscription]:
+        """The LVDT; a command is of no use before the next reading."""
+        return (self._readings,) if self.working and self._readings is not None else ()
+
+    def due(self) -> float:
+        """When the LVDT has been silent for too long."""
+        return self._watch_at if self.working else NEVER
+
+    def work(self) -> bool:
+        """Answer each waiting reading; without one in time, switch off."""
+        if not self.working or self._readings is None:
+            return False
+        worked = False
+        for message, info in self._readings.take():
+            self._answer(message.data, info)
+            worked = True
+        if not worked and time.monotonic() >= self._watch_at:
+            self._publish(self._supervisor.silence())
+            self._watch_at = time.monotonic() + REMIND
+            worked = True
+        if self._supervisor.changed:
+            self._announce()
+        return worked
+
+    def _answer(self, reading: float, info: dict[str, Any]) -> None:
         began = time.perf_counter()
-        self._count_lost(info)
-        usable = self._usable(message.data)
-        command = self._take_command()
-        if usable:
-            self._control(command)
-        else:
-            self._voltage = 0.0
-            self._state = None
-        self._message.data = self._voltage
+        number = info["publication_sequence_number"]
+        self._take_commands(number)
+        self._publish(self._supervisor.sample(reading, number))
+        ended = time.perf_counter()
+        self._latencies.append(time.time_ns() - info["source_timestamp"])
+        self._arrivals.append(began)
+        self._durations.append(ended - began)
+        if ended - began > self._period:
+            self._overruns += 1
+        if not self._lockstep:
+            self._watch_at = time.monotonic() + self._hold
+        if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
+            self._state_message.data = self._supervisor.telemetry()
+            self._states.publish(self._state_message)
+
+    def _publish(self, voltage: float) -> None:
+        self._message.data = voltage
         self._voltages.publish(self._message)
-        self._samples += 1
-        self._durations.append(time.perf_counter() - began)
 
-    def _count_lost(self, info: dict[str, Any]) -> None:
-        sequence = info.get("publication_sequence_number")
-        if sequence is None:
+    def _take_commands(self, number: int) -> None:
+        """Hand on the commands that count for reading ``number``."""
+        if self._lockstep:
+            self._take_paired_command(number)
             return
-        if self._last_sequence is not None and sequence > self._last_sequence + 1:
-            self._counts["lvdt_lost"] += sequence - self._last_sequence - 1
-        self._last_sequence = sequence
+        for message, _ in self._commands.take():
+            self._supervisor.command(message.data)
+            self._last_command = time.monotonic()
 
-    def _control(self, command: float) -> None:
-        law, params, y = self._law, self._params, self._measurement
-        command += self._command_offset
-        if self._state is None:
-            self._state = law.initial(params, Start(y, self._voltage, y, 0.0, 0.0))
-            self._start_position = y
-            self._velocity = velocity.State(y, 0.0)
-        self._velocity = velocity.step(self._tachometer, self._velocity, y)
-        if self._taking_over:
-            _, _, terms = law.step(params, self._state, command, y, 0.0)
-            self._offset = self._voltage - terms.unsaturated_voltage
-            self._taking_over = False
-        voltage, state, terms = law.step(params, self._state, command, y, self._offset)
-        if not all(map(math.isfinite, (voltage, *terms))):
-            self._refuse("resets", f"{self._name} left the finite numbers, 0 V and a fresh start")
-            self._voltage, self._offset, self._command_offset = 0.0, 0.0, 0.0
-            self._state = law.initial(params, Start(y, 0.0, y, 0.0, 0.0))
+    def _take_paired_command(self, number: int) -> None:
+        """Lockstep: exactly the command with the number of the reading, however long it takes."""
+        limit = time.monotonic() + LOCKSTEP_LIMIT
+        while time.monotonic() < limit:
+            taken = self._commands.one()
+            if taken is None:
+                if self._pairing is not None and self.count_publishers("spool_command") == 0:
+                    return
+                time.sleep(POLL)
+                continue
+            message, info = taken
+            self._supervisor.command(message.data)
+            self._last_command = time.monotonic()
+            ahead = info["publication_sequence_number"] - number
+            if self._pairing is None:
+                self._pairing = ahead
+            if ahead >= self._pairing:
+                return
+        self._pairing = 0
+        self.get_logger().warning(
+            f"lockstep: no command for reading {number} within {LOCKSTEP_LIMIT:g} s; the last one holds"
+        )
+
+    # What is around
+
+    def _watch_graph(self) -> None:
+        if self._readings is None:
             return
-        self._state = state
-        self._voltage = voltage
-        if abs(voltage) >= self._u_max:
-            self._counts["saturated"] += 1
-        if self._decimation > 0 and self._samples % self._decimation == 0:
-            head = (float(self._samples), command, y, voltage, self._offset)
-            self._state_message.data = [*head, *terms]
-            self._state_publisher.publish(self._state_message)
-        self._offset *= self._fade
-        self._command_offset *= self._fade
+        for topic, name in (("spool_command", "command_publishers"), ("spool_position", "lvdt_publishers")):
+            count = self.count_publishers(topic)
+            self._supervisor.observe(name, f"{count} publishers on {topic}" if count > 1 else "")
+            if name == "command_publishers":
+                if count == 0 and self._commanders > 0 and not self._lockstep:
+                    self._supervisor.command_gone()
+                self._commanders = count
 
     def _check_stability(self) -> None:
         """Warn about unstable gains; after they came into use, since it takes longer than a period."""
         if self._unchecked:
             self._unchecked = False
-            text = stability.warning(self._name, self._law, self._params)
+            text = stability.warning(self._supervisor.name, LAWS[self._supervisor.name], self._params)
             if text:
                 self.get_logger().warning(text)
 
+    # Services
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        self._supervisor.reset()
+        response.success = True
+        response.message = "estimates and filters are at their start"
+        self.get_logger().info(response.message)
+        return response
+
+    def _on_save(self, request: Any, response: Any) -> Any:
+        path = Path(build.word(self._values, "save_file")).expanduser().absolute()
+        try:
+            files.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
+        except OSError as error:
+            response.success = False
+            response.message = f"{path} cannot be written: {error.strerror}"
+            self.get_logger().warning(response.message)
+            return response
+        response.success = True
+        response.message = f"wrote {path}"
+        self.get_logger().info(response.message)
+        return response
+
+    # What is said
+
+    def _announce(self) -> None:
+        """Log a change of mode or reason once, and publish it at once."""
+        supervisor = self._supervisor
+        supervisor.changed = False
+        now = (supervisor.mode, supervisor.reason)
+        if now != self._said:
+            before = self._said[0].name.lower() if self._said else "off"
+            text = f"{before} → {now[0].name.lower()}: {now[1]}"
+            log = self.get_logger()
+            {Mode.OK: log.info, Mode.DEGRADED: log.warning, Mode.SAFE: log.error}[now[0]](text)
+            self._said = now
+        self._publish_diagnostics()
+
     def _diagnose(self) -> None:
         self._check_stability()
-        values: dict[str, Any] = {"controller": self._name, "samples": self._samples, **self._counts}
-        level, text = DiagnosticStatus.OK, "controlling"
-        if self._durations:
-            low, high = np.percentile(self._durations, [50, 99]) * 1e6
-            values |= {"step_us_p50": f"{low:.1f}", "step_us_p99": f"{high:.1f}"}
-        if self._state is not None and "theta" in self._state._fields:
-            values["theta"] = ", ".join(f"{v:.6g}" for v in self._state.theta)
-        if self._samples == 0:
-            level, text = DiagnosticStatus.WARN, "no LVDT reading yet"
-        elif self._unusable > 0:
-            level, text = DiagnosticStatus.ERROR, "LVDT readings are not finite"
-        elif self._command is None:
-            level, text = DiagnosticStatus.WARN, "no command yet"
-        self._diagnostics.publish(diagnostics(self, level, text, values))
+        self._publish_diagnostics()
+
+    def _publish_diagnostics(self) -> None:
+        supervisor = self._supervisor
+        level, text = LEVELS[supervisor.mode], supervisor.reason
+        if not self.working:
+            level, text = DiagnosticStatus.OK, "inactive" if self._readings is not None else "unconfigured"
+        self._diagnostics.publish(diagnostics(self, level, text, self._figures()))
+
+    def _figures(self) -> dict[str, Any]:
+        supervisor = self._supervisor
+        values: dict[str, Any] = {
+            "controller": supervisor.name,
+            "mode": supervisor.mode.name.lower(),
+            "samples": supervisor.samples,
+            **supervisor.counts,
+            "overruns": self._overruns,
+            "voltage_V": f"{supervisor.voltage:.4f}",
+        }
+        if supervisor.samples:
+            values["saturation_share"] = f"{supervisor.counts['saturated'] / supervisor.samples:.4f}"
+        if math.isfinite(self._last_command):
+            values["command_age_s"] = f"{time.monotonic() - self._last_command:.4f}"
+        if len(self._arrivals) > 1:
+            periods = np.diff(self._arrivals)
+            values["period_ms"] = f"{1e3 * np.mean(periods):.4f}"
+            values["jitter_p99_ms"] = f"{1e3 * np.percentile(np.abs(periods - self._period), 99):.4f}"
+            for name, numbers, scale in (
+                ("latency_ms", self._latencies, 1e-6),
+                ("step_ms", self._durations, 1e3),
+            ):
+                p50, p99, most = np.percentile(numbers, [50, 99, 100]) * scale
+                values |= {
+                    f"{name}_p50": f"{p50:.4f}",
+                    f"{name}_p99": f"{p99:.4f}",
+                    f"{name}_max": f"{most:.4f}",
+                }
+        if supervisor.theta is not None:
+            values["theta"] = ", ".join(f"{v:.6g}" for v in supervisor.theta)
+        if supervisor.lyapunov is not None:
+            values["lyapunov"], values["lyapunov_bound"] = (f"{v:.6g}" for v in supervisor.lyapunov)
+        return {**values, **realtime.obtained(), "pid": os.getpid()}
 
 
 def main() -> int:
     """Entry point of `ros2 run valve_control controller`."""
-    return run(Controller)
+    return run(lambda: [Controller()])
 
 
 if __name__ == "__main__":

@@ -1,118 +1,279 @@
-"""Node `valve_simulator`: stands in for amplifier, valve and LVDT."""
+"""Node `valve_simulator`: stands in for amplifier, valve and LVDT, and for their faults."""
 
 import math
 import sys
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.node import Node
+from rclpy.clock import Clock, ClockType
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock as ClockMessage
 from std_msgs.msg import Float64
 
 from valve_control.laws.signals import saturate
-from valve_control.nodes.adapter import (
-    SAMPLES,
-    ParameterSet,
-    PolledSubscription,
-    diagnostics,
-    run,
-)
+from valve_control.nodes import realtime
+from valve_control.nodes.adapter import SAMPLES, ParameterSet, PolledSubscription, diagnostics
+from valve_control.nodes.lifecycle import Managed
+from valve_control.nodes.loop import run
 from valve_control.parameters import build
 from valve_control.parameters.table import VALVE, Values
 from valve_control.plant import valve
 
 POLL = 5e-5  # s between two looks for a late voltage
 STALL = 0.1  # s; a longer pause of the process is skipped, not made good
+KNOCK = 0.01  # s between two looks whether the listeners are there
+RESEND = 1.0  # s; lockstep: a reading without an answer for so long is sent again
+CORRUPT = b""  # a frame that DDS cannot read and drops: its sequence number is missing at the receiver
+BEYOND = 1.5  # times u_max, a reading out of range
+WEAK = 0.2  # of the gain, a weak solenoid
+NEVER = math.inf
 
 
-class ValveSimulator(Node):
+class ValveSimulator(Managed):
     """Reads `valve_voltage`, publishes `spool_position` once per sample period.
 
-    Samples fall on an absolute schedule: a tick that comes late makes good the samples that are due. The
-    voltage of sample k acts from k to k+1. No real valve waits for a process that the operating system
-    has put aside, so that the simulated one holds back sample k+1 for up to `patience`.
+    clock: wall      samples fall on an absolute schedule: a tick that comes late makes good the samples that
+                     are due. The voltage of sample k acts from k to k+1. No real valve waits for a process
+                     that the operating system has put aside, so that the simulated one holds back sample
+                     k+1 for up to `patience`.
+    clock: lockstep  sample k+1 follows as soon as the voltage of sample k is there, and `/clock` goes with
+                     the samples.
     """
 
-    def __init__(self) -> None:
-        super().__init__("valve_simulator")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("valve_simulator", **options)
         self._params: Any = None
         self._state: Any = None
-        self._seed: int | None = None
-        self._period: float | None = None
-        self._timer: Any = None
+        self._period = 0.0
+        self._voltages: PolledSubscription | None = None
+        self._next = NEVER
         self._voltage = 0.0
+        self._heard = False  # whether a voltage has ever come
         self._answered = False
+        self._unanswered = 0  # samples in a row
         self._samples = 0
-        self._counts = dict.fromkeys(("late_voltages", "voltage_refused", "samples_skipped"), 0)
+        self._sent: float | None = None
+        self._fault = ("none", "none")
+        self._fault_left = 0
+        self._second: Any = None
+        self._realtime: realtime.Request | None = None
+        self._counts = dict.fromkeys(
+            ("late_voltages", "voltage_refused", "voltage_timeouts", "samples_skipped", "resent"), 0
+        )
         self._message = Float64()
+        self._clock_message = ClockMessage()
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+        ParameterSet(self, VALVE, self._build, self._apply)
+        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if self._values["autostart"]:
+            self.autostart()
+
+    @staticmethod
+    def _build(values: Values) -> tuple[Any, realtime.Request]:
+        return build.valve_params(values), realtime.request(values)
+
+    def _apply(self, values: Values, built: tuple[Any, realtime.Request]) -> None:
+        former, (self._params, wanted) = self._params, built
+        self._values = values
+        self._patience = build.number(values, "patience")
+        self._timeout = build.number(values, "voltage_timeout")
+        self._listeners = int(build.number(values, "listeners"))
+        self._lockstep = values["clock"] == "lockstep"
+        if self._state is None or former is None:
+            self._rest()
+        elif self._params.lvdt.delay != former.lvdt.delay:
+            history = valve.initial(self._params).history
+            history[:] = self._state.x.x0
+            self._state = self._state._replace(history=history, newest=0)
+        if values["seed"] != self._seed:
+            self._sow()
+        if self._params.period != self._period:
+            self._period = self._params.period
+            self._next = time.monotonic() + self._period
+        fault = (build.word(values, "fault.lvdt"), build.word(values, "fault.valve"))
+        if fault != self._fault:
+            self._fault = fault
+            self._fault_left = int(build.number(values, "fault.samples"))
+            if "second_publisher" in fault and self._second is None:
+                self._second = self.create_publisher(Float64, "spool_position", SAMPLES)
+            elif "second_publisher" not in fault and self._second is not None:
+                self.destroy_publisher(self._second)
+                self._second = None
+        if "weak" in fault:
+            self._params = self._params._replace(gain_scale=WEAK * self._params.gain_scale)
+        if wanted != self._realtime:
+            self._realtime = wanted
+            realtime.obtain(wanted, self.get_logger().warning)
+
+    def _sow(self) -> None:
+        self._seed = int(build.number(self._values, "seed"))
+        self._random = np.random.default_rng(self._seed)
+
+    def _rest(self) -> None:
+        """Spool at rest in the centre, noise from its beginning."""
+        self._sow()
+        self._state = valve.initial(self._params)
+        self._voltage = 0.0
+        self._heard = self._answered = False
+        self._unanswered = self._samples = 0
+        self._sent = None
+
+    # Life
+
+    def open(self) -> None:
+        """Topics."""
         self._voltages = PolledSubscription(self, Float64, "valve_voltage", SAMPLES)
         self._positions = self.create_publisher(Float64, "spool_position", SAMPLES)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
-        self._tuning = ParameterSet(self, VALVE, build.valve_params, self._apply)
-        self.create_timer(1.0, self._diagnose)
+        self._clock_publisher = self.create_publisher(ClockMessage, "/clock", 1) if self._lockstep else None
 
-    def _apply(self, values: Values, params: Any) -> None:
-        former = self._params
-        self._params = params
-        self._patience = build.number(values, "patience")
-        fresh = valve.initial(params)
-        if self._state is None:
-            self._state = fresh
-        elif params.lvdt.delay != former.lvdt.delay:
-            fresh.history[:] = self._state.x.x0
-            self._state = self._state._replace(history=fresh.history, newest=0)
-        seed = int(build.number(values, "seed"))
-        if seed != self._seed:
-            self._seed = seed
-            self._random = np.random.default_rng(seed)
-        if params.period != self._period:
-            self._period = params.period
-            if self._timer is not None:
-                self.destroy_timer(self._timer)
-            self._next = time.monotonic() + params.period
-            self._timer = self.create_timer(params.period, self._tick)
-            self.get_logger().info(f"{values['valve']} valve at {1.0 / params.period:g} Hz")
+    def close(self) -> None:
+        """Topics left."""
+        assert self._voltages is not None
+        self._voltages.destroy()
+        self._voltages = None
+        self.destroy_publisher(self._positions)
+        if self._clock_publisher is not None:
+            self.destroy_publisher(self._clock_publisher)
 
-    def _tick(self) -> None:
-        period = self._params.period
-        behind = time.monotonic() - self._next
+    def begin(self) -> None:
+        """From rest."""
+        assert self._voltages is not None
+        for _ in self._voltages.take():
+            pass
+        if self._lockstep and self._clock_publisher is None:
+            self._clock_publisher = self.create_publisher(ClockMessage, "/clock", 1)
+        self._rest()
+        self._next = time.monotonic() + self._period
+        pace = "in lockstep" if self._lockstep else f"at {1.0 / self._period:g} Hz"
+        self.get_logger().info(f"{self._values['valve']} valve {pace}")
+
+    # Work
+
+    def inputs(self) -> Sequence[PolledSubscription]:
+        """In lockstep the voltage; on the wall clock it is looked at when the next sample is due."""
+        return (self._voltages,) if self.working and self._lockstep and self._voltages is not None else ()
+
+    def due(self) -> float:
+        """When the next sample is due, or in lockstep the next look at a party that is missing."""
+        return self._next if self.working else NEVER
+
+    def work(self) -> bool:
+        """Make the samples that are due."""
+        if not self.working:
+            return False
+        return self._work_in_lockstep() if self._lockstep else self._work_on_the_clock()
+
+    def _work_on_the_clock(self) -> bool:
+        now = time.monotonic()
+        if now < self._next:
+            return False
+        behind = now - self._next
         if behind > STALL:
-            skipped = int(behind / period)
+            skipped = int(behind / self._period)
             self._counts["samples_skipped"] += skipped
-            self._next += skipped * period
+            self._next += skipped * self._period
             self.get_logger().warning(f"stood still for {behind:.3f} s, {skipped} samples skipped")
         while time.monotonic() >= self._next:
-            self._sample()
-            self._next += period
+            if self._samples > 0:
+                self._take_voltage()
+                self._advance()
+            self._send()
+            self._next += self._period
+        return True
 
-    def _sample(self) -> None:
-        if self._samples > 0:
-            self._take_voltage()
-            self._state = valve.step(self._params, self._state, self._voltage)
+    def _work_in_lockstep(self) -> bool:
+        if self._samples == 0:
+            if self._positions.get_subscription_count() < self._listeners:
+                self._next = time.monotonic() + KNOCK
+                return False
+        elif self._poll_voltage() or self._sent is None:
+            self._advance()
+        elif time.monotonic() >= self._next:
+            self._counts["resent"] += 1
+            self.get_logger().warning(
+                f"lockstep: no voltage for sample {self._samples} within {RESEND:g} s; sent again"
+            )
+            assert self._sent is not None
+            self._publish(self._sent)
+            self._next = time.monotonic() + RESEND
+            return True
+        else:
+            return False
+        assert self._clock_publisher is not None
+        nanoseconds = round(self._samples * self._period * 1e9)
+        self._clock_message.clock.sec, self._clock_message.clock.nanosec = divmod(nanoseconds, 10**9)
+        self._clock_publisher.publish(self._clock_message)
+        self._send()
+        self._next = time.monotonic() + (RESEND if self._sent is not None else 0.0)
+        return True
+
+    def _advance(self) -> None:
+        before = self._state
+        self._state = valve.step(self._params, before, self._voltage)
+        if "stuck" in self._fault:
+            self._state = self._state._replace(x=before.x._replace(x1=0.0))
+
+    def _send(self) -> None:
         noise = float(self._random.standard_normal())
-        self._message.data = valve.read(self._params, self._state, noise)
-        self._positions.publish(self._message)
+        reading = valve.read(self._params, self._state, noise)
+        fault = self._fault[0]
+        if fault == "lost":
+            self._positions.publish(CORRUPT)
+            self._sent = None
+        elif fault == "silent":
+            self._sent = None
+        else:
+            if fault == "frozen" and self._sent is not None:
+                reading = self._sent
+            elif fault == "out_of_range":
+                reading = math.copysign(BEYOND * self._params.u_max, reading)
+            elif fault == "not_finite":
+                reading = math.nan
+            elif fault == "jump":
+                reading += build.number(self._values, "fault.jump")
+            self._sent = reading
+            self._publish(reading)
         self._samples += 1
+        if self._fault_left > 0:
+            self._fault_left -= 1
+            if self._fault_left == 0:
+                self.set_parameters([Parameter(f"fault.{part}", value="none") for part in ("lvdt", "valve")])
+
+    def _publish(self, reading: float) -> None:
+        self._message.data = reading
+        self._positions.publish(self._message)
 
     def _take_voltage(self) -> None:
         """Take the voltage of the sample before; wait for it if the controller answered until now."""
         arrived = self._poll_voltage()
-        if not arrived and self._answered:
+        if not arrived and self._answered and self._sent is not None:
             limit = time.monotonic() + self._patience
             while not arrived and time.monotonic() < limit:
                 time.sleep(POLL)
                 arrived = self._poll_voltage()
-        if not arrived:
-            self._counts["late_voltages"] += 1
         self._answered = arrived
+        if arrived:
+            self._unanswered = 0
+            return
+        self._counts["late_voltages"] += 1
+        self._unanswered += 1
+        if self._heard and 0.0 < self._timeout < self._unanswered * self._period:
+            self._heard = False
+            self._voltage = 0.0
+            self._counts["voltage_timeouts"] += 1
+            self.get_logger().error(f"no voltage for {self._timeout:g} s: 0 V, the spring centres the spool")
 
     def _poll_voltage(self) -> bool:
+        assert self._voltages is not None
         arrived = False
         for message, _ in self._voltages.take():
             arrived = True
             if math.isfinite(message.data):
                 self._voltage = saturate(message.data, self._params.u_max)
+                self._heard = True
             else:
                 self._counts["voltage_refused"] += 1
                 self.get_logger().warning(
@@ -124,15 +285,23 @@ class ValveSimulator(Node):
         values = {
             "samples": self._samples,
             **self._counts,
-            "position": f"{self._state.x.x0:.4f}",
-            "voltage": f"{self._voltage:.4f}",
+            "position_V": f"{self._state.x.x0:.4f}",
+            "voltage_V": f"{self._voltage:.4f}",
+            "fault.lvdt": self._fault[0],
+            "fault.valve": self._fault[1],
+            **realtime.obtained(),
         }
-        self._diagnostics.publish(diagnostics(self, DiagnosticStatus.OK, "simulating", values))
+        level, text = DiagnosticStatus.OK, "simulating"
+        if not self.working:
+            text = "inactive" if self._voltages is not None else "unconfigured"
+        elif self._fault != ("none", "none"):
+            level, text = DiagnosticStatus.WARN, "simulating a fault"
+        self._diagnostics.publish(diagnostics(self, level, text, values))
 
 
 def main() -> int:
     """Entry point of `ros2 run valve_control valve_simulator`."""
-    return run(ValveSimulator)
+    return run(lambda: [ValveSimulator()])
 
 
 if __name__ == "__main__":

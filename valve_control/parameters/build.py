@@ -24,6 +24,11 @@ def number(values: Values, name: str) -> float:
 
 def numbers(values: Values, name: str) -> Sequence[float]:
     """A parameter that the table declares a list of doubles."""
+    return [float(entry) for entry in items(values, name)]
+
+
+def items(values: Values, name: str) -> Sequence[float | str]:
+    """A parameter that the table declares a list."""
     value = values[name]
     assert isinstance(value, list)
     return value
@@ -280,5 +285,5 @@ def as_text(value: Value) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
-        return "[" + ", ".join(repr(float(v)) for v in value) + "]"
+        return "[" + ", ".join(str(v) for v in value) + "]"
     return f'"{value}"' if value == "" else str(value)

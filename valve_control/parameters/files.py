@@ -1,5 +1,7 @@
 """Parameters from ROS 2 YAML files and from --set, for the command line."""
 
+import os
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +43,36 @@ def from_yaml(parameter: Parameter, value: Any) -> Value:
     """A value of a YAML file, of the type that ROS would give it. Raises ParameterError."""
     if isinstance(parameter.default, float):
         value = _number(value)
-    elif isinstance(parameter.default, list) and isinstance(value, list):
+    elif parameter.type_name == "list of doubles" and isinstance(value, list):
         value = [_number(v) for v in value]
     return parameter.check(value)
+
+
+def save(path: Path, node: str, values: Values) -> None:
+    """Write ``values`` of ``node`` (its full name) as a ROS 2 parameter file. Raises OSError.
+
+    The file is whole or as it was before.
+    """
+    tree: dict[str, Any] = {}
+    for name, value in values.items():
+        *groups, last = name.split(".")
+        branch = tree
+        for group in groups:
+            branch = branch.setdefault(group, {})
+        branch[last] = value
+    text = yaml.safe_dump({node: {"ros__parameters": tree}}, sort_keys=False, default_flow_style=None)
+    with tempfile.NamedTemporaryFile(
+        "w", dir=path.parent, prefix=f".{path.name}.", delete=False, encoding="utf-8"
+    ) as stream:
+        try:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+            os.chmod(stream.name, 0o644)
+            os.replace(stream.name, path)
+        except OSError:
+            os.unlink(stream.name)
+            raise
 
 
 def load(path: str) -> dict[str, Values]:

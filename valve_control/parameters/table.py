@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-Value = bool | int | float | str | list[float]
+Value = bool | int | float | str | list[float] | list[str]
 Values = dict[str, Value]
 
 
@@ -31,8 +31,14 @@ class Parameter(NamedTuple):
         if isinstance(self.default, bool):
             return "bool"
         if isinstance(self.default, list):
-            return "list of doubles"
+            return f"list of {self._entry[1]}"
         return {int: "integer", float: "double", str: "string"}[type(self.default)]
+
+    @property
+    def _entry(self) -> tuple[type, str]:
+        """Type of an array's entries, and its name."""
+        assert isinstance(self.default, list)
+        return (str, "strings") if isinstance(self.default[0], str) else (float, "doubles")
 
     def check(self, value: object) -> Value:
         """``value`` itself if it can be taken. Raises ParameterError otherwise."""
@@ -46,14 +52,15 @@ class Parameter(NamedTuple):
         if isinstance(self.default, list):
             if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
                 raise ParameterError(self._wrong_type(value))
-            numbers = list(value)
-            if any(type(v) is not float for v in numbers):
-                raise ParameterError(self._wrong_type(numbers))
-            if self.length and len(numbers) != self.length:
-                raise ParameterError(f"{self.name} has {len(numbers)} entries; it must have {self.length}")
-            for i, number in enumerate(numbers):
-                self._check_range(number, f"{self.name}[{i}]")
-            return numbers
+            entries = list(value)
+            if any(type(v) is not self._entry[0] for v in entries):
+                raise ParameterError(self._wrong_type(entries))
+            if self.length and len(entries) != self.length:
+                raise ParameterError(f"{self.name} has {len(entries)} entries; it must have {self.length}")
+            if self._entry[0] is float:
+                for i, number in enumerate(entries):
+                    self._check_range(number, f"{self.name}[{i}]")
+            return entries
         if type(value) is not type(self.default):
             raise ParameterError(self._wrong_type(value))
         assert isinstance(value, (int, float))
@@ -61,7 +68,8 @@ class Parameter(NamedTuple):
         return value
 
     def _wrong_type(self, value: object) -> str:
-        hint = " (write 120.0, not 120)" if isinstance(self.default, (float, list)) else ""
+        doubles = self.type_name.endswith(("double", "doubles"))
+        hint = " (write 120.0, not 120)" if doubles else ""
         return f"{self.name} is {value!r}; it must be a {self.type_name}{hint}"
 
     def _check_range(self, number: float, name: str) -> None:
@@ -374,6 +382,7 @@ VALVE: Table = (
     Parameter("disturbance.offset", 0.0, "V", "constant input disturbance d_n", -10.0, 10.0),
     Parameter("drift.gain", 0.0, "1/s", "relative growth of the gain per second", -0.01, 10.0),
     Parameter("drift.stiffness", 0.0, "V/V/s", "growth of the flow force per second", -10.0, 10.0),
+    Parameter("listeners", 1, "", "lockstep: subscriptions to wait for before the first reading", 1, 100),
     Parameter("lvdt.noise", 0.0, "V", "standard deviation of the reading", 0.0, 10.0),
     Parameter("lvdt.resolution", 0.0, "V", "quantisation step; 0: none", 0.0, 10.0),
     Parameter("lvdt.bias", 0.0, "V", "constant error of the reading", -10.0, 10.0),
@@ -462,10 +471,27 @@ COMMAND: Table = (
     FAULT_SAMPLES,
 )
 
+MANIFOLD: Table = (
+    Parameter(
+        "valves",
+        ["valve_1", "valve_2"],
+        "",
+        "names of the valves; each gets a namespace and a node of its own in this process",
+    ),
+    Parameter(
+        "node",
+        "controller",
+        "",
+        "what is hosted for each valve",
+        choices=("controller", "valve_simulator"),
+    ),
+)
+
 NODES: dict[str, Table] = {
     "controller": CONTROLLER,
     "valve_simulator": VALVE,
     "command_source": COMMAND,
+    "manifold": MANIFOLD,
 }
 
 

@@ -1,0 +1,125 @@
+"""The loop in which nodes run: samples first, everything else in the time between them.
+
+The standard executor looks at every entity of a node, some twenty services and timers, at each wake-up. Here
+a wait set holds only the subscriptions on which a node works; parameters, services, timers and discovery get
+their turn right after a sample, every few milliseconds.
+"""
+
+import gc
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from rclpy._rclpy_pybind11 import WaitSet
+from rclpy.executors import SingleThreadedExecutor, TimeoutException
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from valve_control.nodes.adapter import PolledSubscription
+from valve_control.parameters.table import ParameterError
+
+CHORES = 0.01  # s between two looks at services, parameters and timers; twice that if no sample comes
+
+
+class Worker(Node):
+    """Node with work of its own beside callbacks."""
+
+    def inputs(self) -> Sequence[PolledSubscription]:
+        """Subscriptions whose messages call for ``work``."""
+        return ()
+
+    def due(self) -> float:
+        """Time (`time.monotonic`) at which ``work`` is called though nothing has come."""
+        return float("inf")
+
+    def work(self) -> bool:
+        """Do what is to do now; whether something was done."""
+        return False
+
+    def finish(self) -> None:
+        """Last words before the node is destroyed."""
+
+
+def run(make: Callable[[], Sequence[Any]]) -> int:
+    """Work with the nodes that ``make`` gives until SIGINT or SIGTERM; returns the exit status."""
+    stopped: list[int] = []
+
+    def stop(number: int, frame: Any) -> None:
+        stopped.append(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    try:
+        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rclpy has no public type for bad --ros-args
+        print(f"{sys.argv[0]}: {first_line(error)}", file=sys.stderr)
+        return 2
+    nodes: Sequence[Any] = ()
+    executor = SingleThreadedExecutor()
+    try:
+        nodes = make()
+        for node in nodes:
+            executor.add_node(node)
+        # A collection of everything that the imports brought takes tens of milliseconds, many samples.
+        gc.collect()
+        gc.freeze()
+        _loop(nodes, executor, stopped)
+    except ParameterError as error:
+        print(f"valve_control: {error}", file=sys.stderr)
+        return 2
+    finally:
+        for node in nodes:
+            node.finish()
+        executor.shutdown(timeout_sec=0.0)
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _loop(nodes: Sequence[Any], executor: SingleThreadedExecutor, stopped: list[int]) -> None:
+    context = rclpy.get_default_context()
+    chores = time.monotonic()
+    wait_set: Any = None
+    watched: list[Any] = []
+    while not stopped:
+        inputs = [subscription.handle for node in nodes for subscription in node.inputs()]
+        if wait_set is None or len(inputs) != len(watched):
+            wait_set = WaitSet(len(inputs), 0, 0, 0, 0, 0, context.handle)
+            watched = inputs
+        wake = min(chores + CHORES, *(node.due() for node in nodes))
+        pause = wake - time.monotonic()
+        if pause > 0.0:
+            if inputs:
+                wait_set.clear_entities()
+                for handle in inputs:
+                    wait_set.add_subscription(handle)
+                wait_set.wait(int(pause * 1e9))
+            else:
+                time.sleep(pause)
+        worked = False
+        for node in nodes:
+            worked = node.work() or worked
+        now = time.monotonic()
+        if now >= chores + CHORES or (worked and now >= chores):
+            # After something was done more may wait: look again after the next sample.
+            chores = now if _chore(executor) else time.monotonic() + CHORES
+
+
+def _chore(executor: SingleThreadedExecutor) -> bool:
+    """Run one callback that is ready; whether there was one."""
+    try:
+        handler, _, _ = executor.wait_for_ready_callbacks(0.0)
+    except TimeoutException:
+        return False
+    handler()
+    handler.result()
+    return True
+
+
+def first_line(error: Exception) -> str:
+    """The first line of an error's text."""
+    return (str(error).splitlines() or [type(error).__name__])[0]

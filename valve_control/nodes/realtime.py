@@ -1,0 +1,76 @@
+"""What Linux offers against late samples: memory lock, real-time scheduler, CPU affinity."""
+
+import ctypes
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from valve_control.parameters import build
+from valve_control.parameters.table import ParameterError, Values
+
+MCL_CURRENT, MCL_FUTURE = 1, 2
+POLICIES = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_RR: "SCHED_RR"}
+
+
+class Request(NamedTuple):
+    """What the parameters ask for."""
+
+    lock_memory: bool
+    priority: int  # 0: leave the scheduler
+    cpus: tuple[int, ...]  # empty: leave them
+
+
+def request(values: Values) -> Request:
+    """Request from a node's values. Raises ParameterError."""
+    text = build.word(values, "realtime.cpus").strip()
+    try:
+        cpus = tuple(int(word) for word in text.split(",")) if text else ()
+    except ValueError:
+        raise ParameterError(f"realtime.cpus is '{text}'; it must be CPU numbers such as 2 or 2,3") from None
+    missing = [cpu for cpu in cpus if not 0 <= cpu < (os.cpu_count() or 1)]
+    if missing:
+        raise ParameterError(
+            f"realtime.cpus names CPU {missing[0]}; this machine has 0 to {(os.cpu_count() or 1) - 1}"
+        )
+    return Request(
+        values["realtime.lock_memory"] is True, int(build.number(values, "realtime.priority")), cpus
+    )
+
+
+def obtain(wanted: Request, warn: Callable[[str], None]) -> None:
+    """Ask the kernel for ``wanted``, for all threads of the process; each refusal is one ``warn``."""
+    threads = [int(entry.name) for entry in Path("/proc/self/task").iterdir()]
+    if wanted.lock_memory:
+        libc = ctypes.CDLL(None, use_errno=True)
+        if libc.mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
+            reason = os.strerror(ctypes.get_errno())
+            warn(f"realtime.lock_memory: not locked, {reason}; the limit is 'ulimit -l' (memlock)")
+    if wanted.priority > 0:
+        try:
+            for thread in threads:
+                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(wanted.priority))
+        except OSError as error:
+            warn(
+                f"realtime.priority: {wanted.priority} not obtained, {error.strerror}; "
+                "the limit is 'ulimit -r' (rtprio)"
+            )
+    if wanted.cpus:
+        try:
+            for thread in threads:
+                os.sched_setaffinity(thread, wanted.cpus)
+        except OSError as error:
+            warn(f"realtime.cpus: {wanted.cpus} not obtained, {error.strerror}")
+
+
+def obtained() -> dict[str, str]:
+    """Scheduler, CPUs and locked memory that this process really has."""
+    policy = os.sched_getscheduler(0)
+    priority = os.sched_getparam(0).sched_priority
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    locked = next(line.split()[1] for line in status.splitlines() if line.startswith("VmLck"))
+    return {
+        "scheduler": POLICIES.get(policy, str(policy)) + (f" {priority}" if priority else ""),
+        "cpus": ",".join(map(str, sorted(os.sched_getaffinity(0)))),
+        "locked_memory_kB": locked,
+    }
