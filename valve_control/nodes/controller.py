@@ -264,8 +264,12 @@ class Controller(Managed):
         if now != self._said:
             before = self._said[0].name.lower() if self._said else "off"
             text = f"{before} → {now[0].name.lower()}: {now[1]}"
-            log = self.get_logger()
-            {Mode.OK: log.info, Mode.DEGRADED: log.warning, Mode.SAFE: log.error}[now[0]](text)
+            if now[0] is Mode.SAFE:
+                self.get_logger().error(text)
+            elif now[0] is Mode.DEGRADED:
+                self.get_logger().warning(text)
+            else:
+                self.get_logger().info(text)
             self._said = now
         self._publish_diagnostics()
 

@@ -2,39 +2,35 @@
 
 import argparse
 import json
-import os
-import signal
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import rclpy
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Float64
 from tqdm import tqdm
 
 from valve_control.analysis.figures import Trace, draw_traces
 from valve_control.analysis.indices import PAPER_TABLE_1, Indices, indices
 from valve_control.cli import HEADER, index_row
-from valve_control.nodes.adapter import PolledSubscription
-from valve_control.parameters import files
-from valve_control.parameters.table import NODES, ParameterError, Values, defaults, updated
+from valve_control.nodes.cascade import (
+    TOPICS,
+    Listener,
+    bar,
+    node_arguments,
+    node_values,
+    process,
+    run_tool,
+    wait_until,
+)
+from valve_control.parameters.table import Values
 from valve_control.simulation import offline
 
 Array = npt.NDArray[np.float64]
-EVERYTHING = QoSProfile(depth=50000, reliability=ReliabilityPolicy.RELIABLE)
-START_LIMIT = 30.0  # s
 SHIFT_SAMPLES = 200  # over which readings and voltages are matched
+PARTIES = ("controller", "valve_simulator", "command_source")
 SETTLE = 0.5  # s of the closed loop at rest before the command begins
-TOPICS = ("spool_command", "spool_position", "valve_voltage")
 
 
 class Job(NamedTuple):
@@ -49,7 +45,8 @@ class Job(NamedTuple):
 TABLE_1 = "point to point (Table 1, Fig. 5)"
 SINE = "6 Hz sine, model (3) (Fig. 4)"
 # The controller and the demo itself listen; the upper level runs in step with the LVDT.
-PACE = {"listeners": 2, "trigger": "spool_position"}
+# A desktop may put a process aside for tens of milliseconds, which is not what the demo is about.
+PACE = {"listeners": 2, "trigger": "spool_position", "lvdt.hold_samples": 100}
 SINE_SETTINGS = {"scenario": "sine", "amplitude": 1.0, "frequency": 6.0, "duration": 6.0}
 JOBS = (
     Job("arc", TABLE_1, ("arc.yaml", "d3fxe.yaml", "command_source.yaml"), PACE),
@@ -78,96 +75,9 @@ class Measured(NamedTuple):
     joined: int  # readings that the simulator had published before the controller's first voltage
 
 
-def config_folder() -> Path:
-    """Folder of the YAML files: of the installed package, or of the source tree."""
-    source = Path(__file__).resolve().parents[2] / "config"
-    if source.is_dir():
-        return source
-    try:
-        return Path(get_package_share_directory("valve_control")) / "config"
-    except PackageNotFoundError:
-        return Path(sys.prefix) / "share" / "valve_control" / "config"
-
-
-@contextmanager
-def process(node: str, arguments: list[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A node of this package as a process; it has ended, whatever happens, when the block ends."""
-    with log.open("wb") as output:
-        child = subprocess.Popen(
-            [sys.executable, "-m", f"valve_control.nodes.{node}", "--ros-args", *arguments],
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            stdin=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        try:
-            yield child
-        finally:
-            child.send_signal(signal.SIGTERM)
-            try:
-                child.wait(5.0)
-            except subprocess.TimeoutExpired:
-                child.kill()
-                child.wait()
-
-
 def values_of(job: Job) -> dict[str, Values]:
     """All parameters of the three nodes in ``job``. Raises ParameterError."""
-    changes: dict[str, dict[str, Any]] = {node: {} for node in NODES}
-    for name in job.files:
-        for node, values in files.load(str(config_folder() / name)).items():
-            changes[node].update(values)
-    for name, value in job.settings.items():
-        for node, table in NODES.items():
-            if any(parameter.name == name for parameter in table):
-                changes[node][name] = value
-    return {node: updated(table, defaults(table), changes[node]) for node, table in NODES.items()}
-
-
-def node_arguments(job: Job, node: str) -> list[str]:
-    """``--params-file`` and ``-p`` arguments of one node."""
-    arguments = []
-    for name in job.files:
-        arguments += ["--params-file", str(config_folder() / name)]
-    names = {parameter.name for parameter in NODES[node]}
-    for name, value in job.settings.items():
-        if name in names:
-            arguments += ["-p", f"{name}:={value}"]
-    return arguments
-
-
-class Listener(Node):
-    """Keeps every message of the three topics, fetched now and then instead of one by one."""
-
-    def __init__(self) -> None:
-        super().__init__("demo")
-        self._topics = {topic: PolledSubscription(self, Float64, topic, EVERYTHING) for topic in TOPICS}
-        self.values: dict[str, list[float]] = {topic: [] for topic in TOPICS}
-        self.stamps: dict[str, list[int]] = {topic: [] for topic in TOPICS}
-        self.sequence: dict[str, list[int]] = {topic: [] for topic in TOPICS}
-
-    def fetch(self) -> None:
-        """Take what has arrived since the last call."""
-        for topic, subscription in self._topics.items():
-            for message, info in subscription.take():
-                self.values[topic].append(message.data)
-                self.stamps[topic].append(info["source_timestamp"])
-                self.sequence[topic].append(info["publication_sequence_number"])
-
-    def arrays(self, topic: str) -> tuple[Array, Array]:
-        """Values [V] and source times [s] of ``topic``."""
-        return np.array(self.values[topic]), np.array(self.stamps[topic]) * 1e-9
-
-
-def wait_until(condition: Callable[[], bool], what: str, children: list[Any]) -> None:
-    """Poll ``condition``. Raises RuntimeError after START_LIMIT or when a child has ended."""
-    limit = time.monotonic() + START_LIMIT
-    while not condition():
-        if any(child.poll() is not None for child in children):
-            raise RuntimeError(f"a node ended while the demo waited for {what}")
-        if time.monotonic() > limit:
-            raise RuntimeError(f"{what} did not appear within {START_LIMIT:g} s")
-        time.sleep(0.02)
+    return {node: node_values(node, job.files, job.settings) for node in PARTIES}
 
 
 def answer_shift(reading_times: Array, voltage_times: Array) -> int:
@@ -220,12 +130,16 @@ def run_cascade(job: Job, folder: Path, progress: tqdm) -> Measured:
     values = values_of(job)
     duration = float(str(values["command_source"]["duration"]))
     period = float(str(values["controller"]["sample_period"]))
-    log = {node: folder / f"{job.name}_{node}.log" for node in NODES}
-    listener = Listener()
+    log = {node: folder / f"{job.name}_{node}.log" for node in PARTIES}
+    listener = Listener("demo")
     try:
-        with process("controller", node_arguments(job, "controller"), log["controller"]) as controller:
+        with process(
+            "controller", node_arguments("controller", job.files, job.settings), log["controller"]
+        ) as controller:
             with process(
-                "valve_simulator", node_arguments(job, "valve_simulator"), log["valve_simulator"]
+                "valve_simulator",
+                node_arguments("valve_simulator", job.files, job.settings),
+                log["valve_simulator"],
             ) as simulator:
                 children = [controller, simulator]
                 need = round(SETTLE / period)
@@ -237,7 +151,7 @@ def run_cascade(job: Job, folder: Path, progress: tqdm) -> Measured:
                 wait_until(closed, "the closed loop", children)
                 with process(
                     "command_source",
-                    node_arguments(job, "command_source"),
+                    node_arguments("command_source", job.files, job.settings),
                     log["command_source"],
                 ) as source:
                     children.append(source)
@@ -349,42 +263,19 @@ def main() -> int:
         "--only", choices=[job.name for job in JOBS], action="append", help="one controller; again for more"
     )
     arguments, _ = options.parse_known_args()
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    # A domain of its own: no running system is disturbed, none disturbs the demo.
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     folder = Path(arguments.out)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        print(f"demo: output folder {folder} cannot be made: {error.strerror}", file=sys.stderr)
-        return 1
     jobs = [job for job in JOBS if arguments.only is None or job.name in arguments.only]
-    # SIGTERM unwinds like Ctrl-C, so that the children are stopped.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-    done = []
-    try:
+
+    def work() -> int:
+        done = []
         for job in jobs:
             duration = float(str(values_of(job)["command_source"]["duration"]))
-            with tqdm(
-                total=duration,
-                desc=f"{job.name:12}",
-                unit="s",
-                bar_format="{desc} {bar} {n:.1f}/{total:.1f} s",
-                ascii=not sys.stderr.isatty(),
-                mininterval=0.1 if sys.stderr.isatty() else 2.0,
-            ) as progress:
+            with bar(job.name, duration) as progress:
                 done.append((job, run_cascade(job, folder, progress)))
         report(done, folder)
-    except KeyboardInterrupt:
-        print("\nstopped; no node is left running", file=sys.stderr)
-        return 130
-    except (RuntimeError, ParameterError, OSError) as error:
-        print(f"demo: {error}; the nodes' logs are in {folder}", file=sys.stderr)
-        return 1
-    finally:
-        rclpy.try_shutdown()
-    return 0
+        return 0
+
+    return run_tool("demo", folder, work)
 
 
 if __name__ == "__main__":

@@ -36,11 +36,14 @@ class Manifold(Worker):
     def __init__(self) -> None:
         super().__init__("manifold")
         self._values: Values = {}
-        ParameterSet(self, MANIFOLD, names, self._apply)
+        ParameterSet(self, MANIFOLD, self._fixed, self._apply)
+
+    def _fixed(self, values: Values) -> list[str]:
+        if self._values and values != self._values:
+            raise ParameterError("the valves of a running manifold do not change; start it again")
+        return names(values)
 
     def _apply(self, values: Values, valves: list[str]) -> None:
-        if self._values:
-            self.get_logger().warning("the valves of a running manifold do not change; start it again")
         self._values = values
 
     def host(self) -> list[Any]:

@@ -146,7 +146,7 @@ class ValveSimulator(Managed):
         if self._lockstep and self._clock_publisher is None:
             self._clock_publisher = self.create_publisher(ClockMessage, "/clock", 1)
         self._rest()
-        self._next = time.monotonic() + self._period
+        self._next = 0.0
         pace = "in lockstep" if self._lockstep else f"at {1.0 / self._period:g} Hz"
         self.get_logger().info(f"{self._values['valve']} valve {pace}")
 
@@ -170,6 +170,8 @@ class ValveSimulator(Managed):
         now = time.monotonic()
         if now < self._next:
             return False
+        if self._samples == 0:
+            self._next = now
         behind = now - self._next
         if behind > STALL:
             skipped = int(behind / self._period)

@@ -1,0 +1,175 @@
+"""Nodes of this package as processes, and an ear for what they say; for demo, faults and lockstep."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from array import array
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rclpy
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64
+from tqdm import tqdm
+
+from valve_control.nodes.adapter import PolledSubscription
+from valve_control.parameters import build, files
+from valve_control.parameters.table import NODES, ParameterError, Values, defaults, updated
+
+Array = npt.NDArray[np.float64]
+EVERYTHING = QoSProfile(depth=50000, reliability=ReliabilityPolicy.RELIABLE)
+TOPICS = ("spool_command", "spool_position", "valve_voltage")
+
+
+def config_folder() -> Path:
+    """Folder of the YAML files: of the installed package, or of the source tree."""
+    source = Path(__file__).resolve().parents[2] / "config"
+    if source.is_dir():
+        return source
+    try:
+        return Path(get_package_share_directory("valve_control")) / "config"
+    except PackageNotFoundError:
+        return Path(sys.prefix) / "share" / "valve_control" / "config"
+
+
+@contextmanager
+def process(node: str, arguments: list[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A node of this package as a process; it has ended, whatever happens, when the block ends."""
+    with log.open("wb") as output:
+        child = subprocess.Popen(
+            [sys.executable, "-m", f"valve_control.nodes.{node}", "--ros-args", *arguments],
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        try:
+            yield child
+        finally:
+            child.send_signal(signal.SIGTERM)
+            try:
+                child.wait(5.0)
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.wait()
+
+
+def node_arguments(node: str, config: Sequence[str], settings: Mapping[str, Any]) -> list[str]:
+    """``--params-file`` and ``-p`` arguments: files of config/ by name, what ``node`` has of ``settings``."""
+    arguments = []
+    for name in config:
+        arguments += ["--params-file", str(config_folder() / name)]
+    table = {parameter.name: parameter for parameter in NODES[node]}
+    for name, value in settings.items():
+        if name in table:
+            arguments += ["-p", f"{name}:={build.as_text(table[name].check(value))}"]
+    return arguments
+
+
+def node_values(node: str, config: Sequence[str], settings: Mapping[str, Any]) -> Values:
+    """All parameters of ``node`` under the same files and settings. Raises ParameterError."""
+    table = NODES[node]
+    changes: dict[str, Any] = {}
+    for name in config:
+        changes.update(files.load(str(config_folder() / name))[node])
+    names = {parameter.name for parameter in table}
+    changes.update({name: value for name, value in settings.items() if name in names})
+    return updated(table, defaults(table), changes)
+
+
+class Listener(Node):
+    """Keeps every message of some topics, fetched now and then instead of one by one."""
+
+    def __init__(self, name: str, topics: Sequence[str] = TOPICS) -> None:
+        super().__init__(name)
+        self._topics: dict[str, PolledSubscription] = {}
+        self.values: dict[str, array[float]] = {}
+        self.stamps: dict[str, array[int]] = {}
+        self.sequence: dict[str, array[int]] = {}
+        for topic in topics:
+            self.listen(topic)
+
+    def listen(self, topic: str) -> None:
+        """Keep the messages of ``topic`` from now on."""
+        self.values[topic] = array("d")
+        self.stamps[topic] = array("q")
+        self.sequence[topic] = array("q")
+        self._topics[topic] = PolledSubscription(self, Float64, topic, EVERYTHING)
+
+    def fetch(self) -> None:
+        """Take what has arrived since the last call."""
+        for topic, subscription in self._topics.items():
+            for message, info in subscription.take():
+                self.values[topic].append(message.data)
+                self.stamps[topic].append(info["source_timestamp"])
+                self.sequence[topic].append(info["publication_sequence_number"])
+
+    def check_complete(self) -> None:
+        """Raise RuntimeError unless every topic was heard from its first message to its newest."""
+        for topic, numbers in self.sequence.items():
+            if numbers and (numbers[0] != 1 or numbers[-1] != len(numbers)):
+                raise RuntimeError(f"messages of {topic} were lost to the ear of this tool")
+
+    def arrays(self, topic: str) -> tuple[Array, Array]:
+        """Values [V] and source times [s] of ``topic``."""
+        return np.array(self.values[topic]), np.array(self.stamps[topic]) * 1e-9
+
+
+def wait_until(
+    condition: Callable[[], bool], what: str, children: Sequence[Any], limit: float = 30.0
+) -> None:
+    """Poll ``condition``. Raises RuntimeError after ``limit`` [s] or when a child has ended."""
+    end = time.monotonic() + limit
+    while not condition():
+        if any(child.poll() is not None for child in children):
+            raise RuntimeError(f"a node ended during the wait for {what}")
+        if time.monotonic() > end:
+            raise RuntimeError(f"{what} did not appear within {limit:g} s")
+        time.sleep(0.02)
+
+
+def bar(what: str, total: float, unit: str = "s") -> Any:
+    """Progress bar that also suits a log file."""
+    terminal = sys.stderr.isatty()
+    return tqdm(
+        total=total,
+        desc=f"{what:12}",
+        unit=unit,
+        bar_format=f"{{desc}} {{bar}} {{n:.1f}}/{{total:.1f}} {unit}",
+        ascii=not terminal,
+        mininterval=0.1 if terminal else 2.0,
+    )
+
+
+def run_tool(name: str, folder: Path, work: Callable[[], int]) -> int:
+    """Run ``work`` in a ROS context and a domain of its own, on this host; returns the exit status."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    # A domain of its own: no running system is disturbed, none disturbs the tool.
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        print(f"{name}: output folder {folder} cannot be made: {error.strerror}", file=sys.stderr)
+        return 1
+    # SIGTERM unwinds like Ctrl-C, so that the children are stopped.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        return work()
+    except KeyboardInterrupt:
+        print("\nstopped; no node is left running", file=sys.stderr)
+        return 130
+    except (RuntimeError, ParameterError, OSError) as error:
+        print(f"{name}: {error}; the nodes' logs are in {folder}", file=sys.stderr)
+        return 1
+    finally:
+        rclpy.try_shutdown()

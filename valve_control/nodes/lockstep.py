@@ -1,0 +1,173 @@
+"""Three processes in lockstep over DDS, compared bit for bit with the same run offline."""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from valve_control.nodes.cascade import (
+    Listener,
+    bar,
+    node_arguments,
+    node_values,
+    process,
+    run_tool,
+    wait_until,
+)
+from valve_control.parameters.table import CONTROLLER, lookup
+from valve_control.simulation import offline
+
+CONTROLLERS = lookup(CONTROLLER, "controller").choices
+CONFIG = ("d3fxe.yaml", "command_source.yaml")
+# Controller, source and this tool listen to the reading; the source waits for the controller alone.
+SIMULATOR = {"clock": "lockstep", "listeners": 3}
+SOURCE = {"trigger": "lockstep", "listeners": 1}
+LAW = {"lockstep": True, "lvdt.frozen_samples": 0, "state_decimation": 0}
+MEET = 1.0  # s in which everyone discovers everyone
+STALL = 20.0  # s without a sample after which the run is given up
+MEMORY_EVERY = 10.0  # s
+
+
+def memory(pid: int) -> int:
+    """Resident memory of a process [kB]."""
+    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    return int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmRSS")))
+
+
+def run_lockstep(controller: str, duration: float, folder: Path) -> dict[str, Any]:
+    """One run of ``duration`` [s] of valve time; what was measured. Raises RuntimeError if it stalls."""
+    settings = {"controller": controller, "duration": duration}
+    values = {
+        "controller": node_values("controller", CONFIG, {**settings, **LAW}),
+        "valve_simulator": node_values("valve_simulator", CONFIG, SIMULATOR),
+        "command_source": node_values("command_source", CONFIG, {**settings, **SOURCE}),
+    }
+    period = float(str(values["controller"]["sample_period"]))
+    wanted = round(duration / period)
+    twin = offline.simulate(
+        values["controller"], values["valve_simulator"], offline.commands(values["command_source"])
+    )
+    listener = Listener("lockstep", ("valve_voltage",))
+    log = {node: folder / f"lockstep_{controller}_{node}.log" for node in values}
+    resident: list[list[int]] = []
+    try:
+        with (
+            process(
+                "controller", node_arguments("controller", CONFIG, {**settings, **LAW}), log["controller"]
+            ) as c,
+            process(
+                "command_source",
+                node_arguments("command_source", CONFIG, {**settings, **SOURCE}),
+                log["command_source"],
+            ) as s,
+            process(
+                "valve_simulator",
+                node_arguments("valve_simulator", CONFIG, SIMULATOR),
+                log["valve_simulator"],
+            ) as v,
+            bar(controller, duration) as progress,
+        ):
+            children = [c, s, v]
+            wait_until(lambda: listener.count_publishers("valve_voltage") == 1, "the controller", children)
+            wait_until(lambda: listener.count_publishers("spool_position") == 1, "the simulator", children)
+            time.sleep(MEET)
+            # The simulator begins when the last of its listeners is there, which is this one.
+            listener.listen("spool_position")
+            voltages = listener.values["valve_voltage"]
+            moved = time.monotonic()
+            look = moved + MEMORY_EVERY / 2.0
+            while len(voltages) < wanted:
+                before = len(voltages)
+                listener.fetch()
+                listener.check_complete()
+                now = time.monotonic()
+                if len(voltages) > before:
+                    moved = now
+                    progress.update((min(len(voltages), wanted) - before) * period)
+                elif now - moved > STALL:
+                    raise RuntimeError(f"{controller}: lockstep stands still at sample {len(voltages)}")
+                if any(child.poll() is not None for child in children):
+                    raise RuntimeError(f"{controller}: a node ended at sample {len(voltages)}")
+                if now >= look:
+                    look = now + MEMORY_EVERY
+                    resident.append([memory(child.pid) for child in children])
+                time.sleep(0.05)
+    finally:
+        listener.destroy_node()
+    readings, stamps = listener.arrays("spool_position")
+    answers, _ = listener.arrays("valve_voltage")
+    took = stamps[wanted - 1] - stamps[0]
+    np.savez(
+        "/tmp/s/dbg.npz",
+        sr=listener.sequence["spool_position"],
+        su=listener.sequence["valve_voltage"],
+        r=readings[:wanted],
+        u=answers[:wanted],
+        ro=twin.measurement,
+        uo=twin.voltage,
+        c=twin.command,
+    )
+    differing = np.flatnonzero((readings[:wanted] != twin.measurement) | (answers[:wanted] != twin.voltage))
+    return {
+        "controller": controller,
+        "samples": wanted,
+        "equal": len(differing) == 0,
+        "first_difference": int(differing[0]) if len(differing) else None,
+        "voltage_at_end_V": float(answers[wanted - 1]),
+        "offline_voltage_at_end_V": float(twin.voltage[-1]),
+        "wall_s": float(took),
+        "samples_per_s": float((wanted - 1) / took),
+        "times_real_time": float((wanted - 1) * period / took),
+        "resident_kB": {
+            node: [row[i] for row in resident] for i, node in enumerate(("controller", "source", "simulator"))
+        },
+    }
+
+
+def main() -> int:
+    """Entry point of `make lockstep` and of `ros2 run valve_control lockstep`."""
+    options = argparse.ArgumentParser(prog="lockstep", description=__doc__)
+    options.add_argument("--out", default="out", metavar="FOLDER", help="output folder (out)")
+    options.add_argument("--duration", type=float, default=60.0, metavar="S", help="valve time [s] (60)")
+    options.add_argument(
+        "--only", choices=CONTROLLERS, action="append", help="one controller; again for more"
+    )
+    arguments, _ = options.parse_known_args()
+    if not 0.01 <= arguments.duration <= 1e5:
+        options.error(f"--duration is {arguments.duration:g} s; it must lie between 0.01 and 100000 s")
+    folder = Path(arguments.out)
+
+    def work() -> int:
+        results = []
+        for controller in arguments.only or CONTROLLERS:
+            results.append(run_lockstep(controller, arguments.duration, folder))
+        print(f"\n{'controller':14}{'samples':>10}{'equal':>7}{'samples/s':>11}{'x real time':>13}", end="")
+        print(f"{'memory [MB]':>16}")
+        for result in results:
+            rows = result["resident_kB"]["controller"]
+            grown = f"{rows[0] / 1e3:.1f} → {rows[-1] / 1e3:.1f}" if rows else "-"
+            print(
+                f"{result['controller']:14}{result['samples']:10d}{'yes' if result['equal'] else 'NO':>7}"
+                f"{result['samples_per_s']:11.0f}{result['times_real_time']:13.2f}{grown:>16}"
+            )
+        path = folder / "lockstep.json"
+        path.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+        print(f"\nwrote {path} and the nodes' logs")
+        for result in results:
+            if not result["equal"]:
+                print(
+                    f"{result['controller']}: differs from the offline run from sample "
+                    f"{result['first_difference']} on",
+                    file=sys.stderr,
+                )
+        return 0 if all(result["equal"] for result in results) else 1
+
+    return run_tool("lockstep", folder, work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
