@@ -113,12 +113,6 @@ class Listener(Node):
                 self.stamps[topic].append(info["source_timestamp"])
                 self.sequence[topic].append(info["publication_sequence_number"])
 
-    def check_complete(self) -> None:
-        """Raise RuntimeError unless every topic was heard from its first message to its newest."""
-        for topic, numbers in self.sequence.items():
-            if numbers and (numbers[0] != 1 or numbers[-1] != len(numbers)):
-                raise RuntimeError(f"messages of {topic} were lost to the ear of this tool")
-
     def arrays(self, topic: str) -> tuple[Array, Array]:
         """Values [V] and source times [s] of ``topic``."""
         return np.array(self.values[topic]), np.array(self.stamps[topic]) * 1e-9
