@@ -16,7 +16,7 @@ ifndef ROS_DISTRO
 export AMENT_PREFIX_PATH := $(abspath $(VENV))
 endif
 
-.PHONY: help setup demo test lint clean
+.PHONY: help setup demo faults lockstep test lint clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
@@ -32,7 +32,13 @@ $(STAMP): requirements.txt requirements-ros.txt setup.py
 	touch $@
 
 demo: $(STAMP)  ## the cascade over DDS: ARC, OARC, PID and the compensator; figure in out/
-	@$(PYTHON) -m valve_control.nodes.demo
+	@$(PYTHON) -m valve_control.nodes.demo $(ARGS)
+
+faults: $(STAMP)  ## fault campaign over DDS: reaction times, out/faults.json (about 4 min)
+	@$(PYTHON) -m valve_control.nodes.faults $(ARGS)
+
+lockstep: $(STAMP)  ## three processes in lockstep, compared bit for bit with offline (ARGS="--duration 60")
+	@$(PYTHON) -m valve_control.nodes.lockstep $(ARGS)
 
 test: $(STAMP)  ## all tests
 	@$(PYTHON) -m pytest $(PYTEST_ARGS)

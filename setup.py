@@ -3,7 +3,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "valve_control"
-NODES = ["controller", "valve_simulator", "command_source", "demo"]
+NODES = ["controller", "valve_simulator", "command_source", "manifold", "demo", "faults", "lockstep"]
 
 setup(
     name=NAME,
@@ -13,6 +13,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", glob("config/*.yaml")),
+        (f"share/{NAME}/launch", glob("launch/*.launch.xml")),
     ],
     package_data={NAME: ["py.typed"]},
     install_requires=[

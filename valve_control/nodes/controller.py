@@ -264,12 +264,12 @@ class Controller(Managed):
         if now != self._said:
             before = self._said[0].name.lower() if self._said else "off"
             text = f"{before} → {now[0].name.lower()}: {now[1]}"
-            if now[0] is Mode.SAFE:
-                self.get_logger().error(text)
-            elif now[0] is Mode.DEGRADED:
-                self.get_logger().warning(text)
-            else:
+            if self._said is None or now[0] is Mode.OK:
                 self.get_logger().info(text)
+            elif now[0] is Mode.SAFE:
+                self.get_logger().error(text)
+            else:
+                self.get_logger().warning(text)
             self._said = now
         self._publish_diagnostics()
 

@@ -190,7 +190,8 @@ CONTROLLER: Table = (
         0.0,
         1e6,
     ),
-    Parameter("neutral_rate", 20.0, "V/s", "largest reference rate on the return to neutral", 0.01, 1e5),
+    Parameter("neutral_rate", 20.0, "V/s", "largest rate on the return to neutral", 0.01, 1e5),
+    Parameter("neutral_accel", 400.0, "V/s²", "largest acceleration on the return to neutral", 0.1, 1e7),
     Parameter("saturation_limit", 1.0, "s", "saturation that lasts longer is reported", 0.001, 1e6),
     Parameter(
         "lvdt.hold_samples",

@@ -13,7 +13,7 @@ comes, has to be told from outside (``silence``).
 
 import math
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 from valve_control.laws import reshaping, velocity
 from valve_control.laws.projection import Theta, clip
@@ -21,11 +21,11 @@ from valve_control.laws.signals import Start, saturate
 from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, Values
 from valve_control.simulation.closed_loop import LAWS
-from valve_control.supervision import lvdt
+from valve_control.simulation.scenarios import stroke
+from valve_control.supervision import fade, lvdt
 
 TACHOMETER_CUTOFF = 50.0  # Hz, of the velocity with which a law takes over
 LATCH = 1.0  # s for which a passing event stays reported
-NEGLIGIBLE = 1e-9  # V; a fading offset ends here
 HEAD = ("sample", "mode", "command", "measurement", "voltage", "offset")
 # Parameters after whose change a law's state means something else, so that it takes over from itself.
 FORMS = {
@@ -45,6 +45,13 @@ class Mode(IntEnum):
 def reshapes(params: Any) -> bool:
     """Whether the law of ``params`` follows a reshaped reference; the plain PID only carries the command."""
     return "reshaping" in params._fields and getattr(params, "plain", 0.0) == 0.0
+
+
+class Homing(NamedTuple):
+    """The way back to neutral."""
+
+    origin: float  # V  where it began
+    time: float  # s  since then
 
 
 class Supervisor:
@@ -96,10 +103,11 @@ class Supervisor:
         self._command: float | None = None
         self._command_time = 0.0
         self._command_gone = False
-        self._neutral: reshaping.State | None = None
+        self._used: float | None = None  # V, the command at the sample before
+        self._homing: Homing | None = None
         self._effective = math.nan
-        self._offset = 0.0  # V, on the voltage; both fade after a takeover
-        self._command_offset = 0.0  # V, on the command
+        self._offset = fade.NOTHING  # on the voltage; both fade after a takeover
+        self._command_offset = fade.NOTHING  # on the command
         self._taking_over = False
         self._velocity = velocity.State(0.0, 0.0)
         self._blocked = ""
@@ -123,9 +131,9 @@ class Supervisor:
         self._hold_samples = int(build.number(values, "lvdt.hold_samples"))
         self._recovery_samples = int(build.number(values, "lvdt.recovery_samples"))
         self._tachometer = velocity.design(TACHOMETER_CUTOFF, self._period)
-        self._fade = math.exp(-self._period / build.number(values, "transfer_time"))
-        shaping = build.reshaping_params(values)
-        self._homing = shaping._replace(max_rate=min(shaping.max_rate, build.number(values, "neutral_rate")))
+        self._fade = fade.design(build.number(values, "transfer_time"), self._period)
+        self._neutral_rate = build.number(values, "neutral_rate")
+        self._neutral_accel = build.number(values, "neutral_accel")
         watched = lvdt.Params(
             build.number(values, "lvdt.limit"),
             build.number(values, "lvdt.max_rate"),
@@ -169,7 +177,7 @@ class Supervisor:
             self.counts["command_refused"] += 1
             self._latch("command_refused", f"command {value} refused, the last one holds")
             return
-        self._command_time = self._now
+        self._command_time = self._now + self._period  # it acts at the next sample
         self._command = saturate(value, self._command_limit)
         self._clear("command_missing")
         if self._command != value:
@@ -255,7 +263,7 @@ class Supervisor:
     @property
     def command_age(self) -> float:
         """Seconds of sample time since the last command that was taken; inf before the first."""
-        return math.inf if self._command is None else self._now - self._command_time
+        return math.inf if self._command is None else max(0.0, self._now - self._command_time)
 
     @property
     def lyapunov(self) -> tuple[float, float] | None:
@@ -279,7 +287,7 @@ class Supervisor:
             self._effective,
             self._measurement,
             self.voltage,
-            self._offset,
+            self._offset.value,
             *terms,
         ]
 
@@ -315,27 +323,32 @@ class Supervisor:
     def _step_over(self, gap: int, reading: float) -> None:
         """Bring the law over ``gap`` samples without a reading, on a straight line to the next one."""
         slope = (reading - self._measurement) / (gap + 1)
+        newest = self._command
         for i in range(1, gap + 1):
             between = self._measurement + i * slope
+            if newest is not None and self._used is not None:
+                self._command = self._used + i * (newest - self._used) / (gap + 1)
             self._velocity = velocity.step(self._tachometer, self._velocity, between)
             try:
                 self._state = self._law.hold(self._params, self._state, self._target(), between, self.voltage)
             except (ArithmeticError, ValueError):
                 self._leave_the_finite()
-                return
+                break
             self._let_fade()
+        self._command = newest
 
     def _control(self, reading: float) -> float:
         law, params = self._law, self._params
         command = self._target()
         self._effective = command
+        self._used = self._command
         self._velocity = velocity.step(self._tachometer, self._velocity, reading)
         try:
             if self._taking_over:
                 _, _, terms = law.step(params, self._state, command, reading, 0.0)
-                self._offset = self.voltage - terms.unsaturated_voltage
+                self._offset = fade.State(self.voltage - terms.unsaturated_voltage, 0.0)
                 self._taking_over = False
-            voltage, state, terms = law.step(params, self._state, command, reading, self._offset)
+            voltage, state, terms = law.step(params, self._state, command, reading, self._offset.value)
             finite = all(map(math.isfinite, (voltage, *terms)))
         except (ArithmeticError, ValueError):
             finite = False
@@ -355,11 +368,8 @@ class Supervisor:
         self._former = None
 
     def _let_fade(self) -> None:
-        if self._offset != 0.0:
-            self._offset = self._offset * self._fade if abs(self._offset) > NEGLIGIBLE else 0.0
-        if self._command_offset != 0.0:
-            large = abs(self._command_offset) > NEGLIGIBLE
-            self._command_offset = self._command_offset * self._fade if large else 0.0
+        self._offset = fade.step(self._fade, self._offset)
+        self._command_offset = fade.step(self._fade, self._command_offset)
 
     def _watch(self, terms: Any, voltage: float) -> None:
         if abs(voltage) >= self._u_max:
@@ -380,25 +390,33 @@ class Supervisor:
 
     def _target(self) -> float:
         """Command [V] of this sample: the upper level's, the way back to neutral, or where we started."""
+        offset = self._command_offset.value
         if self._command is None:
-            return self._start_position + self._command_offset
+            return self._start_position + offset
         silent = self._command_timeout > 0.0 and (
             self._command_gone or self._now - self._command_time > self._command_timeout
         )
         if silent:
-            if self._neutral is None:
-                self._neutral = reshaping.State(self._command + self._command_offset, 0.0)
-                self._command_offset = 0.0
+            if self._homing is None:
+                self._homing = Homing(self._command, 0.0)
                 self._report("command_silent", "command is silent, the spool returns to neutral")
-            accel = reshaping.acceleration(self._homing, self._neutral, 0.0)
-            target = self._neutral.reference
-            self._neutral = reshaping.advance(self._homing, self._neutral, accel)
-            return target + self._command_offset
-        if self._neutral is not None:
-            self._command_offset += self._neutral.reference - self._command
-            self._neutral = None
+            target = self._home(self._homing)
+            self._homing = self._homing._replace(time=self._homing.time + self._period)
+            return target + offset
+        if self._homing is not None:
+            here, before = self._home(self._homing), self._home(self._homing, self._period)
+            self._command_offset = fade.State(
+                offset + here - self._command, self._command_offset.rate + (here - before) / self._period
+            )
+            offset = self._command_offset.value
+            self._homing = None
             self._clear("command_silent")
-        return self._command + self._command_offset
+        return self._command + offset
+
+    def _home(self, homing: Homing, ago: float = 0.0) -> float:
+        """Command [V] on the way to neutral, ``ago`` [s] before now."""
+        way = stroke(homing.time - ago, -homing.origin, self._neutral_rate, self._neutral_accel)
+        return homing.origin + way
 
     # Off and on again
 
@@ -409,7 +427,7 @@ class Supervisor:
         self.voltage = 0.0
         self._former, self._state = self._state, None
         self._terms = ()
-        self._offset = self._command_offset = 0.0
+        self._offset = self._command_offset = fade.NOTHING
         self._taking_over = False
         self._saturated_for = 0.0
         self._clear("saturation")
@@ -433,14 +451,14 @@ class Supervisor:
         y, v = self._measurement, self._velocity.velocity
         start = Start(y, self.voltage, y, v, v)
         base = self._command if self._command is not None else self._start_position
-        if self._neutral is not None:
-            base = self._neutral.reference
-        self._command_offset = 0.0
+        if self._homing is not None:
+            base = self._home(self._homing)
+        self._command_offset = fade.NOTHING
         if same_reference:
             reference, rate = former.reference
             start = start._replace(reference=reference, reference_rate=rate)
         else:
-            self._command_offset = self._steady_command(start) - base
+            self._command_offset = fade.State(self._steady_command(start) - base, 0.0)
         if former is not None and "theta" in former._fields and "theta" in self._law.State._fields:
             theta = Theta(*map(clip, former.theta, params.theta_min, params.theta_max))
             params = params._replace(theta_initial=theta)

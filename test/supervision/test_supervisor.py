@@ -1,0 +1,439 @@
+"""The supervisor around a simulated valve, sample by sample: each fault, its reaction, the way back."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from valve_control.laws import reshaping
+from valve_control.parameters import build
+from valve_control.parameters.table import (
+    COMMAND,
+    CONTROLLER,
+    VALVE,
+    ParameterError,
+    defaults,
+    lookup,
+    updated,
+)
+from valve_control.plant import valve
+from valve_control.simulation import offline
+from valve_control.supervision.supervisor import Mode, Supervisor
+
+LAWS = ("arc", "oarc", "pid", "compensator", "open_loop")
+PERIOD = 0.001
+
+
+class Loop:
+    """Supervisor and valve on a 1.5 Hz sine of 2 V; the LVDT's last digits are noisy, as they always are."""
+
+    def __init__(self, law, **changes):
+        named = {key.replace("__", "."): value for key, value in changes.items()}
+        self.values = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, **named})
+        self.supervisor = Supervisor()
+        self.supervisor.apply(self.values, build.law_params(self.values))
+        self.p = build.valve_params(updated(VALVE, defaults(VALVE), {"lvdt.noise": 0.002}))
+        self.s = valve.initial(self.p)
+        self.random = np.random.default_rng(7)
+        self.k = 0
+        self.voltages = []
+        self.commanded = True
+
+    def command(self):
+        return 2.0 * math.sin(2.0 * math.pi * 1.5 * self.k * PERIOD)
+
+    def reading(self):
+        return valve.read(self.p, self.s, float(self.random.standard_normal()))
+
+    def step(self, spoil=lambda reading: reading, send=True):
+        """One sample; ``spoil`` turns the reading into what arrives, ``send`` False loses it."""
+        if self.commanded:
+            self.supervisor.command(self.command())
+        reading = spoil(self.reading())
+        self.k += 1
+        if send:
+            voltage = self.supervisor.sample(reading, self.k)
+            assert math.isfinite(voltage) and abs(voltage) <= 10.0
+            self.voltages.append(voltage)
+        self.s = valve.step(self.p, self.s, self.supervisor.voltage)
+        return self.supervisor.voltage
+
+    def run(self, n, **how):
+        for _ in range(n):
+            self.step(**how)
+        return self
+
+    def largest_step(self, begin):
+        return max(
+            abs(b - a) for a, b in zip(self.voltages[begin:], self.voltages[begin + 1 :], strict=False)
+        )
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_supervision_changes_not_one_bit_when_all_is_well(law):
+    c = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law})
+    v = updated(VALVE, defaults(VALVE), {"lvdt.noise": 0.0056, "lvdt.resolution": 0.0037})
+    command = offline.commands(updated(COMMAND, defaults(COMMAND), {"duration": 2.0}))
+    run = offline.simulate(c, v, command)
+    supervisor = Supervisor()
+    supervisor.apply(c, build.law_params(c))
+    for k in range(len(command)):
+        supervisor.command(float(command[k]))
+        assert supervisor.sample(float(run.measurement[k]), k + 1) == run.voltage[k]
+    assert supervisor.mode is Mode.OK
+
+
+SPOILT = {
+    "lvdt_not_finite": lambda reading: math.nan,
+    "lvdt_out_of_range": lambda reading: 15.0,
+    "lvdt_jump": lambda reading: reading + 8.0,
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("name", SPOILT)
+def test_unbelievable_readings_are_bridged_then_switched_off(law, name):
+    loop = Loop(law, lvdt__hold_samples=10, lvdt__max_rate=300.0).run(400)
+    held = loop.supervisor.voltage
+    for _ in range(10):
+        assert loop.step(SPOILT[name]) == held
+        assert loop.supervisor.mode is Mode.DEGRADED
+    assert loop.step(SPOILT[name]) == 0.0
+    assert loop.supervisor.mode is Mode.SAFE and name in loop.supervisor.conditions
+    assert loop.run(200, spoil=SPOILT[name]).voltages[-1] == 0.0 or name == "lvdt_jump"
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_return_is_bumpless_and_waits_for_sound_readings(law):
+    loop = Loop(law, lvdt__recovery_samples=25).run(700)
+    usual = loop.largest_step(0)
+    loop.run(150, spoil=lambda reading: math.inf)
+    begin = len(loop.voltages)
+    loop.run(24)
+    assert set(loop.voltages[begin:]) == {0.0}
+    loop.run(2000)
+    assert loop.supervisor.mode is Mode.OK
+    assert loop.largest_step(begin) <= 1.5 * usual
+    undisturbed = Loop(law).run(len(loop.voltages))
+    assert loop.voltages[-1] == pytest.approx(undisturbed.voltages[-1], abs=0.5)
+
+
+def test_adapted_estimates_survive_a_safe_stop():
+    loop = Loop("arc").run(1000)
+    before = loop.supervisor.theta
+    assert before != tuple(loop.values["arc.theta_initial"])
+    loop.run(50, spoil=lambda reading: math.nan)
+    assert loop.supervisor.mode is Mode.SAFE and loop.supervisor.theta == before
+    loop.run(20)
+    assert np.allclose(loop.supervisor.theta, before, rtol=0.2, atol=50.0)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_lost_samples_are_counted_and_stepped_over(law):
+    loop = Loop(law).run(500)
+    usual = loop.largest_step(0)
+    begin = len(loop.voltages)
+    for _ in range(30):
+        loop.run(5, send=False).run(20)
+    assert loop.supervisor.counts["lvdt_lost"] == 150
+    assert loop.supervisor.counts["safe_stops"] == 0
+    # Six periods of the command's motion lie between two voltages now.
+    assert loop.largest_step(begin) < 6.5 * usual
+    assert "lvdt_bridged" in loop.supervisor.conditions
+    loop.run(1200)
+    assert loop.supervisor.mode is Mode.OK
+
+
+def test_time_of_lost_samples_counts_for_the_reference():
+    """After a gap the reference is where that of an unbroken run is."""
+    whole, gapped = Loop("arc").run(300), Loop("arc").run(290)
+    gapped.run(9, send=False).run(1)
+    index = whole.supervisor.labels().index("reference")
+    assert gapped.supervisor.telemetry()[index] == pytest.approx(
+        whole.supervisor.telemetry()[index], abs=0.05
+    )
+
+
+def test_a_longer_gap_than_allowed_is_silence():
+    loop = Loop("pid", lvdt__hold_samples=10).run(300)
+    loop.run(11, send=False)
+    assert loop.step() == 0.0 and "lvdt_silent" in loop.supervisor.conditions
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_silence_told_from_outside(law):
+    loop = Loop(law).run(300)
+    assert loop.supervisor.silence() == 0.0 and loop.supervisor.mode is Mode.SAFE
+    loop.run(2500)
+    assert loop.supervisor.mode is Mode.OK
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_frozen_lvdt_in_motion(law):
+    loop = Loop(law).run(400)
+    frozen = loop.reading()
+    n = 0
+    while loop.supervisor.mode is not Mode.SAFE and n < 400:
+        loop.step(lambda reading: frozen)
+        n += 1
+    assert 20 <= n < 200 and "lvdt_frozen" in loop.supervisor.conditions
+    loop.run(500, spoil=lambda reading: frozen)
+    assert loop.supervisor.voltage == 0.0
+    loop.run(2500)
+    assert loop.supervisor.mode is Mode.OK
+
+
+def test_standstill_is_not_a_frozen_lvdt():
+    loop = Loop("arc")
+    loop.p = build.valve_params(defaults(VALVE))
+    loop.commanded = False
+    loop.run(3000)
+    assert loop.supervisor.counts["safe_stops"] == 0
+
+
+def test_reset_frees_a_spool_that_reads_the_frozen_value_at_rest():
+    loop = Loop("open_loop").run(200)
+    for _ in range(300):
+        loop.step(lambda reading: 0.0)
+    assert "lvdt_frozen" in loop.supervisor.conditions or "lvdt_jump" in loop.supervisor.conditions
+    loop.supervisor.reset()
+    loop.run(60, spoil=lambda reading: 0.0)
+    assert loop.supervisor.mode is not Mode.SAFE
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_silent_command_leads_back_to_neutral_and_out_again_without_a_bump(law):
+    loop = Loop(law, command_timeout=0.2, neutral_rate=10.0).run(834)
+    usual = loop.largest_step(0)
+    loop.commanded = False
+    begin = len(loop.voltages)
+    loop.run(200)
+    assert "command_silent" not in loop.supervisor.conditions
+    loop.run(1)
+    assert "command_silent" in loop.supervisor.conditions
+    loop.run(700)
+    assert abs(loop.s.x.x0) < 0.05
+    loop.commanded = True
+    loop.run(2500)
+    assert loop.supervisor.mode is Mode.OK
+    assert loop.largest_step(begin) <= 1.5 * usual
+
+
+def test_way_to_neutral_keeps_its_rate():
+    loop = Loop("open_loop", command_timeout=0.1, neutral_rate=5.0).run(834)
+    loop.commanded = False
+    loop.run(110)
+    telemetry = []
+    index = loop.supervisor.labels().index("command")
+    for _ in range(600):
+        loop.step()
+        telemetry.append(loop.supervisor.telemetry()[index])
+    rates = np.abs(np.diff(telemetry)) / PERIOD
+    assert np.max(rates) <= 5.0 * (1.0 + 1e-6) and abs(telemetry[-1]) < 1e-3
+
+
+def test_timeout_of_zero_holds_the_last_command_for_ever():
+    loop = Loop("arc", command_timeout=0.0).run(150)
+    loop.commanded = False
+    held = loop.command()
+    loop.run(3000)
+    assert loop.s.x.x0 == pytest.approx(held, abs=0.1)
+    assert "command_silent" not in loop.supervisor.conditions
+
+
+def test_upper_level_that_leaves_is_silent_at_once():
+    loop = Loop("arc").run(150)
+    loop.commanded = False
+    loop.supervisor.command_gone()
+    loop.run(1)
+    assert "command_silent" in loop.supervisor.conditions
+
+
+def test_refused_and_limited_commands_are_counted_and_harmless():
+    loop = Loop("arc", command_limit=3.0).run(300)
+    for bad in (math.nan, math.inf, -math.inf):
+        loop.supervisor.command(bad)
+    assert loop.supervisor.counts["command_refused"] == 3
+    index = loop.supervisor.labels().index("command")
+    loop.commanded = False
+    loop.run(1)
+    assert abs(loop.supervisor.telemetry()[index]) <= 2.0
+    loop.supervisor.command(500.0)
+    loop.run(1)
+    assert loop.supervisor.telemetry()[index] == 3.0
+    assert loop.supervisor.counts["command_limited"] == 1
+
+
+def test_stream_of_refused_commands_is_a_silent_command():
+    loop = Loop("arc", command_timeout=0.1).run(150)
+    loop.command = lambda: math.nan
+    loop.run(150)
+    assert {"command_refused", "command_silent"} <= set(loop.supervisor.conditions)
+
+
+@pytest.mark.parametrize("law", ["arc", "oarc", "pid"])
+def test_long_saturation_is_reported_and_winds_nothing_up(law):
+    loop = Loop(law, saturation_limit=0.2, lvdt__frozen_samples=0).run(300)
+    stuck = loop.s.x.x0
+    usual = loop.largest_step(0)
+    theta = loop.supervisor.theta
+    for _ in range(600):
+        loop.step(lambda reading: stuck)
+        loop.s = loop.s._replace(x=loop.s.x._replace(x0=stuck, x1=0.0))
+    assert loop.supervisor.counts["saturated"] > 0
+    if theta is not None:
+        p = build.law_params(loop.values)
+        assert all(
+            a <= b <= c for a, b, c in zip(p.theta_min, loop.supervisor.theta, p.theta_max, strict=True)
+        )
+    loop.run(2500)
+    assert loop.supervisor.mode is Mode.OK
+    assert loop.largest_step(len(loop.voltages) - 500) <= 1.5 * usual
+
+
+def test_saturation_is_said():
+    loop = Loop("arc", saturation_limit=0.05, lvdt__frozen_samples=0)
+    loop.command = lambda: 9.0
+    loop.p = loop.p._replace(gain_scale=0.2)
+    loop.run(400)
+    assert "saturation" in loop.supervisor.conditions
+
+
+def test_law_that_leaves_the_finite_numbers_is_switched_off_and_begins_anew():
+    loop = Loop("arc").run(100)
+    loop.supervisor._state = loop.supervisor._state._replace(reference=reshaping.State(1e308, 1e308))
+    assert loop.step() == 0.0
+    assert "law_not_finite" in loop.supervisor.conditions
+    loop.run(2500)
+    assert loop.supervisor.mode is Mode.OK
+
+
+def test_each_change_is_flagged_once():
+    loop = Loop("arc").run(300)
+    loop.supervisor.changed = False
+    flags = 0
+    for _ in range(200):
+        loop.step(lambda reading: math.nan)
+        flags += loop.supervisor.changed
+        loop.supervisor.changed = False
+    assert flags == 2  # bridged, then off
+
+
+# Anything at all
+
+WILD = st.one_of(
+    st.floats(allow_nan=True, allow_infinity=True),
+    st.floats(-20.0, 20.0),
+    st.sampled_from([0.0, 1e308, -1e308]),
+)
+
+
+@st.composite
+def some_values(draw):
+    """A few parameters with values from inside and outside of their ranges."""
+    names = draw(st.lists(st.sampled_from([p.name for p in CONTROLLER]), max_size=4, unique=True))
+    changes = {}
+    for name in names:
+        p = lookup(CONTROLLER, name)
+        if p.choices:
+            changes[name] = draw(st.sampled_from([*p.choices, "nonsense"]))
+        elif isinstance(p.default, bool):
+            changes[name] = draw(st.booleans())
+        elif isinstance(p.default, float):
+            changes[name] = draw(st.one_of(st.floats(p.low, p.high), WILD))
+        elif isinstance(p.default, int):
+            changes[name] = draw(st.integers(int(p.low) - 1, int(p.high) + 1))
+        elif isinstance(p.default, list):
+            changes[name] = draw(
+                st.lists(st.one_of(st.floats(p.low, p.high), WILD), min_size=p.length, max_size=p.length or 4)
+            )
+        else:
+            changes[name] = draw(st.text(max_size=5))
+    return changes
+
+
+def take(supervisor, values, changes):
+    """As a node does: all of ``changes`` or nothing."""
+    try:
+        new = updated(CONTROLLER, values, changes)
+        params = build.law_params(new)
+    except ParameterError:
+        return values
+    supervisor.apply(new, params)
+    return new
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.tuples(some_values(), st.lists(st.tuples(WILD, WILD), max_size=12)), max_size=6))
+def test_no_parameters_and_no_messages_bring_it_down(story):
+    """Shrinking finds the smallest story that does."""
+    values = defaults(CONTROLLER)
+    supervisor = Supervisor()
+    supervisor.apply(values, build.law_params(values))
+    sequence = 0
+    for changes, messages in story:
+        values = take(supervisor, values, changes)
+        for command, reading in messages:
+            sequence += 1
+            supervisor.command(command)
+            voltage = supervisor.sample(reading, sequence)
+            assert math.isfinite(voltage) and abs(voltage) <= values["u_max"]
+
+
+def random_value(p, rng):
+    if p.choices:
+        return str(rng.choice([*p.choices, "nonsense"]))
+    if isinstance(p.default, bool):
+        return bool(rng.integers(2))
+    if isinstance(p.default, int):
+        return int(rng.integers(int(p.low) - 1, min(int(p.high), 2**31) + 2))
+    if isinstance(p.default, str):
+        return str(rng.choice(["", "x.yaml", "0", "1,2"]))
+    if isinstance(p.default, list):
+        near = [float(v * rng.uniform(0.5, 1.5)) for v in p.default]
+        return near if rng.integers(4) else [float(rng.uniform(-1e3, 1e3)) for _ in near]
+    kind = rng.integers(5)
+    if kind == 0:
+        return float(rng.choice([math.nan, math.inf, p.low, p.high, 0.0, -1.0]))
+    if kind == 1 and p.low > 0.0:
+        return float(math.exp(rng.uniform(math.log(p.low), math.log(p.high))))
+    return float(p.default * rng.uniform(0.3, 3.0))
+
+
+def test_100000_random_parameter_sets_and_messages():
+    """No exception, no voltage that is not finite or beyond u_max, no half-applied set."""
+    rng = np.random.default_rng(11)
+    names = [p.name for p in CONTROLLER if p.name not in ("autostart", "lockstep", "save_file")]
+    values = defaults(CONTROLLER)
+    supervisor = Supervisor()
+    supervisor.apply(values, build.law_params(values))
+    bad = (math.nan, math.inf, -math.inf, 1e308, -1e308, 40.0)
+    taken = refused = 0
+    sequence, position = 0, 0.0
+    for _ in range(100_000):
+        if rng.integers(200) == 0:
+            values = take(supervisor, values, defaults(CONTROLLER))
+        chosen = rng.choice(names, size=int(rng.integers(1, 4)), replace=False)
+        changes = {name: random_value(lookup(CONTROLLER, name), rng) for name in chosen}
+        before = supervisor.present_values()
+        after = take(supervisor, values, changes)
+        if after is values:
+            refused += 1
+            assert supervisor.present_values() == before
+        else:
+            taken += 1
+            now = supervisor.present_values()
+            assert all(now[name] == changes[name] for name in chosen if "theta" not in name)
+        values = after
+        position = 0.9 * position + float(rng.normal(0.0, 0.3))
+        command = float(rng.choice(bad)) if rng.integers(10) == 0 else float(rng.normal(0.0, 3.0))
+        reading = float(rng.choice(bad)) if rng.integers(10) == 0 else position
+        if rng.integers(20) == 0:
+            supervisor.silence()
+        sequence += int(rng.integers(-1, 4))
+        supervisor.command(command)
+        voltage = supervisor.sample(reading, sequence)
+        assert math.isfinite(voltage) and abs(voltage) <= values["u_max"]
+    assert taken > 20_000 and refused > 20_000

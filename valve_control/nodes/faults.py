@@ -1,0 +1,404 @@
+"""Fault campaign: each fault, injected at a random moment in motion, on each controller, over real DDS."""
+
+import argparse
+import json
+import math
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+
+from valve_control.nodes.adapter import PolledSubscription
+from valve_control.nodes.cascade import (
+    EVERYTHING,
+    Listener,
+    bar,
+    node_arguments,
+    process,
+    run_tool,
+    wait_until,
+)
+from valve_control.parameters.table import CONTROLLER, lookup
+
+Array = npt.NDArray[np.float64]
+CONTROLLERS = lookup(CONTROLLER, "controller").choices
+FEEDBACK = ("arc", "oarc", "pid")
+ADAPTIVE = ("arc", "oarc")
+U_MAX = 10.0  # V
+PERIOD = 0.001  # s
+HOLD = 20  # samples
+FROZEN = 20  # samples
+COMMAND_TIMEOUT = 0.5  # s
+VOLTAGE_TIMEOUT = 0.1  # s
+SATURATION = 0.3  # s
+AMPLITUDE = 2.0  # V
+FREQUENCY = 1.5  # Hz
+NEUTRAL_RATE = 20.0  # V/s
+CENTRED = 0.2  # V from neutral
+# What a desktop without real-time scheduling adds to every configured time.
+ALLOWANCE = 0.015  # s
+SETTLE = 0.3  # s for the spool to come to rest
+OBSERVE = 2.0  # s of undisturbed motion, to know the steps that the command itself gives
+BACK = 4.0  # s within which everything is in order again
+STEP_FACTOR = 1.5  # noise makes each maximum a little different
+MEET = 1.0  # s
+
+SETTINGS: dict[str, Any] = {
+    "lvdt.hold_samples": HOLD,
+    "lvdt.frozen_samples": FROZEN,
+    "command_timeout": COMMAND_TIMEOUT,
+    "command_limit": 3.0,
+    "neutral_rate": NEUTRAL_RATE,
+    "saturation_limit": SATURATION,
+    "voltage_timeout": VOLTAGE_TIMEOUT,
+    "state_decimation": 0,
+    "scenario": "sine",
+    "amplitude": AMPLITUDE,
+    "frequency": FREQUENCY,
+    "start": 0.0,
+    "duration": 3600.0,
+    "trigger": "spool_position",
+    # Ranges that the simulated valve just fills, so that the guaranteed bound is tight.
+    "arc.theta_min": [15.0, 1000.0, 1000.0, -1500.0],
+    "arc.theta_max": [40.0, 1500.0, 1500.0, 1500.0],
+    "oarc.theta_min": [15.0, 1000.0, 1000.0, -1500.0],
+    "oarc.theta_max": [40.0, 1500.0, 1500.0, 1500.0],
+    "arc.disturbance_bound": 1500.0,
+}
+VALVES = {
+    True: ("d3fxe.yaml",),  # friction, flow force, noise
+    False: (),  # without feedback a spool does not come back against friction
+}
+NOISE = {"lvdt.noise": 0.0056, "lvdt.resolution": 0.0037}
+
+
+class Fault(NamedTuple):
+    """One fault: who injects it, how long, and what has to follow."""
+
+    name: str
+    node: str  # that injects it
+    parameter: str
+    value: str
+    samples: int  # that it lasts
+    follows: str  # safe, bridged, neutral, reported or centred
+    word: str  # of the diagnostics
+    limit: float  # s
+    controllers: Sequence[str]
+
+
+SILENT = (HOLD + 1) * PERIOD + ALLOWANCE
+REPORT = 0.1 + ALLOWANCE
+RETURN = AMPLITUDE / NEUTRAL_RATE + SETTLE + ALLOWANCE
+FAULTS = (
+    Fault("lvdt_lost", "valve_simulator", "fault.lvdt", "lost", HOLD // 2, "bridged", "bridged",
+          (HOLD // 2 + 1) * PERIOD + ALLOWANCE, CONTROLLERS),
+    Fault("lvdt_silent", "valve_simulator", "fault.lvdt", "silent", 300, "safe", "silent",
+          SILENT, CONTROLLERS),
+    Fault("lvdt_frozen", "valve_simulator", "fault.lvdt", "frozen", 400, "safe", "stand still",
+          10 * FROZEN * PERIOD + ALLOWANCE, CONTROLLERS),
+    Fault("lvdt_out_of_range", "valve_simulator", "fault.lvdt", "out_of_range", 300, "safe", "out of range",
+          SILENT, CONTROLLERS),
+    Fault("lvdt_not_finite", "valve_simulator", "fault.lvdt", "not_finite", 300, "safe", "not finite",
+          SILENT, CONTROLLERS),
+    Fault("lvdt_jump", "valve_simulator", "fault.lvdt", "jump", 300, "safe", "jump", SILENT, CONTROLLERS),
+    Fault("lvdt_publishers", "valve_simulator", "fault.lvdt", "second_publisher", 700, "reported",
+          "publishers on spool_position", 0.5 + ALLOWANCE, CONTROLLERS),
+    Fault("command_silent", "command_source", "fault.command", "silent", 1500, "neutral", "command is silent",
+          COMMAND_TIMEOUT + RETURN, CONTROLLERS),
+    Fault("command_not_finite", "command_source", "fault.command", "not_finite", 200, "reported", "refused",
+          REPORT, CONTROLLERS),
+    Fault("command_out_of_range", "command_source", "fault.command", "out_of_range", 50, "reported",
+          "limited",
+          REPORT, CONTROLLERS),
+    Fault("command_publishers", "command_source", "fault.command", "second_publisher", 700, "reported",
+          "publishers on spool_command", 0.5 + ALLOWANCE, CONTROLLERS),
+    Fault("spool_stuck", "valve_simulator", "fault.valve", "stuck", 900, "saturation", "saturated",
+          SATURATION + REPORT, FEEDBACK),
+    Fault("valve_weak", "valve_simulator", "fault.valve", "weak", 900, "reported", "guaranteed bound",
+          1.0 / FREQUENCY + REPORT, ADAPTIVE),
+    Fault("controller_stopped", "controller", "", "", 300, "centred", "lost in a row",
+          VOLTAGE_TIMEOUT + SETTLE + ALLOWANCE, CONTROLLERS),
+)  # fmt: skip
+
+
+class Campaign:
+    """One cascade in motion, and what is done to it."""
+
+    def __init__(self, controller: str, children: dict[str, Any], listener: Listener) -> None:
+        self.controller = controller
+        self.children = children
+        self.listener = listener
+        self.said: list[tuple[float, str, bytes, str]] = []  # stamp, node, level, message
+        self._diagnostics = PolledSubscription(listener, DiagnosticArray, "/diagnostics", EVERYTHING)
+        self._clients = {
+            node: AsyncParameterClient(listener, node) for node in ("valve_simulator", "command_source")
+        }
+
+    def fetch(self) -> None:
+        """Take in what has been said."""
+        self.listener.fetch()
+        for message, _ in self._diagnostics.take():
+            stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+            for status in message.status:
+                self.said.append((stamp, status.name, status.level, status.message))
+
+    def until(self, condition: Callable[[], bool], what: str, limit: float) -> None:
+        """Wait for ``condition``, fetching. Raises RuntimeError after ``limit`` [s]."""
+
+        def fetched() -> bool:
+            self.fetch()
+            return condition()
+
+        wait_until(fetched, what, list(self.children.values()), limit)
+
+    def go_on(self, duration: float) -> None:
+        """Let the motion go on for ``duration`` [s]."""
+        end = time.monotonic() + duration
+        self.until(lambda: time.monotonic() >= end, "the motion", duration + 5.0)
+
+    def inject(self, fault: Fault) -> None:
+        """Start ``fault``."""
+        if fault.node == "controller":
+            self.children["controller"].send_signal(signal.SIGSTOP)
+            self.go_on(fault.samples * PERIOD)
+            self.children["controller"].send_signal(signal.SIGCONT)
+            return
+        client = self._clients[fault.node]
+        future = client.set_parameters_atomically(
+            [Parameter("fault.samples", value=fault.samples), Parameter(fault.parameter, value=fault.value)]
+        )
+
+        def answered() -> bool:
+            rclpy.spin_once(self.listener, timeout_sec=0.001)
+            return bool(future.done())
+
+        self.until(answered, f"the answer to {fault.parameter}", 5.0)
+        result = future.result().result
+        if not result.successful:
+            raise RuntimeError(f"{fault.parameter} = {fault.value} refused: {result.reason}")
+
+    def in_order(self) -> bool:
+        """Whether the controller's last word is that all is well."""
+        return next((s[2] == b"\x00" for s in reversed(self.said) if s[1] == "controller"), False)
+
+    def mark(self) -> float:
+        """Now, on the clock of the stamps [s]."""
+        return time.time()
+
+    def after(self, topic: str, start: float) -> tuple[Array, Array]:
+        """Values and stamps of ``topic`` from ``start`` on."""
+        values, stamps = self.listener.arrays(topic)
+        return values[stamps >= start], stamps[stamps >= start]
+
+    def largest_step(self, start: float, end: float) -> float:
+        """Largest step between two voltages from ``start`` to ``end`` [V]."""
+        values, stamps = self.listener.arrays("valve_voltage")
+        inside = values[(stamps >= start) & (stamps <= end)]
+        return float(np.max(np.abs(np.diff(inside)))) if len(inside) > 1 else 0.0
+
+    def reported(self, word: str, start: float) -> float:
+        """When the controller said ``word``, inf if it did not."""
+        return next(
+            (s[0] for s in self.said if s[0] >= start and s[1] == "controller" and word in s[3]), math.inf
+        )
+
+
+def first(stamps: Array, condition: npt.NDArray[np.bool_]) -> float:
+    """Stamp of the first entry for which ``condition`` holds, inf if none."""
+    found = np.flatnonzero(condition)
+    return float(stamps[found[0]]) if len(found) else math.inf
+
+
+def onset(campaign: Campaign, fault: Fault, start: float) -> float:
+    """When the fault began, read from the messages themselves [s]."""
+    readings, times = campaign.after("spool_position", start)
+    if fault.name == "lvdt_not_finite":
+        return first(times, ~np.isfinite(readings))
+    if fault.name == "lvdt_out_of_range":
+        return first(times, np.abs(readings) > U_MAX)
+    if fault.name == "lvdt_jump":
+        return first(times[1:], np.abs(np.diff(readings)) > 1.0)
+    if fault.name == "lvdt_frozen":
+        equal = np.convolve(np.diff(readings) == 0.0, np.ones(FROZEN // 2), "valid") >= FROZEN // 2
+        return first(times[1:], equal)
+    if fault.name in ("lvdt_silent", "lvdt_lost"):
+        return first(times[:-1], np.diff(times) > 6.0 * PERIOD) + PERIOD
+    if fault.name == "command_silent":
+        _, sent = campaign.after("spool_command", start - 0.1)
+        return first(sent[:-1], np.diff(sent) > 0.1)
+    if fault.name in ("command_not_finite", "command_out_of_range"):
+        commands, sent = campaign.after("spool_command", start)
+        return first(sent, ~(np.abs(commands) <= 2.0 * AMPLITUDE))
+    if fault.follows == "saturation":
+        voltages, sent = campaign.after("valve_voltage", start)
+        return first(sent, np.abs(voltages) >= U_MAX)
+    if fault.follows == "centred":
+        _, sent = campaign.after("valve_voltage", start - 0.1)
+        return first(sent[:-1], np.diff(sent) > 0.1)
+    return start
+
+
+def reaction(campaign: Campaign, fault: Fault, began: float) -> float:
+    """Seconds from ``began`` to what has to follow, inf if it did not."""
+    voltages, sent = campaign.after("valve_voltage", began)
+    readings, times = campaign.after("spool_position", began)
+    if fault.follows == "safe":
+        return first(sent, voltages == 0.0) - began
+    if fault.follows == "bridged":
+        after_gap = first(times, times > began + 2.0 * PERIOD)
+        safe = first(sent, voltages == 0.0)
+        return math.inf if safe < after_gap + 0.5 else first(sent, sent > after_gap) - began
+    if fault.follows in ("neutral", "centred"):
+        off = np.flatnonzero(np.abs(readings[times < began + fault.limit]) > CENTRED)
+        last = float(times[off[-1]]) if len(off) else began
+        return last - began + PERIOD
+    return campaign.reported(fault.word, began) - began
+
+
+def run_fault(campaign: Campaign, fault: Fault, random: np.random.Generator, usual: float) -> dict[str, Any]:
+    """Inject ``fault`` at a random moment of the motion and judge what follows."""
+    campaign.go_on(float(random.uniform(0.0, 1.0 / FREQUENCY)))
+    start = campaign.mark()
+    campaign.inject(fault)
+    campaign.until(lambda: campaign.reported(fault.word, start) < math.inf, f"a word on {fault.name}", BACK)
+    heard = campaign.reported(fault.word, start)
+    campaign.until(
+        lambda: campaign.in_order() and campaign.mark() > max(heard, start + fault.samples * PERIOD),
+        f"order after {fault.name}",
+        BACK + fault.samples * PERIOD,
+    )
+    campaign.go_on(0.3)
+    began = onset(campaign, fault, start)
+    took = reaction(campaign, fault, began)
+    voltages, sent = campaign.after("valve_voltage", start)
+    zero = np.flatnonzero(voltages == 0.0)
+    returned = float(sent[min(zero[-1], len(sent) - 1)]) if len(zero) else began
+    if fault.follows == "neutral":
+        returned = began + fault.samples * PERIOD - 0.1
+    step = (
+        campaign.largest_step(returned, returned + 1.0)
+        if fault.follows in ("safe", "neutral", "centred")
+        else 0.0
+    )
+    finite = bool(np.all(np.isfinite(voltages)))
+    return {
+        "fault": fault.name,
+        "controller": campaign.controller,
+        "reaction_s": round(took, 5) if math.isfinite(took) else None,
+        "limit_s": round(fault.limit, 5),
+        "max_abs_voltage": float(np.max(np.abs(voltages))) if finite else None,
+        "largest_step_on_return_V": round(step, 4),
+        "step_allowed_V": round(STEP_FACTOR * usual, 4),
+        "recovered": bool(step <= STEP_FACTOR * usual),
+        "passed": bool(
+            finite
+            and np.max(np.abs(voltages)) <= U_MAX
+            and took <= fault.limit
+            and step <= STEP_FACTOR * usual
+        ),
+    }
+
+
+def run_controller(
+    controller: str, faults: Sequence[Fault], folder: Path, random: np.random.Generator
+) -> list[dict[str, Any]]:
+    """All ``faults`` on one controller in one cascade."""
+    config = VALVES[controller in FEEDBACK]
+    settings = {**SETTINGS, "controller": controller, **({} if config else NOISE)}
+    names = ("controller", "valve_simulator", "command_source")
+    logs = [folder / f"faults_{controller}_{name}.log" for name in names]
+    results: list[dict[str, Any]] = []
+    listener = Listener("faults")
+    try:
+        with (
+            process("controller", node_arguments("controller", config, settings), logs[0]) as c,
+            process("valve_simulator", node_arguments("valve_simulator", config, settings), logs[1]) as v,
+            process("command_source", node_arguments("command_source", config, settings), logs[2]) as s,
+            bar(controller, float(len(faults)), "faults") as progress,
+        ):
+            campaign = Campaign(
+                controller, {"controller": c, "valve_simulator": v, "command_source": s}, listener
+            )
+            try:
+                campaign.until(lambda: len(listener.values["spool_command"]) > 0, "the command", 30.0)
+                campaign.go_on(MEET)
+                campaign.until(campaign.in_order, "order at the beginning", 10.0)
+                begun = campaign.mark()
+                campaign.go_on(OBSERVE)
+                usual = campaign.largest_step(begun, campaign.mark())
+                for fault in faults:
+                    results.append(run_fault(campaign, fault, random, usual))
+                    progress.update(1)
+            finally:
+                c.send_signal(signal.SIGCONT)
+    finally:
+        listener.destroy_node()
+    return results
+
+
+def table(results: Sequence[dict[str, Any]]) -> str:
+    """The results as a table, one fault a line, reaction times in ms."""
+    lines = [f"{'reaction [ms]':24}{'limit':>8}" + "".join(f"{c:>13}" for c in CONTROLLERS)]
+    for fault in FAULTS:
+        cells = []
+        for controller in CONTROLLERS:
+            entry = next(
+                (r for r in results if (r["fault"], r["controller"]) == (fault.name, controller)), None
+            )
+            if entry is None:
+                cells.append("-")
+            else:
+                took = "none" if entry["reaction_s"] is None else f"{1e3 * entry['reaction_s']:.1f}"
+                cells.append(took if entry["passed"] else f"FAILED {took}")
+        lines.append(f"{fault.name:24}{1e3 * fault.limit:8.0f}" + "".join(f"{cell:>13}" for cell in cells))
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Entry point of `make faults` and of `ros2 run valve_control faults`."""
+    options = argparse.ArgumentParser(prog="faults", description=__doc__)
+    options.add_argument("--out", default="out", metavar="FOLDER", help="output folder (out)")
+    options.add_argument("--seed", type=int, default=1, metavar="N", help="of the moments of injection (1)")
+    options.add_argument(
+        "--only", choices=CONTROLLERS, action="append", help="one controller; again for more"
+    )
+    options.add_argument(
+        "--fault", choices=[f.name for f in FAULTS], action="append", help="one fault; again for more"
+    )
+    arguments, _ = options.parse_known_args()
+    folder = Path(arguments.out)
+
+    def work() -> int:
+        random = np.random.default_rng(arguments.seed)
+        results: list[dict[str, Any]] = []
+        for controller in arguments.only or CONTROLLERS:
+            chosen = [
+                fault
+                for fault in FAULTS
+                if controller in fault.controllers and (not arguments.fault or fault.name in arguments.fault)
+            ]
+            if chosen:
+                results += run_controller(controller, chosen, folder, random)
+        print(f"\n{table(results)}")
+        path = folder / "faults.json"
+        path.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+        print(f"\nwrote {path} and the nodes' logs")
+        failed = [r for r in results if not r["passed"]]
+        for entry in failed:
+            print(f"FAILED: {json.dumps(entry)}", file=sys.stderr)
+        return 1 if failed else 0
+
+    return run_tool("faults", folder, work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
