@@ -5,116 +5,14 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from contextlib import contextmanager
 
 import pytest
-import rclpy
+from bench import Bench, Motion, call, controller, get_double, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
-from std_msgs.msg import Float64, Float64MultiArray
+from rcl_interfaces.srv import DescribeParameters
+from std_msgs.msg import Float64
 
-from valve_control.nodes.demo import process
-from valve_control.parameters import build
-from valve_control.parameters.table import VALVE, defaults
-from valve_control.plant import valve
-
-LIMIT = 20.0  # s
-
-
-@pytest.fixture
-def ros():
-    rclpy.init()
-    node = rclpy.create_node("test")
-    yield node
-    node.destroy_node()
-    rclpy.shutdown()
-
-
-def spin_until(node, condition, what, limit=LIMIT):
-    end = time.monotonic() + limit
-    while not condition():
-        assert time.monotonic() < end, f"{what} not within {limit} s"
-        rclpy.spin_once(node, timeout_sec=0.05)
-
-
-def call(node, service, name, request):
-    client = node.create_client(service, name)
-    spin_until(node, client.service_is_ready, name)
-    future = client.call_async(request)
-    spin_until(node, future.done, name)
-    node.destroy_client(client)
-    return future.result()
-
-
-def value(v):
-    if isinstance(v, str):
-        return ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=v)
-    if isinstance(v, list):
-        return ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=v)
-    return ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=v)
-
-
-def set_parameters(node, **values):
-    request = SetParametersAtomically.Request(
-        parameters=[Parameter(name=k.replace("__", "."), value=value(v)) for k, v in values.items()]
-    )
-    return call(node, SetParametersAtomically, "/controller/set_parameters_atomically", request).result
-
-
-def get_double(node, name):
-    got = call(node, GetParameters, "/controller/get_parameters", GetParameters.Request(names=[name]))
-    return got.values[0].double_value
-
-
-class Bench:
-    """Plays LVDT and upper level for a controller, one sample at a time."""
-
-    def __init__(self, node):
-        self.node = node
-        self.voltages = []
-        self.states = []
-        self.lvdt = node.create_publisher(Float64, "spool_position", 10)
-        self.command = node.create_publisher(Float64, "spool_command", 1)
-        node.create_subscription(Float64, "valve_voltage", lambda m: self.voltages.append(m.data), 10)
-        node.create_subscription(Float64MultiArray, "/controller/state", self.states.append, 10)
-
-    def connect(self):
-        spin_until(
-            self.node,
-            lambda: (
-                self.lvdt.get_subscription_count() == 1
-                and self.command.get_subscription_count() == 1
-                and self.node.count_publishers("valve_voltage") == 1
-            ),
-            "controller",
-        )
-        while not self.voltages:  # until its first answer shows that both directions carry
-            self.lvdt.publish(Float64(data=0.0))
-            rclpy.spin_once(self.node, timeout_sec=0.1)
-        self.settle()
-
-    def settle(self):
-        """Until 0.5 s pass without an answer to the knocking above."""
-        end = time.monotonic() + 0.5
-        while time.monotonic() < end:
-            count = len(self.voltages)
-            rclpy.spin_once(self.node, timeout_sec=0.05)
-            if len(self.voltages) != count:
-                end = time.monotonic() + 0.5
-
-    def sample(self, reading):
-        count = len(self.voltages)
-        self.lvdt.publish(Float64(data=reading))
-        spin_until(self.node, lambda: len(self.voltages) > count, "voltage")
-        return self.voltages[-1]
-
-
-@contextmanager
-def controller(tmp_path, *arguments):
-    with process("controller", ["-p", "state_decimation:=1", *arguments], tmp_path / "c.log") as child:
-        yield child
+from valve_control.nodes.cascade import process
 
 
 def test_one_reading_one_step_one_voltage(ros, tmp_path):
@@ -133,7 +31,7 @@ def test_one_reading_one_step_one_voltage(ros, tmp_path):
 
 def test_values_that_are_not_finite_are_refused(ros, tmp_path):
     bench = Bench(ros)
-    with controller(tmp_path):
+    with controller(tmp_path, "-p", "lvdt.hold_samples:=5"):
         bench.connect()
         bench.command.publish(Float64(data=1.0))
         for _ in range(50):
@@ -145,7 +43,8 @@ def test_values_that_are_not_finite_are_refused(ros, tmp_path):
         for _ in range(5):
             bench.sample(math.nan)
         assert bench.sample(math.nan) == 0.0
-        assert bench.sample(0.5) is not None
+        for _ in range(19):
+            assert bench.sample(0.5) == 0.0
         for _ in range(20):
             voltage = bench.sample(0.5)
         assert math.isfinite(voltage) and voltage != 0.0
@@ -192,23 +91,11 @@ def test_new_gains_change_the_very_next_voltage(ros, tmp_path):
 
 
 def test_change_of_controller_is_bumpless(ros, tmp_path):
-    """Valve (3) on a 1 Hz sine of 2 V, sample by sample: no law's takeover makes a step."""
-    p = build.valve_params(defaults(VALVE))
-    s = valve.initial(p)
-    bench = Bench(ros)
-    voltages = []
-
-    def move(samples):
-        nonlocal s
-        for _ in range(samples):
-            t = len(voltages) * p.period
-            bench.command.publish(Float64(data=2.0 * math.sin(2.0 * math.pi * t)))
-            voltages.append(bench.sample(valve.read(p, s, 0.0)))
-            s = valve.step(p, s, voltages[-1])
-
-    with controller(tmp_path):
-        bench.connect()
-        move(300)
+    """Sample by sample on a moving valve: no law's takeover makes a step."""
+    motion = Motion(ros)
+    with controller(tmp_path, "-p", "arc.velocity_cutoff:=30.0"):
+        motion.bench.connect()
+        motion.move(300)
         for law, more in (
             ("oarc", {}),
             ("pid", {}),
@@ -221,11 +108,12 @@ def test_change_of_controller_is_bumpless(ros, tmp_path):
             ("oarc", {}),
             ("arc", {}),
         ):
-            begin = len(voltages) - 1
+            begin = len(motion.voltages) - 1
             assert set_parameters(ros, controller=law, **more).successful
-            move(250)
-            steps = [abs(b - a) for a, b in zip(voltages[begin:], voltages[begin + 1 :], strict=False)]
-            # The sine alone moves the voltage by up to 0.03 V a sample; a fresh start by some volts.
+            motion.move(250)
+            voltages = motion.voltages[begin:]
+            steps = [abs(b - a) for a, b in zip(voltages, voltages[1:], strict=False)]
+            # Sine and noise alone move the voltage by some 0.1 V a sample; a fresh start by some volts.
             assert max(steps) < 0.5, (law, more, max(steps))
 
 
@@ -321,4 +209,4 @@ def test_diagnostics_tell_what_is_missing(ros, tmp_path):
     with controller(tmp_path):
         spin_until(ros, lambda: bool(messages), "diagnostics")
     assert messages[0].status[0].message == "no LVDT reading yet"
-    assert messages[0].status[0].level == b"\x01"
+    assert messages[0].status[0].level == b"\x02"

@@ -47,7 +47,7 @@ CENTRED = 0.2  # V from neutral
 # What a desktop without real-time scheduling adds to every configured time.
 ALLOWANCE = 0.015  # s
 SETTLE = 0.3  # s for the spool to come to rest
-OBSERVE = 2.0  # s of undisturbed motion, to know the steps that the command itself gives
+OBSERVE = 2.0  # s of undisturbed motion; it and its beginning show the steps that the command itself gives
 BACK = 4.0  # s within which everything is in order again
 STEP_FACTOR = 1.5  # noise makes each maximum a little different
 MEET = 1.0  # s
@@ -329,10 +329,10 @@ def run_controller(
                 controller, {"controller": c, "valve_simulator": v, "command_source": s}, listener
             )
             try:
+                begun = campaign.mark()
                 campaign.until(lambda: len(listener.values["spool_command"]) > 0, "the command", 30.0)
                 campaign.go_on(MEET)
                 campaign.until(campaign.in_order, "order at the beginning", 10.0)
-                begun = campaign.mark()
                 campaign.go_on(OBSERVE)
                 usual = campaign.largest_step(begun, campaign.mark())
                 for fault in faults:

@@ -1,0 +1,135 @@
+"""What the node tests share: a ROS context, service calls, and a bench that plays LVDT and upper level."""
+
+import math
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import rclpy
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
+from std_msgs.msg import Float64, Float64MultiArray
+
+from valve_control.nodes.cascade import process
+from valve_control.parameters import build
+from valve_control.parameters.table import VALVE, defaults
+from valve_control.plant import valve
+
+LIMIT = 20.0  # s
+ASK_AGAIN = 3.0  # s
+
+
+def spin_until(node, condition, what, limit=LIMIT):
+    end = time.monotonic() + limit
+    while not condition():
+        assert time.monotonic() < end, f"{what} not within {limit} s"
+        rclpy.spin_once(node, timeout_sec=0.05)
+
+
+def call(node, service, name, request):
+    """One service call. A server that has not yet seen this client cannot answer: asked again."""
+    client = node.create_client(service, name)
+    spin_until(node, client.service_is_ready, name)
+    end = time.monotonic() + LIMIT
+    while True:
+        future = client.call_async(request)
+        again = time.monotonic() + ASK_AGAIN
+        spin_until(node, lambda f=future, a=again: f.done() or time.monotonic() > a, name)
+        if future.done():
+            break
+        assert time.monotonic() < end, f"no answer from {name} within {LIMIT} s"
+    node.destroy_client(client)
+    return future.result()
+
+
+def set_parameters(node, target="controller", **values):
+    """All of ``values`` or none; ``a__b`` stands for ``a.b``."""
+    request = SetParametersAtomically.Request(
+        parameters=[
+            Parameter(name.replace("__", "."), value=value).to_parameter_msg()
+            for name, value in values.items()
+        ]
+    )
+    return call(node, SetParametersAtomically, f"/{target}/set_parameters_atomically", request).result
+
+
+def get_double(node, name, target="controller"):
+    got = call(node, GetParameters, f"/{target}/get_parameters", GetParameters.Request(names=[name]))
+    return got.values[0].double_value
+
+
+class Bench:
+    """Plays LVDT and upper level for a controller, one sample at a time."""
+
+    def __init__(self, node):
+        self.node = node
+        self.voltages = []
+        self.states = []
+        self.lvdt = node.create_publisher(Float64, "spool_position", 10)
+        self.command = node.create_publisher(Float64, "spool_command", 1)
+        node.create_subscription(Float64, "valve_voltage", lambda m: self.voltages.append(m.data), 10)
+        node.create_subscription(Float64MultiArray, "/controller/state", self.states.append, 10)
+
+    def connect(self):
+        spin_until(
+            self.node,
+            lambda: (
+                self.lvdt.get_subscription_count() == 1
+                and self.command.get_subscription_count() == 1
+                and self.node.count_publishers("valve_voltage") == 1
+            ),
+            "controller",
+        )
+        while not self.voltages:  # until its first answer shows that both directions carry
+            self.lvdt.publish(Float64(data=0.0))
+            rclpy.spin_once(self.node, timeout_sec=0.1)
+        self.settle()
+
+    def settle(self):
+        """Until 0.5 s pass without an answer to the knocking above."""
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
+            count = len(self.voltages)
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+            if len(self.voltages) != count:
+                end = time.monotonic() + 0.5
+
+    def sample(self, reading):
+        count = len(self.voltages)
+        self.lvdt.publish(Float64(data=reading))
+        spin_until(self.node, lambda: len(self.voltages) > count, "voltage")
+        return self.voltages[-1]
+
+
+class Motion:
+    """A bench whose readings come from a simulated valve on a 1 Hz sine of 2 V, with a noisy LVDT."""
+
+    def __init__(self, node):
+        self.bench = Bench(node)
+        self.p = build.valve_params({**defaults(VALVE), "lvdt.noise": 0.002})
+        self.s = valve.initial(self.p)
+        self.random = np.random.default_rng(1)
+        self.voltages = []
+
+    def move(self, samples):
+        for _ in range(samples):
+            t = len(self.voltages) * self.p.period
+            self.bench.command.publish(Float64(data=2.0 * math.sin(2.0 * math.pi * t)))
+            reading = valve.read(self.p, self.s, float(self.random.standard_normal()))
+            self.voltages.append(self.bench.sample(reading))
+            self.s = valve.step(self.p, self.s, self.voltages[-1])
+
+
+@contextmanager
+def controller(tmp_path, *arguments):
+    """A controller that takes its time: the bench makes its samples one by one, not on the clock."""
+    slow = [
+        "lvdt.hold_samples:=2000",
+        "lvdt.frozen_samples:=0",
+        "command_timeout:=0.0",
+        "state_decimation:=1",
+    ]
+    given = " ".join(arguments)
+    settings = [word for s in slow if s.split(":=")[0] not in given for word in ("-p", s)]
+    with process("controller", [*settings, *arguments], tmp_path / "c.log") as child:
+        yield child

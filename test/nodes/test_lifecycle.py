@@ -1,0 +1,99 @@
+"""Managed nodes: states, transitions, and 0 V as the last word."""
+
+import signal
+
+import pytest
+from bench import Motion, call, controller, spin_until
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from std_msgs.msg import Float64
+
+from valve_control.nodes.cascade import process
+
+
+def state(ros, node):
+    return call(ros, GetState, f"/{node}/get_state", GetState.Request()).current_state.label
+
+
+def change(ros, node, transition):
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return call(ros, ChangeState, f"/{node}/change_state", request).success
+
+
+@pytest.mark.parametrize("node", ["controller", "valve_simulator"])
+def test_activates_itself_unless_told_not_to(ros, tmp_path, node):
+    with process(node, [], tmp_path / "log"):
+        assert state(ros, node) == "active"
+    with process(node, ["-p", "autostart:=false", "-r", "__node:=waiting"], tmp_path / "log"):
+        assert state(ros, "waiting") == "unconfigured"
+        assert change(ros, "waiting", Transition.TRANSITION_CONFIGURE)
+        assert state(ros, "waiting") == "inactive"
+
+
+def test_inactive_controller_says_0_v_once_and_then_nothing(ros, tmp_path):
+    motion = Motion(ros)
+    bench = motion.bench
+    with controller(tmp_path):
+        bench.connect()
+        motion.move(100)
+        before = len(bench.voltages)
+        assert change(ros, "controller", Transition.TRANSITION_DEACTIVATE)
+        spin_until(ros, lambda: len(bench.voltages) > before, "0 V")
+        for _ in range(50):
+            bench.lvdt.publish(Float64(data=0.1))
+        bench.settle()
+        assert list(bench.voltages[before:]) == [0.0]
+        assert change(ros, "controller", Transition.TRANSITION_ACTIVATE)
+        assert abs(bench.sample(0.0)) <= 10.0
+        assert change(ros, "controller", Transition.TRANSITION_DEACTIVATE)
+        assert change(ros, "controller", Transition.TRANSITION_CLEANUP)
+        spin_until(ros, lambda: ros.count_publishers("valve_voltage") == 0, "cleanup")
+        assert change(ros, "controller", Transition.TRANSITION_CONFIGURE)
+        assert change(ros, "controller", Transition.TRANSITION_ACTIVATE)
+        spin_until(ros, lambda: ros.count_publishers("valve_voltage") == 1, "configuration")
+        spin_until(ros, lambda: bench.lvdt.get_subscription_count() == 1, "subscription")
+
+
+def test_transition_that_does_not_exist_is_refused(ros, tmp_path):
+    with controller(tmp_path) as child:
+        assert not change(ros, "controller", Transition.TRANSITION_CONFIGURE)
+        assert not change(ros, "controller", Transition.TRANSITION_CLEANUP)
+        assert not change(ros, "controller", 250)
+        assert state(ros, "controller") == "active" and child.poll() is None
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_last_word_is_0_v(ros, tmp_path, number):
+    motion = Motion(ros)
+    with controller(tmp_path) as child:
+        motion.bench.connect()
+        motion.move(120)
+        assert motion.bench.voltages[-1] != 0.0
+        child.send_signal(number)
+        assert child.wait(10.0) == 0
+        spin_until(ros, lambda: motion.bench.voltages[-1] == 0.0, "0 V")
+    assert "Traceback" not in (tmp_path / "c.log").read_text()
+
+
+def test_simulator_centres_itself_when_the_voltage_stops(ros, tmp_path):
+    readings = []
+    ros.create_subscription(Float64, "spool_position", lambda m: readings.append(m.data), 10)
+    voltage = ros.create_publisher(Float64, "valve_voltage", 10)
+    with process("valve_simulator", ["-p", "voltage_timeout:=0.05"], tmp_path / "log"):
+        spin_until(ros, lambda: voltage.get_subscription_count() == 1, "simulator")
+
+        def pushed():
+            voltage.publish(Float64(data=5.0))
+            return bool(readings) and readings[-1] > 3.0
+
+        spin_until(ros, pushed, "motion")
+        spin_until(ros, lambda: abs(readings[-1]) < 0.01, "the spring")
+    assert "no voltage for 0.05 s" in (tmp_path / "log").read_text()
+
+
+def test_unconfigured_node_ends_quietly(ros, tmp_path):
+    with controller(tmp_path, "-p", "autostart:=false") as child:
+        assert state(ros, "controller") == "unconfigured"
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(10.0) == 0
+    assert "Traceback" not in (tmp_path / "c.log").read_text()
