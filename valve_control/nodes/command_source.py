@@ -29,6 +29,7 @@ class CommandSource(Worker):
         super().__init__("command_source")
         self._readings: PolledSubscription | None = None
         self._shaped_by: list[Any] = []
+        self._commands: list[float] = []
         self._fault = "none"
         self._fault_left = 0
         self._second: Any = None
@@ -36,7 +37,12 @@ class CommandSource(Worker):
         self._sent = 0
         self._message = Float64()
         self._publisher = self.create_publisher(Float64, "spool_command", SAMPLES)
-        ParameterSet(self, COMMAND, offline.commands, self._apply)
+        ParameterSet(self, COMMAND, self._build, self._apply)
+
+    def _build(self, values: Values) -> Any:
+        """Commands of the shape; an hour of them takes a second, so only a new shape is built."""
+        same = [values[name] for name in SHAPING] == self._shaped_by
+        return self._commands if same else offline.commands(values).tolist()
 
     def _apply(self, values: Values, commands: Any) -> None:
         fault = build.word(values, "fault.command")
@@ -52,7 +58,7 @@ class CommandSource(Worker):
         if shaped_by == self._shaped_by:
             return
         self._shaped_by = shaped_by
-        self._commands = commands.tolist()
+        self._commands = commands
         self._listeners = int(build.number(values, "listeners"))
         self._period = build.number(values, "sample_period")
         self._delay = build.number(values, "delay")

@@ -30,6 +30,7 @@ LEVELS = {
     Mode.DEGRADED: DiagnosticStatus.WARN,
     Mode.SAFE: DiagnosticStatus.ERROR,
 }
+STALL = 0.01  # s; this loop wakes on time unless its process stood still
 REMIND = 0.1  # s between two voltages of 0 V while the LVDT is silent
 WATCH_GRAPH = 0.1  # s between two looks at who publishes
 LOCKSTEP_LIMIT = 5.0  # s to wait for a command in lockstep
@@ -48,6 +49,7 @@ class Controller(Managed):
         self._said: tuple[Mode, str] | None = None
         self._readings: PolledSubscription | None = None
         self._watch_at = NEVER
+        self._catching_up = False
         self._pairing: int | None = None
         self._message = Float64()
         self._state_message = Float64MultiArray()
@@ -149,8 +151,10 @@ class Controller(Managed):
         for message, info in self._readings.take():
             self._answer(message.data, info)
             worked = True
-        if not worked and time.monotonic() >= self._watch_at:
-            self._publish(self._supervisor.silence())
+        late = time.monotonic() - self._watch_at
+        if late >= 0.0 and not worked:
+            self._catching_up = late > STALL
+            self._publish(self._supervisor.silence(stalled=self._catching_up))
             self._watch_at = time.monotonic() + REMIND
             worked = True
         if self._supervisor.changed:
@@ -158,18 +162,26 @@ class Controller(Managed):
         return worked
 
     def _answer(self, reading: float, info: dict[str, Any]) -> None:
-        began = time.perf_counter()
+        began = time.monotonic()
         number = info["publication_sequence_number"]
         self._take_commands(number)
-        self._publish(self._supervisor.sample(reading, number))
-        ended = time.perf_counter()
+        # What was sent while this process stood still comes in a burst afterwards and is stale.
+        if began >= self._watch_at:
+            self._catching_up = True
+        elif self._catching_up and began - self._arrivals[-1] >= 0.5 * self._period:
+            self._catching_up = False
+        if self._catching_up:
+            self._publish(self._supervisor.silence(stalled=True))
+        else:
+            self._publish(self._supervisor.sample(reading, number))
+        ended = time.monotonic()
         self._latencies.append(time.time_ns() - info["source_timestamp"])
         self._arrivals.append(began)
         self._durations.append(ended - began)
         if ended - began > self._period:
             self._overruns += 1
         if not self._lockstep:
-            self._watch_at = time.monotonic() + self._hold
+            self._watch_at = began + self._hold
         if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
             self._state_message.data = self._supervisor.telemetry()
             self._states.publish(self._state_message)

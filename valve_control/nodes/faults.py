@@ -39,7 +39,7 @@ HOLD = 20  # samples
 FROZEN = 20  # samples
 COMMAND_TIMEOUT = 0.5  # s
 VOLTAGE_TIMEOUT = 0.1  # s
-SATURATION = 0.3  # s
+SATURATION = 0.15  # s
 AMPLITUDE = 2.0  # V
 FREQUENCY = 1.5  # Hz
 NEUTRAL_RATE = 20.0  # V/s
@@ -49,7 +49,7 @@ ALLOWANCE = 0.015  # s
 SETTLE = 0.3  # s for the spool to come to rest
 OBSERVE = 2.0  # s of undisturbed motion; it and its beginning show the steps that the command itself gives
 BACK = 4.0  # s within which everything is in order again
-STEP_FACTOR = 1.5  # noise makes each maximum a little different
+STEP_FACTOR = 2.0  # on the largest step of undisturbed motion; noise makes each maximum a little different
 MEET = 1.0  # s
 
 SETTINGS: dict[str, Any] = {
@@ -68,11 +68,15 @@ SETTINGS: dict[str, Any] = {
     "duration": 3600.0,
     "trigger": "spool_position",
     # Ranges that the simulated valve just fills, so that the guaranteed bound is tight.
-    "arc.theta_min": [15.0, 1000.0, 1000.0, -1500.0],
-    "arc.theta_max": [40.0, 1500.0, 1500.0, 1500.0],
-    "oarc.theta_min": [15.0, 1000.0, 1000.0, -1500.0],
-    "oarc.theta_max": [40.0, 1500.0, 1500.0, 1500.0],
-    "arc.disturbance_bound": 1500.0,
+    "arc.theta_min": [15.0, 1000.0, 1100.0, -1000.0],
+    "arc.theta_max": [40.0, 1400.0, 1500.0, 1000.0],
+    "oarc.theta_min": [15.0, 1000.0, 1100.0, -1000.0],
+    "oarc.theta_max": [40.0, 1400.0, 1500.0, 1000.0],
+    "oarc.disturbance_bound": 1.0,
+    "arc.disturbance_bound": 1000.0,
+    # Little noise on the voltage, so that a bump would show.
+    "arc.velocity_cutoff": 40.0,
+    "pid.derivative_cutoff": 40.0,
 }
 VALVES = {
     True: ("d3fxe.yaml",),  # friction, flow force, noise
@@ -125,8 +129,8 @@ FAULTS = (
           SATURATION + REPORT, FEEDBACK),
     Fault("valve_weak", "valve_simulator", "fault.valve", "weak", 900, "reported", "guaranteed bound",
           1.0 / FREQUENCY + REPORT, ADAPTIVE),
-    Fault("controller_stopped", "controller", "", "", 300, "centred", "lost in a row",
-          VOLTAGE_TIMEOUT + SETTLE + ALLOWANCE, CONTROLLERS),
+    Fault("controller_stopped", "controller", "", "", 400, "centred", "stood still",
+          VOLTAGE_TIMEOUT + ALLOWANCE, CONTROLLERS),
 )  # fmt: skip
 
 
@@ -200,16 +204,17 @@ class Campaign:
         return values[stamps >= start], stamps[stamps >= start]
 
     def largest_step(self, start: float, end: float) -> float:
-        """Largest step between two voltages from ``start`` to ``end`` [V]."""
+        """Largest step of the voltage in one period from ``start`` to ``end`` [V]; late ones count for more."""
         values, stamps = self.listener.arrays("valve_voltage")
-        inside = values[(stamps >= start) & (stamps <= end)]
-        return float(np.max(np.abs(np.diff(inside)))) if len(inside) > 1 else 0.0
+        inside = (stamps >= start) & (stamps <= end)
+        if np.count_nonzero(inside) < 2:
+            return 0.0
+        periods = np.maximum(1.0, np.round(np.diff(stamps[inside]) / PERIOD))
+        return float(np.max(np.abs(np.diff(values[inside])) / periods))
 
-    def reported(self, word: str, start: float) -> float:
-        """When the controller said ``word``, inf if it did not."""
-        return next(
-            (s[0] for s in self.said if s[0] >= start and s[1] == "controller" and word in s[3]), math.inf
-        )
+    def reported(self, word: str, start: float, node: str = "controller") -> float:
+        """When ``node`` said ``word``, inf if it did not."""
+        return next((s[0] for s in self.said if s[0] >= start and s[1] == node and word in s[3]), math.inf)
 
 
 def first(stamps: Array, condition: npt.NDArray[np.bool_]) -> float:
@@ -257,7 +262,9 @@ def reaction(campaign: Campaign, fault: Fault, began: float) -> float:
         after_gap = first(times, times > began + 2.0 * PERIOD)
         safe = first(sent, voltages == 0.0)
         return math.inf if safe < after_gap + 0.5 else first(sent, sent > after_gap) - began
-    if fault.follows in ("neutral", "centred"):
+    if fault.follows == "centred":
+        return campaign.reported("spring centres", began, "valve_simulator") - began
+    if fault.follows == "neutral":
         off = np.flatnonzero(np.abs(readings[times < began + fault.limit]) > CENTRED)
         last = float(times[off[-1]]) if len(off) else began
         return last - began + PERIOD

@@ -117,7 +117,7 @@ class ValveSimulator(Managed):
         self._sow()
         self._state = valve.initial(self._params)
         self._voltage = 0.0
-        self._heard = self._answered = False
+        self._heard = self._answered = self._centring = False
         self._unanswered = self._samples = 0
         self._sent = None
 
@@ -266,7 +266,9 @@ class ValveSimulator(Managed):
             self._heard = False
             self._voltage = 0.0
             self._counts["voltage_timeouts"] += 1
+            self._centring = True
             self.get_logger().error(f"no voltage for {self._timeout:g} s: 0 V, the spring centres the spool")
+            self._diagnose()
 
     def _poll_voltage(self) -> bool:
         assert self._voltages is not None
@@ -276,6 +278,7 @@ class ValveSimulator(Managed):
             if math.isfinite(message.data):
                 self._voltage = saturate(message.data, self._params.u_max)
                 self._heard = True
+                self._centring = False
             else:
                 self._counts["voltage_refused"] += 1
                 self.get_logger().warning(
@@ -296,6 +299,8 @@ class ValveSimulator(Managed):
         level, text = DiagnosticStatus.OK, "simulating"
         if not self.working:
             text = "inactive" if self._voltages is not None else "unconfigured"
+        elif self._centring:
+            level, text = DiagnosticStatus.ERROR, "no voltage: 0 V, the spring centres the spool"
         elif self._fault != ("none", "none"):
             level, text = DiagnosticStatus.WARN, "simulating a fault"
         self._diagnostics.publish(diagnostics(self, level, text, values))

@@ -35,6 +35,8 @@ class Monitor:
         """Begin anew: the next reading has nothing before it."""
         self._last: float | None = None
         self._age = 0.0  # s since the last reading that counts
+        self._raw: float | None = None  # the last finite reading, believed or not
+        self._jumped = False
         self._equal = 0
         self._lowest = self._highest = 0.0
         self._frozen_at: float | None = None
@@ -52,10 +54,14 @@ class Monitor:
             return "not_finite"
         if abs(reading) > p.limit:
             return "out_of_range"
-        last = self._last
+        last, raw, self._raw = self._last, self._raw, reading
         jumped = last is not None and abs(reading - last) > p.max_rate * self._age + p.tolerance
-        if jumped and not blocked:
+        # Readings that go on smoothly from one that jumped have jumped too, however long ago that is.
+        smooth = raw is not None and abs(reading - raw) <= p.max_rate * (1 + missed) * p.period + p.tolerance
+        if not blocked and (jumped or (self._jumped and smooth)):
+            self._jumped = True
             return "jump"
+        self._jumped = False
         self._last = reading
         self._age = 0.0
         if self._frozen_at is not None:

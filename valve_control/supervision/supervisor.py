@@ -195,12 +195,17 @@ class Supervisor:
         else:
             self._clear(name)
 
-    def silence(self) -> float:
-        """The LVDT has been silent for too long; returns the voltage [V]."""
+    def silence(self, stalled: bool = False) -> float:
+        """No reading was answered for too long; returns the voltage [V].
+
+        ``stalled``: readings have come, but this process stood still.
+        """
         if not self._blocked and self._state is not None:
-            self._switch_off(
-                "lvdt_silent", f"{lvdt.TEXTS['silent']} for more than {self._hold_samples} samples"
-            )
+            limit = f"for more than {self._hold_samples} samples"
+            if stalled:
+                self._switch_off("stalled", f"the controller's process stood still {limit}")
+            else:
+                self._switch_off("lvdt_silent", f"{lvdt.TEXTS['silent']} {limit}")
         return self.voltage
 
     def sample(self, reading: float, sequence: int | None = None) -> float:
@@ -374,12 +379,14 @@ class Supervisor:
     def _watch(self, terms: Any, voltage: float) -> None:
         if abs(voltage) >= self._u_max:
             self.counts["saturated"] += 1
-            self._saturated_for += self._period
+            self._saturated_for = min(self._saturated_for + self._period, 2.0 * self._saturation_limit)
             if self._saturated_for > self._saturation_limit:
                 self._report("saturation", f"saturated for more than {self._saturation_limit:g} s")
         elif self._saturated_for > 0.0:
-            self._saturated_for = 0.0
-            self._clear("saturation")
+            # Noise lifts single samples off the limit: time without saturation counts against time with it.
+            self._saturated_for = max(0.0, self._saturated_for - self._period)
+            if self._saturated_for == 0.0:
+                self._clear("saturation")
         if "lyapunov_bound" in terms._fields and terms.lyapunov > terms.lyapunov_bound:
             self.counts["assumption_violations"] += 1
             self._latch(
