@@ -172,13 +172,12 @@ class ValveSimulator(Managed):
             return False
         if self._samples == 0:
             self._next = now
-        behind = now - self._next
-        if behind > STALL:
-            skipped = int(behind / self._period)
-            self._counts["samples_skipped"] += skipped
-            self._next += skipped * self._period
-            self.get_logger().warning(f"stood still for {behind:.3f} s, {skipped} samples skipped")
-        while time.monotonic() >= self._next:
+        while (behind := time.monotonic() - self._next) >= 0.0:
+            if behind > STALL:
+                skipped = int(behind / self._period)
+                self._counts["samples_skipped"] += skipped
+                self._next += skipped * self._period
+                self.get_logger().warning(f"stood still for {behind:.3f} s, {skipped} samples skipped")
             if self._samples > 0:
                 self._take_voltage()
                 self._advance()
