@@ -283,7 +283,7 @@ def range_text(parameter: Parameter) -> str:
     """Range or choices of a parameter in words."""
     if parameter.choices:
         return ", ".join(parameter.choices)
-    if isinstance(parameter.default, (str, bool)):
+    if isinstance(parameter.default, (str, bool)) or parameter.type_name == "list of strings":
         return ""
     return f"{parameter.low:g} to {parameter.high:g}"
 
