@@ -121,7 +121,7 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
     if arguments.command is not None:
         changes["command_source"].update(scenario="array", command_file=arguments.command)
     if arguments.sample_period is not None:
-        for node in NODES:
+        for node in direct:
             changes[node]["sample_period"] = arguments.sample_period
     for text in arguments.set:
         name, by_node = files.parse_setting(text)

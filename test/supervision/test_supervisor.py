@@ -24,6 +24,7 @@ from valve_control.supervision.supervisor import Mode, Supervisor
 
 LAWS = ("arc", "oarc", "pid", "compensator", "open_loop")
 PERIOD = 0.001
+FADE = 0.05  # V a sample, of a takeover that fades
 
 
 class Loop:
@@ -165,7 +166,7 @@ def test_a_longer_gap_than_allowed_is_silence():
 @pytest.mark.parametrize("law", LAWS)
 def test_silence_told_from_outside(law):
     loop = Loop(law).run(300)
-    assert loop.supervisor.silence() == 0.0 and loop.supervisor.mode is Mode.SAFE
+    assert loop.supervisor.silence(0.02) == 0.0 and loop.supervisor.mode is Mode.SAFE
     loop.run(2500)
     assert loop.supervisor.mode is Mode.OK
 
@@ -193,14 +194,100 @@ def test_standstill_is_not_a_frozen_lvdt():
     assert loop.supervisor.counts["safe_stops"] == 0
 
 
-def test_reset_frees_a_spool_that_reads_the_frozen_value_at_rest():
-    loop = Loop("open_loop").run(200)
+def test_frozen_value_at_rest_stays_off_until_activated_anew():
+    loop = Loop("open_loop", lvdt__max_rate=1e6).run(200)
     for _ in range(300):
         loop.step(lambda reading: 0.0)
-    assert "lvdt_frozen" in loop.supervisor.conditions or "lvdt_jump" in loop.supervisor.conditions
+    assert "lvdt_frozen" in loop.supervisor.conditions
     loop.supervisor.reset()
     loop.run(60, spoil=lambda reading: 0.0)
+    assert loop.supervisor.mode is Mode.SAFE
+    loop.supervisor.start()
+    loop.run(1, spoil=lambda reading: 0.0)
     assert loop.supervisor.mode is not Mode.SAFE
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_command_that_died_with_the_lvdt_does_not_move_the_spool_on_return(law):
+    loop = Loop(law, arc__velocity_cutoff=40.0, pid__derivative_cutoff=40.0)
+    loop.command = lambda: 4.0
+    loop.run(400)
+    loop.commanded = False
+    loop.run(30, spoil=lambda reading: math.nan)
+    for _ in range(20):
+        loop.supervisor.silence(0.1)
+        for _ in range(100):
+            loop.s = valve.step(loop.p, loop.s, 0.0)
+    positions = []
+    for _ in range(1500):
+        loop.step()
+        positions.append(abs(loop.s.x.x0))
+    assert max(positions) < 0.1 and max(map(abs, loop.voltages[-1400:])) < 1.0
+
+
+def test_sound_readings_must_come_in_a_row():
+    loop = Loop("arc", lvdt__recovery_samples=10).run(300).run(50, spoil=lambda reading: math.nan)
+    for _ in range(15):
+        loop.step()
+        loop.supervisor.silence(0.1)
+    assert loop.supervisor.mode is Mode.SAFE
+    for _ in range(15):
+        loop.run(9).run(3, send=False)
+    assert loop.supervisor.mode is Mode.SAFE
+    loop.run(10)
+    assert loop.supervisor.mode is not Mode.SAFE
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_return_while_the_spring_still_moves_the_spool(law):
+    """A fault just longer than what is bridged; for laws with feedback the noise is that of a calm law."""
+    for phase in range(0, 600, 40):
+        loop = Loop(law, arc__velocity_cutoff=40.0, pid__derivative_cutoff=40.0).run(700 + phase)
+        usual = loop.largest_step(0)
+        loop.run(21, spoil=lambda reading: math.nan)
+        begin = len(loop.voltages)
+        loop.run(600)
+        assert loop.supervisor.mode is not Mode.SAFE
+        assert loop.largest_step(begin) <= 1.5 * usual + FADE, phase
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_activation_elsewhere_than_at_rest_is_bumpless(law):
+    loop = Loop(law, arc__velocity_cutoff=40.0, pid__derivative_cutoff=40.0)
+    loop.command = lambda: 3.0
+    loop.run(600)
+    loop.supervisor.start()
+    begin = len(loop.voltages)
+    loop.run(1500)
+    assert loop.voltages[begin] == pytest.approx(0.0, abs=1e-9)
+    assert loop.largest_step(begin) < 1.5
+    assert loop.s.x.x0 == pytest.approx(3.0, abs=0.4)
+
+
+def test_estimates_given_while_the_voltage_is_off_count():
+    loop = Loop("arc").run(500).run(60, spoil=lambda reading: math.nan)
+    values = {**loop.values, "arc.theta_initial": [30.0, 1500.0, 1300.0, 5.0]}
+    loop.supervisor.apply(values, build.law_params(values))
+    loop.run(60)
+    assert np.allclose(loop.supervisor.theta, [30.0, 1500.0, 1300.0, 5.0], rtol=0.05, atol=60.0)
+
+
+@pytest.mark.parametrize(
+    ("law", "change"),
+    [
+        ("oarc", {"oarc.k1": 400.0, "oarc.k2": 60000.0}),
+        ("arc", {"arc.theta_initial": [30.0, 1500.0, 1300.0, 5.0]}),
+        ("compensator", {"compensator.design": "printed_second_order"}),
+    ],
+)
+def test_changes_that_alter_the_meaning_of_the_state_are_bumpless(law, change):
+    loop = Loop(law, arc__velocity_cutoff=40.0).run(900)
+    usual = loop.largest_step(0)
+    values = {**loop.values, **change}
+    begin = len(loop.voltages) - 1
+    loop.supervisor.apply(values, build.law_params(values))
+    loop.run(300)
+    assert loop.largest_step(begin) <= 1.5 * usual + FADE
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -431,7 +518,7 @@ def test_100000_random_parameter_sets_and_messages():
         command = float(rng.choice(bad)) if rng.integers(10) == 0 else float(rng.normal(0.0, 3.0))
         reading = float(rng.choice(bad)) if rng.integers(10) == 0 else position
         if rng.integers(20) == 0:
-            supervisor.silence()
+            supervisor.silence(0.1)
         sequence += int(rng.integers(-1, 4))
         supervisor.command(command)
         voltage = supervisor.sample(reading, sequence)

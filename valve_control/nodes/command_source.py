@@ -48,7 +48,7 @@ class CommandSource(Worker):
         fault = build.word(values, "fault.command")
         if fault != self._fault:
             self._fault = fault
-            self._fault_left = int(build.number(values, "fault.samples"))
+            self._fault_left = int(build.number(values, "fault.samples")) if fault != "none" else 0
             if fault == "second_publisher" and self._second is None:
                 self._second = self.create_publisher(Float64, "spool_command", SAMPLES)
             elif fault != "second_publisher" and self._second is not None:

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import SAMPLES, ParameterSet, PolledSubscription, diagnostics
 from valve_control.nodes.lifecycle import Managed
-from valve_control.nodes.loop import run
+from valve_control.nodes.loop import run, stopping
 from valve_control.parameters import build, files, stability
 from valve_control.parameters.table import CONTROLLER, Values
 from valve_control.simulation.closed_loop import LAWS
@@ -48,13 +48,16 @@ class Controller(Managed):
         self._supervisor = Supervisor()
         self._said: tuple[Mode, str] | None = None
         self._readings: PolledSubscription | None = None
+        self._lockstep = False
         self._watch_at = NEVER
         self._catching_up = False
+        self._seen = 0.0  # s, last reading or silence
         self._pairing: int | None = None
+        self._unpaired = False  # lockstep without anybody who commands
         self._message = Float64()
         self._state_message = Float64MultiArray()
         self._last_command = NEVER  # wall time of the last one
-        self._commanders = 0
+        self._commanded = False  # whether there has been an upper level
         self._arrivals: deque[float] = deque(maxlen=WINDOW)
         self._latencies: deque[int] = deque(maxlen=WINDOW)
         self._durations: deque[float] = deque(maxlen=WINDOW)
@@ -83,8 +86,11 @@ class Controller(Managed):
         self._params = params
         self._period = build.number(values, "sample_period")
         self._decimation = int(build.number(values, "state_decimation"))
-        self._lockstep = values["lockstep"] is True
-        self._hold = (1.0 + build.number(values, "lvdt.hold_samples")) * self._period
+        if values["lockstep"] != self._lockstep:
+            self._lockstep = values["lockstep"] is True
+            self._pairing, self._unpaired = None, False
+        # Half a period more than the last reading that may still come in time.
+        self._hold = 1.5 + build.number(values, "lvdt.hold_samples")
         if self._lockstep:
             self._watch_at = NEVER
         labels = self._supervisor.labels()
@@ -128,10 +134,16 @@ class Controller(Managed):
         self.get_logger().info(f"{self._supervisor.name} at {rate:g} Hz, waiting for spool_position")
 
     def end(self) -> None:
-        """0 V, once, and seen to arrive."""
+        """0 V, once."""
         self._publish(0.0)
-        self._voltages.wait_for_all_acked(Duration(seconds=LAST_WORD))
+        self._supervisor.start()
+        self._watch_at = NEVER
         self.get_logger().info("inactive, 0 V")
+
+    def deliver(self) -> None:
+        """See the last 0 V arrive; not in ``end``, where other valves of the process would have to wait."""
+        if self._readings is not None:
+            self._voltages.wait_for_all_acked(Duration(seconds=LAST_WORD))
 
     # Work
 
@@ -151,11 +163,12 @@ class Controller(Managed):
         for message, info in self._readings.take():
             self._answer(message.data, info)
             worked = True
-        late = time.monotonic() - self._watch_at
-        if late >= 0.0 and not worked:
-            self._catching_up = late > STALL
-            self._publish(self._supervisor.silence(stalled=self._catching_up))
-            self._watch_at = time.monotonic() + REMIND
+        now = time.monotonic()
+        if now >= self._watch_at and not worked:
+            self._catching_up = now - self._watch_at > STALL
+            self._take_commands(0)
+            self._publish(self._supervisor.silence(self._elapsed(now), self._catching_up))
+            self._watch_at = now + REMIND
             worked = True
         if self._supervisor.changed:
             self._announce()
@@ -171,8 +184,9 @@ class Controller(Managed):
         elif self._catching_up and began - self._arrivals[-1] >= 0.5 * self._period:
             self._catching_up = False
         if self._catching_up:
-            self._publish(self._supervisor.silence(stalled=True))
+            self._publish(self._supervisor.silence(self._elapsed(began), stalled=True))
         else:
+            self._elapsed(began)
             self._publish(self._supervisor.sample(reading, number))
         ended = time.monotonic()
         self._latencies.append(time.time_ns() - info["source_timestamp"])
@@ -181,10 +195,15 @@ class Controller(Managed):
         if ended - began > self._period:
             self._overruns += 1
         if not self._lockstep:
-            self._watch_at = began + self._hold
+            self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
             self._state_message.data = self._supervisor.telemetry()
             self._states.publish(self._state_message)
+
+    def _elapsed(self, now: float) -> float:
+        """Seconds since the last call."""
+        elapsed, self._seen = now - self._seen, now
+        return elapsed
 
     def _publish(self, voltage: float) -> None:
         self._message.data = voltage
@@ -192,7 +211,7 @@ class Controller(Managed):
 
     def _take_commands(self, number: int) -> None:
         """Hand on the commands that count for reading ``number``."""
-        if self._lockstep:
+        if self._lockstep and number > 0:
             self._take_paired_command(number)
             return
         for message, _ in self._commands.take():
@@ -202,10 +221,12 @@ class Controller(Managed):
     def _take_paired_command(self, number: int) -> None:
         """Lockstep: exactly the command with the number of the reading, however long it takes."""
         limit = time.monotonic() + LOCKSTEP_LIMIT
-        while time.monotonic() < limit:
+        while time.monotonic() < limit and not stopping():
             taken = self._commands.one()
             if taken is None:
-                if self._pairing is not None and self.count_publishers("spool_command") == 0:
+                if self._unpaired or (
+                    self._pairing is not None and self.count_publishers("spool_command") == 0
+                ):
                     return
                 time.sleep(POLL)
                 continue
@@ -215,11 +236,12 @@ class Controller(Managed):
             ahead = info["publication_sequence_number"] - number
             if self._pairing is None:
                 self._pairing = ahead
+                self._unpaired = False
             if ahead >= self._pairing:
                 return
-        self._pairing = 0
+        self._pairing, self._unpaired = None, True
         self.get_logger().warning(
-            f"lockstep: no command for reading {number} within {LOCKSTEP_LIMIT:g} s; the last one holds"
+            f"lockstep: no command for reading {number} within {LOCKSTEP_LIMIT:g} s; goes on without waiting"
         )
 
     # What is around
@@ -231,9 +253,9 @@ class Controller(Managed):
             count = self.count_publishers(topic)
             self._supervisor.observe(name, f"{count} publishers on {topic}" if count > 1 else "")
             if name == "command_publishers":
-                if count == 0 and self._commanders > 0 and not self._lockstep:
+                self._commanded = self._commanded or count > 0
+                if count == 0 and self._commanded and not self._lockstep:
                     self._supervisor.command_gone()
-                self._commanders = count
 
     def _check_stability(self) -> None:
         """Warn about unstable gains; after they came into use, since it takes longer than a period."""
@@ -253,12 +275,13 @@ class Controller(Managed):
         return response
 
     def _on_save(self, request: Any, response: Any) -> Any:
-        path = Path(build.word(self._values, "save_file")).expanduser().absolute()
+        name = build.word(self._values, "save_file")
         try:
+            path = Path(name).expanduser().absolute()
             files.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
-        except OSError as error:
+        except (OSError, RuntimeError, ValueError) as error:
             response.success = False
-            response.message = f"{path} cannot be written: {error.strerror}"
+            response.message = f"{name} cannot be written: {getattr(error, 'strerror', None) or error}"
             self.get_logger().warning(response.message)
             return response
         response.success = True

@@ -108,7 +108,7 @@ def run_lockstep(controller: str, duration: float, folder: Path) -> dict[str, An
         inside = numbers[topic] < wanted
         got = listener.arrays(topic)[0][inside]
         differing += numbers[topic][inside][got != expected[numbers[topic][inside]]].tolist()
-    stamps = listener.arrays("valve_voltage")[1]
+    voltage, stamps = listener.arrays("valve_voltage")
     took = stamps[-1] - stamps[0]
     made = int(numbers["valve_voltage"][-1] - numbers["valve_voltage"][0])
     return {
@@ -117,6 +117,8 @@ def run_lockstep(controller: str, duration: float, folder: Path) -> dict[str, An
         "heard": {topic: int(np.count_nonzero(numbers[topic] < wanted)) for topic in LISTENED},
         "equal": not differing,
         "first_difference": min(differing) if differing else None,
+        "voltage_at_end_V": float(voltage[numbers["valve_voltage"] < wanted][-1]),
+        "offline_voltage_at_end_V": float(twin.voltage[-1]),
         "wall_s": float(took),
         "samples_per_s": float(made / took),
         "times_real_time": float(made * period / took),

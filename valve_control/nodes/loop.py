@@ -24,6 +24,14 @@ from valve_control.parameters.table import ParameterError
 CHORES = 0.01  # s between two looks at services, parameters and timers; twice that if no sample comes
 
 
+_stopped: list[int] = []  # signals that have come
+
+
+def stopping() -> bool:
+    """Whether SIGINT or SIGTERM has come."""
+    return bool(_stopped)
+
+
 class Worker(Node):
     """Node with work of its own beside callbacks."""
 
@@ -42,13 +50,15 @@ class Worker(Node):
     def finish(self) -> None:
         """Last words before the node is destroyed."""
 
+    def deliver(self) -> None:
+        """Wait until they have arrived, for a moment."""
+
 
 def run(make: Callable[[], Sequence[Any]]) -> int:
     """Work with the nodes that ``make`` gives until SIGINT or SIGTERM; returns the exit status."""
-    stopped: list[int] = []
 
     def stop(number: int, frame: Any) -> None:
-        stopped.append(number)
+        _stopped.append(number)
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
@@ -66,13 +76,18 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
         # A collection of everything that the imports brought takes tens of milliseconds, many samples.
         gc.collect()
         gc.freeze()
-        _loop(nodes, executor, stopped)
+        _loop(nodes, executor)
     except ParameterError as error:
         print(f"valve_control: {error}", file=sys.stderr)
         return 2
     finally:
         for node in nodes:
-            node.finish()
+            try:
+                node.finish()
+            except Exception as error:  # the other valves must hear their 0 V whatever this one does
+                print(f"valve_control: {node.get_name()}: {first_line(error)}", file=sys.stderr)
+        for node in nodes:
+            node.deliver()
         executor.shutdown(timeout_sec=0.0)
         for node in nodes:
             node.destroy_node()
@@ -80,12 +95,12 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
     return 0
 
 
-def _loop(nodes: Sequence[Any], executor: SingleThreadedExecutor, stopped: list[int]) -> None:
+def _loop(nodes: Sequence[Any], executor: SingleThreadedExecutor) -> None:
     context = rclpy.get_default_context()
     chores = time.monotonic()
     wait_set: Any = None
     watched: list[Any] = []
-    while not stopped:
+    while not _stopped:
         inputs = [subscription.handle for node in nodes for subscription in node.inputs()]
         if wait_set is None or len(inputs) != len(watched):
             wait_set = WaitSet(len(inputs), 0, 0, 0, 0, 0, context.handle)

@@ -96,7 +96,8 @@ class ValveSimulator(Managed):
         fault = (build.word(values, "fault.lvdt"), build.word(values, "fault.valve"))
         if fault != self._fault:
             self._fault = fault
-            self._fault_left = int(build.number(values, "fault.samples"))
+            injected = fault != ("none", "none")
+            self._fault_left = int(build.number(values, "fault.samples")) if injected else 0
             if "second_publisher" in fault and self._second is None:
                 self._second = self.create_publisher(Float64, "spool_position", SAMPLES)
             elif "second_publisher" not in fault and self._second is not None:
@@ -127,7 +128,7 @@ class ValveSimulator(Managed):
         """Topics."""
         self._voltages = PolledSubscription(self, Float64, "valve_voltage", SAMPLES)
         self._positions = self.create_publisher(Float64, "spool_position", SAMPLES)
-        self._clock_publisher = self.create_publisher(ClockMessage, "/clock", 1) if self._lockstep else None
+        self._clock_publisher: Any = None
 
     def close(self) -> None:
         """Topics left."""
@@ -143,8 +144,6 @@ class ValveSimulator(Managed):
         assert self._voltages is not None
         for _ in self._voltages.take():
             pass
-        if self._lockstep and self._clock_publisher is None:
-            self._clock_publisher = self.create_publisher(ClockMessage, "/clock", 1)
         self._rest()
         self._next = 0.0
         pace = "in lockstep" if self._lockstep else f"at {1.0 / self._period:g} Hz"
@@ -203,7 +202,8 @@ class ValveSimulator(Managed):
             return True
         else:
             return False
-        assert self._clock_publisher is not None
+        if self._clock_publisher is None:
+            self._clock_publisher = self.create_publisher(ClockMessage, "/clock", 1)
         nanoseconds = round(self._samples * self._period * 1e9)
         self._clock_message.clock.sec, self._clock_message.clock.nanosec = divmod(nanoseconds, 10**9)
         self._clock_publisher.publish(self._clock_message)

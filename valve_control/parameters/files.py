@@ -60,14 +60,16 @@ def save(path: Path, node: str, values: Values) -> None:
         for group in groups:
             branch = branch.setdefault(group, {})
         branch[last] = value
-    text = yaml.safe_dump({node: {"ros__parameters": tree}}, sort_keys=False, default_flow_style=None)
+    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+    text = yaml.dump(
+        {node: {"ros__parameters": tree}}, Dumper=dumper, sort_keys=False, default_flow_style=None
+    )
     with tempfile.NamedTemporaryFile(
         "w", dir=path.parent, prefix=f".{path.name}.", delete=False, encoding="utf-8"
     ) as stream:
         try:
             stream.write(text)
             stream.flush()
-            os.fsync(stream.fileno())
             os.chmod(stream.name, 0o644)
             os.replace(stream.name, path)
         except OSError:

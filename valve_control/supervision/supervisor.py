@@ -26,9 +26,12 @@ from valve_control.supervision import fade, lvdt
 
 TACHOMETER_CUTOFF = 50.0  # Hz, of the velocity with which a law takes over
 LATCH = 1.0  # s for which a passing event stays reported
+REST = 10.0  # V/s; a spool that moves faster has not yet come to rest ...
+REST_LIMIT = 0.5  # s  ... but a noisy reading must not keep the valve off for ever
 HEAD = ("sample", "mode", "command", "measurement", "voltage", "offset")
 # Parameters after whose change a law's state means something else, so that it takes over from itself.
 FORMS = {
+    "oarc": ("oarc.k1", "oarc.k2"),
     "pid": ("pid.form",),
     "compensator": tuple(p.name for p in CONTROLLER if p.name.startswith("compensator.")),
 }
@@ -51,7 +54,7 @@ class Homing(NamedTuple):
     """The way back to neutral."""
 
     origin: float  # V  where it began
-    time: float  # s  since then
+    began: float  # s
 
 
 class Supervisor:
@@ -102,7 +105,7 @@ class Supervisor:
         self._saturated_for = 0.0  # s
         self._command: float | None = None
         self._command_time = 0.0
-        self._command_gone = False
+        self._gone_since: float | None = None  # s, when the upper level left
         self._used: float | None = None  # V, the command at the sample before
         self._homing: Homing | None = None
         self._effective = math.nan
@@ -145,25 +148,25 @@ class Supervisor:
         if self._monitor is None:
             self._monitor = lvdt.Monitor(watched)
         self._monitor.params = watched
-        form = (name, *(values[key] for key in FORMS.get(name, ())))
-        if form != self._form:
+        self.voltage = saturate(self.voltage, self._u_max)
+        if self._command is not None:
+            self._command = saturate(self._command, self._command_limit)
+        form = (name, self._period, *(values[key] for key in FORMS.get(name, ())))
+        estimates = getattr(params, "theta_initial", None)
+        anew = form[0] == self.name and estimates != getattr(former, "theta_initial", None)
+        if anew and self._state is None:
+            self._former = None
+        if form != self._form or anew:
             self._form = form
             self.name = name
             self._law = LAWS[name]
             self._terms = ()
             if self._state is not None:
-                self._take_over(self._state, reshapes(former) and reshapes(params))
-        elif (
-            self._state is not None
-            and "theta" in self._state._fields
-            and params.theta_initial != former.theta_initial
-        ):
-            self._state = self._state._replace(theta=params.theta_initial)
+                begun = self._state._replace(theta=estimates) if anew else self._state
+                self._take_over(begun, reshapes(former) and reshapes(params))
 
     def reset(self) -> None:
-        """Estimates and filters to their start; from 0 V if the voltage is off, without a bump otherwise."""
-        if self._monitor is not None:
-            self._monitor.forget()
+        """Estimates and filters to their start, without a bump; what is believed of the LVDT stays."""
         self._former = None
         if self._state is not None:
             self._take_over(None, False)
@@ -172,7 +175,7 @@ class Supervisor:
 
     def command(self, value: float) -> None:
         """Take in a command [V] from the upper level."""
-        self._command_gone = False
+        self._gone_since = None
         if not math.isfinite(value):
             self.counts["command_refused"] += 1
             self._latch("command_refused", f"command {value} refused, the last one holds")
@@ -186,20 +189,24 @@ class Supervisor:
 
     def command_gone(self) -> None:
         """The upper level has left: its command counts as silent at once."""
-        self._command_gone = True
+        if self._gone_since is None:
+            self._gone_since = self._now
 
     def observe(self, name: str, text: str) -> None:
         """Report ``text`` under ``name``, something seen from outside; "" ends it."""
-        if text:
-            self._report(name, text)
-        else:
+        if text != self.conditions.get(name, ""):
             self._clear(name)
+            if text:
+                self._report(name, text)
 
-    def silence(self, stalled: bool = False) -> float:
+    def silence(self, elapsed: float, stalled: bool = False) -> float:
         """No reading was answered for too long; returns the voltage [V].
 
-        ``stalled``: readings have come, but this process stood still.
+        ``elapsed`` [s]: since the last reading or the last call; ``stalled``: readings have come, but this
+        process stood still.
         """
+        self._now += elapsed
+        self._sound = 0
         if not self._blocked and self._state is not None:
             limit = f"for more than {self._hold_samples} samples"
             if stalled:
@@ -216,7 +223,8 @@ class Supervisor:
         assert self._monitor is not None, "apply comes first"
         missed = self._count_missed(sequence)
         self.samples += 1
-        self._now += (1 + missed) * self._period
+        # A longer gap is a silence, whose time is told there.
+        self._now += (1 + min(missed, self._hold_samples)) * self._period
         if self._expiry:
             self._expire()
         fault = self._monitor.judge(reading, missed, self.voltage, bool(self._blocked))
@@ -227,7 +235,7 @@ class Supervisor:
             if not self._blocked and (fault == "frozen" or self._bridged > self._hold_samples):
                 self._switch_off(f"lvdt_{fault}", lvdt.TEXTS[fault])
             elif not self._blocked:
-                self._latch("lvdt_bridged", f"{lvdt.TEXTS[fault]}: bridged")
+                self._latch(f"lvdt_{fault}_bridged", f"{lvdt.TEXTS[fault]}: bridged")
             return self.voltage
         gap, self._bridged = missed + self._bridged, 0
         if gap and not self._blocked and self._state is not None:
@@ -237,8 +245,9 @@ class Supervisor:
                 self._latch("lvdt_bridged", "LVDT readings lost: bridged")
                 self._step_over(gap, reading)
         if self._blocked:
-            self._watch_recovery(reading)
-            if self._blocked:
+            if gap:
+                self._sound = 0
+            if not self._recovered(reading):
                 return self.voltage
         self._measurement = reading
         if self._state is None:
@@ -263,7 +272,14 @@ class Supervisor:
     def theta(self) -> tuple[float, ...] | None:
         """Present estimates, of a law that adapts."""
         state = self._state if self._state is not None else self._former
-        return tuple(state.theta) if state is not None and "theta" in state._fields else None
+        if state is None or "theta" not in state._fields or "theta_min" not in self._params._fields:
+            return None
+        return tuple(map(clip, state.theta, self._params.theta_min, self._params.theta_max))
+
+    @property
+    def bridged(self) -> int:
+        """Readings in a row that could not be believed and are bridged now."""
+        return self._bridged
 
     @property
     def command_age(self) -> float:
@@ -314,9 +330,17 @@ class Supervisor:
         return missed
 
     def _begin(self, reading: float) -> None:
-        self._state = self._law.initial(self._params, Start(reading, self.voltage, reading, 0.0, 0.0))
+        """Begin plainly from rest, as offline; without a bump where spool or command are elsewhere."""
         self._velocity = velocity.State(reading, 0.0)
         self._welcome(reading)
+        wanted = 0.0 if self._command is None else self._command
+        if self._values["lockstep"] or max(abs(reading), abs(wanted)) <= build.number(
+            self._values, "lvdt.tolerance"
+        ):
+            start = Start(reading, self.voltage, reading, 0.0, 0.0)
+            self._state = self._law.initial(self._params, start)
+        else:
+            self._take_over(None, False)
 
     def _welcome(self, reading: float) -> None:
         """The law has the valve from ``reading`` [V] on; there it stays until a command comes."""
@@ -400,16 +424,12 @@ class Supervisor:
         offset = self._command_offset.value
         if self._command is None:
             return self._start_position + offset
-        silent = self._command_timeout > 0.0 and (
-            self._command_gone or self._now - self._command_time > self._command_timeout
-        )
-        if silent:
+        since = self._silent_since()
+        if since is not None:
             if self._homing is None:
-                self._homing = Homing(self._command, 0.0)
+                self._homing = Homing(self._command, since)
                 self._report("command_silent", "command is silent, the spool returns to neutral")
-            target = self._home(self._homing)
-            self._homing = self._homing._replace(time=self._homing.time + self._period)
-            return target + offset
+            return self._home(self._homing) + offset
         if self._homing is not None:
             here, before = self._home(self._homing), self._home(self._homing, self._period)
             self._command_offset = fade.State(
@@ -420,10 +440,19 @@ class Supervisor:
             self._clear("command_silent")
         return self._command + offset
 
+    def _silent_since(self) -> float | None:
+        """Since when [s] the command counts as silent, None if it does not."""
+        if self._command_timeout == 0.0:
+            return None
+        if self._gone_since is not None:
+            return self._gone_since
+        end = self._command_time + self._command_timeout
+        return end if self._now > end else None
+
     def _home(self, homing: Homing, ago: float = 0.0) -> float:
         """Command [V] on the way to neutral, ``ago`` [s] before now."""
-        way = stroke(homing.time - ago, -homing.origin, self._neutral_rate, self._neutral_accel)
-        return homing.origin + way
+        time = self._now - homing.began - ago
+        return homing.origin + stroke(time, -homing.origin, self._neutral_rate, self._neutral_accel)
 
     # Off and on again
 
@@ -440,32 +469,36 @@ class Supervisor:
         self._clear("saturation")
         self._sound = 0
 
-    def _watch_recovery(self, reading: float) -> None:
-        self._measurement = reading
-        if self._sound == 0:
+    def _recovered(self, reading: float) -> bool:
+        """Whether enough sound readings have come and the spool is at rest; the law is then back in force."""
+        sound, self._sound = self._sound, self._sound + 1
+        if sound == 0:
             self._velocity = velocity.State(reading, 0.0)
-        self._velocity = velocity.step(self._tachometer, self._velocity, reading)
-        self._sound += 1
-        if self._sound >= self._recovery_samples:
-            self._clear(self._blocked)
-            self._blocked = ""
-            self._welcome(reading)
-            self._take_over(self._former, False)
+            self._measurement = reading
+        resting = abs(self._velocity.velocity) <= REST or sound * self._period >= REST_LIMIT
+        if self._sound < self._recovery_samples or not resting:
+            self._velocity = velocity.step(self._tachometer, self._velocity, reading)
+            self._measurement = reading
+            return False
+        self._clear(self._blocked)
+        self._blocked = ""
+        self._welcome(reading)
+        # From the reading before: the law takes in the present one in its first step.
+        self._take_over(self._former, False)
+        return True
 
     def _take_over(self, former: Any, same_reference: bool) -> None:
         """Begin with the law where the spool is: reading, voltage, motion, reference and estimates."""
         params = self._params
         y, v = self._measurement, self._velocity.velocity
         start = Start(y, self.voltage, y, v, v)
-        base = self._command if self._command is not None else self._start_position
-        if self._homing is not None:
-            base = self._home(self._homing)
         self._command_offset = fade.NOTHING
+        base = self._target()
         if same_reference:
             reference, rate = former.reference
             start = start._replace(reference=reference, reference_rate=rate)
         else:
-            self._command_offset = fade.State(self._steady_command(start) - base, 0.0)
+            self._command_offset = fade.State(self._steady_command(start) - base, v)
         if former is not None and "theta" in former._fields and "theta" in self._law.State._fields:
             theta = Theta(*map(clip, former.theta, params.theta_min, params.theta_max))
             params = params._replace(theta_initial=theta)
