@@ -37,6 +37,8 @@ U_MAX = 10.0  # V
 PERIOD = 0.001  # s
 HOLD = 20  # samples
 FROZEN = 20  # samples
+# A reliable reader holds back what follows until the writer has forgotten the lost ones: n cost 2·n periods.
+LOST = 5  # samples
 COMMAND_TIMEOUT = 0.5  # s
 VOLTAGE_TIMEOUT = 0.1  # s
 SATURATION = 0.15  # s
@@ -99,12 +101,12 @@ class Fault(NamedTuple):
     controllers: Sequence[str]
 
 
-SILENT = (HOLD + 1) * PERIOD + ALLOWANCE
+SILENT = (HOLD + 1.5) * PERIOD + ALLOWANCE
 REPORT = 0.1 + ALLOWANCE
 RETURN = AMPLITUDE / NEUTRAL_RATE + SETTLE + ALLOWANCE
 FAULTS = (
-    Fault("lvdt_lost", "valve_simulator", "fault.lvdt", "lost", HOLD // 2, "bridged", "bridged",
-          (HOLD // 2 + 1) * PERIOD + ALLOWANCE, CONTROLLERS),
+    Fault("lvdt_lost", "valve_simulator", "fault.lvdt", "lost", LOST, "bridged", "bridged",
+          2 * LOST * PERIOD + ALLOWANCE, CONTROLLERS),
     Fault("lvdt_silent", "valve_simulator", "fault.lvdt", "silent", 300, "safe", "silent",
           SILENT, CONTROLLERS),
     Fault("lvdt_frozen", "valve_simulator", "fault.lvdt", "frozen", 400, "safe", "stand still",
@@ -112,6 +114,8 @@ FAULTS = (
     Fault("lvdt_out_of_range", "valve_simulator", "fault.lvdt", "out_of_range", 300, "safe", "out of range",
           SILENT, CONTROLLERS),
     Fault("lvdt_not_finite", "valve_simulator", "fault.lvdt", "not_finite", 300, "safe", "not finite",
+          SILENT, CONTROLLERS),
+    Fault("lvdt_brief", "valve_simulator", "fault.lvdt", "not_finite", HOLD + 3, "safe", "not finite",
           SILENT, CONTROLLERS),
     Fault("lvdt_jump", "valve_simulator", "fault.lvdt", "jump", 300, "safe", "jump", SILENT, CONTROLLERS),
     Fault("lvdt_publishers", "valve_simulator", "fault.lvdt", "second_publisher", 700, "reported",
@@ -231,7 +235,7 @@ def first(stamps: Array, condition: npt.NDArray[np.bool_]) -> float:
 def onset(campaign: Campaign, fault: Fault, start: float) -> float:
     """When the fault began, read from the messages themselves [s]."""
     readings, times = campaign.after("spool_position", start)
-    if fault.name == "lvdt_not_finite":
+    if fault.value == "not_finite" and fault.node == "valve_simulator":
         return first(times, ~np.isfinite(readings))
     if fault.name == "lvdt_out_of_range":
         return first(times, np.abs(readings) > U_MAX)
