@@ -128,8 +128,10 @@ class Controller(Managed):
             for _ in topic.take():
                 pass
         self._supervisor.start()
+        self._said = None
         self._watch_at = NEVER
-        self._pairing = None
+        self._catching_up = False
+        self._pairing, self._unpaired = None, False
         rate = 1.0 / self._period
         self.get_logger().info(f"{self._supervisor.name} at {rate:g} Hz, waiting for spool_position")
 
