@@ -163,13 +163,13 @@ class Supervisor:
             self._terms = ()
             if self._state is not None:
                 begun = self._state._replace(theta=estimates) if anew else self._state
-                self._take_over(begun, reshapes(former) and reshapes(params))
+                self._take_over(begun, reshapes(former) and reshapes(params), following=True)
 
     def reset(self) -> None:
         """Estimates and filters to their start, without a bump; what is believed of the LVDT stays."""
         self._former = None
         if self._state is not None:
-            self._take_over(None, False)
+            self._take_over(None, following=True)
 
     # Inputs
 
@@ -340,7 +340,7 @@ class Supervisor:
             start = Start(reading, self.voltage, reading, 0.0, 0.0)
             self._state = self._law.initial(self._params, start)
         else:
-            self._take_over(None, False)
+            self._take_over(None)
 
     def _welcome(self, reading: float) -> None:
         """The law has the valve from ``reading`` [V] on; there it stays until a command comes."""
@@ -484,11 +484,14 @@ class Supervisor:
         self._blocked = ""
         self._welcome(reading)
         # From the reading before: the law takes in the present one in its first step.
-        self._take_over(self._former, False)
+        self._take_over(self._former)
         return True
 
-    def _take_over(self, former: Any, same_reference: bool) -> None:
-        """Begin with the law where the spool is: reading, voltage, motion, reference and estimates."""
+    def _take_over(self, former: Any, same_reference: bool = False, following: bool = False) -> None:
+        """Begin with the law where the spool is: reading, voltage, motion, reference and estimates.
+
+        ``following``: the spool has been following the command until now.
+        """
         params = self._params
         y, v = self._measurement, self._velocity.velocity
         start = Start(y, self.voltage, y, v, v)
@@ -498,7 +501,9 @@ class Supervisor:
             reference, rate = former.reference
             start = start._replace(reference=reference, reference_rate=rate)
         else:
-            self._command_offset = fade.State(self._steady_command(start) - base, v)
+            # A spool that follows has the rate of the command; one from elsewhere has to lose its own.
+            rate = 0.0 if following else v
+            self._command_offset = fade.State(self._steady_command(start) - base, rate)
         if former is not None and "theta" in former._fields and "theta" in self._law.State._fields:
             theta = Theta(*map(clip, former.theta, params.theta_min, params.theta_max))
             params = params._replace(theta_initial=theta)
