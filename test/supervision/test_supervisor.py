@@ -225,6 +225,97 @@ def test_command_that_died_with_the_lvdt_does_not_move_the_spool_on_return(law):
     assert max(positions) < 0.1 and max(map(abs, loop.voltages[-1400:])) < 1.0
 
 
+CALM = {"arc__velocity_cutoff": 40.0, "pid__derivative_cutoff": 40.0}
+
+
+def homed(law, **changes):
+    """A spool in neutral, whose 5 V command has been silent for long."""
+    loop = Loop(law, **CALM, **changes)
+    loop.command = lambda: 5.0
+    loop.run(800)
+    loop.commanded = False
+    return loop.run(1500)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("name", ["neutral_rate", "neutral_accel", "command_timeout"])
+@pytest.mark.parametrize("value", [1.0, 5.0])
+def test_no_parameter_moves_a_spool_that_nobody_commands(law, name, value):
+    loop = homed(law)
+    loop.values = {**loop.values, name: value}
+    loop.supervisor.apply(loop.values, build.law_params(loop.values))
+    far = 0.0
+    for _ in range(600):
+        loop.step()
+        far = max(far, abs(loop.s.x.x0))
+    assert far < 0.1
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_command_and_lvdt_that_return_together_make_no_bump(law):
+    loop = homed(law).run(60, spoil=lambda reading: math.nan)
+    loop.commanded = True
+    loop.command = lambda: 4.0
+    loop.run(60, spoil=lambda reading: math.nan)
+    begin = len(loop.voltages)
+    loop.run(1500)
+    assert loop.largest_step(begin) < 1.5
+    assert loop.s.x.x0 == pytest.approx(4.0, abs=0.7)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_slow_way_home_does_not_begin_at_a_stale_command(law):
+    loop = Loop(law, neutral_rate=2.0, **CALM)
+    loop.command = lambda: 5.0
+    loop.run(800)
+    loop.commanded = False
+    loop.run(30, spoil=lambda reading: math.nan)
+    for _ in range(6):
+        loop.supervisor.silence(0.1)
+        for _ in range(100):
+            loop.s = valve.step(loop.p, loop.s, 0.0)
+    far = 0.0
+    for _ in range(1500):
+        loop.step()
+        far = max(far, abs(loop.s.x.x0))
+    assert far < 0.15
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_command_that_returns_in_a_gap_never_overshoots(law):
+    loop = homed(law)
+    loop.command = lambda: -5.0
+    loop.commanded = True
+    loop.run(10, send=False)
+    effective = []
+    index = loop.supervisor.labels().index("command")
+    for _ in range(600):
+        loop.step()
+        effective.append(loop.supervisor.telemetry()[index])
+    assert min(effective) >= -5.0 - 1e-6 and effective[0] > -0.1
+
+
+def test_motion_during_a_pause_of_the_driver_is_no_jump():
+    for phase in range(0, 330, 30):
+        loop = Loop("pid")
+        loop.command = lambda loop=loop: 4.0 * math.sin(2.0 * math.pi * 3.0 * loop.k * PERIOD)
+        loop.run(700 + phase)
+        for _ in range(15):
+            loop.s = valve.step(loop.p, loop.s, loop.supervisor.voltage)
+        loop.k += 1
+        loop.supervisor.sample(loop.reading(), loop.k, 16 * PERIOD)
+        loop.run(50)
+        assert loop.supervisor.counts["safe_stops"] == 0
+
+
+def test_estimates_survive_deactivation_in_what_is_saved():
+    loop = Loop("arc").run(1000)
+    before = loop.supervisor.present_values()["arc.theta_initial"]
+    loop.supervisor.start()
+    assert loop.supervisor.present_values()["arc.theta_initial"] == before
+    assert before != loop.values["arc.theta_initial"]
+
+
 def test_sound_readings_must_come_in_a_row():
     loop = Loop("arc", lvdt__recovery_samples=10).run(300).run(50, spoil=lambda reading: math.nan)
     for _ in range(15):

@@ -129,7 +129,8 @@ class Controller(Managed):
                 pass
         self._supervisor.start()
         self._said = None
-        self._watch_at = NEVER
+        self._seen = time.monotonic()
+        self._watch_at = NEVER if self._lockstep else self._seen + REMIND
         self._catching_up = False
         self._pairing, self._unpaired = None, False
         rate = 1.0 / self._period
@@ -169,7 +170,9 @@ class Controller(Managed):
         if now >= self._watch_at and not worked:
             self._catching_up = now - self._watch_at > STALL
             self._take_commands(0)
-            self._publish(self._supervisor.silence(self._elapsed(now), self._catching_up))
+            voltage = self._supervisor.silence(self._elapsed(now), self._catching_up)
+            if self._supervisor.begun:
+                self._publish(voltage)
             self._watch_at = now + REMIND
             worked = True
         if self._supervisor.changed:
@@ -181,15 +184,15 @@ class Controller(Managed):
         number = info["publication_sequence_number"]
         self._take_commands(number)
         # What was sent while this process stood still comes in a burst afterwards and is stale.
-        if began >= self._watch_at:
+        if began - self._watch_at > STALL:
             self._catching_up = True
-        elif self._catching_up and began - self._arrivals[-1] >= 0.5 * self._period:
+        elif self._catching_up and (not self._arrivals or began - self._arrivals[-1] >= 0.5 * self._period):
             self._catching_up = False
         if self._catching_up:
             self._publish(self._supervisor.silence(self._elapsed(began), stalled=True))
         else:
-            self._elapsed(began)
-            self._publish(self._supervisor.sample(reading, number))
+            elapsed = self._elapsed(began)
+            self._publish(self._supervisor.sample(reading, number, 0.0 if self._lockstep else elapsed))
         ended = time.monotonic()
         self._latencies.append(time.time_ns() - info["source_timestamp"])
         self._arrivals.append(began)

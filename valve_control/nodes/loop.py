@@ -81,13 +81,12 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
         print(f"valve_control: {error}", file=sys.stderr)
         return 2
     finally:
-        for node in nodes:
-            try:
-                node.finish()
-            except Exception as error:  # the other valves must hear their 0 V whatever this one does
-                print(f"valve_control: {node.get_name()}: {first_line(error)}", file=sys.stderr)
-        for node in nodes:
-            node.deliver()
+        for act in ("finish", "deliver"):
+            for node in nodes:
+                try:
+                    getattr(node, act)()
+                except Exception as error:  # the other valves must hear their 0 V whatever this one does
+                    print(f"valve_control: {node.get_name()}: {first_line(error)}", file=sys.stderr)
         executor.shutdown(timeout_sec=0.0)
         for node in nodes:
             node.destroy_node()

@@ -41,15 +41,16 @@ class Monitor:
         self._lowest = self._highest = 0.0
         self._frozen_at: float | None = None
 
-    def judge(self, reading: float, missed: int, voltage: float, blocked: bool) -> str:
+    def judge(self, reading: float, missed: int, voltage: float, blocked: bool, elapsed: float) -> str:
         """``SOUND`` or the name of what is wrong with ``reading`` [V].
 
         ``missed``: samples lost before it; ``voltage`` [V]: applied until now; ``blocked``: whether the
         voltage is off already, so that a reading is compared with the one just before it, not with the
-        last believable one.
+        last believable one; ``elapsed`` [s]: real time since the reading before, 0.0 if unknown.
         """
         p = self.params
-        self._age += (1 + missed) * p.period
+        since = max((1 + missed) * p.period, elapsed)
+        self._age += since
         if not math.isfinite(reading):
             return "not_finite"
         if abs(reading) > p.limit:
@@ -57,7 +58,7 @@ class Monitor:
         last, raw, self._raw = self._last, self._raw, reading
         jumped = last is not None and abs(reading - last) > p.max_rate * self._age + p.tolerance
         # Readings that go on smoothly from one that jumped have jumped too, however long ago that is.
-        smooth = raw is not None and abs(reading - raw) <= p.max_rate * (1 + missed) * p.period + p.tolerance
+        smooth = raw is not None and abs(reading - raw) <= p.max_rate * since + p.tolerance
         if not blocked and (jumped or (self._jumped and smooth)):
             self._jumped = True
             return "jump"

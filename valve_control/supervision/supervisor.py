@@ -55,6 +55,8 @@ class Homing(NamedTuple):
 
     origin: float  # V  where it began
     began: float  # s
+    rate: float  # V/s
+    accel: float  # V/s²
 
 
 class Supervisor:
@@ -86,15 +88,20 @@ class Supervisor:
         self._params: Any = None
         self._values: Values = {}
         self._monitor: lvdt.Monitor | None = None
+        self._kept: tuple[str, tuple[float, ...] | None] = ("", None)  # law and its estimates before start
+        self._state: Any = None
+        self._former: Any = None
         self.start()
 
     # Life
 
     def start(self) -> None:
         """Begin at rest with 0 V, as after switching on; parameters and counters stay."""
+        if self.theta is not None:
+            self._kept = (self.name, self.theta)
         self.voltage = 0.0
-        self._state: Any = None
-        self._former: Any = None
+        self._state = None
+        self._former = None
         self._terms: tuple[float, ...] = ()
         self._now = 0.0  # s
         self._sequence: int | None = None
@@ -107,7 +114,8 @@ class Supervisor:
         self._command_time = 0.0
         self._gone_since: float | None = None  # s, when the upper level left
         self._used: float | None = None  # V, the command at the sample before
-        self._homing: Homing | None = None
+        self._homing: Homing | None = None  # once begun, only a new command ends it
+        self._renewed = False  # whether one has come since
         self._effective = math.nan
         self._offset = fade.NOTHING  # on the voltage; both fade after a takeover
         self._command_offset = fade.NOTHING  # on the command
@@ -168,6 +176,7 @@ class Supervisor:
     def reset(self) -> None:
         """Estimates and filters to their start, without a bump; what is believed of the LVDT stays."""
         self._former = None
+        self._kept = ("", None)
         if self._state is not None:
             self._take_over(None, following=True)
 
@@ -181,6 +190,7 @@ class Supervisor:
             self._latch("command_refused", f"command {value} refused, the last one holds")
             return
         self._command_time = self._now + self._period  # it acts at the next sample
+        self._renewed = True
         self._command = saturate(value, self._command_limit)
         self._clear("command_missing")
         if self._command != value:
@@ -215,10 +225,11 @@ class Supervisor:
                 self._switch_off("lvdt_silent", f"{lvdt.TEXTS['silent']} {limit}")
         return self.voltage
 
-    def sample(self, reading: float, sequence: int | None = None) -> float:
+    def sample(self, reading: float, sequence: int | None = None, elapsed: float = 0.0) -> float:
         """One LVDT reading [V]; returns the voltage [V] to apply until the next one.
 
-        ``sequence``: number of the reading, from which lost ones are known.
+        ``sequence``: number of the reading, from which lost ones are known; ``elapsed`` [s]: real time since
+        the one before, if it is known: the spool may have moved that long.
         """
         assert self._monitor is not None, "apply comes first"
         missed = self._count_missed(sequence)
@@ -227,7 +238,7 @@ class Supervisor:
         self._now += (1 + min(missed, self._hold_samples)) * self._period
         if self._expiry:
             self._expire()
-        fault = self._monitor.judge(reading, missed, self.voltage, bool(self._blocked))
+        fault = self._monitor.judge(reading, missed, self.voltage, bool(self._blocked), elapsed)
         if fault:
             self.counts["lvdt_refused"] += 1
             self._bridged += 1 + missed
@@ -279,7 +290,12 @@ class Supervisor:
     @property
     def bridged(self) -> int:
         """Readings in a row that could not be believed and are bridged now."""
-        return self._bridged
+        return 0 if self._blocked else self._bridged
+
+    @property
+    def begun(self) -> bool:
+        """Whether a believable reading has come since the start."""
+        return "lvdt_missing" not in self.conditions
 
     @property
     def command_age(self) -> float:
@@ -315,8 +331,9 @@ class Supervisor:
     def present_values(self) -> Values:
         """The parameters in use, with the present estimates as the initial ones of the running law."""
         values = dict(self._values)
-        if self.theta is not None:
-            values[f"{self.name}.theta_initial"] = list(self.theta)
+        theta = self.theta or (self._kept[1] if self._kept[0] == self.name else None)
+        if theta is not None:
+            values[f"{self.name}.theta_initial"] = list(theta)
         return values
 
     # The way from reading to voltage
@@ -345,6 +362,9 @@ class Supervisor:
     def _welcome(self, reading: float) -> None:
         """The law has the valve from ``reading`` [V] on; there it stays until a command comes."""
         self._clear("lvdt_missing")
+        if self._command is not None and (self._homing is not None or self._silent_since() is not None):
+            # The spool is not where the old command was.
+            self._go_home(reading, self._now)
         if self._command is None:
             self._start_position = reading
             self._report("command_missing", "no command yet")
@@ -355,7 +375,7 @@ class Supervisor:
         newest = self._command
         for i in range(1, gap + 1):
             between = self._measurement + i * slope
-            if newest is not None and self._used is not None:
+            if newest is not None and self._used is not None and self._homing is None:
                 self._command = self._used + i * (newest - self._used) / (gap + 1)
             self._velocity = velocity.step(self._tachometer, self._velocity, between)
             try:
@@ -425,10 +445,9 @@ class Supervisor:
         if self._command is None:
             return self._start_position + offset
         since = self._silent_since()
-        if since is not None:
-            if self._homing is None:
-                self._homing = Homing(self._command, since)
-                self._report("command_silent", "command is silent, the spool returns to neutral")
+        if self._homing is None and since is not None:
+            self._go_home(self._command, since)
+        if self._homing is not None and (since is not None or not self._renewed):
             return self._home(self._homing) + offset
         if self._homing is not None:
             here, before = self._home(self._homing), self._home(self._homing, self._period)
@@ -439,6 +458,11 @@ class Supervisor:
             self._homing = None
             self._clear("command_silent")
         return self._command + offset
+
+    def _go_home(self, origin: float, since: float) -> None:
+        self._homing = Homing(origin, since, self._neutral_rate, self._neutral_accel)
+        self._renewed = False
+        self._report("command_silent", "command is silent, the spool returns to neutral")
 
     def _silent_since(self) -> float | None:
         """Since when [s] the command counts as silent, None if it does not."""
@@ -452,7 +476,7 @@ class Supervisor:
     def _home(self, homing: Homing, ago: float = 0.0) -> float:
         """Command [V] on the way to neutral, ``ago`` [s] before now."""
         time = self._now - homing.began - ago
-        return homing.origin + stroke(time, -homing.origin, self._neutral_rate, self._neutral_accel)
+        return homing.origin + stroke(time, -homing.origin, homing.rate, homing.accel)
 
     # Off and on again
 
@@ -495,8 +519,8 @@ class Supervisor:
         params = self._params
         y, v = self._measurement, self._velocity.velocity
         start = Start(y, self.voltage, y, v, v)
-        self._command_offset = fade.NOTHING
-        base = self._target()
+        base = self._target()  # which may end a way home and begin a fade
+        base -= self._command_offset.value
         if same_reference:
             reference, rate = former.reference
             start = start._replace(reference=reference, reference_rate=rate)
