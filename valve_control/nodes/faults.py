@@ -133,7 +133,7 @@ FAULTS = (
     Fault("command_publishers", "command_source", "fault.command", "second_publisher", 700, "reported",
           "publishers on spool_command", 0.5 + ALLOWANCE, CONTROLLERS),
     Fault("spool_stuck", "valve_simulator", "fault.valve", "stuck", 1500, "saturation", "saturated",
-          SATURATION + REPORT, FEEDBACK),
+          SATURATION + 1.0 / FREQUENCY + REPORT, FEEDBACK),
     Fault("valve_weak", "valve_simulator", "fault.valve", "weak", 900, "reported", "guaranteed bound",
           1.0 / FREQUENCY + REPORT, ADAPTIVE),
     Fault("controller_stopped", "controller", "", "", 400, "centred", "stood still",
