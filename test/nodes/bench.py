@@ -1,6 +1,10 @@
 """What the node tests share: a ROS context, service calls, and a bench that plays LVDT and upper level."""
 
+import json
 import math
+import os
+import subprocess
+import sys
 import time
 from contextlib import contextmanager
 
@@ -134,3 +138,17 @@ def controller(tmp_path, *arguments):
     settings = [word for s in slow if s.split(":=")[0] not in given for word in ("-p", s)]
     with process("controller", [*settings, *arguments], tmp_path / "c.log") as child:
         yield child
+
+
+def run_tool(tool, folder, *arguments, timeout=600):
+    """Run `demo`, `faults` or `lockstep` as a user does, in a domain of its own; what it wrote."""
+    done = subprocess.run(
+        [sys.executable, "-m", f"valve_control.nodes.{tool}", "--out", str(folder), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        env={**os.environ, "ROS_DOMAIN_ID": "101"},
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads((folder / f"{tool}.json").read_text())

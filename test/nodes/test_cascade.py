@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from bench import HOLD, Bench, Motion, call, controller, get_double, set_parameters, spin_until
+from bench import HOLD, Bench, Motion, call, controller, get_double, run_tool, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import DescribeParameters
 from std_msgs.msg import Float64
@@ -155,24 +155,13 @@ def test_bad_start_is_one_sentence(node, argument, word):
 
 def test_demo_over_dds_equals_offline(tmp_path):
     """`make demo` for one controller, as a user runs it; all four are what `make demo` itself shows."""
-    import json
-
     for _ in range(3):
-        done = subprocess.run(
-            [sys.executable, "-m", "valve_control.nodes.demo", "--out", str(tmp_path), "--only", "oarc"],
-            capture_output=True,
-            text=True,
-            timeout=120,
-            env={**os.environ, "ROS_DOMAIN_ID": str(101)},
-            check=False,
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
-        (entry,) = json.loads((tmp_path / "demo.json").read_text())
+        (entry,) = run_tool("demo", tmp_path, "--only", "oarc", timeout=120)
         assert entry["samples"] > 5900
         # A step of the command that only the operating system made is not in the offline run.
         if entry["longest_pause_of_commands_s"] < 0.005:
             break
-    assert entry["worst_deviation_from_offline"] < 0.15, done.stdout
+    assert entry["worst_deviation_from_offline"] < 0.15, entry
     assert (tmp_path / "demo.png").exists()
 
 

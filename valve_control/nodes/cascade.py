@@ -1,5 +1,6 @@
 """Nodes of this package as processes, and an ear for what they say; for demo, faults and lockstep."""
 
+import argparse
 import os
 import signal
 import subprocess
@@ -18,6 +19,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_share_
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 from std_msgs.msg import Float64
 from tqdm import tqdm
 
@@ -142,6 +144,21 @@ def bar(what: str, total: float, unit: str = "s") -> Any:
         ascii=not terminal,
         mininterval=0.1 if terminal else 2.0,
     )
+
+
+def tool_options(name: str, text: str | None, controllers: Sequence[str]) -> argparse.ArgumentParser:
+    """Command line that all tools have."""
+    options = argparse.ArgumentParser(prog=name, description=text)
+    options.add_argument("--out", default="out", metavar="FOLDER", help="output folder (out)")
+    options.add_argument(
+        "--only", choices=controllers, action="append", help="one controller; again for more"
+    )
+    return options
+
+
+def parse_tool(options: argparse.ArgumentParser) -> argparse.Namespace:
+    """Arguments of a tool, without those that are meant for ROS."""
+    return options.parse_args(remove_ros_args(sys.argv)[1:])
 
 
 def run_tool(name: str, folder: Path, work: Callable[[], int]) -> int:

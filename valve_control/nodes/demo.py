@@ -1,6 +1,5 @@
 """The main job, shown: the cascade of three processes over DDS, for each controller in turn."""
 
-import argparse
 import json
 import sys
 import time
@@ -20,8 +19,10 @@ from valve_control.nodes.cascade import (
     bar,
     node_arguments,
     node_values,
+    parse_tool,
     process,
     run_tool,
+    tool_options,
     wait_until,
 )
 from valve_control.parameters.table import Values
@@ -266,12 +267,7 @@ def report(jobs: list[tuple[Job, Measured]], folder: Path) -> None:
 
 def main() -> int:
     """Entry point of `make demo` and of `ros2 run valve_control demo`."""
-    options = argparse.ArgumentParser(prog="demo", description=__doc__)
-    options.add_argument("--out", default="out", metavar="FOLDER", help="output folder (out)")
-    options.add_argument(
-        "--only", choices=[job.name for job in JOBS], action="append", help="one controller; again for more"
-    )
-    arguments, _ = options.parse_known_args()
+    arguments = parse_tool(tool_options("demo", __doc__, [job.name for job in JOBS]))
     folder = Path(arguments.out)
     jobs = [job for job in JOBS if arguments.only is None or job.name in arguments.only]
 

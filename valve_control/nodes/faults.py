@@ -1,6 +1,5 @@
 """Fault campaign: each fault, injected at a random moment in motion, on each controller, over real DDS."""
 
-import argparse
 import json
 import math
 import signal
@@ -23,8 +22,10 @@ from valve_control.nodes.cascade import (
     Listener,
     bar,
     node_arguments,
+    parse_tool,
     process,
     run_tool,
+    tool_options,
     wait_until,
 )
 from valve_control.parameters.table import CONTROLLER, lookup
@@ -399,16 +400,12 @@ def table(results: Sequence[dict[str, Any]]) -> str:
 
 def main() -> int:
     """Entry point of `make faults` and of `ros2 run valve_control faults`."""
-    options = argparse.ArgumentParser(prog="faults", description=__doc__)
-    options.add_argument("--out", default="out", metavar="FOLDER", help="output folder (out)")
+    options = tool_options("faults", __doc__, CONTROLLERS)
     options.add_argument("--seed", type=int, default=1, metavar="N", help="of the moments of injection (1)")
-    options.add_argument(
-        "--only", choices=CONTROLLERS, action="append", help="one controller; again for more"
-    )
     options.add_argument(
         "--fault", choices=[f.name for f in FAULTS], action="append", help="one fault; again for more"
     )
-    arguments, _ = options.parse_known_args()
+    arguments = parse_tool(options)
     folder = Path(arguments.out)
 
     def work() -> int:

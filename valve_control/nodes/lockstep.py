@@ -1,9 +1,9 @@
 """Three processes in lockstep over DDS, compared bit for bit with the same run offline."""
 
-import argparse
 import json
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,10 @@ from valve_control.nodes.cascade import (
     bar,
     node_arguments,
     node_values,
+    parse_tool,
     process,
     run_tool,
+    tool_options,
     wait_until,
 )
 from valve_control.parameters.table import CONTROLLER, lookup
@@ -31,8 +33,6 @@ MEET = 1.0  # s in which everyone discovers everyone
 LISTENED = ("spool_position", "valve_voltage")
 STALL = 20.0  # s without a sample after which the run is given up
 MEMORY_EVERY = 10.0  # s
-
-
 HEARD = 0.99  # share that this tool must have heard; a writer keeps 10 messages for a slow listener
 
 
@@ -44,38 +44,26 @@ def memory(pid: int) -> int:
 
 def run_lockstep(controller: str, duration: float, folder: Path) -> dict[str, Any]:
     """One run of ``duration`` [s] of valve time; what was measured. Raises RuntimeError if it stalls."""
-    settings = {"controller": controller, "duration": duration}
-    values = {
-        "controller": node_values("controller", CONFIG, {**settings, **LAW}),
-        "valve_simulator": node_values("valve_simulator", CONFIG, SIMULATOR),
-        "command_source": node_values("command_source", CONFIG, {**settings, **SOURCE}),
+    settings: dict[str, dict[str, Any]] = {
+        "controller": {"controller": controller, **LAW},
+        "command_source": {"duration": duration, **SOURCE},
+        "valve_simulator": SIMULATOR,
     }
+    values = {node: node_values(node, CONFIG, own) for node, own in settings.items()}
     period = float(str(values["controller"]["sample_period"]))
     wanted = round(duration / period)
     twin = offline.simulate(
         values["controller"], values["valve_simulator"], offline.commands(values["command_source"])
     )
     listener = Listener("lockstep", ("valve_voltage",))
-    log = {node: folder / f"lockstep_{controller}_{node}.log" for node in values}
     resident: list[list[int]] = []
     try:
-        with (
-            process(
-                "controller", node_arguments("controller", CONFIG, {**settings, **LAW}), log["controller"]
-            ) as c,
-            process(
-                "command_source",
-                node_arguments("command_source", CONFIG, {**settings, **SOURCE}),
-                log["command_source"],
-            ) as s,
-            process(
-                "valve_simulator",
-                node_arguments("valve_simulator", CONFIG, SIMULATOR),
-                log["valve_simulator"],
-            ) as v,
-            bar(controller, duration) as progress,
-        ):
-            children = [c, s, v]
+        with ExitStack() as stack:
+            children = []
+            for node, own in settings.items():
+                log = folder / f"lockstep_{controller}_{node}.log"
+                children.append(stack.enter_context(process(node, node_arguments(node, CONFIG, own), log)))
+            progress = stack.enter_context(bar(controller, duration))
             wait_until(lambda: listener.count_publishers("valve_voltage") == 1, "the controller", children)
             wait_until(lambda: listener.count_publishers("spool_position") == 1, "the simulator", children)
             time.sleep(MEET)
@@ -122,21 +110,15 @@ def run_lockstep(controller: str, duration: float, folder: Path) -> dict[str, An
         "wall_s": float(took),
         "samples_per_s": float(made / took),
         "times_real_time": float(made * period / took),
-        "resident_kB": {
-            node: [row[i] for row in resident] for i, node in enumerate(("controller", "source", "simulator"))
-        },
+        "resident_kB": {node: [row[i] for row in resident] for i, node in enumerate(settings)},
     }
 
 
 def main() -> int:
     """Entry point of `make lockstep` and of `ros2 run valve_control lockstep`."""
-    options = argparse.ArgumentParser(prog="lockstep", description=__doc__)
-    options.add_argument("--out", default="out", metavar="FOLDER", help="output folder (out)")
+    options = tool_options("lockstep", __doc__, CONTROLLERS)
     options.add_argument("--duration", type=float, default=60.0, metavar="S", help="valve time [s] (60)")
-    options.add_argument(
-        "--only", choices=CONTROLLERS, action="append", help="one controller; again for more"
-    )
-    arguments, _ = options.parse_known_args()
+    arguments = parse_tool(options)
     if not 0.01 <= arguments.duration <= 1e5:
         options.error(f"--duration is {arguments.duration:g} s; it must lie between 0.01 and 100000 s")
     folder = Path(arguments.out)

@@ -67,6 +67,7 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
     except Exception as error:  # rclpy has no public type for bad --ros-args
         print(f"{sys.argv[0]}: {first_line(error)}", file=sys.stderr)
         return 2
+    status = 0
     nodes: Sequence[Any] = ()
     executor = SingleThreadedExecutor()
     try:
@@ -79,7 +80,7 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
         _loop(nodes, executor)
     except ParameterError as error:
         print(f"valve_control: {error}", file=sys.stderr)
-        return 2
+        status = 2
     finally:
         for act in ("finish", "deliver"):
             for node in nodes:
@@ -87,23 +88,24 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
                     getattr(node, act)()
                 except Exception as error:  # the other valves must hear their 0 V whatever this one does
                     print(f"valve_control: {node.get_name()}: {first_line(error)}", file=sys.stderr)
+                    status = 1
         executor.shutdown(timeout_sec=0.0)
         for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
-    return 0
+    return status
 
 
 def _loop(nodes: Sequence[Any], executor: SingleThreadedExecutor) -> None:
     context = rclpy.get_default_context()
     chores = time.monotonic()
     wait_set: Any = None
-    watched: list[Any] = []
+    size = -1
     while not _stopped:
         inputs = [subscription.handle for node in nodes for subscription in node.inputs()]
-        if wait_set is None or len(inputs) != len(watched):
-            wait_set = WaitSet(len(inputs), 0, 0, 0, 0, 0, context.handle)
-            watched = inputs
+        if len(inputs) != size:
+            size = len(inputs)
+            wait_set = WaitSet(size, 0, 0, 0, 0, 0, context.handle)
         wake = min(chores + CHORES, *(node.due() for node in nodes))
         pause = wake - time.monotonic()
         if pause > 0.0:

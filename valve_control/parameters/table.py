@@ -162,6 +162,27 @@ def _estimates(law: str, gamma: list[float]) -> Table:
     )
 
 
+def _custom_model(prefix: str) -> Table:
+    return (
+        Parameter(
+            f"{prefix}numerator",
+            [1502.057],
+            "",
+            "custom model, numerator in s, highest power first",
+            -BIG,
+            BIG,
+        ),
+        Parameter(
+            f"{prefix}denominator",
+            [1.0, 58.771, 1657.206],
+            "",
+            "custom model, denominator in s, highest power first",
+            -BIG,
+            BIG,
+        ),
+    )
+
+
 CONTROLLER: Table = (
     Parameter(
         "controller",
@@ -318,22 +339,7 @@ CONTROLLER: Table = (
     Parameter(
         "compensator.bandwidth", 25.0, "Hz", "wanted -3 dB bandwidth of a designed compensator", 0.1, 1e4
     ),
-    Parameter(
-        "compensator.numerator",
-        [1502.057],
-        "",
-        "custom model, numerator in s, highest power first",
-        -BIG,
-        BIG,
-    ),
-    Parameter(
-        "compensator.denominator",
-        [1.0, 58.771, 1657.206],
-        "",
-        "custom model, denominator in s, highest power first",
-        -BIG,
-        BIG,
-    ),
+    *_custom_model("compensator."),
     Parameter(
         "open_loop.static_gain",
         46882988.0 / 56553725.0,
@@ -354,15 +360,7 @@ VALVE: Table = (
         "linear model of the valve: second_order (2), fourth_order (3) or custom",
         choices=("second_order", "fourth_order", "custom"),
     ),
-    Parameter("numerator", [1502.057], "", "custom model, numerator in s, highest power first", -BIG, BIG),
-    Parameter(
-        "denominator",
-        [1.0, 58.771, 1657.206],
-        "",
-        "custom model, denominator in s, highest power first",
-        -BIG,
-        BIG,
-    ),
+    *_custom_model(""),
     Parameter("gain_scale", 1.0, "-", "multiplies the gain of the model", 0.01, 100.0),
     Parameter("seed", 1, "", "seed of the LVDT noise", 0, 2**31 - 1),
     Parameter(

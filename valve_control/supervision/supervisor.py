@@ -298,11 +298,6 @@ class Supervisor:
         return "lvdt_missing" not in self.conditions
 
     @property
-    def command_age(self) -> float:
-        """Seconds of sample time since the last command that was taken; inf before the first."""
-        return math.inf if self._command is None else max(0.0, self._now - self._command_time)
-
-    @property
     def lyapunov(self) -> tuple[float, float] | None:
         """V2 and its guaranteed bound at the last sample, of a law that has them."""
         fields = self._law.Terms._fields
