@@ -3,7 +3,16 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "valve_control"
-NODES = ["controller", "valve_simulator", "command_source", "manifold", "demo", "faults", "lockstep"]
+NODES = [
+    "controller",
+    "valve_simulator",
+    "command_source",
+    "manifold",
+    "recorder",
+    "demo",
+    "faults",
+    "lockstep",
+]
 
 setup(
     name=NAME,

@@ -133,11 +133,12 @@ class PolledSubscription:
     the executor costs more than the whole control law.
     """
 
-    def __init__(self, node: Node, message_type: Any, topic: str, qos: QoSProfile) -> None:
+    def __init__(self, node: Node, message_type: Any, topic: str, qos: QoSProfile, raw: bool = False) -> None:
         self._node = node
         self._type = message_type
+        self._raw = raw  # messages as the bytes that came
         self._subscription = node.create_subscription(
-            message_type, topic, lambda message: None, qos, callback_group=Unwatched()
+            message_type, topic, lambda message: None, qos, callback_group=Unwatched(), raw=raw
         )
 
         self.handle = self._subscription.handle
@@ -145,7 +146,7 @@ class PolledSubscription:
     def one(self) -> tuple[Any, dict[str, Any]] | None:
         """The oldest waiting message with its message info, None if there is none."""
         with self.handle:
-            return self.handle.take_message(self._type, False)  # type: ignore[no-any-return]
+            return self.handle.take_message(self._type, self._raw)  # type: ignore[no-any-return]
 
     def take(self) -> Iterator[tuple[Any, dict[str, Any]]]:
         """Waiting messages, oldest first, each with its message info."""

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from valve_control.analysis.figures import Trace, draw_traces
 from valve_control.analysis.indices import PAPER_TABLE_1, Indices, indices
-from valve_control.cli import HEADER, index_row
+from valve_control.analysis.tables import HEADER, index_row
 from valve_control.nodes.cascade import (
     TOPICS,
     Listener,

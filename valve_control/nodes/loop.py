@@ -32,6 +32,10 @@ def stopping() -> bool:
     return bool(_stopped)
 
 
+class Failure(RuntimeError):
+    """What ends the run with exit status 1; the message is one sentence for the user."""
+
+
 class Worker(Node):
     """Node with work of its own beside callbacks."""
 
@@ -81,6 +85,9 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
     except ParameterError as error:
         print(f"valve_control: {error}", file=sys.stderr)
         status = 2
+    except Failure as error:
+        print(f"valve_control: {error}", file=sys.stderr)
+        status = 1
     finally:
         for act in ("finish", "deliver"):
             for node in nodes:

@@ -486,11 +486,36 @@ MANIFOLD: Table = (
     ),
 )
 
+RECORDER: Table = (
+    Parameter("bag", "", "", "folder to write, which must not exist; empty: valve_bag_<date>_<time> here"),
+    Parameter("storage", "mcap", "", "storage of the bag", choices=("mcap", "sqlite3")),
+    Parameter(
+        "compression",
+        "none",
+        "",
+        "compression of the bag's chunks; storage sqlite3 has none",
+        choices=("none", "zstd", "lz4"),
+    ),
+    Parameter(
+        "topics",
+        [""],
+        "",
+        "regular expressions, one of which must match the whole name of a topic; empty: commands, readings, "
+        "voltages and states of all valves, /diagnostics and /clock. /parameter_events is always recorded",
+    ),
+    Parameter("max_size", 0.0, "MB", "size after which the bag's next file begins; 0.0: never", 0.0, 1e6),
+    Parameter("max_duration", 0.0, "s", "time after which the bag's next file begins; 0.0: never", 0.0, 1e6),
+    Parameter("flush_period", 0.25, "s", "at most this much is lost if the recorder is killed", 0.02, 1.0),
+    Parameter("min_free", 64.0, "MB", "room on the disk at which the recording is ended", 0.0, 1e6),
+    Parameter("report_period", 5.0, "s", "time between two lines about the progress", 0.1, 1e6),
+)
+
 NODES: dict[str, Table] = {
     "controller": CONTROLLER,
     "valve_simulator": VALVE,
     "command_source": COMMAND,
     "manifold": MANIFOLD,
+    "recorder": RECORDER,
 }
 
 

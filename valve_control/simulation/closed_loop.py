@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.compiling import compile_function
 from valve_control.laws import arc, compensator, oarc, pid
 from valve_control.plant import valve
-from valve_control.simulation.compiling import compile_function
 
 Array = npt.NDArray[np.float64]
 LAWS: dict[str, types.ModuleType] = {

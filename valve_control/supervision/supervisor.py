@@ -180,6 +180,22 @@ class Supervisor:
         if self._state is not None:
             self._take_over(None, following=True)
 
+    def snapshot(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Everything that it remembers, for ``restore``."""
+        own = dict(self.__dict__)
+        for name in ("counts", "conditions", "_expiry"):
+            own[name] = dict(own[name])
+        return own, dict(vars(self._monitor)) if self._monitor is not None else {}
+
+    def restore(self, snapshot: tuple[dict[str, Any], dict[str, Any]]) -> None:
+        """Go back to where it was at the ``snapshot``, which can be used again."""
+        own, watched = snapshot
+        self.__dict__.update(own)
+        for name in ("counts", "conditions", "_expiry"):
+            setattr(self, name, dict(own[name]))
+        if self._monitor is not None:
+            vars(self._monitor).update(watched)
+
     # Inputs
 
     def command(self, value: float) -> None:

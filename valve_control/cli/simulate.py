@@ -1,15 +1,13 @@
-"""The `valve-control` command."""
+"""Runs in simulation: simulate, compare, and the list of parameters."""
 
 import argparse
-import contextlib
-import json
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
-from valve_control import __version__
+from valve_control.analysis.tables import HEADER, index_row
+from valve_control.cli.common import Parser, check_outputs, say, write_json
 from valve_control.parameters.table import (
     NODES,
     Parameter,
@@ -23,27 +21,15 @@ from valve_control.parameters.table import (
 if TYPE_CHECKING:
     from valve_control.simulation.offline import Run
 
-EXAMPLES = """examples:
-  valve-control simulate --controller arc --figure arc.png
-  valve-control simulate --controller oarc --scenario sine --set frequency=6.0 --set amplitude=1.0
-  valve-control simulate --controller arc --params-file config/arc.yaml --json -
-  valve-control compare --params-file config/d3fxe.yaml --figure compare.png
-  valve-control parameters arc
-"""
 CONTROLLERS = lookup(NODES["controller"], "controller").choices
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
+SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
 
-class _Parser(argparse.ArgumentParser):
-    """Prints one sentence, not the usage, when an argument is wrong."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
-def _setup_options() -> "_Parser":
-    options = _Parser(add_help=False)
+def setup_options() -> Parser:
+    """Options that say what is simulated."""
+    options = Parser(add_help=False)
     group = options.add_argument_group("what is simulated")
     group.add_argument("--valve", choices=VALVES, help="linear valve model (default: fourth_order)")
     group.add_argument("--scenario", choices=SCENARIOS[:-1], help="command shape (default: point_to_point)")
@@ -67,41 +53,47 @@ def _setup_options() -> "_Parser":
         metavar="FILE",
         help="ROS 2 parameter file; again for more, later ones win; --set wins over files",
     )
+    return options
+
+
+def output_options() -> Parser:
+    """Options of what comes out."""
+    options = Parser(add_help=False)
     output = options.add_argument_group("what comes out")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     output.add_argument("--figure", metavar="FILE", help="command, position, error and voltage as PNG")
     return options
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command's argument parser."""
-    top = _Parser(
-        prog="valve-control",
-        description="Local control of a proportional directional control valve: simulate and compare.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    top.add_argument("--version", action="version", version=f"valve-control {__version__}")
-    commands = top.add_subparsers(dest="task", required=True, metavar="COMMAND")
-    setup = _setup_options()
+def add_commands(commands: Any) -> None:
+    """Add simulate, compare and parameters to the command's sub-commands."""
+    setup = setup_options()
     simulate = commands.add_parser(
         "simulate",
-        parents=[setup],
+        parents=[setup, output_options()],
         help="one controller on one valve and one command",
         description="Run one controller on one simulated valve; print the indices I1-I5 of the paper.",
     )
     simulate.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
     simulate.add_argument("--csv", metavar="FILE", help="traces as CSV")
     simulate.add_argument("--npz", metavar="FILE", help="traces as NPZ")
-    commands.add_parser(
+    simulate.set_defaults(run=_simulate)
+    compare = commands.add_parser(
         "compare",
-        parents=[setup],
-        help="all controllers on one valve and one command, beside the paper's Table 1",
-        description="Run every controller on one valve and one command, beside the paper's Table 1.",
+        parents=[setup, output_options()],
+        help="several bags; or, without a bag, all controllers in simulation beside the paper's Table 1",
+        description="Compare the runs in several bags. Without a bag: run every controller on one valve and "
+        "one command, beside the paper's Table 1.",
     )
+    compare.add_argument("bags", nargs="*", metavar="BAG", help="bags to compare")
+    compare.add_argument("--html", metavar="FILE", help="bags: tables and overlaid figures as one HTML page")
+    compare.add_argument(
+        "--map", action="append", default=[], metavar="PART=/TOPIC.FIELD", help="bags: as for analyze"
+    )
+    compare.set_defaults(run=_compare)
     parameters = commands.add_parser("parameters", help="list parameters with unit, range and meaning")
     parameters.add_argument("match", nargs="?", default="", help="only names that contain this")
-    return top
+    parameters.set_defaults(run=_parameters, json=None)
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
@@ -153,41 +145,6 @@ def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:
     }
 
 
-def _check_outputs(paths: Sequence[str | None]) -> None:
-    """Refuse outputs that cannot be written before the work begins."""
-    for path in paths:
-        if path is None or path == "-":
-            continue
-        folder = Path(path).resolve().parent
-        if not folder.is_dir():
-            raise ParameterError(f"{path} cannot be written: there is no folder {folder}")
-        if Path(path).is_dir():
-            raise ParameterError(f"{path} cannot be written: it is a folder")
-
-
-def _say(arguments: argparse.Namespace, text: str) -> None:
-    print(text, file=sys.stderr if arguments.json == "-" else sys.stdout)
-
-
-def _write_json(arguments: argparse.Namespace, result: Any) -> None:
-    if arguments.json is None:
-        return
-    text = json.dumps(_finite(result), indent=2, ensure_ascii=False, allow_nan=False)
-    if arguments.json == "-":
-        print(text)
-        return
-    Path(arguments.json).write_text(text + "\n", encoding="utf-8")
-    _say(arguments, f"wrote {arguments.json}")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], title: str) -> None:
     if arguments.figure is None:
         return
@@ -195,22 +152,13 @@ def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], title: str) ->
 
     traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
     draw_traces(Path(arguments.figure), {title: traces}, "valve_control, offline")
-    _say(arguments, f"wrote {arguments.figure}")
-
-
-HEADER = f"{'':14}{'e_M [V]':>10}{'e_F [V]':>10}{'e_rms [V]':>11}{'u_rms [V]':>11}{'c_u':>9}"
-
-
-def index_row(label: str, values: Sequence[float]) -> str:
-    """One line of the table of indices."""
-    e_m, e_f, e_rms, u_rms, c_u = values
-    return f"{label:14}{e_m:10.4f}{e_f:10.4f}{e_rms:11.4f}{u_rms:11.3f}{c_u:9.4f}"
+    say(arguments, f"wrote {arguments.figure}")
 
 
 def _simulate(arguments: argparse.Namespace) -> None:
     from valve_control.simulation import offline
 
-    _check_outputs([arguments.json, arguments.figure, arguments.csv, arguments.npz])
+    check_outputs([arguments.json, arguments.figure, arguments.csv, arguments.npz])
     settings = _settings(arguments)
     command = _command(arguments, settings["command_source"])
     run = offline.simulate(settings["controller"], settings["valve_simulator"], command)
@@ -224,7 +172,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
             print("estimates at the end: " + ", ".join(f"{v:.4g}" for v in run.theta))
     _traces(arguments, run)
     _figure(arguments, [run], str(settings["command_source"]["scenario"]))
-    _write_json(arguments, _result(run, settings))
+    write_json(arguments, _result(run, settings))
 
 
 def _traces(arguments: argparse.Namespace, run: "Run") -> None:
@@ -247,18 +195,30 @@ def _traces(arguments: argparse.Namespace, run: "Run") -> None:
             comments="",
             fmt="%.10g",
         )
-        _say(arguments, f"wrote {arguments.csv}")
+        say(arguments, f"wrote {arguments.csv}")
     if arguments.npz is not None:
         with open(arguments.npz, "wb") as stream:
             np.savez_compressed(stream, allow_pickle=False, **columns)
-        _say(arguments, f"wrote {arguments.npz}")
+        say(arguments, f"wrote {arguments.npz}")
 
 
 def _compare(arguments: argparse.Namespace) -> None:
     from valve_control.analysis.indices import PAPER_TABLE_1
     from valve_control.simulation import offline
 
-    _check_outputs([arguments.json, arguments.figure])
+    if arguments.bags:
+        from valve_control.cli.recordings import compare_bags
+
+        given = [name for name in SIMULATED if getattr(arguments, name)]
+        if given:
+            raise ParameterError(
+                f"compare with bags takes no --{given[0].replace('_', '-')}, which is for simulation"
+            )
+        compare_bags(arguments)
+        return
+    if arguments.html or arguments.map:
+        raise ParameterError("compare takes --html and --map with bags only")
+    check_outputs([arguments.json, arguments.figure])
     settings = _settings(arguments)
     command = _command(arguments, settings["command_source"])
     runs = []
@@ -276,7 +236,7 @@ def _compare(arguments: argparse.Namespace) -> None:
                 print(index_row("  paper", PAPER_TABLE_1[run.controller]))
     _figure(arguments, runs, str(settings["command_source"]["scenario"]))
     paper = {name: values._asdict() for name, values in PAPER_TABLE_1.items()}
-    _write_json(arguments, {"runs": [_result(run, settings) for run in runs], "paper": paper})
+    write_json(arguments, {"runs": [_result(run, settings) for run in runs], "paper": paper})
 
 
 def range_text(parameter: Parameter) -> str:
@@ -295,33 +255,3 @@ def _parameters(arguments: argparse.Namespace) -> None:
                 unit = f" {parameter.unit}" if parameter.unit not in ("", "-") else ""
                 print(f"{node}: {parameter.name} = {parameter.default}{unit}  ({range_text(parameter)})")
                 print(f"    {parameter.text}")
-
-
-TASKS = {"simulate": _simulate, "compare": _compare, "parameters": _parameters}
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit status: 0, 2 for bad input, 1 for an output that failed."""
-    arguments = parser().parse_args(argv)
-    try:
-        TASKS[arguments.task](arguments)
-    except ParameterError as error:
-        print(f"valve-control: {error}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:
-        with contextlib.suppress(OSError):
-            sys.stdout.close()
-        return 1
-    except OSError as error:
-        print(
-            f"valve-control: {error.filename or 'output'} cannot be written: {error.strerror or error}",
-            file=sys.stderr,
-        )
-        return 1
-    except KeyboardInterrupt:
-        return 130
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,0 +1,289 @@
+"""Bags whose recorder was killed, and files that end anywhere."""
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
+from test_writer import EPOCH, HASH, MS, STORAGES, fill, opened, read, read_mcap, volts
+
+from valve_control.bags import metadata
+from valve_control.bags.errors import BagError
+from valve_control.bags.recover import recover
+
+CHUNK = 50  # messages in each flush
+CHUNKS = 8
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Finished MCAP files by compression, and where their chunks end."""
+    made = {}
+    for compression in ("none", "zstd", "lz4"):
+        folder = tmp_path_factory.mktemp("whole") / "bag"
+        with opened(folder, compression=compression) as writer:
+            for k in range(CHUNKS):
+                fill(writer, CHUNK, CHUNK * k)
+                writer.flush()
+        path = folder / "bag_0.mcap"
+        with path.open("rb") as stream:
+            chunks = make_reader(stream).get_summary().chunk_indexes
+        made[compression] = path.read_bytes(), [c.chunk_start_offset + c.chunk_length for c in chunks]
+    return made
+
+
+def torn(folder, data):
+    folder.mkdir()
+    path = folder / "bag_0.mcap"
+    path.write_bytes(data)
+    return path
+
+
+def check_mended(path, data, ends):
+    """All messages of whole chunks are there, no gap, summary and checksums in order."""
+    got = read_mcap(path)
+    least = CHUNK * sum(end <= len(data) for end in ends)
+    assert [m[3] for m in got] == list(range(1, len(got) + 1)), "gap"
+    assert least <= len(got) <= least + CHUNK
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary.statistics.message_count == len(got)
+    if got:
+        assert summary.statistics.message_start_time == EPOCH
+        assert summary.statistics.message_end_time == EPOCH + (len(got) - 1) * MS
+    for index in summary.chunk_indexes:
+        assert len(index.message_index_offsets) == 1
+    return got
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
+def test_a_file_may_end_anywhere(tmp_path, whole, compression):
+    """Cut at 150 random places, and at each byte around the ends of records."""
+    data, ends = whole[compression]
+    choose = random.Random(1)
+    cuts = {choose.randrange(len(data)) for _ in range(150)}
+    for end in (ends[0], ends[-1]):
+        cuts |= set(range(end - 12, end + 12))
+    cuts |= set(range(0, 60, 3)) | set(range(len(data) - 60, len(data), 3))
+    salvaged = 0
+    for cut in sorted(cuts):
+        folder = tmp_path / str(cut)
+        path = torn(folder, data[:cut])
+        result = recover(folder)
+        got = check_mended(path, data[:cut], ends)
+        assert result.done and result.messages == len(got) and result.files[0].mended
+        assert result.cut <= cut
+        (file,) = metadata.read(folder).files
+        assert file.message_count == len(got)
+        salvaged += len(got) % CHUNK > 0
+        again = recover(folder)
+        assert not again.done and again.cut == 0 and again.messages == len(got)
+    assert (salvaged > 20) == (compression == "none")
+
+
+def test_salvaged_messages_of_a_torn_chunk_are_the_first_ones(tmp_path, whole):
+    data, ends = whole["none"]
+    message = 9 + 22 + len(volts(0.0))
+    path = torn(tmp_path / "bag", data[: ends[3] - 10 * message - 5])
+    result = recover(tmp_path / "bag")
+    assert [m[4] for m in read(path)] == [volts(0.001 * k) for k in range(4 * CHUNK - 11)]
+    assert result.cut == message - 5
+
+
+def test_topics_come_back_with_their_qos(tmp_path, whole):
+    data, _ = whole["zstd"]
+    torn(tmp_path / "bag", data[: len(data) // 2])
+    recover(tmp_path / "bag")
+    topics = {t.topic.name: t.topic for t in metadata.read(tmp_path / "bag").topics}
+    assert set(topics) == {"/spool_position", "/valve_voltage"}
+    assert topics["/spool_position"].type_description_hash == HASH
+    assert topics["/spool_position"].offered_qos_profiles[0].reliability == "best_effort"
+
+
+@pytest.mark.parametrize("zeros", [1, 100, 5000])
+def test_zeros_that_a_file_system_leaves_are_cut_off(tmp_path, whole, zeros):
+    data, ends = whole["none"]
+    torn(tmp_path / "bag", data[: ends[2]] + bytes(zeros))
+    assert recover(tmp_path / "bag").cut == zeros
+    check_mended(tmp_path / "bag" / "bag_0.mcap", data[: ends[2]], ends)
+
+
+INTERRUPTED = """
+import os, signal, sys
+from io import FileIO
+from pathlib import Path
+from valve_control.bags import mending
+
+left = int(sys.argv[2])
+
+def write(output, data):
+    global left
+    output.write(data[:left])
+    left -= len(data)
+    if left <= 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+mending._write = write
+mending.mend(Path(sys.argv[1]))
+"""
+
+
+def test_a_killed_recovery_loses_nothing(tmp_path, whole):
+    """Recovery itself is killed after some bytes; the second one finds all that the first would have."""
+    data, ends = whole["none"]
+    cut = data[: ends[3] - 500]
+    undisturbed = torn(tmp_path / "bag", cut)
+    recover(tmp_path / "bag")
+    expected = read(undisturbed)
+    for k, left in enumerate((49, 50, 60, 200, 700, 1500, 2500)):
+        path = torn(tmp_path / str(k), cut)
+        done = subprocess.run([sys.executable, "-c", INTERRUPTED, path, str(left)], timeout=60, check=False)
+        assert done.returncode == -signal.SIGKILL
+        recover(tmp_path / str(k))
+        assert read(path) == expected
+
+
+def test_a_whole_bag_is_not_touched(tmp_path):
+    for storage in STORAGES:
+        folder = tmp_path / storage
+        with opened(folder, storage=storage, max_seconds=0.1) as writer:
+            fill(writer, 500)
+        before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in folder.iterdir()}
+        result = recover(folder)
+        assert not result.done and result.messages == 500 and not any(f.mended for f in result.files)
+        assert before == {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in folder.iterdir()}
+
+
+def test_a_copy_is_mended_and_the_bag_left_alone(tmp_path, whole):
+    data, ends = whole["none"]
+    path = torn(tmp_path / "bag", data[: ends[4]])
+    result = recover(tmp_path / "bag", tmp_path / "copy")
+    assert result.bag == tmp_path / "copy" and result.messages == 5 * CHUNK
+    assert path.read_bytes() == data[: ends[4]] and not (tmp_path / "bag" / metadata.NAME).exists()
+    check_mended(tmp_path / "copy" / "bag_0.mcap", data[: ends[4]], ends)
+    with pytest.raises(BagError, match="exists already"):
+        recover(tmp_path / "bag", tmp_path / "copy")
+    single = recover(path, tmp_path / "single.mcap")
+    assert single.messages == 5 * CHUNK and len(read(tmp_path / "single.mcap")) == 5 * CHUNK
+
+
+def test_lost_metadata_is_made_anew(tmp_path):
+    with opened(tmp_path / "bag", max_seconds=0.05) as writer:
+        fill(writer, 1200)
+    path = tmp_path / "bag" / metadata.NAME
+    before = metadata.read(tmp_path / "bag")
+    assert len(before.files) > 10
+    path.unlink()
+    assert recover(tmp_path / "bag").done
+    assert metadata.read(tmp_path / "bag") == before
+    path.write_text(path.read_text().replace("message_count: 1200", "message_count: 1100"))
+    assert recover(tmp_path / "bag").done
+    assert metadata.read(tmp_path / "bag") == before
+
+
+def bad(folder, name, data):
+    folder.mkdir()
+    (folder / name).write_bytes(data)
+
+
+def test_what_is_no_bag_is_one_sentence_and_not_touched(tmp_path, whole):
+    data, ends = whole["zstd"]
+    hurt = bytearray(data)
+    hurt[ends[2] - 100] ^= 0xFF
+    cases = {
+        "empty folder": ({}, "no .mcap or .db3 file"),
+        "text": ({"a.mcap": b"once upon a time"}, "does not begin with MCAP's magic bytes"),
+        "two": ({"a.mcap": data, "a.db3": b""}, "both .mcap and .db3 files"),
+        "hurt": ({"a.mcap": bytes(hurt[: ends[5]])}, "is damaged at byte"),
+        "garbage": ({"a.mcap": data[: ends[2]] + b"\xff" * 100}, "is damaged at byte"),
+        "no header": ({"a.mcap": data[:8] + b"\x01" + b"\x40" * 2000}, "is damaged at byte 8"),
+        "no database": ({"a.db3": b"x" * 5000}, "not a database"),
+        "other database": ({"a.db3-wal": b"", "a.db3": b"no" * 3000}, "not a database"),
+    }
+    for name, (files, words) in cases.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        for file, content in files.items():
+            (folder / file).write_bytes(content)
+        with pytest.raises(BagError) as error:
+            recover(folder)
+        assert words in str(error.value) and "\n" not in str(error.value), name
+        for file, content in files.items():
+            assert not content or (folder / file).read_bytes() == content
+    for path in (tmp_path / "none", tmp_path / "text" / "b.txt"):
+        with pytest.raises(BagError, match="does not exist"):
+            recover(path)
+    (tmp_path / "b.txt").write_text("")
+    with pytest.raises(BagError, match="must end with .mcap or .db3"):
+        recover(tmp_path / "b.txt")
+
+
+KILLED = """
+import sys
+from pathlib import Path
+sys.path[:0] = [{here!r}]
+from test_writer import fill, opened
+
+writer = opened(Path(sys.argv[1]), storage=sys.argv[2], max_seconds=3.0)
+k = 0
+while True:
+    fill(writer, 100, k)
+    writer.flush()
+    k += 100
+    print(k, flush=True)
+"""
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_all_that_was_flushed_outlives_a_kill(tmp_path, storage):
+    """A writer at full speed is killed while it writes; files rotate meanwhile."""
+    choose = random.Random(2)
+    for k in range(5):
+        folder = tmp_path / str(k)
+        child = subprocess.Popen(
+            [sys.executable, "-c", KILLED.format(here=str(Path(__file__).parent)), folder, storage],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        wanted = choose.randrange(2_000, 20_000)
+        told = 0
+        for line in child.stdout:
+            told = int(line)
+            if told >= wanted:
+                break
+        with pytest.raises(BagError, match="still being written"):
+            recover(folder)
+        child.send_signal(signal.SIGKILL)
+        told = int(([str(told), *child.stdout.read().split()])[-1])
+        child.wait()
+        child.stdout.close()
+        result = recover(folder)
+        assert result.done and told <= result.messages <= told + 100
+        numbers = [m[3] for file in metadata.read(folder).files for m in read(folder / file.path)]
+        assert numbers == list(range(1, result.messages + 1))
+        with Reader(folder) as reader:
+            assert reader.message_count == result.messages == len(list(reader.messages()))
+        assert not [p for p in folder.iterdir() if p.suffix not in (".mcap", ".db3", ".yaml")]
+        shutil.rmtree(folder)
+
+
+def test_a_database_that_was_just_begun_becomes_an_empty_bag(tmp_path):
+    bad(tmp_path / "bag", "bag_0.db3", b"")
+    assert recover(tmp_path / "bag").done
+    with Reader(tmp_path / "bag") as reader:
+        assert reader.message_count == 0
+
+
+def test_a_bag_on_a_read_only_disk_is_one_sentence(tmp_path, whole):
+    if os.geteuid() == 0:
+        pytest.skip("root may write anywhere")
+    data, ends = whole["none"]
+    torn(tmp_path / "bag", data[: ends[4]]).chmod(0o444)
+    with pytest.raises(BagError, match="cannot be mended: Permission denied"):
+        recover(tmp_path / "bag")

@@ -1,0 +1,350 @@
+"""Bags that the libraries of others read back."""
+
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import NonSeekingReader, make_reader
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from valve_control.bags import metadata
+from valve_control.bags.errors import BagError
+from valve_control.bags.metadata import Qos, Span
+from valve_control.bags.writer import BagWriter
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+FLOAT = "std_msgs/msg/Float64"
+DEFINITION, _ = STORE.generate_msgdef(FLOAT, ros_version=2)
+HASH = STORE.hash_rihs01(FLOAT)
+QOS = Qos(depth=7, reliability="best_effort", deadline=Span(1, 5))
+STORAGES = ["mcap", "sqlite3"]
+EPOCH = 1_700_000_000_000_000_000  # ns
+MS = 1_000_000  # ns
+
+
+def volts(value):
+    return bytes(STORE.serialize_cdr(STORE.types[FLOAT](value), FLOAT))
+
+
+def fill(writer, count, first=0):
+    for k in range(first, first + count):
+        writer.write("/spool_position", EPOCH + k * MS, EPOCH + k * MS - 1000, k + 1, volts(0.001 * k))
+
+
+def opened(folder, **options):
+    writer = BagWriter(folder, **options)
+    writer.add_topic("/spool_position", FLOAT, DEFINITION, HASH, [QOS])
+    writer.add_topic("/valve_voltage", FLOAT, DEFINITION, HASH, [QOS, Qos()])
+    return writer
+
+
+def read_mcap(path):
+    """Messages of an MCAP file, with all checksums of the mcap library."""
+    with path.open("rb") as stream:
+        summary = make_reader(stream, validate_crcs=True).get_summary()
+        stream.seek(0)
+        linear = list(NonSeekingReader(stream, validate_crcs=True).iter_messages())
+        stream.seek(0)
+        found = list(make_reader(stream, validate_crcs=True).iter_messages())
+    assert [m for _, _, m in linear] == [m for _, _, m in found]
+    if summary is not None:
+        assert summary.statistics.message_count == len(found)
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes)
+    return [(c.topic, m.log_time, m.publish_time, m.sequence, m.data) for _, c, m in found]
+
+
+def read_sqlite(path):
+    with sqlite3.connect(f"file:{path}?immutable=1", uri=True) as database:
+        return database.execute(
+            "SELECT name, timestamp, publish_time, sequence, data FROM messages"
+            " JOIN topics ON topic_id = topics.id JOIN valve_control_times ON message_id = messages.id"
+            " ORDER BY messages.id"
+        ).fetchall()
+
+
+def read(path):
+    return read_mcap(path) if path.suffix == ".mcap" else read_sqlite(path)
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_rosbags_reads_what_was_written(tmp_path, storage):
+    folder = tmp_path / "bag"
+    with opened(folder, storage=storage) as writer:
+        fill(writer, 1000)
+    with AnyReader([folder]) as reader:
+        (connection,) = [c for c in reader.connections if c.topic == "/spool_position"]
+        assert connection.digest == HASH and connection.msgcount == 1000
+        got = [(t, reader.deserialize(raw, FLOAT).data) for _, t, raw in reader.messages([connection])]
+    assert got == [(EPOCH + k * MS, 0.001 * k) for k in range(1000)]
+    with Reader(folder) as reader:
+        assert reader.message_count == 1000 and reader.duration == 999 * MS + 1
+        qos = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
+        assert [p.depth for p in qos["/valve_voltage"]] == [7, 10]
+        assert qos["/spool_position"][0].deadline == (1, 5)
+        assert qos["/spool_position"][0].reliability.name == "BEST_EFFORT"
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_source_times_and_numbers_are_kept(tmp_path, storage):
+    folder = tmp_path / "bag"
+    with opened(folder, storage=storage) as writer:
+        fill(writer, 100)
+    (path,) = [p for p in folder.iterdir() if p.name != metadata.NAME]
+    assert path.stem == "bag_0"
+    expected = [
+        ("/spool_position", EPOCH + k * MS, EPOCH + k * MS - 1000, k + 1, volts(0.001 * k))
+        for k in range(100)
+    ]
+    assert read(path) == expected
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
+def test_mcap_is_what_rosbag2_writes(tmp_path, compression):
+    folder = tmp_path / "bag"
+    with opened(folder, compression=compression) as writer:
+        for k in range(5):
+            fill(writer, 100, 100 * k)
+            writer.flush()
+    path = folder / "bag_0.mcap"
+    assert len(read_mcap(path)) == 500
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+        (record,) = reader.iter_metadata()
+    assert [index.compression for index in summary.chunk_indexes] == [compression.replace("none", "")] * 5
+    (schema,) = summary.schemas.values()
+    assert (schema.name, schema.encoding, schema.data.decode()) == (FLOAT, "ros2msg", DEFINITION)
+    for channel in summary.channels.values():
+        assert channel.message_encoding == "cdr" and channel.metadata["topic_type_hash"] == HASH
+        assert metadata.parse_qos(channel.metadata["offered_qos_profiles"])[0] == QOS
+    assert record.name == "rosbag2" and "message_count: 500" in record.metadata["serialized_metadata"]
+
+
+def test_metadata_is_of_version_9_and_comes_back(tmp_path):
+    with opened(tmp_path / "bag") as writer:
+        fill(writer, 10)
+    got = metadata.read(tmp_path / "bag")
+    assert got.version == 9 and got.ros_distro == "jazzy" and got.storage_identifier == "mcap"
+    assert (got.starting_time, got.duration, got.message_count) == (EPOCH, 9 * MS, 10)
+    assert [(t.topic.name, t.message_count) for t in got.topics] == [
+        ("/spool_position", 10),
+        ("/valve_voltage", 0),
+    ]
+    assert got.topics[1].topic.offered_qos_profiles == (QOS, Qos())
+    assert got.files == (metadata.File("bag_0.mcap", EPOCH, 9 * MS, 10),)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("version: 9", "version: 12"), "is of version 12; versions up to 9 are known"),
+        (("message_count: 10", "message_number: 10"), "'message_count' is missing"),
+        (("message_count: 10", "message_count: ten"), "'message_count' is 'ten'; it must be a whole number"),
+        (("history: keep_last", "history: [keep_last"), "is not YAML"),
+        (("  version: 9", "  - version: 9"), "is not YAML"),
+        (("rosbag2_bagfile_information", "information"), "'rosbag2_bagfile_information' is missing"),
+    ],
+)
+def test_bad_metadata_is_one_sentence(tmp_path, change, words):
+    with opened(tmp_path / "bag") as writer:
+        fill(writer, 10)
+    path = tmp_path / "bag" / metadata.NAME
+    path.write_text(path.read_text().replace(*change))
+    with pytest.raises(BagError) as error:
+        metadata.read(tmp_path / "bag")
+    assert words in str(error.value) and str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+def test_metadata_of_older_versions(tmp_path):
+    """What rosbag2 of Foxy (3 and 4) and Humble (5) wrote."""
+    (tmp_path / metadata.NAME).write_text(
+        """rosbag2_bagfile_information:
+  version: 4
+  storage_identifier: sqlite3
+  relative_file_paths:
+    - bag/bag_0.db3
+  duration:
+    nanoseconds: 5
+  starting_time:
+    nanoseconds_since_epoch: 1700000000000000000
+  message_count: 2
+  topics_with_message_count:
+    - topic_metadata:
+        name: /x
+        type: std_msgs/msg/Float64
+        serialization_format: cdr
+        offered_qos_profiles: "- history: 3\\n  depth: 0\\n  reliability: 1\\n  durability: 2\\n  \
+deadline:\\n    sec: 2147483647\\n    nsec: 4294967295\\n  lifespan:\\n    sec: 2147483647\\n    \
+nsec: 4294967295\\n  liveliness: 1\\n  liveliness_lease_duration:\\n    sec: 2147483647\\n    \
+nsec: 4294967295\\n  avoid_ros_namespace_conventions: false"
+      message_count: 2
+  compression_format: ""
+  compression_mode: ""
+"""
+    )
+    got = metadata.read(tmp_path)
+    assert got.version == 4 and got.files == () and got.relative_file_paths == ("bag_0.db3",)
+    (qos,) = got.topics[0].topic.offered_qos_profiles
+    assert (qos.history, qos.reliability, qos.durability) == ("unknown", "reliable", "volatile")
+    text = (tmp_path / metadata.NAME).read_text()
+    lines = text.replace("version: 4", "version: 1").splitlines()
+    old = [line for line in lines if "compression" not in line and "offered" not in line]
+    (tmp_path / metadata.NAME).write_text("\n".join(old))
+    assert metadata.read(tmp_path).topics[0].topic.offered_qos_profiles == ()
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("limit", [{"max_seconds": 0.1}, {"max_bytes": 60000}])
+def test_each_file_of_a_rotation_is_whole_by_itself(tmp_path, storage, limit):
+    folder = tmp_path / "bag"
+    begun = []
+    writer = opened(folder, storage=storage, on_new_file=lambda: begun.append(writer.path.name), **limit)
+    for k in range(100):
+        fill(writer, 50, 50 * k)
+        writer.flush()
+    writer.close()
+    got = metadata.read(folder)
+    names = [file.path for file in got.files]
+    assert len(names) > 3 and begun == names[1:]
+    messages = []
+    for file in got.files:
+        alone = read(folder / file.path)
+        assert len(alone) == file.message_count
+        assert alone[0][1] == file.starting_time and alone[-1][1] == file.starting_time + file.duration
+        if "max_seconds" in limit:
+            assert file.duration < 0.1e9
+        messages += alone
+        with Reader(folder / file.path) as reader:
+            assert len(reader.connections) == 2 and reader.message_count == file.message_count
+            assert all(c.msgdef.data == DEFINITION for c in reader.connections)
+    assert [m[3] for m in messages] == list(range(1, 5001))
+    with Reader(folder) as reader:
+        assert reader.message_count == 5000 == len(list(reader.messages()))
+
+
+def test_messages_of_a_new_file_can_be_written_in_its_hook(tmp_path):
+    writer = opened(
+        tmp_path / "bag",
+        max_seconds=0.1,
+        on_new_file=lambda: writer.write("/valve_voltage", EPOCH, 0, 0, b""),
+    )
+    fill(writer, 150)
+    writer.close()
+    assert read(tmp_path / "bag" / "bag_1.mcap")[0][0] == "/valve_voltage"
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_an_empty_bag_is_a_bag(tmp_path, storage):
+    opened(tmp_path / "bag", storage=storage).close()
+    with Reader(tmp_path / "bag") as reader:
+        assert reader.message_count == 0 and len(reader.connections) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "exists already; a bag needs a new folder"),
+        ({"storage": "hdf5"}, "storage is 'hdf5'; it must be mcap or sqlite3"),
+        ({"compression": "gzip"}, "compression is 'gzip'; it must be none, zstd or lz4"),
+        ({"storage": "sqlite3", "compression": "zstd"}, "storage sqlite3 has none"),
+    ],
+)
+def test_what_cannot_be_is_refused(tmp_path, options, words):
+    with pytest.raises(BagError, match=words):
+        BagWriter(tmp_path, **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BagError, match="cannot be made: Not a directory"):
+        BagWriter(tmp_path / "file" / "bag")
+
+
+def test_a_closed_bag_takes_nothing(tmp_path):
+    writer = opened(tmp_path / "bag")
+    writer.close()
+    writer.close()
+    with pytest.raises(BagError, match="is closed"):
+        fill(writer, 1)
+
+
+MESSAGES = st.lists(
+    st.tuples(
+        st.sampled_from(["/spool_position", "/valve_voltage"]),
+        st.integers(1, 2**62),
+        st.integers(0, 2**62),
+        st.integers(0, 2**32 - 1),
+        st.binary(max_size=40),
+    ),
+    max_size=30,
+)
+
+
+@settings(max_examples=30, deadline=None)
+@given(messages=MESSAGES, storage=st.sampled_from(STORAGES), flushes=st.integers(1, 7))
+def test_any_messages_come_back(messages, storage, flushes):
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "bag"
+        with opened(folder, storage=storage) as writer:
+            for k, message in enumerate(messages):
+                writer.write(*message)
+                if k % flushes == 0:
+                    writer.flush()
+        (file,) = metadata.read(folder).files
+        assert sorted(read(folder / file.path)) == sorted(messages)
+        times = [m[1] for m in messages] or [0]
+        assert (file.starting_time, file.duration) == (min(times), max(times) - min(times))
+
+
+FULL = """
+import resource, sys
+from pathlib import Path
+sys.path[:0] = [{here!r}]
+from test_writer import fill, opened
+from valve_control.bags.errors import BagError
+
+writer = opened(Path(sys.argv[1]), storage=sys.argv[2])
+limit = int(sys.argv[3])
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+try:
+    for k in range(1000):
+        fill(writer, 100, 100 * k)
+        writer.flush()
+        print(100 * (k + 1), flush=True)
+except BagError as error:
+    print(error, file=sys.stderr)
+    sys.exit(1)
+"""
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("limit", [100_000, 150_001, 200_002, 300_003, 1_000_004])
+def test_a_file_that_may_not_grow_is_closed_whole(tmp_path, storage, limit):
+    """EFBIG: all that was flushed before can be read by others, and the error is one sentence."""
+    folder = tmp_path / "bag"
+    done = subprocess.run(
+        [sys.executable, "-c", FULL.format(here=str(Path(__file__).parent)), folder, storage, str(limit)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1, done.stderr
+    (sentence,) = done.stderr.strip().splitlines()
+    assert "bag_0" in sentence and "cannot be written any further" in sentence
+    flushed = int(done.stdout.split()[-1])
+    assert "the bag is closed and whole" in sentence and f"with {flushed} messages" in sentence, sentence
+    (file,) = metadata.read(folder).files
+    assert [m[3] for m in read(folder / file.path)] == list(range(1, flushed + 1))
+    with Reader(folder) as reader:
+        assert reader.message_count == flushed == len(list(reader.messages()))
+    assert {p.name for p in folder.iterdir()} == {file.path, metadata.NAME}

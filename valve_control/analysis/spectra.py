@@ -1,0 +1,25 @@
+"""Power spectra of error and voltage."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import welch
+
+Floats = npt.NDArray[np.float64]
+WINDOW = 4096  # samples of one stretch
+
+
+class Spectrum(NamedTuple):
+    """Amplitude spectral density, one-sided."""
+
+    frequency: Floats  # Hz
+    density: Floats  # V/√Hz
+
+
+def spectrum(signal: Floats, period: float) -> Spectrum:
+    """Welch's estimate for ``signal`` [V] sampled every ``period`` [s], its mean taken off."""
+    if len(signal) < 8:
+        return Spectrum(np.empty(0), np.empty(0))
+    frequency, power = welch(signal, 1.0 / period, nperseg=min(WINDOW, len(signal)))
+    return Spectrum(frequency[1:], np.sqrt(power[1:]))

@@ -1,0 +1,282 @@
+"""MCAP files, read as columns.
+
+The mcap library makes one Python object of each message, some 10 µs; a compiled walk over the records of a
+chunk takes some 10 ns. Everything but messages (schemas, channels, chunk headers) is read with the library.
+"""
+
+import mmap
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
+
+from valve_control.bags.batch import Batch, Bytes, Integers, Topic, qos_profiles
+from valve_control.bags.errors import BagError
+from valve_control.compiling import compile_function
+
+MAGIC = b"\x89MCAP0\r\n"
+WINDOW = 100_000  # messages, records
+CHUNK_HEAD = struct.Struct("<16xQII")  # times; uncompressed size, checksum, length of the compression's name
+
+
+def _little_endian(buffer: Any, at: int, size: int) -> int:
+    value = 0
+    for i in range(size):
+        value |= int(buffer[at + i]) << (8 * i)
+    return value
+
+
+def _walk(buffer: Any, start: int, end: int, messages: Any, others: Any) -> Any:
+    """Walk over records from ``start``; returns where it stopped and how many of each it found.
+
+    ``messages`` (n×6) takes channel, log time, publish time, sequence, offset and length of the data;
+    ``others`` (m×3) opcode, offset and length. It stops at a torn record, or where either is full.
+    """
+    at, count, rest = start, 0, 0
+    while at + 9 <= end and count < messages.shape[0] and rest < others.shape[0]:
+        opcode = int(buffer[at])
+        length = _little_endian(buffer, at + 1, 8)
+        body = at + 9
+        if length < 0 or length > end - body:
+            break
+        if opcode == 5:
+            if length < 22:
+                break
+            messages[count, 0] = _little_endian(buffer, body, 2)
+            messages[count, 1] = _little_endian(buffer, body + 6, 8)
+            messages[count, 2] = _little_endian(buffer, body + 14, 8)
+            messages[count, 3] = _little_endian(buffer, body + 2, 4)
+            messages[count, 4] = body + 22
+            messages[count, 5] = length - 22
+            count += 1
+        else:
+            others[rest, 0] = opcode
+            others[rest, 1] = body
+            others[rest, 2] = length
+            rest += 1
+        at = body + length
+        if opcode == 2:
+            break
+    return at, count, rest
+
+
+class ChunkPlace(NamedTuple):
+    """Where a chunk is, and what its header says."""
+
+    begin: int  # of its content in the file
+    length: int
+    start: int  # ns
+    end: int  # ns
+
+
+class McapFile:
+    """One MCAP file, whole or unfinished.
+
+    Raises BagError if it is not an MCAP file, OSError if it cannot be read. ``problems`` says what is wrong
+    with a file that can be read in part.
+    """
+
+    def __init__(self, path: Path, content: bytes | None = None) -> None:
+        self.path = path
+        self.problems: list[str] = []
+        self.topics: list[Topic] = []
+        self.finished = False
+        self._metadata: dict[str, str] = {}
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, int] = {}  # channel → topic
+        self._buffer = self._map(content)
+        self.size = len(self._buffer)
+        self._chunks: list[ChunkPlace] = []
+        self._loose = False  # whether messages stand outside of chunks
+        self._index()
+
+    def _map(self, content: bytes | None) -> Bytes:
+        if content is not None:
+            buffer = np.frombuffer(content, dtype=np.uint8)
+        else:
+            with self.path.open("rb") as stream:
+                if self.path.stat().st_size == 0:
+                    raise BagError(f"{self.path} is empty")
+                buffer = np.frombuffer(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ), dtype=np.uint8)
+        if bytes(buffer[: len(MAGIC)]) != MAGIC:
+            raise BagError(f"{self.path} is not an MCAP file: it does not begin with MCAP's magic bytes")
+        return buffer
+
+    @property
+    def metadata(self) -> str:
+        """The rosbag2 metadata that the file holds as YAML, "" if none."""
+        return self._metadata.get("serialized_metadata", "")
+
+    def batches(
+        self, start: int | None = None, end: int | None = None, told: Callable[[int], None] | None = None
+    ) -> Iterator[Batch]:
+        """Messages with a log time [ns] from ``start`` to before ``end``; ``told`` hears the bytes done."""
+        done = 0
+        if self._loose:
+            at = len(MAGIC)
+            while at < self.size:
+                at, messages, others = self._records(self._buffer, at, self.size)
+                yield from self._chosen(self._buffer, messages, start, end)
+                if told is not None:
+                    told(at - done)
+                    done = at
+                if len(messages) == 0 and len(others) == 0:
+                    break
+        for place in self._chunks:
+            inside = (start is None or place.end >= start) and (end is None or place.start < end)
+            data = self._content(place) if inside else None
+            if data is not None:
+                at, total = 0, len(data)
+                while at < total:
+                    before = at
+                    at, messages, others = self._records(data, at, total)
+                    self._learn(data, others)
+                    yield from self._chosen(data, messages, start, end)
+                    if at == before:
+                        self.problems.append(f"{self.path}: the chunk at byte {place.begin} is damaged")
+                        break
+            if told is not None and not self._loose:
+                told(max(0, place.begin + place.length - done))
+                done = place.begin + place.length
+        if told is not None:
+            told(max(0, self.size - done))
+
+    # How
+
+    def _records(self, buffer: Bytes, start: int, end: int) -> tuple[int, Integers, Integers]:
+        messages = np.empty((WINDOW, 6), dtype=np.int64)
+        others = np.empty((WINDOW, 3), dtype=np.int64)
+        at, count, rest = compile_function(_walk)(buffer, start, end, messages, others)
+        return int(at), messages[:count], others[:rest]
+
+    def _chosen(
+        self, buffer: Bytes, messages: Integers, start: int | None, end: int | None
+    ) -> Iterator[Batch]:
+        if len(messages) == 0:
+            return
+        channel, log, publish, sequence, offset, length = messages.T
+        topic = self._topic_of()[channel]
+        keep = topic >= 0
+        if start is not None:
+            keep &= log >= start
+        if end is not None:
+            keep &= log < end
+        publish = np.where(publish == 0, log, publish)
+        batch = Batch(buffer, topic, log, publish, sequence, offset, length)
+        yield batch if keep.all() else batch.select(keep)
+
+    def _topic_of(self) -> Integers:
+        table = np.full(65536, -1, dtype=np.int64)
+        for channel, topic in self._channels.items():
+            table[channel] = topic
+        return table
+
+    def _index(self) -> None:
+        """Find chunks, schemas and channels; the summary repeats them if the file is whole."""
+        at = len(MAGIC)
+        ended = False
+        while at < self.size:
+            before = at
+            at, messages, others = self._records(self._buffer, at, self.size)
+            self._loose = self._loose or len(messages) > 0
+            self._learn(self._buffer, others)
+            for opcode, begin, length in others.tolist():
+                if opcode == Opcode.CHUNK:
+                    self._chunks.append(self._place(begin, length))
+                elif opcode == Opcode.METADATA:
+                    record = Metadata.read(self._stream(self._buffer, begin, length))
+                    if record.name == "rosbag2":
+                        self._metadata = record.metadata
+                ended = ended or opcode in (Opcode.DATA_END, Opcode.FOOTER)
+                self.finished = opcode == Opcode.FOOTER
+            if self.finished or at == before:
+                break
+        if not self.finished:
+            rest = self.size - at
+            torn = f"; its last {rest} bytes are part of a record" if rest > 0 and not ended else ""
+            self.problems.append(
+                f"{self.path} is unfinished{torn} (valve-control bag recover makes it whole)"
+            )
+        if not self.topics:
+            for place in self._chunks:
+                data = self._content(place)
+                inner = 0
+                while data is not None and inner < len(data):
+                    before = inner
+                    inner, _, others = self._records(data, inner, len(data))
+                    self._learn(data, others)
+                    if inner == before:
+                        break
+
+    @staticmethod
+    def _stream(buffer: Bytes, begin: int, length: int) -> ReadDataStream:
+        return ReadDataStream(BytesIO(buffer[begin : begin + length].tobytes()))
+
+    def _place(self, begin: int, length: int) -> ChunkPlace:
+        start, end = self._buffer[begin : begin + 16].view(np.uint64).tolist() if length >= 16 else (0, 0)
+        return ChunkPlace(begin, length, start, end)
+
+    def _learn(self, buffer: Bytes, others: Integers) -> None:
+        """Take in schemas and channels."""
+        for opcode, begin, length in others.tolist():
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(self._stream(buffer, begin, length))
+                self._schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(self._stream(buffer, begin, length))
+                if channel.id not in self._channels:
+                    self._channels[channel.id] = self._topic(channel)
+
+    def _topic(self, channel: Channel) -> int:
+        schema = self._schemas.get(channel.schema_id)
+        topic = Topic(
+            channel.topic,
+            schema.name if schema else "",
+            channel.message_encoding,
+            schema.encoding if schema else "",
+            schema.data.decode(errors="replace") if schema else "",
+            channel.metadata.get("topic_type_hash", ""),
+            qos_profiles(channel.metadata.get("offered_qos_profiles", "")),
+        )
+        for i, known in enumerate(self.topics):
+            if (known.name, known.type) == (topic.name, topic.type):
+                return i
+        self.topics.append(topic)
+        return len(self.topics) - 1
+
+    def _content(self, place: ChunkPlace) -> Bytes | None:
+        """Uncompressed records of a chunk, None (and a problem) if they cannot be had."""
+        where = f"{self.path}: the chunk at byte {place.begin}"
+        try:
+            size, crc, name_length = CHUNK_HEAD.unpack_from(self._buffer.data, place.begin)
+            at = place.begin + CHUNK_HEAD.size
+            compression = bytes(self._buffer[at : at + name_length]).decode()
+            at += name_length + 8
+            records = self._buffer[at : place.begin + place.length]
+            if compression == "zstd":
+                records = np.frombuffer(zstandard.decompress(records.data, size), dtype=np.uint8)
+            elif compression == "lz4":
+                records = np.frombuffer(lz4.frame.decompress(records.data), dtype=np.uint8)
+            elif compression != "":
+                self._complain(f"{where} is compressed with {compression!r}; zstd and lz4 are known")
+                return None
+        except (zstandard.ZstdError, struct.error, RuntimeError, ValueError, EOFError, MemoryError) as error:
+            self._complain(f"{where} is damaged and left out: {str(error).splitlines()[0]}")
+            return None
+        if crc and zlib.crc32(records.data) != crc:
+            self._complain(f"{where} is damaged (its checksum is wrong) and left out")
+            return None
+        return records
+
+    def _complain(self, text: str) -> None:
+        if text not in self.problems:
+            self.problems.append(text)

@@ -1,0 +1,342 @@
+"""Bags on the command line: analyze, replay, compare, recover."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from valve_control.analysis.tables import HEADER, index_row
+from valve_control.bags.errors import BagError
+from valve_control.cli.common import Parser, check_outputs, say, write_json
+from valve_control.parameters.table import NODES, ParameterError, lookup
+
+if TYPE_CHECKING:
+    from valve_control.bags.bag import Bag
+    from valve_control.recordings.recording import Recording
+    from valve_control.recordings.study import ValveStudy
+
+CONTROLLERS = lookup(NODES["controller"], "controller").choices
+SHOW_PROGRESS = 20_000_000  # bytes of a bag from which on reading it shows progress
+
+
+def _bag_options() -> Parser:
+    options = Parser(add_help=False)
+    options.add_argument("bag", metavar="BAG", help="folder with metadata.yaml, or an .mcap or .db3 file")
+    group = options.add_argument_group("what is read")
+    group.add_argument(
+        "--map",
+        action="append",
+        default=[],
+        metavar="PART=/TOPIC.FIELD",
+        help="what plays the part of spool_command, spool_position or valve_voltage: any number of any "
+        "message, such as spool_position=/joint_states.position[0]*250 (volts per unit after *); "
+        "boom/spool_position=... for a valve named boom; again for more",
+    )
+    group.add_argument(
+        "--from", dest="start", type=float, metavar="S", help="begin this long after the bag's beginning [s]"
+    )
+    group.add_argument(
+        "--to", dest="end", type=float, metavar="S", help="end this long after the bag's beginning [s]"
+    )
+    output = options.add_argument_group("what comes out")
+    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
+    output.add_argument(
+        "--csv", metavar="FILE", help="aligned signals as CSV (of several valves: one file each)"
+    )
+    output.add_argument("--html", metavar="FILE", help="one self-contained page with zoomable figures")
+    return options
+
+
+def add_commands(commands: Any) -> None:
+    """Add analyze, replay and bag to the command's sub-commands."""
+    shared = _bag_options()
+    analyze = commands.add_parser(
+        "analyze",
+        parents=[shared],
+        help="what a bag tells: sample rates, indices, estimates, spectra",
+        description="Analyse a rosbag2 recording without ROS. Exit status 1 if an expectation is not met.",
+    )
+    analyze.add_argument(
+        "--expect",
+        action="append",
+        default=[],
+        metavar="CONDITION",
+        help="such as 'e_rms<0.02', 'boom.latency_s.p99<0.001', 'timing.spool_position.lost==0'; "
+        "again for more",
+    )
+    analyze.set_defaults(run=_analyze)
+    replay = commands.add_parser(
+        "replay",
+        parents=[shared],
+        help="a bag again: in shadow, as what-if, or live",
+        description="shadow: a controller sees the recorded command and LVDT, its voltage is shown beside "
+        "the recorded one. what-if: the closed loop is simulated again from the recorded command. live: the "
+        "bag's topics are published to running nodes (needs ROS).",
+    )
+    replay.add_argument(
+        "--mode", choices=("shadow", "what-if", "live"), default="shadow", help="(default: shadow)"
+    )
+    replay.add_argument("--of", metavar="VALVE", help="which valve, if the bag has several")
+    group = replay.add_argument_group("shadow and what-if: instead of the recorded parameters")
+    group.add_argument("--controller", choices=CONTROLLERS, help="control law")
+    group.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="a parameter; again for more"
+    )
+    group.add_argument(
+        "--params-file",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="ROS 2 parameter file; again for more",
+    )
+    live = replay.add_argument_group("live")
+    live.add_argument("--rate", type=float, default=1.0, metavar="X", help="times the recorded speed (1.0)")
+    live.add_argument(
+        "--lockstep", action="store_true", help="each reading waits for the voltage of the one before"
+    )
+    live.add_argument(
+        "--topics", nargs="+", metavar="TOPIC", help="what is published (the valves' command and position)"
+    )
+    replay.set_defaults(run=_replay)
+    bag = commands.add_parser("bag", help="mend a bag", description="Work on a bag itself.")
+    tasks = bag.add_subparsers(dest="bag_task", required=True, metavar="TASK")
+    recover = tasks.add_parser(
+        "recover",
+        help="make an unfinished bag whole",
+        description="Make a bag whole, in place, whose recorder was killed: end its files, rebuild "
+        "metadata.yaml.",
+    )
+    recover.add_argument("bag", metavar="BAG", help="folder of the bag, or one file")
+    recover.add_argument("--out", metavar="FOLDER", help="mend a copy instead")
+    recover.set_defaults(run=_recover, json=None)
+
+
+# Reading
+
+
+def _told(bag: "Bag") -> Callable[[int], None]:
+    """Progress over the bytes of ``bag``, on standard error."""
+    from tqdm import tqdm
+
+    progress = tqdm(
+        total=bag.size,
+        desc=f"reading {bag.path.name}",
+        unit="B",
+        unit_scale=True,
+        disable=bag.size < SHOW_PROGRESS,
+        ascii=not sys.stderr.isatty(),
+        mininterval=0.1 if sys.stderr.isatty() else 2.0,
+    )
+
+    def told(count: int) -> None:
+        progress.update(count)
+        if progress.n >= progress.total:
+            progress.close()
+
+    return told
+
+
+def _load(arguments: argparse.Namespace, path: str) -> "Recording":
+    from valve_control.recordings import recording
+
+    start, end = getattr(arguments, "start", None), getattr(arguments, "end", None)
+    if start is not None and end is not None and end <= start:
+        raise ParameterError(f"--to {end:g} lies not after --from {start:g}")
+    return recording.load(path, arguments.map, start, end, _told)
+
+
+def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveStudy":
+    from valve_control.recordings.study import study
+
+    valves = study(loaded).valves
+    if arguments.of is None and len(valves) > 1:
+        raise BagError(f"{arguments.bag} has the valves {', '.join(valves)}; choose one with --of")
+    name = arguments.of if arguments.of is not None else next(iter(valves))
+    if name not in valves:
+        raise BagError(f"{arguments.bag} has no valve {name}; it has {', '.join(valves)}")
+    return valves[name]
+
+
+# Tasks
+
+
+def _analyze(arguments: argparse.Namespace) -> int:
+    from valve_control.recordings import expectations, report
+    from valve_control.recordings.study import as_dict, study
+
+    check_outputs([arguments.json, arguments.csv, arguments.html])
+    loaded = _load(arguments, arguments.bag)
+    result = study(loaded)
+    about = as_dict(result)
+    outcomes = [o for text in arguments.expect for o in expectations.check(text, about["valves"])]
+    about["expectations"] = [outcome._asdict() for outcome in outcomes]
+    if arguments.json != "-":
+        print(report.text(result))
+    for path, valve in _csv_files(arguments.csv, result.valves):
+        report.write_csv(path, valve)
+        say(arguments, f"wrote {path}")
+    if arguments.html is not None:
+        report.write_html(Path(arguments.html), result)
+        say(arguments, f"wrote {arguments.html}")
+    write_json(arguments, about)
+    for outcome in outcomes:
+        value = "missing" if outcome.value is None else f"{outcome.value:.6g}"
+        say(arguments, f"{'met' if outcome.met else 'NOT MET'}: {outcome.text} ({outcome.valve}: {value})")
+    return 0 if all(outcome.met for outcome in outcomes) else 1
+
+
+def _csv_files(path: str | None, valves: "dict[str, ValveStudy]") -> "list[tuple[Path, ValveStudy]]":
+    if path is None:
+        return []
+    usable = {name: valve for name, valve in valves.items() if valve.signals is not None}
+    if len(usable) == 1:
+        return [(Path(path), next(iter(usable.values())))]
+    stem = Path(path)
+    return [
+        (stem.with_name(f"{stem.stem}_{name.replace('/', '_')}{stem.suffix}"), valve)
+        for name, valve in usable.items()
+    ]
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    check_outputs([arguments.json, arguments.csv, arguments.html])
+    if arguments.mode == "live":
+        return _replay_live(arguments)
+    valve = _one_valve(arguments, _load(arguments, arguments.bag))
+    if arguments.mode == "shadow":
+        return _replay_shadow(arguments, valve)
+    return _replay_what_if(arguments, valve)
+
+
+def _overrides(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    from valve_control.parameters import files
+
+    changes: dict[str, dict[str, Any]] = {node: {} for node in NODES}
+    for path in arguments.params_file:
+        for node, values in files.load(path).items():
+            changes[node].update(values)
+    if arguments.controller is not None:
+        changes["controller"]["controller"] = arguments.controller
+    for text in arguments.set:
+        name, by_node = files.parse_setting(text)
+        for node, value in by_node.items():
+            changes[node][name] = value
+    return changes
+
+
+def _replay_shadow(arguments: argparse.Namespace, study: "ValveStudy") -> int:
+    from tqdm import tqdm
+
+    from valve_control.recordings import replay_report, shadow
+
+    valve = study.valve
+    count = len(valve.signals["spool_position"].time) if "spool_position" in valve.signals else 0
+    with tqdm(total=count, desc="shadow", unit=" samples", disable=count < 20_000, ascii=True) as progress:
+        result = shadow.replay(valve, _overrides(arguments)["controller"], progress.update)
+    if arguments.json != "-":
+        print(replay_report.shadow_text(result))
+    _write_replay(
+        arguments,
+        replay_report.shadow_columns(result),
+        lambda: replay_report.shadow_page(result, arguments.bag),
+    )
+    write_json(arguments, replay_report.shadow_dict(result, arguments.bag, valve.name))
+    return 0
+
+
+def _replay_what_if(arguments: argparse.Namespace, study: "ValveStudy") -> int:
+    from valve_control.recordings import replay_report, what_if
+
+    if study.signals is None:
+        raise BagError("; ".join(study.left_out))
+    changes = _overrides(arguments)
+    result = what_if.replay(study.valve, study.signals, changes["controller"], changes["valve_simulator"])
+    if result.run.warning:
+        print(f"warning: {result.run.warning}", file=sys.stderr)
+    if arguments.json != "-":
+        print(replay_report.what_if_text(result))
+    _write_replay(
+        arguments,
+        replay_report.what_if_columns(result),
+        lambda: replay_report.what_if_page(result, arguments.bag),
+    )
+    write_json(arguments, replay_report.what_if_dict(result, arguments.bag, study.valve.name))
+    return 0
+
+
+def _write_replay(arguments: argparse.Namespace, columns: dict[str, Any], page: Callable[[], str]) -> None:
+    import numpy as np
+
+    if arguments.csv is not None:
+        np.savetxt(
+            arguments.csv, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns),
+            comments="", fmt="%.17g",
+        )  # fmt: skip
+        say(arguments, f"wrote {arguments.csv}")
+    if arguments.html is not None:
+        Path(arguments.html).write_text(page(), encoding="utf-8")
+        say(arguments, f"wrote {arguments.html}")
+
+
+def _replay_live(arguments: argparse.Namespace) -> int:
+    try:
+        from valve_control.nodes import player
+    except ImportError as error:
+        raise BagError(f"live replay needs ROS 2: {error}; shadow and what-if do without") from error
+    result = player.play(
+        arguments.bag,
+        arguments.map,
+        arguments.topics,
+        arguments.rate,
+        arguments.lockstep,
+        arguments.start,
+        arguments.end,
+        arguments.of,
+    )
+    text = f"published {result.published} messages in {result.elapsed:.2f} s"
+    if arguments.lockstep:
+        text += f"; {len(result.answers)} voltages came back"
+        if result.differing is not None:
+            text += f", {result.differing} of them differ from the recorded ones"
+    else:
+        text += f", 99 % of them at most {1e3 * result.late:.2f} ms after their time"
+    say(arguments, text)
+    write_json(
+        arguments, {"bag": arguments.bag, "mode": "live", "lockstep": arguments.lockstep, **result._asdict()}
+    )
+    return 0
+
+
+def compare_bags(arguments: argparse.Namespace) -> None:
+    """Indices and overlaid figures of several bags."""
+    from valve_control.recordings import comparison
+    from valve_control.recordings.study import study
+
+    check_outputs([arguments.json, arguments.figure, arguments.html])
+    runs = []
+    for path in arguments.bags:
+        runs += comparison.runs(path, study(_load(arguments, path)))
+    names = comparison.labels([run.name for run in runs])
+    if arguments.json != "-":
+        width = max(14, *(len(name) + 2 for name in names))
+        print(" " * (width - 14) + HEADER)
+        for name, run in zip(names, runs, strict=True):
+            print(index_row(f"{name:{width}}", run.indices))
+        for run in runs:
+            for note in run.left_out:
+                print(f"note: {note}")
+    if arguments.figure is not None:
+        comparison.draw(Path(arguments.figure), names, runs)
+        say(arguments, f"wrote {arguments.figure}")
+    if arguments.html is not None:
+        Path(arguments.html).write_text(comparison.html(names, runs), encoding="utf-8")
+        say(arguments, f"wrote {arguments.html}")
+    write_json(arguments, {"runs": [comparison.as_dict(n, r) for n, r in zip(names, runs, strict=True)]})
+
+
+def _recover(arguments: argparse.Namespace) -> int:
+    from valve_control.bags.recover import recover
+
+    print(recover(Path(arguments.bag), Path(arguments.out) if arguments.out is not None else None))
+    return 0

@@ -1,0 +1,177 @@
+"""Live replay: the topics of a bag, published to running nodes."""
+
+import importlib
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64
+from tqdm import tqdm
+
+from valve_control.bags.bag import Bag
+from valve_control.bags.errors import BagError
+from valve_control.nodes.adapter import SAMPLES, PolledSubscription
+from valve_control.recordings.mapping import find_valves
+from valve_control.recordings.recording import Valve, align, load
+
+MEET = 10.0  # s to wait for somebody who listens
+SETTLE = 0.5  # s in which discovery becomes mutual
+ANSWER = 5.0  # s to wait for a voltage in lockstep
+POLL = 2e-5  # s
+DRAIN = 0.2  # s at the end, for what is still on its way
+
+
+class Played(NamedTuple):
+    """What was published and what came back."""
+
+    published: int
+    elapsed: float  # s
+    late: float  # s, p99 of the delay behind the recorded time
+    answers: list[float]  # V, lockstep: voltage to each reading
+    differing: int | None  # of them, from the recorded voltage, bit for bit
+
+
+def message_class(name: str) -> Any:
+    """Class of a message type such as std_msgs/msg/Float64. Raises BagError if it is not installed."""
+    package, _, last = name.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), last)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise BagError(f"the message type {name} is not installed here") from error
+
+
+def play(
+    path: str,
+    maps: Sequence[str],
+    topics: Sequence[str] | None,
+    rate: float,
+    lockstep: bool,
+    start: float | None = None,
+    end: float | None = None,
+    of: str | None = None,
+    quiet: bool = False,
+) -> Played:
+    """Publish a bag's topics at ``rate`` times the recorded speed, or in lockstep with valve ``of``.
+
+    ``start``, ``end`` [s]: part of the bag. Raises BagError.
+    """
+    if not 0.001 <= rate <= 1000.0:
+        raise BagError(f"--rate is {rate:g}; it must lie between 0.001 and 1000")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("player")
+    try:
+        if lockstep:
+            return _in_lockstep(node, _valve(path, maps, start, end, of), quiet)
+        return _timed(node, path, maps, topics, rate, start, end, quiet)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _valve(path: str, maps: Sequence[str], start: float | None, end: float | None, of: str | None) -> Valve:
+    valves = load(path, maps, start, end).valves
+    if of is None and len(valves) > 1:
+        raise BagError(f"{path} has the valves {', '.join(valves)}; choose one with --of")
+    name = of if of is not None else next(iter(valves))
+    if name not in valves:
+        raise BagError(f"{path} has no valve {name}; it has {', '.join(valves)}")
+    return valves[name]
+
+
+def _meet(publishers: dict[str, Any]) -> None:
+    limit = time.monotonic() + MEET
+    while missing := [
+        name for name, publisher in publishers.items() if publisher.get_subscription_count() == 0
+    ]:
+        if time.monotonic() > limit:
+            raise BagError(
+                f"nobody has listened to {', '.join(missing)} for {MEET:g} s; is the controller running?"
+            )
+        time.sleep(0.02)
+    time.sleep(SETTLE)
+
+
+def _timed(
+    node: Node, path: str, maps: Sequence[str], topics: Sequence[str] | None, rate: float,
+    start: float | None, end: float | None, quiet: bool,
+) -> Played:  # fmt: skip
+    bag = Bag(path)
+    if topics is None:
+        parts = ("spool_command", "spool_position")
+        valves = find_valves(bag, maps).values()
+        topics = sorted({v.sources[part].topic for v in valves for part in parts if part in v.sources})
+    begin = bag.begin
+    series = bag.read(
+        {},
+        raw=topics,
+        start=None if start is None else begin + round(start * 1e9),
+        end=None if end is None else begin + round(end * 1e9),
+    )
+    publishers = {
+        name: node.create_publisher(message_class(bag.topic(name).type), name, SAMPLES) for name in topics
+    }
+    if not any(len(entry.raw) for entry in series.values()):
+        raise BagError(f"{path} has no message on {', '.join(topics)}")
+    times = np.concatenate([entry.publish_time for entry in series.values()])
+    owner = np.repeat(np.arange(len(series)), [len(entry.raw) for entry in series.values()])
+    number = np.concatenate([np.arange(len(entry.raw)) for entry in series.values()])
+    order = np.argsort(times, kind="stable")
+    outputs = [(publishers[name], entry.raw) for name, entry in series.items()]
+    _meet(publishers)
+    due = ((times[order] - times[order[0]]) * 1e-9 / rate).tolist()
+    delays = []
+    began = time.monotonic()
+    with tqdm(total=due[-1], unit="s", disable=quiet, ascii=not sys.stderr.isatty(), mininterval=1.0,
+              bar_format="live {bar} {n:.1f}/{total:.1f} s") as progress:  # fmt: skip
+        for moment, k, i in zip(due, owner[order].tolist(), number[order].tolist(), strict=True):
+            pause = began + moment - time.monotonic()
+            if pause > 0.0:
+                time.sleep(pause)
+            publisher, messages = outputs[k]
+            publisher.publish(messages[i])
+            delays.append(time.monotonic() - began - moment)
+            if moment - progress.n >= 0.1:
+                progress.update(moment - progress.n)
+        progress.update(due[-1] - progress.n)
+    elapsed = time.monotonic() - began
+    time.sleep(DRAIN)
+    return Played(len(due), elapsed, float(np.percentile(delays, 99)), [], None)
+
+
+def _in_lockstep(node: Node, valve: Valve, quiet: bool) -> Played:
+    """One command and one reading at a time; the next when the voltage has come."""
+    signals = align(valve)
+    command = node.create_publisher(Float64, f"{valve.topics.namespace}/spool_command", SAMPLES)
+    position = node.create_publisher(Float64, f"{valve.topics.namespace}/spool_position", SAMPLES)
+    voltages = PolledSubscription(node, Float64, f"{valve.topics.namespace}/valve_voltage", SAMPLES)
+    _meet({command.topic_name: command, position.topic_name: position})
+    for _ in voltages.take():
+        pass
+    answers: list[float] = []
+    began = time.monotonic()
+    pairs = zip(signals.command.tolist(), signals.measurement.tolist(), strict=True)
+    for wanted, reading in tqdm(
+        pairs, total=len(signals.time), desc="lockstep", unit=" samples", disable=quiet, mininterval=1.0,
+        ascii=not sys.stderr.isatty(),
+    ):  # fmt: skip
+        if np.isfinite(wanted):
+            command.publish(Float64(data=wanted))
+        position.publish(Float64(data=reading))
+        limit = time.monotonic() + ANSWER
+        while (taken := voltages.one()) is None:
+            if time.monotonic() > limit:
+                raise BagError(f"no voltage for reading {len(answers) + 1} within {ANSWER:g} s")
+            time.sleep(POLL)
+        answers.append(taken[0].data)
+    elapsed = time.monotonic() - began
+    recorded = signals.voltage
+    known = np.isfinite(recorded)
+    differing = int(np.count_nonzero(np.array(answers)[known] != recorded[known])) if known.any() else None
+    return Played(2 * len(answers), elapsed, 0.0, answers, differing)

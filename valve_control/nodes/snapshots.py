@@ -1,0 +1,133 @@
+"""The parameters of all nodes, asked for without waiting, and kept up to date."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+
+EVENTS = "/parameter_events"
+LIST = "/list_parameters"
+ASK_AGAIN = 3.0  # s; a server that has not yet seen its client does not answer
+
+
+class Question:
+    """All parameters of one node: their names, then their values."""
+
+    def __init__(self, node: Node, name: str) -> None:
+        self._node = node
+        self._list = node.create_client(ListParameters, f"{name}/list_parameters")
+        self._get = node.create_client(GetParameters, f"{name}/get_parameters")
+        self._client = self._list
+        self._request: Any = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
+        self._future: Any = None
+        self._asked = 0.0
+        self.events: list[ParameterEvent] = []  # changes since the beginning
+
+    def answer(self) -> list[Parameter] | None:
+        """The parameters once they have come."""
+        now = time.monotonic()
+        if self._future is None or (not self._future.done() and now > self._asked + ASK_AGAIN):
+            if not self._client.service_is_ready():
+                return None
+            if self._future is not None:
+                self._client.remove_pending_request(self._future)
+            self._future = self._client.call_async(self._request)
+            self._asked = now
+        if not self._future.done():
+            return None
+        result = self._future.result()
+        self._future = None
+        if self._client is self._list:
+            self._client = self._get
+            self._request = GetParameters.Request(names=result.result.names)
+            return None
+        return [
+            Parameter(name=name, value=value)
+            for name, value in zip(self._request.names, result.values, strict=False)
+            if value.type != ParameterType.PARAMETER_NOT_SET
+        ]
+
+    def destroy(self) -> None:
+        """Ask no further."""
+        self._node.destroy_client(self._list)
+        self._node.destroy_client(self._get)
+
+
+class Snapshots:
+    """Hands each node's parameters to ``write`` as one ParameterEvent, serialized."""
+
+    def __init__(self, node: Node, write: Callable[[bytes], None]) -> None:
+        self._node = node
+        self._write = write
+        self._lives: dict[str, set[bytes]] = {}  # by node: its publishers of events, new ones after a restart
+        self._questions: dict[str, Question] = {}
+        self._values: dict[str, dict[str, Parameter]] = {}
+
+    def look(self) -> None:
+        """See who has come and gone."""
+        lives: dict[str, set[bytes]] = {}
+        for name, types in self._node.get_service_names_and_types():
+            if name.endswith(LIST) and "rcl_interfaces/srv/ListParameters" in types:
+                lives[name.removesuffix(LIST)] = set()
+        lives.pop(self._node.get_fully_qualified_name(), None)
+        for info in self._node.get_publishers_info_by_topic(EVENTS):
+            name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            if name in lives:
+                lives[name].add(bytes(info.endpoint_gid))
+        for name in self._lives.keys() - lives.keys():
+            self._forget(name)
+        for name, publishers in lives.items():
+            before = self._lives.get(name)
+            if before is None or (before and publishers - before):
+                self._forget(name)
+                self._questions[name] = Question(self._node, name)
+        self._lives = lives
+
+    def _forget(self, name: str) -> None:
+        self._values.pop(name, None)
+        question = self._questions.pop(name, None)
+        if question is not None:
+            question.destroy()
+
+    def collect(self) -> None:
+        """Write what has been answered."""
+        for name, question in list(self._questions.items()):
+            parameters = question.answer()
+            if parameters is None:
+                continue
+            values = self._values[name] = {parameter.name: parameter for parameter in parameters}
+            # What changed while the answer was on its way is newer, or the same.
+            for event in question.events:
+                self._apply(values, event)
+            question.destroy()
+            del self._questions[name]
+            self._write_one(name)
+
+    def observe(self, data: bytes) -> None:
+        """Take in a serialized ParameterEvent that was received."""
+        event = deserialize_message(data, ParameterEvent)
+        if event.node in self._questions:
+            self._questions[event.node].events.append(event)
+        if event.node in self._values:
+            self._apply(self._values[event.node], event)
+
+    @staticmethod
+    def _apply(values: dict[str, Parameter], event: ParameterEvent) -> None:
+        for parameter in (*event.new_parameters, *event.changed_parameters):
+            values[parameter.name] = parameter
+        for parameter in event.deleted_parameters:
+            values.pop(parameter.name, None)
+
+    def write_all(self) -> None:
+        """Write the parameters of all nodes as they are now."""
+        for name in self._values:
+            self._write_one(name)
+
+    def _write_one(self, name: str) -> None:
+        event = ParameterEvent(node=name, new_parameters=list(self._values[name].values()))
+        event.stamp = self._node.get_clock().now().to_msg()
+        self._write(serialize_message(event))

@@ -1,0 +1,1 @@
+"""Runs out of bags: valves, parameters, aligned signals; analysed, compared and replayed."""

@@ -1,0 +1,80 @@
+"""Conditions on the results of a study, such as ``e_rms<0.02``, for continuous integration."""
+
+import difflib
+import operator
+import re
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from valve_control.bags.errors import BagError
+
+FORM = re.compile(r"\s*([A-Za-z_][\w./]*)\s*(<=|>=|==|!=|<|>)\s*([^<>=!]+?)\s*$")
+OPERATORS: dict[str, Callable[[float, float], bool]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+
+
+class Outcome(NamedTuple):
+    """One expectation on one valve."""
+
+    text: str
+    valve: str
+    value: float | None  # None where the bag has no such number
+    met: bool
+
+
+def figures(valve: Mapping[str, Any]) -> dict[str, float | None]:
+    """Numbers of one valve's results by name; ``e_rms`` and the like are those of the whole run."""
+    flat: dict[str, float | None] = {}
+
+    def add(prefix: str, value: Any) -> None:
+        if isinstance(value, Mapping):
+            for key, entry in value.items():
+                add(f"{prefix}.{key}" if prefix else str(key), entry)
+        elif value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)):
+            flat[prefix] = value
+
+    for key in ("timing", "latency_s", "recorded_after_s"):
+        add(key, valve[key] or {})
+    for key in ("unanswered", "lyapunov_over_bound", "sample_period_s"):
+        flat[key] = valve[key]
+    flat.update(valve["indices"] or dict.fromkeys(("e_M", "e_F", "e_rms", "u_rms", "c_u")))
+    return flat
+
+
+def check(text: str, valves: Mapping[str, Mapping[str, Any]]) -> list[Outcome]:
+    """``name op number`` on every valve, or on one as ``valve.name op number``; a missing number is not met.
+
+    Raises BagError if the text is no condition or there is no such number.
+    """
+    found = FORM.match(text)
+    try:
+        if found is None:
+            raise ValueError
+        limit = float(found[3])
+    except ValueError:
+        raise BagError(f"--expect takes a condition such as 'e_rms<0.02', not '{text}'") from None
+    name, sign = found[1], found[2]
+    chosen = dict(valves)
+    for valve in valves:
+        if name.startswith(f"{valve}."):
+            name, chosen = name[len(valve) + 1 :], {valve: valves[valve]}
+            break
+    outcomes = []
+    for valve, results in chosen.items():
+        known = figures(results)
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
+            raise BagError(
+                f"--expect {text}: there is no number '{name}'; "
+                + (f"did you mean {', '.join(near)}?" if near else f"there is {', '.join(known)}")
+            )
+        value = known[name]
+        met = value is not None and OPERATORS[sign](value, limit)
+        outcomes.append(Outcome(text, valve, value, met))
+    return outcomes

@@ -1,0 +1,111 @@
+"""Which topic plays which part: `spool_position`, `spool_command` and `valve_voltage` of each valve."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from valve_control.bags.bag import Bag
+from valve_control.bags.cdr import Decoder, normal
+from valve_control.bags.errors import BagError
+
+PARTS = ("spool_command", "spool_position", "valve_voltage")
+ONLY = "valve"  # name of a valve whose topics stand in no namespace
+STATE_TYPE = "std_msgs/msg/Float64MultiArray"
+SCALE = re.compile(r"^(?P<source>[^*]+)\*(?P<factor>[^*]+)$")
+
+
+class Source(NamedTuple):
+    """A number of a topic's messages, in volts after multiplication."""
+
+    topic: str
+    field: str
+    factor: float = 1.0  # V per unit of the message
+
+    def __str__(self) -> str:
+        scale = f"*{self.factor:g}" if self.factor != 1.0 else ""
+        return f"{self.topic}.{self.field}{scale}"
+
+
+class ValveTopics(NamedTuple):
+    """Where the signals of one valve are."""
+
+    name: str
+    namespace: str
+    sources: dict[str, Source]  # by part
+    state: str  # topic of the controller's state, "" if none
+
+
+def parse_map(text: str) -> tuple[str, str, Source]:
+    """``[valve/]part=/topic[.field][*factor]`` as valve, part and source. Raises BagError."""
+    left, equals, right = text.partition("=")
+    valve, _, part = left.strip().rpartition("/")
+    if not equals or part not in PARTS or not right.strip():
+        raise BagError(
+            "--map takes part=/topic.field with part spool_command, spool_position or valve_voltage, "
+            f"not '{text}'"
+        )
+    factor = 1.0
+    source = right.strip()
+    if "*" in source:
+        scaled = SCALE.match(source)
+        try:
+            if scaled is None:
+                raise ValueError
+            source, factor = scaled["source"].strip(), float(scaled["factor"])
+        except ValueError:
+            raise BagError(f"--map {text}: what follows * must be a number") from None
+    topic, _, field = source.partition(".")
+    topic = topic if topic.startswith("/") else f"/{topic}"
+    normal(field or "data")
+    return valve.strip("/") or ONLY, part, Source(topic, field or "data", factor)
+
+
+def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
+    """Valves of a bag by name: each namespace with a topic of the cascade, and what is mapped.
+
+    Raises BagError if there is none, or a mapped topic or field does not exist.
+    """
+    sources: dict[str, dict[str, Source]] = {}
+    for name in bag.topics:
+        namespace, _, part = name.rpartition("/")
+        if part in PARTS:
+            sources.setdefault(namespace.strip("/") or ONLY, {})[part] = Source(name, "data")
+    for text in maps:
+        valve, part, source = parse_map(text)
+        bag.topic(source.topic)
+        sources.setdefault(valve, {})[part] = source
+    if not sources:
+        topics = ", ".join(f"{t.name} ({t.type})" for t in bag.topics.values())
+        raise BagError(
+            f"{bag.path} has no spool_command, spool_position or valve_voltage; it has {topics}; name what "
+            "plays their parts with --map spool_position=/topic.field"
+        )
+    _check_fields(bag, sources)
+    return {
+        valve: ValveTopics(valve, _namespace(valve), parts, _state(bag, _namespace(valve)))
+        for valve, parts in sorted(sources.items())
+    }
+
+
+def _namespace(valve: str) -> str:
+    return "" if valve == ONLY else f"/{valve}"
+
+
+def _state(bag: Bag, namespace: str) -> str:
+    for name, topic in bag.topics.items():
+        if topic.type == STATE_TYPE and re.fullmatch(rf"{re.escape(namespace)}/[^/]+/state", name):
+            return name
+    return ""
+
+
+def _check_fields(bag: Bag, sources: Mapping[str, Mapping[str, Source]]) -> None:
+    """Each source is a number that the first message of its topic has."""
+    for parts in sources.values():
+        for source in parts.values():
+            message = bag.first(source.topic)
+            decoder = Decoder(bag.topic(source.topic), [source.field])
+            if message is not None:
+                try:
+                    decoder.layout(message)
+                except BagError as error:
+                    raise BagError(f"{source.topic} ({bag.topic(source.topic).type}): {error}") from None

@@ -1,0 +1,108 @@
+"""Parameters of the nodes as a bag holds them: rcl_interfaces/ParameterEvent on /parameter_events."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from rosbags.typesys import Stores, get_typestore
+
+from valve_control.bags.bag import Series
+from valve_control.parameters.table import NODES, ParameterError, Values, defaults, lookup, updated
+
+TOPIC = "/parameter_events"
+TYPE = "rcl_interfaces/msg/ParameterEvent"
+# A parameter by which a node of this package is known, whatever its name.
+MARKS = {"controller": "arc.k1", "valve_simulator": "friction.coulomb", "command_source": "scenario"}
+FIELDS = {
+    1: "bool_value",
+    2: "integer_value",
+    3: "double_value",
+    4: "string_value",
+    5: "byte_array_value",
+    6: "bool_array_value",
+    7: "integer_array_value",
+    8: "double_array_value",
+    9: "string_array_value",
+}
+
+
+class Change(NamedTuple):
+    """Parameters that took new values at one moment."""
+
+    time: int  # ns, source time
+    values: dict[str, Any]  # what differs from before
+
+
+class Node(NamedTuple):
+    """One node's parameters over time."""
+
+    name: str  # with its namespace
+    kind: str  # controller, valve_simulator, command_source or ""
+    initial: dict[str, Any]
+    changes: list[Change]
+
+    @property
+    def namespace(self) -> str:
+        """The part of its name before the last slash."""
+        return self.name.rpartition("/")[0]
+
+    def table_values(self, values: Mapping[str, Any]) -> tuple[Values, list[str]]:
+        """All values of a node of this package, and a sentence for each recorded one that it cannot take."""
+        table = NODES[self.kind]
+        taken = defaults(table)
+        refused = []
+        for name, value in values.items():
+            if name in ("use_sim_time", "start_type_description_service"):
+                continue
+            try:
+                lookup(table, name)
+                taken = updated(table, taken, {name: value})
+            except ParameterError as error:
+                refused.append(f"recorded parameter of {self.name} not used: {error}")
+        return taken, refused
+
+
+def history(events: Series | None) -> dict[str, Node]:
+    """Parameters over time of each node, from the messages of /parameter_events."""
+    nodes: dict[str, Node] = {}
+    if events is None:
+        return nodes
+    deserialize = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr
+    seen: dict[str, dict[str, Any]] = {}
+    for time, raw in sorted(zip(events.publish_time.tolist(), events.raw, strict=True), key=lambda e: e[0]):
+        event: Any = deserialize(raw, TYPE)
+        values = {
+            p.name: _plain(p.value)
+            for p in (*event.new_parameters, *event.changed_parameters)
+            if p.value.type in FIELDS
+        }
+        before = seen.setdefault(event.node, {})
+        differs = {name: value for name, value in values.items() if before.get(name, _Nothing) != value}
+        node = nodes.get(event.node)
+        if node is None:
+            nodes[event.node] = Node(event.node, _kind(values), values, [])
+        elif any(name not in before for name in differs):
+            # A list that came in parts: what was not known before was so from the beginning.
+            node.initial.update({k: v for k, v in differs.items() if k not in before})
+            nodes[event.node] = node._replace(kind=node.kind or _kind(values))
+            differs = {name: value for name, value in differs.items() if name in before}
+        if node is not None and differs:
+            node.changes.append(Change(time, differs))
+        before.update(values)
+    return nodes
+
+
+class _Nothing:
+    """Differs from every value."""
+
+
+def _plain(value: Any) -> Any:
+    got = getattr(value, FIELDS[value.type])
+    return got if isinstance(got, (bool, int, float, str)) else [_scalar(entry) for entry in got]
+
+
+def _scalar(entry: Any) -> Any:
+    return entry if isinstance(entry, str) else entry.item() if hasattr(entry, "item") else entry
+
+
+def _kind(values: Mapping[str, Any]) -> str:
+    return next((kind for kind, mark in MARKS.items() if mark in values), "")

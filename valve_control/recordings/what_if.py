@@ -1,0 +1,79 @@
+"""What-if replay: the closed loop simulated again from the recorded command, beside the recorded run."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.analysis.indices import rms
+from valve_control.bags.errors import BagError
+from valve_control.parameters.table import CONTROLLER, VALVE, Values, defaults, updated
+from valve_control.recordings.parameters import Node
+from valve_control.recordings.recording import Aligned, Valve
+from valve_control.simulation import offline
+
+Floats = npt.NDArray[np.float64]
+
+
+class WhatIf(NamedTuple):
+    """Recorded and simulated run on one grid of samples."""
+
+    time: Floats  # s
+    recorded: Aligned  # on that grid
+    run: offline.Run
+    distance: float  # V, rms of simulated minus recorded measurement
+    left_out: list[str]
+
+
+def replay(
+    valve: Valve, signals: Aligned, controller: Mapping[str, Any], simulator: Mapping[str, Any]
+) -> WhatIf:
+    """Simulate the recorded command; ``controller`` and ``simulator`` win over the recorded parameters.
+
+    Raises BagError without a command, ParameterError for parameters that do not fit.
+    """
+    if not np.any(np.isfinite(signals.command)):
+        raise BagError(f"{valve.name} has no spool_command, so there is nothing to simulate")
+    left_out: list[str] = []
+    law = _values(valve.controller, CONTROLLER, controller, "controller", left_out)
+    plant = _values(valve.simulator, VALVE, simulator, "valve_simulator", left_out)
+    period = float(signals.period)
+    for values, given in ((law, controller), (plant, simulator)):
+        if "sample_period" not in given:
+            values["sample_period"] = round(period, 9)
+    grid = _on_grid(signals, float(str(law["sample_period"])))
+    run = offline.simulate(law, plant, grid.command)
+    distance = rms(run.measurement - grid.measurement)
+    if valve.controller is not None and valve.controller.changes:
+        left_out.append(
+            f"{len(valve.controller.changes)} recorded change(s) of parameters are not simulated: "
+            "the run has the values of the beginning"
+        )
+    return WhatIf(grid.time, grid, run, distance, left_out)
+
+
+def _values(
+    node: Node | None, table: Any, given: Mapping[str, Any], kind: str, left_out: list[str]
+) -> Values:
+    if node is None:
+        left_out.append(f"the bag has no parameters of a {kind}; defaults and what was given are used")
+        return updated(table, defaults(table), given)
+    values, refused = node.table_values(node.initial)
+    left_out += refused
+    return updated(table, values, given)
+
+
+def _on_grid(signals: Aligned, period: float) -> Aligned:
+    """``signals`` sampled every ``period`` [s]; over a gap the last sample holds."""
+    count = round((signals.time[-1] - signals.time[0]) / period) + 1
+    time = np.arange(count) * period
+    index = np.clip(np.searchsorted(signals.time, time + 0.5 * period) - 1, 0, len(signals.time) - 1)
+    return signals._replace(
+        time=time,
+        stamp=signals.stamp[index],
+        period=period,
+        command=signals.command[index],
+        measurement=signals.measurement[index],
+        voltage=signals.voltage[index],
+    )
