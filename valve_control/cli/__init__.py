@@ -52,6 +52,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ParameterError, BagError) as error:
         print(f"valve-control: {error}", file=sys.stderr)
         return 2
+    except ModuleNotFoundError as error:
+        print(
+            f"valve-control: {arguments.task} needs the Python package {error.name}: pip install {error.name}",
+            file=sys.stderr,
+        )
+        return 2
     except BrokenPipeError:
         with contextlib.suppress(OSError):
             sys.stdout.close()

@@ -43,6 +43,15 @@ class Definitions:
         except Exception as error:  # rosbags has several kinds for a definition that it does not understand
             raise LookupError(f"the definition of {type_name} is not understood: {error}") from error
 
+    def trimmed(self, data: bytes, type_name: str) -> bytes:
+        """``data`` of rclpy's serialize_message without what follows the message.
+
+        rclpy gives the buffer that it estimated, whose rest is memory that was never written.
+        """
+        message = self._store.get_msgdef(type_name)
+        _, end = message.deserialize_cdr_le(memoryview(data)[4:], 0, message.cls, self._store)
+        return data[: 4 + end]
+
     def _learn(self, type_name: str) -> None:
         """Read a type that Jazzy does not have, and those that it needs, from their packages."""
         if type_name in self._store.fielddefs:

@@ -1,6 +1,5 @@
 """Live replay: the topics of a bag, published to running nodes."""
 
-import importlib
 import signal
 import sys
 import time
@@ -17,6 +16,7 @@ from tqdm import tqdm
 from valve_control.bags.bag import Bag
 from valve_control.bags.errors import BagError
 from valve_control.nodes.adapter import SAMPLES, PolledSubscription
+from valve_control.nodes.definitions import message_class
 from valve_control.recordings.mapping import find_valves
 from valve_control.recordings.recording import Valve, align, load
 
@@ -35,15 +35,6 @@ class Played(NamedTuple):
     late: float  # s, p99 of the delay behind the recorded time
     answers: list[float]  # V, lockstep: voltage to each reading
     differing: int | None  # of them, from the recorded voltage, bit for bit
-
-
-def message_class(name: str) -> Any:
-    """Class of a message type such as std_msgs/msg/Float64. Raises BagError if it is not installed."""
-    package, _, last = name.partition("/msg/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), last)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise BagError(f"the message type {name} is not installed here") from error
 
 
 def play(

@@ -29,6 +29,7 @@ CASCADE = (
     "/diagnostics",
     "/clock",
 )
+EVENT_TYPE = "rcl_interfaces/msg/ParameterEvent"
 POLL = 0.01  # s between two looks at what has come
 LOOK = 0.2  # s between two looks at the graph
 LINGER = 0.2  # s to take the last words of nodes that are stopped together with the recorder
@@ -178,7 +179,7 @@ class Recorder(Worker):
         except BagError as error:
             raise ParameterError(str(error)) from error
         self._snapshots = Snapshots(self, self._write_snapshot)
-        self._record(EVENTS, "rcl_interfaces/msg/ParameterEvent")
+        self._record(EVENTS, EVENT_TYPE)
         now = time.monotonic()
         self._next = self._look_at = now
         self._flush_at = now + use.flush_period
@@ -246,7 +247,7 @@ class Recorder(Worker):
 
     def _write_snapshot(self, data: bytes) -> None:
         now = time.time_ns()
-        self._writer.write(EVENTS, now, now, 0, data)
+        self._writer.write(EVENTS, now, now, 0, self._definitions.trimmed(data, EVENT_TYPE))
 
     def _on_new_file(self) -> None:
         self.get_logger().info(f"goes on in {self._writer.path.name}")

@@ -1,5 +1,7 @@
 """Parameters of the nodes as a bag holds them: rcl_interfaces/ParameterEvent on /parameter_events."""
 
+import functools
+import struct
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -61,15 +63,18 @@ class Node(NamedTuple):
         return taken, refused
 
 
-def history(events: Series | None) -> dict[str, Node]:
+def history(events: Series | None, problems: list[str]) -> dict[str, Node]:
     """Parameters over time of each node, from the messages of /parameter_events."""
     nodes: dict[str, Node] = {}
     if events is None:
         return nodes
-    deserialize = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr
     seen: dict[str, dict[str, Any]] = {}
+    unreadable = 0
     for time, raw in sorted(zip(events.publish_time.tolist(), events.raw, strict=True), key=lambda e: e[0]):
-        event: Any = deserialize(raw, TYPE)
+        event = _event(raw)
+        if event is None:
+            unreadable += 1
+            continue
         values = {
             p.name: _plain(p.value)
             for p in (*event.new_parameters, *event.changed_parameters)
@@ -88,7 +93,26 @@ def history(events: Series | None) -> dict[str, Node]:
         if node is not None and differs:
             node.changes.append(Change(time, differs))
         before.update(values)
+    if unreadable:
+        problems.append(f"{unreadable} messages of {TOPIC} could not be decoded and are left out")
     return nodes
+
+
+@functools.cache
+def _types() -> Any:
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def _event(raw: bytes) -> Any:
+    """The message, None if it cannot be decoded. What rclpy serializes may have bytes to spare at its end."""
+    definition = _types().get_msgdef(TYPE)
+    if len(raw) < 4 or raw[0] != 0 or raw[1] > 1:
+        return None
+    decode = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
+    try:
+        return decode(raw[4:], 0, definition.cls, _types())[0]
+    except (struct.error, ValueError, IndexError):
+        return None
 
 
 class _Nothing:

@@ -122,7 +122,7 @@ def load(
         end=None if end is None else begin + round(end * 1e9),
         told=told(bag) if told else None,
     )
-    nodes = parameters.history(series.get(parameters.TOPIC))
+    nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
     valves = {
         name: _valve(valve, series, labels.get(valve.state, []), nodes) for name, valve in topics.items()
     }

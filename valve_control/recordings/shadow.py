@@ -5,7 +5,10 @@ What it took in between two readings is known from source times; whether a comma
 reading was being answered came before or after is not: both are tried, and the recorded voltage decides.
 """
 
-from collections.abc import Callable, Mapping
+import math
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,10 +22,14 @@ from valve_control.recordings.recording import Valve, seconds
 from valve_control.supervision.supervisor import Supervisor
 
 Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
+Row = tuple[int, float, float, float]  # reading, command [V], recorded and shadow voltage [V]
 TAKING = 60_000  # ns from taking commands to publishing the voltage, about
 HOPELESS = 20  # samples in a row that differ, after which the recorded voltage no longer decides
-QUEUE = 12  # periods; a reading that waited longer than the queue is long was never seen
+QUEUE = 12  # readings, a little more than wait at most for a controller that stood still
+HELD_BACK = 50  # commands that a reliable reader may hold back while it waits for a lost one
+START = 40  # readings before the first voltage that it may answer
+MOST = 200  # ways that are followed side by side
+STOOD_STILL = "the controller's process stood still"
 REPORT = 10_000  # samples between two words of progress
 
 
@@ -59,6 +66,25 @@ def replay(valve: Valve, overrides: Mapping[str, Any], told: Callable[[int], Non
     return _Replay(valve, overrides).run(told)
 
 
+class Path(NamedTuple):
+    """One way in which the recording can have come about."""
+
+    reading: int  # the next one
+    taken: int  # commands
+    memory: Any  # of the supervisor
+    rows: tuple[Row, ...]  # since there is more than one way
+    notes: tuple[str, ...]  # events that it supposes, likewise
+
+
+class Attempt(NamedTuple):
+    """What may have led to a voltage."""
+
+    reading: int  # that it answers, -1 for none
+    next: int  # the reading after it
+    note: str  # an event that the bag does not hold
+    act: Callable[[], float]
+
+
 class _Replay:
     def __init__(self, valve: Valve, overrides: Mapping[str, Any]) -> None:
         for part in ("spool_position", "spool_command"):
@@ -77,7 +103,24 @@ class _Replay:
         self._faithful = valve.controller is not None and not overrides and self._voltages is not None
         self._law = build.word(self._values, "controller")
         self._lockstep = self._values["lockstep"] is True
-        self._commands_taken = 0
+        self._stamps = self._readings.time.tolist()
+        self._values_read = self._readings.value.tolist()
+        self._numbers = self._readings.sequence.tolist()
+        self._numbered = bool(np.any(self._readings.sequence))
+        self._command_stamps = self._commands.time.tolist()
+        self._command_values = self._commands.value.tolist()
+        self._sent = self._voltages.time.tolist() if self._voltages is not None else []
+        self._taken = 0  # commands
+        self._wrong = 0  # voltages in a row that are not the recorded ones
+        self._silences = 0
+        self._current: Any = None  # what the supervisor remembers now, if that is known
+        self._events = (
+            ("the upper level left", self._supervisor.command_gone),
+            ("~/reset was called", self._supervisor.reset),
+            ("the controller began anew", self._supervisor.start),
+        )
+        self._u_max = build.number(self._values, "u_max")
+        self._period_ns = build.number(self._values, "sample_period") * 1e9
 
     def _initial_values(self) -> Values:
         node = self._valve.controller
@@ -90,46 +133,25 @@ class _Replay:
         return updated(CONTROLLER, values, self._overrides)
 
     def run(self, told: Callable[[int], None] | None) -> Shadow:
-        supervisor = self._supervisor
-        supervisor.apply(self._values, build.law_params(self._values))
-        readings, answers = self._pairs()
-        recorded = np.full(len(readings), np.nan)
-        voltage = np.empty(len(readings))
-        command = np.full(len(readings), np.nan)
-        numbered = bool(np.any(self._readings.sequence))
-        y, numbers = self._readings.value.tolist(), self._readings.sequence.tolist()
-        stamps = self._readings.time.tolist()
-        given = self._voltages.value.tolist() if self._voltages is not None else []
-        sent = self._voltages.time.tolist() if self._voltages is not None else []
-        last, wrong = stamps[readings[0]], 0
-        for k, (reading, answer) in enumerate(zip(readings, answers, strict=True)):
-            moment = sent[answer] if answer >= 0 else stamps[reading]
-            self._take_changes(moment)
-            elapsed = 0.0 if self._lockstep else (moment - last) * 1e-9
-            last = moment
-            number = numbers[reading] if numbered else None
-            if answer >= 0:
-                recorded[k] = given[answer]
-            sample = (y[reading], number, elapsed)
-            if self._faithful and answer >= 0 and wrong < HOPELESS:
-                got, fits = self._tried(sample, moment, recorded[k], k)
-                wrong = 0 if fits else wrong + 1
-            else:
-                self._give(self._sent_before(moment - TAKING))
-                got = supervisor.sample(*sample)
-            voltage[k] = got
-            if self._commands_taken:
-                command[k] = self._commands.value[self._commands_taken - 1]
-            if told is not None and k % REPORT == REPORT - 1:
-                told(REPORT)
-        if told is not None:
-            told(len(readings) % REPORT)
-        if wrong >= HOPELESS:
+        self._supervisor.apply(self._values, build.law_params(self._values))
+        rows = list(self._with_voltages(told) if self._sent else self._without_voltages(told))
+        if not rows:
+            raise BagError(f"{self._valve.name}: no voltage answers any reading")
+        if self._wrong >= HOPELESS:
             self._left_out.append(
                 f"{HOPELESS} voltages in a row differ from the recording: from there on commands are taken "
                 "by their source times alone"
             )
-        used = np.array(readings)
+        if self._silences:
+            self._left_out.append(
+                f"{self._silences} voltages answer no reading (0 V while the LVDT was silent)"
+            )
+        numbers = np.array([row[0] for row in rows])
+        unseen = int(np.sum(np.diff(numbers) - 1))
+        if unseen:
+            self._left_out.append(f"{unseen} readings were not seen by the controller")
+        used = numbers
+        command, recorded, voltage = (np.array([row[i] for row in rows]) for i in (1, 2, 3))
         time = seconds(self._readings.time[used], int(self._readings.time[used[0]]))
         if self._lockstep:
             time = np.arange(len(used), dtype=np.float64) * build.number(self._values, "sample_period")
@@ -145,58 +167,167 @@ class _Replay:
             self._left_out,
         )
 
-    # Which reading was answered by which voltage
+    def _newest_command(self) -> float:
+        return self._command_values[self._taken - 1] if self._taken else np.nan
 
-    def _pairs(self) -> tuple[list[int], list[int]]:
-        """Readings that the controller saw, and the voltage that answers each, -1 for none."""
-        stamps = self._readings.time
-        if self._voltages is None or len(self._voltages.time) == 0:
-            return list(range(len(stamps))), [-1] * len(stamps)
-        sent = self._voltages.time
-        first = int(np.searchsorted(stamps, sent[0])) - 1
-        if first < 0:
-            first = 0
-        if self._voltages.sequence[0] > 1 and self._faithful:
+    def _without_voltages(self, told: Callable[[int], None] | None) -> Iterator[Row]:
+        """Each reading in turn, when it was sent."""
+        for reading, moment in enumerate(self._stamps):
+            for change in self._changes_before(moment):
+                self._apply(change)
+            self._give(self._sent_before(moment))
+            voltage = self._supervisor.sample(self._values_read[reading], self._number(reading))
+            yield reading, self._newest_command(), np.nan, voltage
+            if told is not None and reading % REPORT == REPORT - 1:
+                told(REPORT)
+
+    def _with_voltages(self, told: Callable[[int], None] | None) -> Iterator[Row]:
+        """The reading that each recorded voltage answers, when it was answered."""
+        assert self._voltages is not None
+        if self._voltages.sequence[0] > 1:
             self._left_out.append(
                 f"the recording begins with voltage {self._voltages.sequence[0]} of the controller; what its "
                 "law remembered then is not known"
             )
-        period = build.number(self._values, "sample_period") * 1e9
-        readings: list[int] = []
-        answers: list[int] = []
-        reading, extra, unseen = first, 0, 0
-        times, moments = stamps.tolist(), sent.tolist()
-        for answer, moment in enumerate(moments):
-            while (
-                not self._lockstep
-                and reading + 1 < len(times)
-                and moment - times[reading] > QUEUE * period
-                and times[reading + 1] < moment
-            ):
-                reading += 1
-                unseen += 1
-            if reading >= len(times):
-                extra += len(moments) - answer
-                break
-            if times[reading] >= moment:
-                extra += 1
-                continue
-            readings.append(reading)
-            answers.append(answer)
+        memory = self._supervisor.snapshot()
+        newest = max(0, bisect_left(self._stamps, self._sent[0]) - 1)
+        oldest = max(0, newest - START) if self._faithful and not self._lockstep else newest
+        paths = [Path(reading, 0, memory, (), ()) for reading in range(newest, oldest - 1, -1)]
+        last = self._sent[0]
+        for k, (moment, wanted) in enumerate(zip(self._sent, self._voltages.value.tolist(), strict=True)):
+            changes = self._changes_before(moment)
+            elapsed = 0.0 if self._lockstep else (moment - last) * 1e-9
+            last = moment
+            paths = self._step(paths, changes, moment, elapsed, wanted)
+            if len(paths) == 1:
+                yield from self._settled(paths[0])
+                paths = [paths[0]._replace(rows=(), notes=())]
+            if told is not None and k % REPORT == REPORT - 1:
+                told(REPORT)
+        yield from self._settled(paths[0])
+
+    def _settled(self, path: Path) -> Iterator[Row]:
+        """What is certain of a path."""
+        for row in path.rows:
+            if row[0] >= 0:
+                yield row
+            else:
+                self._silences += 1
+        for note in path.notes:
+            if note and (not self._inferred or self._inferred[-1].partition(": ")[2] != note):
+                self._inferred.append(f"before sample {self._supervisor.samples}: {note}")
+
+    def _step(
+        self, paths: list[Path], changes: list[Change], moment: int, elapsed: float, wanted: float
+    ) -> list[Path]:
+        """All that ``paths`` can become under inputs that give the voltage ``wanted``; the likeliest first."""
+        decides = self._faithful and self._wrong < HOPELESS
+        tells = wanted != 0.0 and abs(wanted) < self._u_max
+        found: dict[tuple[Any, ...], Path] = {}
+
+        def follow(path: Path, attempt: Attempt) -> Path:
+            now, voltage = self._tried(path, changes, attempt, wanted)
+            if voltage == wanted:
+                found.setdefault((now.reading, now.taken, now.notes), now)
+            return now
+
+        plain = [follow(path, self._plain(path, moment, elapsed)) for path in paths]
+        if not decides:
+            return plain[:1]
+        for path in paths:
+            # A controller may be deaf for the first commands, which shows when they begin to move.
+            if path.taken == 0 < self._likely(path, moment) and self._time(path.reading) < moment:
+                follow(path, self._answer(path.reading, 0, elapsed))
+        # The likeliest of each path first, since what can be followed is limited.
+        clear = tells or (len(paths) == 1 and self._time(paths[0].reading + 1) >= moment)
+        if not (found and clear):
+            for path in paths:
+                for attempt in self._others(path, moment, elapsed):
+                    follow(path, attempt)
+                    if len(found) >= MOST or (found and tells):
+                        break
+        if found:
+            self._wrong = 0
+            return list(found.values())
+        self._wrong += 1
+        return plain[:1]
+
+    def _tried(
+        self, path: Path, changes: list[Change], attempt: Attempt, wanted: float
+    ) -> tuple[Path, float]:
+        supervisor = self._supervisor
+        if self._current is not path.memory:
+            supervisor.restore(path.memory)
+        self._taken = path.taken
+        for change in changes:
+            self._apply(change)
+        voltage = attempt.act()
+        memory = self._current = supervisor.snapshot()
+        row = (attempt.reading, self._newest_command(), wanted, voltage)
+        notes = (*path.notes, attempt.note) if attempt.note else path.notes
+        return Path(attempt.next, self._taken, memory, (*path.rows, row), notes), voltage
+
+    def _plain(self, path: Path, moment: int, elapsed: float) -> Attempt:
+        """What happened most likely."""
+        reading = path.reading
+        queue = QUEUE * self._period_ns
+        while (
+            not self._lockstep and moment - self._time(reading) > queue and self._time(reading + 1) < moment
+        ):
             reading += 1
-        if extra:
-            self._left_out.append(f"{extra} voltages answer no reading (0 V while the LVDT was silent)")
-        if unseen:
-            self._left_out.append(f"{unseen} readings were not seen by the controller")
-        if not readings:
-            raise BagError(f"{self._valve.name}: no voltage answers any reading")
-        return readings, answers
+        if self._time(reading) >= moment:
+            return Attempt(-1, reading, "", partial(self._supervisor.silence, elapsed))
+        return self._answer(reading, self._likely(path, moment), elapsed)
+
+    def _likely(self, path: Path, moment: int) -> int:
+        """How many commands had been taken."""
+        return max(self._sent_before(moment if self._lockstep else moment - TAKING), path.taken)
+
+    def _others(self, path: Path, moment: int, elapsed: float) -> Iterator[Attempt]:
+        """What else may have happened: more or fewer commands, readings that were not seen, events."""
+        silence, reading = self._supervisor.silence, path.reading
+        stood_still = partial(silence, elapsed, stalled=True)
+        waiting = min(bisect_left(self._stamps, moment) - reading, QUEUE)
+        if waiting < 1:
+            return
+        most, likely = max(self._sent_before(moment), path.taken), self._likely(path, moment)
+        for count in (path.taken, *range(most, max(path.taken, most - HELD_BACK), -1)):
+            if count != likely:
+                yield self._answer(reading, count, elapsed)
+        yield Attempt(reading, reading + 1, STOOD_STILL, stood_still)
+        for later in range(reading + 1, reading + waiting):
+            yield self._answer(later, likely, elapsed)
+            yield Attempt(later, later + 1, STOOD_STILL, stood_still)
+        yield Attempt(-1, reading, "", partial(silence, elapsed))
+        for note, event in self._events:
+            yield Attempt(
+                reading, reading + 1, note, partial(self._sample_after, event, likely, reading, elapsed)
+            )
+
+    def _answer(self, reading: int, count: int, elapsed: float) -> Attempt:
+        return Attempt(reading, reading + 1, "", partial(self._sample, count, reading, elapsed))
+
+    def _sample(self, count: int, reading: int, elapsed: float) -> float:
+        self._give(count)
+        return self._supervisor.sample(self._values_read[reading], self._number(reading), elapsed)
+
+    def _sample_after(self, event: Callable[[], None], count: int, reading: int, elapsed: float) -> float:
+        event()
+        return self._sample(count, reading, elapsed)
+
+    def _time(self, reading: int) -> float:
+        return self._stamps[reading] if reading < len(self._stamps) else math.inf
+
+    def _number(self, reading: int) -> int | None:
+        return self._numbers[reading] if self._numbered else None
 
     # What the controller took in before a reading
 
-    def _take_changes(self, moment: int) -> None:
+    def _changes_before(self, moment: int) -> list[Change]:
+        due = []
         while self._changes and self._changes[0].time < moment:
-            self._apply(self._changes.pop(0))
+            due.append(self._changes.pop(0))
+        return due
 
     def _apply(self, change: Change) -> None:
         wanted = {name: value for name, value in change.values.items() if name not in self._overrides}
@@ -210,46 +341,10 @@ class _Replay:
         self._values = values
 
     def _sent_before(self, moment: int) -> int:
-        return int(np.searchsorted(self._commands.time, moment))
+        return bisect_left(self._command_stamps, moment)
 
     def _give(self, count: int) -> None:
         """Hand on commands until ``count`` of them are taken."""
-        while self._commands_taken < count:
-            self._supervisor.command(float(self._commands.value[self._commands_taken]))
-            self._commands_taken += 1
-
-    def _tried(
-        self, sample: tuple[float, int | None, float], moment: int, wanted: float, k: int
-    ) -> tuple[float, bool]:
-        """The sample with the inputs under which the voltage is the recorded one, if there are any."""
-        supervisor = self._supervisor
-        most = max(self._sent_before(moment), self._commands_taken)
-        likely = most if self._lockstep else max(self._sent_before(moment - TAKING), self._commands_taken)
-        before, taken = supervisor.snapshot(), self._commands_taken
-        self._give(likely)
-        got = supervisor.sample(*sample)
-        if got == wanted:
-            return got, True
-        counts = [count for count in range(most, max(taken, most - 3) - 1, -1) if count != likely]
-        events: list[tuple[str, Callable[[], None]]] = [
-            ("the upper level left", supervisor.command_gone),
-            ("~/reset was called", supervisor.reset),
-            ("the controller began anew", supervisor.start),
-        ]
-        attempts: list[tuple[int, str, Callable[[], None] | None]] = [(count, "", None) for count in counts]
-        attempts += [(likely, name, event) for name, event in events]
-        for count, name, event in attempts:
-            supervisor.restore(before)
-            self._commands_taken = taken
-            if event is not None:
-                event()
-            self._give(count)
-            attempt = supervisor.sample(*sample)
-            if attempt == wanted:
-                if name:
-                    self._inferred.append(f"before sample {k}: {name}")
-                return attempt, True
-        supervisor.restore(before)
-        self._commands_taken = taken
-        self._give(likely)
-        return supervisor.sample(*sample), False
+        while self._taken < count:
+            self._supervisor.command(self._command_values[self._taken])
+            self._taken += 1

@@ -1,0 +1,323 @@
+"""The recorder beside real nodes: nothing lost, parameters in the bag, killed at any moment."""
+
+import itertools
+import random
+import resource
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from contextlib import ExitStack, closing
+
+import pytest
+from bench import set_parameters, spin_until
+from mcap.reader import make_reader
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rosbags.highlevel import AnyReader
+from std_msgs.msg import Float64, String
+
+from valve_control.bags import metadata
+from valve_control.bags.recover import recover
+from valve_control.nodes.cascade import process
+from valve_control.nodes.definitions import Definitions, message_class
+
+EVENTS = "/parameter_events"
+TOPICS = ("/spool_command", "/spool_position", "/valve_voltage", "/controller/state")
+NODES = {
+    "controller": ["-p", "state_decimation:=1"],
+    "valve_simulator": ["-p", "lvdt.noise:=0.002"],
+    "command_source": [
+        "-p", "scenario:=sine", "-p", "frequency:=1.0", "-p", "duration:=1000.0", "-p", "delay:=0.0",
+    ],
+}  # fmt: skip
+
+
+@pytest.fixture
+def cascade(tmp_path):
+    with ExitStack() as stack:
+        for node, arguments in NODES.items():
+            stack.enter_context(process(node, arguments, tmp_path / f"{node}.log"))
+        yield
+
+
+def recorder(folder, log, *settings):
+    arguments = [word for setting in (f"bag:={folder}", *settings) for word in ("-p", setting)]
+    return process("recorder", arguments, log)
+
+
+def stop(child):
+    child.send_signal(signal.SIGINT)
+    assert child.wait(20.0) == 0
+
+
+def file_messages(path):
+    """(topic, log time, sequence, data) of each message of one file."""
+    if path.suffix == ".mcap":
+        with path.open("rb") as stream:
+            return [
+                (c.topic, m.log_time, m.sequence, m.data)
+                for _, c, m in make_reader(stream, validate_crcs=True).iter_messages()
+            ]
+    with sqlite3.connect(f"file:{path}?immutable=1", uri=True) as database:
+        return database.execute(
+            "SELECT name, timestamp, sequence, data FROM messages JOIN topics ON topic_id = topics.id"
+            " JOIN valve_control_times ON message_id = messages.id ORDER BY timestamp"
+        ).fetchall()
+
+
+def by_topic(folder):
+    found = {}
+    for file in metadata.read(folder).files:
+        for topic, *rest in file_messages(folder / file.path):
+            found.setdefault(topic, []).append(tuple(rest))
+    return found
+
+
+def gaps(messages):
+    numbers = [number for _, number, _ in messages]
+    return sum(b - a - 1 for a, b in zip(numbers, numbers[1:], strict=False))
+
+
+def snapshots(messages):
+    """Node → parameters of the recorder's own events, which have no number."""
+    events = [deserialize_message(data, ParameterEvent) for _, number, data in messages if number == 0]
+    return {event.node: {p.name: p.value for p in event.new_parameters} for event in events}
+
+
+def has_recorded(log, *topics):
+    return lambda: all(f"records {topic} (" in log.read_text() for topic in topics)
+
+
+def flows(folder, storage):
+    """Whether messages of all topics are in the growing bag, as somebody else sees it."""
+    if storage == "sqlite3":
+        try:
+            with closing(sqlite3.connect(f"file:{folder / folder.name}_0.db3?mode=ro", uri=True)) as database:
+                query = "SELECT name FROM topics JOIN messages ON topic_id = topics.id GROUP BY name"
+                return set(TOPICS) <= {name for (name,) in database.execute(query)}
+        except sqlite3.OperationalError:
+            return False
+    copy = folder.with_name(f"copy_{time.monotonic_ns()}")
+    return set(TOPICS) <= set(by_topic(recover(folder, copy).bag))
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_cascade_at_1_khz_without_loss(ros, tmp_path, cascade, storage):
+    folder, log = tmp_path / "bag", tmp_path / "log"
+    with recorder(folder, log, f"storage:={storage}", "report_period:=1.0") as child:
+        spin_until(ros, has_recorded(log, *TOPICS), "subscriptions")
+        spin_until(ros, lambda: " lost, CPU " in log.read_text(), "report")
+        begun = time.monotonic()
+        assert set_parameters(ros, arc__k1=100.0).successful
+        spin_until(ros, lambda: time.monotonic() > begun + 5.0, "five seconds")
+        stop(child)
+    text = log.read_text()
+    assert "CPU" in text and "Traceback" not in text
+    found = by_topic(folder)
+    for topic in TOPICS:
+        assert gaps(found[topic]) == 0, topic
+        assert len(found[topic]) > 4500 and f"{topic}: {len(found[topic])} messages, 0 lost" in text
+        times = [t for t, _, _ in found[topic]]
+        assert times == sorted(times)
+    parameters = snapshots(found[EVENTS])
+    assert parameters["/controller"]["arc.k1"].double_value == 120.0
+    assert parameters["/controller"]["state_decimation"].integer_value == 1
+    assert parameters["/valve_simulator"]["lvdt.noise"].double_value == 0.002
+    assert parameters["/command_source"]["scenario"].string_value == "sine"
+    assert "/recorder" not in parameters
+    changes = [deserialize_message(data, ParameterEvent) for _, number, data in found[EVENTS] if number > 0]
+    assert [p.value.double_value for e in changes for p in e.changed_parameters if p.name == "arc.k1"] == [
+        100.0
+    ]
+    with AnyReader([folder]) as reader:
+        for connection in reader.connections:
+            assert connection.digest.startswith("RIHS01_") and connection.ext.offered_qos_profiles
+        for connection, _, raw in reader.messages():
+            reader.deserialize(raw, connection.msgtype)
+
+
+def test_killed_at_any_moment(ros, tmp_path, cascade, capsys):
+    """SIGKILL 20 times: less than a second is lost, nothing is missing before."""
+    choose = random.Random(3)
+    worst = []
+    for k in range(20):
+        storage = "mcap" if k < 14 else "sqlite3"
+        folder, log = tmp_path / f"bag_{k}", tmp_path / f"log_{k}"
+        with recorder(folder, log, f"storage:={storage}") as child:
+            spin_until(ros, has_recorded(log, *TOPICS), "subscriptions")
+            # After a SIGKILL it takes Fast DDS up to a second to use the dead process's shared memory again.
+            spin_until(ros, lambda f=folder, s=storage: flows(f, s), "messages")
+            time.sleep(choose.uniform(0.6, 2.0))  # the moment of the kill
+            killed = time.time_ns()
+            child.send_signal(signal.SIGKILL)
+            child.wait()
+        result = recover(folder)
+        assert result.done
+        found = by_topic(folder)
+        for topic in TOPICS:
+            lost = (killed - found[topic][-1][0]) / 1e9
+            worst.append((lost, topic, storage))
+            assert lost < 1.0 and gaps(found[topic]) == 0, (k, topic)
+        with AnyReader([folder]) as reader:
+            assert reader.message_count == result.messages == sum(map(len, found.values()))
+    with capsys.disabled():
+        for storage in ("mcap", "sqlite3"):
+            lost = [seconds for seconds, _, s in worst if s == storage]
+            print(
+                f"\n{storage}: {len(lost) // 4} kills, lost before the kill: mean "
+                f"{1e3 * sum(lost) / len(lost):.0f} ms, worst {1e3 * max(lost):.0f} ms",
+                end="",
+            )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ends_quietly_without_anything_to_record(ros, tmp_path, number):
+    folder, log = tmp_path / "deep" / "bag", tmp_path / "log"
+    with recorder(folder, log) as child:
+        spin_until(ros, lambda: "records into" in log.read_text(), "recorder")
+        child.send_signal(number)
+        assert child.wait(10.0) == 0
+    assert "Traceback" not in log.read_text()
+    assert metadata.read(folder).topics[0].topic.name == EVENTS
+
+
+@pytest.mark.parametrize(
+    ("settings", "status", "words"),
+    [
+        (["bag:=here"], 2, "exists already; a bag needs a new folder"),
+        (["bag:=new", "topics:=['/a(']"], 2, "topics has '/a(', which is no regular expression"),
+        (["bag:=new", "storage:=sqlite3", "compression:=zstd"], 2, "storage sqlite3 has none"),
+        (["bag:=new", "storage:=hdf5"], 2, "'hdf5'"),
+        (["bag:=new", "flush_period:=2.0"], 2, "flush_period"),
+        (["bag:=new", "min_free:=1000000.0"], 1, "less than min_free, 1e+06 MB"),
+    ],
+)
+def test_bad_start_is_one_sentence(tmp_path, settings, status, words):
+    (tmp_path / "here").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-m", "valve_control.nodes.recorder", "--ros-args"]
+        + [word for setting in settings for word in ("-p", setting)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == status, done.stderr
+    (sentence,) = done.stderr.strip().splitlines()
+    assert words in sentence
+    assert [p.name for p in tmp_path.iterdir()] == ["here"] and not list((tmp_path / "here").iterdir())
+
+
+def test_parameters_are_fixed_once_it_runs(ros, tmp_path):
+    with recorder(tmp_path / "bag", tmp_path / "log"):
+        result = set_parameters(ros, target="recorder", flush_period=0.5)
+        assert not result.successful and "do not change" in result.reason
+
+
+def test_each_file_of_a_rotation_has_the_parameters(ros, tmp_path, cascade):
+    folder, log = tmp_path / "bag", tmp_path / "log"
+    with recorder(folder, log, "max_duration:=1.0") as child:
+        spin_until(ros, lambda: "goes on in bag_2" in log.read_text(), "the third file")
+        assert set_parameters(ros, arc__k1=90.0).successful
+        spin_until(ros, lambda: "goes on in bag_5" in log.read_text(), "the sixth file")
+        stop(child)
+    files = metadata.read(folder).files
+    assert len(files) >= 6
+    per_file = [file_messages(folder / file.path) for file in files]
+    gain = []
+    for messages in per_file[1:]:
+        parameters = snapshots([m[1:] for m in messages if m[0] == EVENTS])
+        assert set(parameters) == {"/controller", "/valve_simulator", "/command_source", "/test"}
+        gain.append(parameters["/controller"]["arc.k1"].double_value)
+    assert gain[0] == 120.0 and gain[-1] == 90.0
+    found = by_topic(folder)
+    assert all(gaps(found[topic]) == 0 for topic in TOPICS)
+
+
+def test_a_node_that_comes_back_is_asked_again(ros, tmp_path):
+    folder, log = tmp_path / "bag", tmp_path / "log"
+    copies = itertools.count()
+
+    def so_far():
+        return gains(recover(folder, tmp_path / f"copy_{next(copies)}").bag) if folder.exists() else []
+
+    with recorder(folder, log) as child:
+        spin_until(ros, lambda: "records into" in log.read_text(), "recorder")
+        for gain in (111.0, 112.0):
+            with process("controller", ["-p", f"arc.k1:={gain}"], tmp_path / "c.log") as controller:
+                spin_until(ros, lambda g=gain: g in so_far(), "parameters in a copy of the growing bag")
+                controller.send_signal(signal.SIGKILL if gain == 111.0 else signal.SIGTERM)
+                controller.wait()
+        stop(child)
+    assert gains(folder) == [111.0, 112.0]
+
+
+def gains(folder):
+    """arc.k1 of each answer of a controller."""
+    events = [
+        deserialize_message(m[2], ParameterEvent) for m in by_topic(folder).get(EVENTS, []) if m[1] == 0
+    ]
+    return [p.value.double_value for e in events for p in e.new_parameters if p.name == "arc.k1"]
+
+
+def test_what_publishers_offer_is_taken(ros, tmp_path):
+    """Best effort, latched, and a second publisher that offers less than the first."""
+    folder, log = tmp_path / "bag", tmp_path / "log"
+    latched = ros.create_publisher(
+        String, "/latched", QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    )
+    latched.publish(String(data="before"))
+    lax = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    fast = ros.create_publisher(Float64, "/fast", lax)
+    mixed = [ros.create_publisher(Float64, "/mixed", 10)]
+    ros.create_publisher(Float64, "/other", 10)
+    with recorder(folder, log, "topics:=['/latched', '/fa.*', '/mix..']") as child:
+        spin_until(ros, has_recorded(log, "/latched", "/fast", "/mixed"), "subscriptions")
+        spin_until(ros, lambda: fast.get_subscription_count() == 1, "match")
+        fast.publish(Float64(data=1.0))
+        mixed.append(ros.create_publisher(Float64, "/mixed", lax))
+        spin_until(ros, lambda: "/mixed: a publisher offers less" in log.read_text(), "warning")
+        spin_until(ros, lambda: all(p.get_subscription_count() == 1 for p in mixed), "match")
+        for value, publisher in enumerate(mixed):
+            publisher.publish(Float64(data=float(value)))
+        stop(child)
+    found = by_topic(folder)
+    assert deserialize_message(found["/latched"][0][2], String).data == "before"
+    assert len(found["/fast"]) == 1
+    assert sorted(deserialize_message(m[2], Float64).data for m in found["/mixed"]) == [0.0, 1.0]
+    assert "/other" not in found
+    qos = {t.topic.name: t.topic.offered_qos_profiles for t in metadata.read(folder).topics}
+    assert qos["/fast"][0].reliability == "best_effort"
+    assert qos["/latched"][0].durability == "transient_local"
+
+
+def test_a_bag_that_may_not_grow_ends_in_order(ros, tmp_path, cascade):
+    folder, log = tmp_path / "bag", tmp_path / "log"
+    with recorder(folder, log) as child:
+        spin_until(ros, has_recorded(log, *TOPICS), "subscriptions")
+        resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
+        spin_until(ros, lambda: child.poll() is not None, "the end")
+        assert child.returncode == 1
+    text = log.read_text()
+    assert "cannot be written any further: File too large; the bag is closed and whole" in text
+    assert "Traceback" not in text
+    found = by_topic(folder)
+    assert all(gaps(found[topic]) == 0 and len(found[topic]) > 500 for topic in TOPICS)
+
+
+def test_types_that_are_not_installed():
+    with pytest.raises(LookupError, match="no_msgs/msg/Nothing is not installed"):
+        message_class("no_msgs/msg/Nothing")
+    with pytest.raises(LookupError, match="no_msgs/msg/Nothing"):
+        Definitions().get("no_msgs/msg/Nothing")
+
+
+def test_definitions_come_from_the_installed_packages():
+    """nav_msgs/Goals came after the first Jazzy: rosbags does not have it."""
+    got = Definitions().get("nav_msgs/msg/Goals")
+    assert "geometry_msgs/PoseStamped[] goals" in got.text and "MSG: geometry_msgs/Quaternion" in got.text
+    assert got.type_hash.startswith("RIHS01_")
