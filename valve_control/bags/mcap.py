@@ -16,6 +16,7 @@ import lz4.frame
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
@@ -193,8 +194,8 @@ class McapFile:
                 if opcode == Opcode.CHUNK:
                     self._chunks.append(self._place(begin, length))
                 elif opcode == Opcode.METADATA:
-                    record = Metadata.read(self._stream(self._buffer, begin, length))
-                    if record.name == "rosbag2":
+                    record = self._record(Metadata, self._buffer, begin, length)
+                    if record is not None and record.name == "rosbag2":
                         self._metadata = record.metadata
                 ended = ended or opcode in (Opcode.DATA_END, Opcode.FOOTER)
                 self.finished = opcode == Opcode.FOOTER
@@ -217,9 +218,13 @@ class McapFile:
                     if inner == before:
                         break
 
-    @staticmethod
-    def _stream(buffer: Bytes, begin: int, length: int) -> ReadDataStream:
-        return ReadDataStream(BytesIO(buffer[begin : begin + length].tobytes()))
+    def _record(self, kind: Any, buffer: Bytes, begin: int, length: int) -> Any:
+        """A record read by the library, None (and a problem) if it is damaged."""
+        try:
+            return kind.read(ReadDataStream(BytesIO(buffer[begin : begin + length].tobytes())))
+        except (McapError, struct.error, ValueError, MemoryError) as error:
+            self._complain(f"{self.path}: a {kind.__name__} record is damaged: {type(error).__name__}")
+            return None
 
     def _place(self, begin: int, length: int) -> ChunkPlace:
         start, end = self._buffer[begin : begin + 16].view(np.uint64).tolist() if length >= 16 else (0, 0)
@@ -229,11 +234,12 @@ class McapFile:
         """Take in schemas and channels."""
         for opcode, begin, length in others.tolist():
             if opcode == Opcode.SCHEMA:
-                schema = Schema.read(self._stream(buffer, begin, length))
-                self._schemas[schema.id] = schema
+                schema = self._record(Schema, buffer, begin, length)
+                if schema is not None:
+                    self._schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(self._stream(buffer, begin, length))
-                if channel.id not in self._channels:
+                channel = self._record(Channel, buffer, begin, length)
+                if channel is not None and channel.id not in self._channels:
                     self._channels[channel.id] = self._topic(channel)
 
     def _topic(self, channel: Channel) -> int:

@@ -14,6 +14,7 @@ from valve_control.bags.errors import BagError
 MAGIC = b"SQLite format 3\0"
 ROWS = 500
 PIECES = 100
+DAMAGE = (sqlite3.Error, KeyError, TypeError, ValueError, OverflowError)
 TIMES = "valve_control_times"  # source times and sequence numbers, which rosbag2's own tables lack
 
 
@@ -44,7 +45,9 @@ class SqliteFile:
         self._db = self._connect()
         try:
             self._learn()
-        except sqlite3.DatabaseError as error:
+        except BagError:
+            raise
+        except DAMAGE as error:
             raise BagError(f"{path} is not a bag that can be read: {error}") from error
 
     def _connect(self) -> sqlite3.Connection:
@@ -92,6 +95,14 @@ class SqliteFile:
         self, start: int | None = None, end: int | None = None, told: Callable[[int], None] | None = None
     ) -> Iterator[Batch]:
         """Messages with a log time [ns] from ``start`` to before ``end``; ``told`` hears the bytes done."""
+        try:
+            yield from self._batches(start, end, told)
+        except DAMAGE as error:
+            self.problems.append(f"{self.path} is damaged, what follows is left out: {error}")
+
+    def _batches(
+        self, start: int | None, end: int | None, told: Callable[[int], None] | None
+    ) -> Iterator[Batch]:
         table = np.full(max(self._ids, default=0) + 2, -1, dtype=np.int64)
         for number, topic in self._ids.items():
             table[number] = topic
@@ -124,11 +135,7 @@ class SqliteFile:
         datas: list[bytes] = []
         lengths: list[npt.NDArray[Any]] = []
         for _ in range(PIECES):
-            try:
-                rows = cursor.fetchmany(ROWS)
-            except sqlite3.DatabaseError as error:
-                self.problems.append(f"{self.path} is damaged, what follows is left out: {error}")
-                rows = []
+            rows = cursor.fetchmany(ROWS)
             if not rows:
                 break
             *columns, data = zip(*rows, strict=True)

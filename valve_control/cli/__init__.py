@@ -54,7 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except ModuleNotFoundError as error:
         print(
-            f"valve-control: {arguments.task} needs the Python package {error.name}: pip install {error.name}",
+            f"valve-control: {arguments.task} needs the Python package {error.name} "
+            f"(pip install {error.name})",
             file=sys.stderr,
         )
         return 2

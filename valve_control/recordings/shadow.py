@@ -220,7 +220,7 @@ class _Replay:
     def _step(
         self, paths: list[Path], changes: list[Change], moment: int, elapsed: float, wanted: float
     ) -> list[Path]:
-        """All that ``paths`` can become under inputs that give the voltage ``wanted``; the likeliest first."""
+        """All that ``paths`` can become under inputs that give ``wanted`` [V]; the likeliest first."""
         decides = self._faithful and self._wrong < HOPELESS
         tells = wanted != 0.0 and abs(wanted) < self._u_max
         found: dict[tuple[Any, ...], Path] = {}

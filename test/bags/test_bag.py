@@ -1,0 +1,308 @@
+"""Bags of every kind, read beside the rosbags library's own reading of the same files."""
+
+import random
+import shutil
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType
+from mcap.writer import Writer as LibraryWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from valve_control.bags.bag import Bag
+from valve_control.bags.cdr import Decoder
+from valve_control.bags.errors import BagError
+
+REAL = Path(__file__).resolve().parents[1] / "data" / "bags"
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+FLOAT = "std_msgs/msg/Float64"
+HEAD = b"\0\1\0\0"
+
+
+def number(value):
+    return HEAD + struct.pack("<d", value)
+
+
+def by_library(path):
+    """(topic, time) → messages as the rosbags library reads the storage files."""
+    found = []
+    with Reader(path) as reader:
+        for storage in getattr(reader.storage, "storages", [reader.storage]):
+            for connection, time, data in storage.messages(storage.connections):
+                found.append((connection.topic, time, bytes(data)))
+    return sorted(found)
+
+
+@pytest.mark.parametrize("path", sorted(p for p in REAL.iterdir() if p.is_dir()), ids=lambda p: p.name)
+def test_bags_of_real_origin_read_as_the_library_reads_them(path):
+    bag = Bag(path)
+    got = []
+    for name, batch in bag.batches(list(bag.topics)):
+        for at, size, time in zip(batch.offset, batch.length, batch.log_time, strict=True):
+            got.append((name, int(time), batch.buffer[at : at + size].tobytes()))
+    expected = by_library(path)
+    if bag.compression == "message":
+        from backports import zstd
+
+        expected = [(topic, time, zstd.decompress(data)) for topic, time, data in expected]
+    assert sorted(got) == expected and len(got) > 0
+    assert bag.problems == []
+
+
+@pytest.mark.parametrize(
+    "name", ["jazzy_mcap_drone_yaw", "humble_mcap_jointstate_imu", "humble_sqlite3_twist"]
+)
+def test_numbers_of_real_messages_are_the_library_s(name):
+    bag = Bag(REAL / name)
+    compared = 0
+    for topic in bag.topics.values():
+        first = bag.first(topic.name)
+        if first is None:
+            continue
+        leaves = Decoder(topic, ()).numbers(first)
+        fields = [
+            path if leaf.single else f"{path}[{i}]"
+            for path, leaf in leaves.items()
+            for i in range(1 if leaf.single else leaf.entries)
+        ]
+        series = bag.read({topic.name: fields}, raw=[topic.name])[topic.name]
+        assert series.undecodable == 0 and len(series.raw) == len(series.log_time)
+        for i, raw in enumerate(series.raw):
+            message = TYPES.deserialize_cdr(raw, topic.type)
+            for field in fields:
+                value = eval(f"m.{field}", {"m": message})
+                assert np.array_equal(series.values[field][i], value, equal_nan=True), (topic.name, field)
+                compared += 1
+    assert compared > 10
+
+
+def test_source_times_of_a_real_jazzy_recorder_come_before_its_log_times():
+    series = Bag(REAL / "jazzy_mcap_drone_yaw").read({"/cf_controll": ["position.x"]})["/cf_controll"]
+    assert np.all(series.publish_time < series.log_time)
+    assert np.all(series.log_time - series.publish_time < 0.2e9)
+
+
+# Every combination that can be written here
+
+
+def write_rosbags(path, storage, mode=CompressionMode.NONE, count=500):
+    writer = Writer(path, version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        topics = [writer.add_connection(f"/t{i}", FLOAT, typestore=TYPES) for i in range(3)]
+        for k in range(count):
+            for i, topic in enumerate(topics):
+                writer.write(topic, 10**9 + k * 10**6 + i, number(k + 0.25 * i))
+
+
+COMBINATIONS = [
+    (storage, mode)
+    for storage in StoragePlugin
+    for mode in CompressionMode
+    if (storage, mode) != (StoragePlugin.SQLITE3, CompressionMode.STORAGE)
+]
+
+
+@pytest.mark.parametrize(("storage", "mode"), COMBINATIONS, ids=lambda x: x.name)
+def test_bags_of_the_library_with_every_compression(tmp_path, storage, mode):
+    write_rosbags(tmp_path / "bag", storage, mode)
+    bag = Bag(tmp_path / "bag")
+    got = bag.read({f"/t{i}": ["data"] for i in range(3)})
+    for i in range(3):
+        assert np.array_equal(got[f"/t{i}"].values["data"], np.arange(500) + 0.25 * i)
+        assert np.array_equal(got[f"/t{i}"].log_time, 10**9 + np.arange(500) * 10**6 + i)
+    part = bag.read({"/t1": ["data"]}, start=10**9 + 100 * 10**6, end=10**9 + 200 * 10**6)["/t1"]
+    assert np.array_equal(part.values["data"], np.arange(100, 200) + 0.25)
+
+
+@pytest.mark.parametrize("compression", list(CompressionType), ids=lambda c: c.name)
+@pytest.mark.parametrize("chunked", [True, False], ids=["chunks", "no chunks"])
+@pytest.mark.parametrize("summary", [True, False], ids=["summary", "no summary"])
+def test_mcap_files_of_the_mcap_library(tmp_path, compression, chunked, summary):
+    path = tmp_path / "one.mcap"
+    with path.open("wb") as stream:
+        writer = LibraryWriter(
+            stream, chunk_size=5000, compression=compression, use_chunking=chunked,
+            use_summary_offsets=summary, repeat_channels=summary, repeat_schemas=summary,
+            use_statistics=summary,
+        )  # fmt: skip
+        writer.start("ros2")
+        schema = writer.register_schema(FLOAT, "ros2msg", b"float64 data")
+        channel = writer.register_channel("/x", "cdr", schema)
+        for k in range(2000):
+            writer.add_message(channel, 10**9 + k, number(float(k)), 10**9 + k - 7, k + 1)
+        writer.finish()
+    series = Bag(path).read({"/x": ["data"]})["/x"]
+    assert np.array_equal(series.values["data"], np.arange(2000.0))
+    assert np.array_equal(series.sequence, np.arange(2000) + 1)
+    assert np.array_equal(series.log_time - series.publish_time, np.full(2000, 7))
+
+
+def test_mcap_cut_at_any_byte_gives_all_whole_chunks(tmp_path):
+    whole = tmp_path / "whole.mcap"
+    ends = []
+    with whole.open("wb") as stream:
+        writer = LibraryWriter(stream, chunk_size=10**9, compression=CompressionType.ZSTD)
+        writer.start("ros2")
+        channel = writer.register_channel(
+            "/x", "cdr", writer.register_schema(FLOAT, "ros2msg", b"float64 data")
+        )
+        for k in range(400):
+            writer.add_message(channel, 10**9 + k, number(float(k)), 10**9 + k, k + 1)
+            if k % 40 == 39:
+                writer.flush()
+                ends.append(stream.tell())
+        writer.finish()
+    data = whole.read_bytes()
+    draw = random.Random(1)
+    for cut in draw.sample(range(ends[0], len(data) - 8), 150):
+        torn = tmp_path / "torn.mcap"
+        torn.write_bytes(data[:cut])
+        bag = Bag(torn)
+        values = bag.read({"/x": ["data"]})["/x"].values["data"]
+        assert len(values) >= 40 * sum(end <= cut for end in ends)
+        assert np.array_equal(values, np.arange(float(len(values))))
+        assert any("unfinished" in problem and "recover" in problem for problem in bag.problems)
+
+
+def test_a_damaged_chunk_is_left_out_and_said(tmp_path):
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = LibraryWriter(stream, chunk_size=10**9, compression=CompressionType.NONE)
+        writer.start("ros2")
+        channel = writer.register_channel(
+            "/x", "cdr", writer.register_schema(FLOAT, "ros2msg", b"float64 data")
+        )
+        places = []
+        for k in range(300):
+            writer.add_message(channel, 10**9 + k, number(float(k)), 10**9 + k, k + 1)
+            if k % 100 == 99:
+                places.append(stream.tell())
+                writer.flush()
+        writer.finish()
+    data = bytearray(path.read_bytes())
+    data[places[1] + 500] ^= 0xFF
+    path.write_bytes(data)
+    bag = Bag(path)
+    values = bag.read({"/x": ["data"]})["/x"].values["data"]
+    assert np.array_equal(values, [*range(100), *range(200, 300)])
+    assert sum("damaged" in problem for problem in bag.problems) == 1
+
+
+def test_damaged_files_never_do_more_than_raise_bag_error(tmp_path):
+    """Bytes changed at random: what is read may be wrong, but nothing else may happen."""
+    write_rosbags(tmp_path / "m", StoragePlugin.MCAP, count=60)
+    write_rosbags(tmp_path / "s", StoragePlugin.SQLITE3, count=60)
+    draw = random.Random(2)
+    for storage in ("m", "s"):
+        file = next(p for p in (tmp_path / storage).iterdir() if p.suffix in (".mcap", ".db3"))
+        data = file.read_bytes()
+        for _ in range(150):
+            broken = bytearray(data)
+            for _ in range(draw.randrange(1, 6)):
+                broken[draw.randrange(len(broken))] = draw.randrange(256)
+            path = tmp_path / f"broken{file.suffix}"
+            path.write_bytes(broken)
+            try:
+                bag = Bag(path)
+                bag.read({name: ["data"] for name in bag.topics})
+            except BagError as error:
+                assert "\n" not in str(error)
+
+
+# Bad input
+
+
+def empty_file(folder):
+    (folder / "x.mcap").write_bytes(b"")
+    return folder / "x.mcap"
+
+
+def not_mcap(folder):
+    (folder / "x.mcap").write_bytes(b"hello, world, this is text")
+    return folder / "x.mcap"
+
+
+def not_sqlite(folder):
+    (folder / "x.db3").write_bytes(b"hello, world, this is text")
+    return folder / "x.db3"
+
+
+def other_database(folder):
+    import sqlite3
+
+    with sqlite3.connect(folder / "x.db3") as db:
+        db.execute("CREATE TABLE people (name TEXT)")
+    db.close()
+    return folder / "x.db3"
+
+
+def empty_folder(folder):
+    (folder / "empty").mkdir()
+    return folder / "empty"
+
+
+def unknown_version(folder):
+    shutil.copytree(REAL / "jazzy_mcap_drone_yaw", folder / "bag")
+    path = folder / "bag" / "metadata.yaml"
+    path.write_text(path.read_text().replace("version: 9", "version: 12"))
+    return folder / "bag"
+
+
+def missing_file(folder):
+    shutil.copytree(REAL / "jazzy_mcap_drone_yaw", folder / "bag")
+    next((folder / "bag").glob("*.mcap")).unlink()
+    return folder / "bag"
+
+
+def broken_yaml(folder):
+    shutil.copytree(REAL / "jazzy_mcap_drone_yaw", folder / "bag")
+    (folder / "bag" / "metadata.yaml").write_text("a: [1, 2")
+    return folder / "bag"
+
+
+def no_topics(folder):
+    with (folder / "x.mcap").open("wb") as stream:
+        writer = LibraryWriter(stream)
+        writer.start("ros2")
+        writer.finish()
+    return folder / "x.mcap"
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda folder: folder / "nothing", ["nothing", "there is no"]),
+        (lambda folder: Path(__file__), ["test_bag.py", "not a bag", "metadata.yaml"]),
+        (empty_file, ["x.mcap", "empty"]),
+        (not_mcap, ["x.mcap", "not an MCAP file"]),
+        (not_sqlite, ["x.db3", "not a sqlite3 file"]),
+        (other_database, ["x.db3", "no table 'topics'"]),
+        (empty_folder, ["empty", "not a bag"]),
+        (unknown_version, ["12", "9"]),
+        (missing_file, ["none of the files"]),
+        (broken_yaml, ["metadata.yaml", "YAML"]),
+        (no_topics, ["x.mcap", "no topics"]),
+    ],
+)
+def test_what_is_no_bag_is_said_in_one_sentence(tmp_path, make, words):
+    with pytest.raises(BagError) as caught:
+        Bag(make(tmp_path))
+    assert "\n" not in str(caught.value)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_one_bad_file_of_several_is_left_out(tmp_path):
+    shutil.copytree(REAL / "rosbag2_sqlite3_message_zstd_split", tmp_path / "bag")
+    whole = Bag(tmp_path / "bag")
+    count = sum(len(batch.topic) for _, batch in whole.batches(list(whole.topics)))
+    victim = tmp_path / "bag" / whole.files[1]
+    victim.write_bytes(b"gone")
+    bag = Bag(tmp_path / "bag")
+    left = sum(len(batch.topic) for _, batch in bag.batches(list(bag.topics)))
+    assert 0 < left < count
+    assert any(victim.name in problem and "left out" in problem for problem in bag.problems)

@@ -1,0 +1,159 @@
+"""Bags of runs whose every input is known: a supervised controller on a simulated valve, written message by message."""
+
+import struct
+from typing import NamedTuple
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+from valve_control.bags.writer import BagWriter
+from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER, VALVE, defaults, updated
+from valve_control.plant import valve
+from valve_control.supervision.supervisor import Supervisor
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+T = STORE.types
+FLOAT = "std_msgs/msg/Float64"
+ARRAY = "std_msgs/msg/Float64MultiArray"
+EVENT = "rcl_interfaces/msg/ParameterEvent"
+BEGIN = 1_790_000_000_000_000_000  # ns
+PERIOD = 1_000_000  # ns
+
+
+class Message(NamedTuple):
+    topic: str
+    type: str
+    time: int  # source, ns
+    sequence: int
+    data: bytes
+    log_time: int
+
+
+def number(value):
+    return b"\0\1\0\0" + struct.pack("<d", value)
+
+
+def parameter(name, value):
+    kinds = {
+        bool: (1, "bool_value"),
+        int: (2, "integer_value"),
+        float: (3, "double_value"),
+        str: (4, "string_value"),
+    }
+    fields = {
+        "type": 0, "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
+        "byte_array_value": np.array([], dtype=np.uint8), "bool_array_value": np.array([], dtype=bool),
+        "integer_array_value": np.array([], dtype=np.int64), "double_array_value": np.array([]),
+        "string_array_value": [],
+    }  # fmt: skip
+    if isinstance(value, list):
+        fields["type"], fields["double_array_value"] = 8, np.array(value)
+    else:
+        fields["type"], field = kinds[type(value)]
+        fields[field] = value
+    return T["rcl_interfaces/msg/Parameter"](name, T["rcl_interfaces/msg/ParameterValue"](**fields))
+
+
+def event(node, values, new=False):
+    listed = [parameter(name, value) for name, value in values.items()]
+    stamp = T["builtin_interfaces/msg/Time"](0, 0)
+    message = T[EVENT](stamp, node, listed if new else [], [] if new else listed, [])
+    return bytes(STORE.serialize_cdr(message, EVENT))
+
+
+def state(labels, values):
+    dim = [T["std_msgs/msg/MultiArrayDimension"](label, 1, 1) for label in labels]
+    layout = T["std_msgs/msg/MultiArrayLayout"](dim, 0)
+    return bytes(STORE.serialize_cdr(T[ARRAY](layout, np.array(values)), ARRAY))
+
+
+class Run:
+    """A controller on a valve; commands arrive ``ahead`` of a reading, or while it is being answered."""
+
+    def __init__(self, seed=1, namespace="", controller=None, simulator=None):
+        self.random = np.random.default_rng(seed)
+        self.namespace = namespace
+        self.values = updated(CONTROLLER, defaults(CONTROLLER), controller or {})
+        self.valve_values = updated(VALVE, defaults(VALVE), {"lvdt.noise": 0.004, **(simulator or {})})
+        self.supervisor = Supervisor()
+        self.supervisor.apply(self.values, build.law_params(self.values))
+        self.plant = build.valve_params(self.valve_values)
+        self.spool = valve.initial(self.plant)
+        self.time = BEGIN
+        self.counts = {"spool_command": 0, "spool_position": 0, "valve_voltage": 0}
+        self.messages = []
+        self.voltages = []
+        self.readings = []
+        self.say(f"{namespace}/controller", self.values, new=True)
+        self.say(f"{namespace}/valve_simulator", self.valve_values, new=True)
+
+    def say(self, node, values, new=False):
+        time = self.time + PERIOD // 2  # after the voltage of the sample before
+        self.messages.append(
+            Message("/parameter_events", EVENT, time, 0, event(node, values, new), time + 200_000)
+        )
+
+    def put(self, part, time, value, lost=False):
+        self.counts[part] += 1
+        if not lost:
+            log = time + int(self.random.integers(50_000, 400_000))
+            name = f"{self.namespace}/{part}"
+            self.messages.append(Message(name, FLOAT, time, self.counts[part], number(value), log))
+
+    def change(self, **values):
+        """A live change of parameters between two samples."""
+        new = {name.replace("__", "."): value for name, value in values.items()}
+        self.values = updated(CONTROLLER, self.values, new)
+        self.supervisor.apply(self.values, build.law_params(self.values))
+        self.say(f"{self.namespace}/controller", new)
+
+    def sample(self, command=None, late=False, lost=False, before=None):
+        """One sample: reading, then (unless ``lost`` on its way to the controller) voltage.
+
+        ``command`` is sent before the reading, or, ``late``, after the controller took its commands, so that it
+        counts one sample later; ``before`` is called on the supervisor first.
+        """
+        self.time += PERIOD
+        if before is not None:
+            before(self.supervisor)
+        if command is not None and not late:
+            self.put("spool_command", self.time - 300_000, command)
+            self.supervisor.command(command)
+        reading = valve.read(self.plant, self.spool, float(self.random.standard_normal()))
+        self.put("spool_position", self.time, reading)
+        self.readings.append(reading)
+        answered = self.time + int(self.random.integers(120_000, 250_000))
+        if command is not None and late:
+            self.put("spool_command", answered - 10_000, command)
+        if not lost:
+            voltage = self.supervisor.sample(reading, self.counts["spool_position"], 0.001)
+            self.put("valve_voltage", answered, voltage)
+            self.voltages.append(voltage)
+            if self.supervisor.samples % 10 == 0:
+                labels, numbers = self.supervisor.labels(), self.supervisor.telemetry()
+                name = f"{self.namespace}/controller/state"
+                self.messages.append(
+                    Message(name, ARRAY, answered + 20_000, 0, state(labels, numbers), answered + 90_000)
+                )
+        if command is not None and late:
+            self.supervisor.command(command)
+        self.spool = valve.step(self.plant, self.spool, self.supervisor.voltage)
+
+    def move(self, count, **options):
+        for _ in range(count):
+            t = (self.time - BEGIN) * 1e-9
+            self.sample(2.0 * np.sin(2.0 * np.pi * t), **options)
+
+
+def write(path, messages, storage="mcap", keep=lambda message: True, **options):
+    """The messages as a bag, in the order of their log times."""
+    with BagWriter(path, storage, **options) as writer:
+        known = set()
+        for m in sorted(filter(keep, messages), key=lambda m: m.log_time):
+            if m.topic not in known:
+                known.add(m.topic)
+                text, _ = STORE.generate_msgdef(m.type, ros_version=2)
+                writer.add_topic(m.topic, m.type, text, STORE.hash_rihs01(m.type))
+            writer.write(m.topic, m.log_time, m.time, m.sequence, m.data)
+    return path
