@@ -24,7 +24,7 @@ setup(
         (f"share/{NAME}/config", glob("config/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.xml")),
     ],
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "nodes/*.xml"]},
     install_requires=[
         "setuptools",
         "numpy>=1.26",

@@ -100,6 +100,8 @@ def flows(folder, storage):
                 return set(TOPICS) <= {name for (name,) in database.execute(query)}
         except sqlite3.OperationalError:
             return False
+    if not sum(path.stat().st_size for path in folder.glob("*.mcap")) > 50_000:
+        return False
     copy = folder.with_name(f"copy_{time.monotonic_ns()}")
     return set(TOPICS) <= set(by_topic(recover(folder, copy).bag))
 

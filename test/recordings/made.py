@@ -1,4 +1,4 @@
-"""Bags of runs whose every input is known: a supervised controller on a simulated valve, written message by message."""
+"""Bags of runs whose every input is known: a supervised controller on a simulated valve."""
 
 import struct
 from typing import NamedTuple
@@ -111,8 +111,8 @@ class Run:
     def sample(self, command=None, late=False, lost=False, before=None):
         """One sample: reading, then (unless ``lost`` on its way to the controller) voltage.
 
-        ``command`` is sent before the reading, or, ``late``, after the controller took its commands, so that it
-        counts one sample later; ``before`` is called on the supervisor first.
+        ``command`` is sent before the reading, or, ``late``, after the controller took its commands, so that
+        it counts one sample later; ``before`` is called on the supervisor first.
         """
         self.time += PERIOD
         if before is not None:

@@ -1,10 +1,11 @@
 """Node `recorder`: topics and parameters of the cascade into a rosbag2 bag that outlives its recorder."""
 
+import os
 import re
 import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import MutableMapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -352,8 +353,16 @@ class Recorder(Worker):
             raise error
 
 
+def use_own_profile(environment: MutableMapping[str, str]) -> None:
+    """Have Fast DDS use the recorder's profile, unless the user has a choice of his own."""
+    own = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
+    if not any(environment.get(name) for name in own):
+        environment[own[0]] = str(Path(__file__).with_name("recorder_dds.xml"))
+
+
 def main() -> int:
     """Entry point of `ros2 run valve_control recorder`."""
+    use_own_profile(os.environ)
     return run(lambda: [Recorder()])
 
 

@@ -1,0 +1,39 @@
+import re
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from valve_control.analysis.page import Line, Plot, envelope, figure, page, table
+from valve_control.analysis.spectra import spectrum
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 30_000), st.integers(0, 2**32 - 1))
+def test_envelope_keeps_extremes_and_ends(count, seed):
+    x = np.arange(float(count))
+    y = np.random.default_rng(seed).standard_normal(count)
+    ex, ey = envelope(x, y, 1000)
+    assert len(ex) <= 1000 or count <= 1000
+    assert ey.max() == y.max() and ey.min() == y.min()
+    assert ex[0] == x[0] and ex[-1] == x[-1] and np.all(np.diff(ex) > 0)
+    assert np.array_equal(ey, y[ex.astype(int)])
+
+
+def test_page_is_whole_and_loads_nothing():
+    plot = Plot("error [V]", [Line("a", np.arange(10.0), np.arange(10.0))])
+    text = page("report <1>", {"Figures": figure([plot], "time [s]"), "Table": table(["a"], [["<b>"]])})
+    assert "<title>report &lt;1&gt;</title>" in text and "&lt;b&gt;" in text
+    assert "Plotly.newPlot" in text
+    outside = re.sub(r"<script>.*?</script>", "", text, flags=re.S)
+    assert "http" not in outside
+    assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)\s*=", text)
+
+
+def test_spectrum_of_a_sine_stands_at_its_frequency_with_its_power():
+    t = np.arange(60_000) * 0.001
+    s = spectrum(0.3 * np.sin(2 * np.pi * 17.0 * t), 0.001)
+    peak = s.frequency[np.argmax(s.density)]
+    assert abs(peak - 17.0) < 0.25
+    power = np.sum(s.density**2) * (s.frequency[1] - s.frequency[0])
+    assert abs(power - 0.3**2 / 2) < 1e-4

@@ -1,0 +1,256 @@
+"""What is read out of bags: alignment, parameters, and what is left out and said."""
+
+import numpy as np
+import pytest
+from made import FLOAT, Run, number, write
+
+from valve_control.bags.errors import BagError
+from valve_control.recordings import what_if
+from valve_control.recordings.mapping import parse_map
+from valve_control.recordings.recording import align, load
+from valve_control.recordings.study import as_dict, study
+from valve_control.simulation import offline
+
+
+@pytest.fixture(scope="module")
+def run():
+    made = Run()
+    made.move(1500)
+    made.change(arc__k1=100.0)
+    made.move(500)
+    return made
+
+
+def test_aligned_signals_are_those_of_the_run(run, tmp_path):
+    valve = load(write(tmp_path / "bag", run.messages)).valves["valve"]
+    signals = align(valve)
+    assert np.array_equal(signals.measurement, run.readings)
+    assert np.array_equal(signals.voltage, run.voltages)
+    expected = 2.0 * np.sin(2.0 * np.pi * np.arange(2000) * 1e-3)
+    assert np.allclose(signals.command, expected, atol=1e-9)
+    assert signals.unanswered == 0 and signals.period == 0.001
+    assert signals.latency.min() >= 120e-6 and signals.latency.max() < 250e-6
+
+
+def test_study_finds_parameters_changes_segments_and_estimates(run, tmp_path):
+    about = as_dict(study(load(write(tmp_path / "bag", run.messages))))
+    valve = about["valves"]["valve"]
+    assert valve["controller"] == "arc"
+    assert valve["parameters"]["/controller"]["initial"]["arc.k1"] == 120.0
+    assert [c["values"] for c in valve["changes"]] == [{"arc.k1": 100.0}]
+    assert valve["changes"][0]["time_s"] == pytest.approx(1.4995, abs=1e-6)
+    kinds = [(s["kind"], s["samples"]) for s in valve["segments"]]
+    assert ("run", 2000) in kinds and ("parameters", 1500) in kinds and ("parameters", 500) in kinds
+    assert valve["timing"]["spool_position"]["lost"] == 0
+    # The state of every tenth sample is before that sample's adaptation.
+    assert valve["theta"] is not None and len(valve["theta"]) == 4
+    assert valve["left_out"] == [] and about["left_out"] == []
+
+
+def test_indices_are_those_of_the_arrays(run, tmp_path):
+    part = study(load(write(tmp_path / "bag", run.messages))).valves["valve"].parts[0]
+    error = np.array(run.readings) - 2.0 * np.sin(2.0 * np.pi * np.arange(2000) * 1e-3)
+    assert part.indices.e_M == pytest.approx(np.max(np.abs(error)))
+    assert part.indices.e_rms == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert part.indices.u_rms == pytest.approx(np.sqrt(np.mean(np.square(run.voltages))))
+
+
+def test_two_valves_are_two_namespaces(tmp_path):
+    boom, arm = Run(namespace="/boom"), Run(2, namespace="/arm", controller={"controller": "oarc"})
+    boom.move(400)
+    arm.move(400)
+    loaded = load(write(tmp_path / "bag", boom.messages + arm.messages))
+    assert list(loaded.valves) == ["arm", "boom"]
+    result = study(loaded)
+    assert [v.controller for v in result.valves.values()] == ["oarc", "arc"]
+    assert np.array_equal(result.valves["boom"].signals.measurement, boom.readings)
+
+
+def test_a_part_of_the_time(run, tmp_path):
+    bag = write(tmp_path / "bag", run.messages)
+    part = align(load(bag, start=0.5, end=1.0).valves["valve"])
+    assert 498 <= len(part.time) <= 501
+    whole = np.array(run.readings)
+    first = int(np.flatnonzero(whole == part.measurement[0])[0])
+    assert np.array_equal(part.measurement, whole[first : first + len(part.time)])
+
+
+# Left out and said
+
+
+def said(path):
+    loaded = load(path)
+    result = study(loaded)
+    return result, [*result.left_out, *(text for v in result.valves.values() for text in v.left_out)]
+
+
+def test_nan_is_left_out_and_counted(run, tmp_path):
+    messages = list(run.messages)
+    for i in [j for j, m in enumerate(messages) if m.topic == "/spool_position"][100:103]:
+        messages[i] = messages[i]._replace(data=number(np.nan))
+    result, notes = said(write(tmp_path / "bag", messages))
+    assert "3 messages of /spool_position hold NaN" in " ".join(notes)
+    assert len(result.valves["valve"].signals.time) == 1997
+    assert np.isfinite(result.valves["valve"].parts[0].indices.e_rms)
+
+
+@pytest.mark.parametrize("part", ["spool_command", "spool_position", "valve_voltage"])
+def test_a_missing_topic_takes_only_what_needs_it(run, tmp_path, part):
+    result, notes = said(write(tmp_path / "bag", run.messages, keep=lambda m: not m.topic.endswith(part)))
+    assert f"valve has no {part}" in " ".join(notes)
+    valve = result.valves["valve"]
+    assert set(valve.timing) == {"spool_command", "spool_position", "valve_voltage"} - {part}
+    if part == "spool_command":
+        assert np.isnan(valve.parts[0].indices.e_rms) and np.isfinite(valve.parts[0].indices.u_rms)
+    elif part == "valve_voltage":
+        assert np.isfinite(valve.parts[0].indices.e_rms) and np.isnan(valve.parts[0].indices.u_rms)
+    else:
+        assert valve.signals is None and valve.parts == []
+
+
+def test_time_that_goes_backwards_keeps_the_longest_part(run, tmp_path):
+    """The clock of the LVDT's driver is set back by 10 s after 1200 readings."""
+    seen = 0
+    messages = []
+    for m in run.messages:
+        if m.topic == "/spool_position":
+            seen += 1
+            if seen > 1200:
+                m = m._replace(time=m.time - 10 * 10**9)
+        messages.append(m)
+    _, notes = said(write(tmp_path / "bag", messages))
+    text = " ".join(notes)
+    assert "time goes backwards on /spool_position 1 time(s), by up to 10" in text and "1200 of 2000" in text
+
+
+def test_a_little_disorder_is_sorted(run, tmp_path):
+    messages = list(run.messages)
+    where = [j for j, m in enumerate(messages) if m.topic == "/spool_position"]
+    a, b = where[500], where[501]
+    messages[a], messages[b] = (
+        messages[a]._replace(log_time=messages[b].log_time),
+        messages[b]._replace(log_time=messages[a].log_time),
+    )
+    result, notes = said(write(tmp_path / "bag", messages))
+    assert "out of order" in " ".join(notes)
+    assert np.array_equal(result.valves["valve"].signals.measurement, run.readings)
+
+
+def test_two_publishers_are_told_apart_by_their_numbers(run, tmp_path):
+    other = [
+        m._replace(
+            sequence=m.sequence + 50_000,
+            time=m.time + 400_000,
+            log_time=m.log_time + 400_000,
+            data=number(9.0),
+        )
+        for m in run.messages
+        if m.topic == "/spool_position"
+    ][:700]
+    result, notes = said(write(tmp_path / "bag", [*run.messages, *other]))
+    assert "2 publishers are interleaved on /spool_position" in " ".join(
+        notes
+    ) and "2000 of 2700" in " ".join(notes)
+    assert np.array_equal(result.valves["valve"].signals.measurement, run.readings)
+
+
+def test_a_publisher_on_another_clock_is_placed_by_the_times_of_recording(run, tmp_path):
+    messages = [
+        m._replace(time=m.time - 3600 * 10**9) if m.topic == "/spool_position" else m for m in run.messages
+    ]
+    result, notes = said(write(tmp_path / "bag", messages))
+    assert "3.6e+03 s behind" in " ".join(notes)
+    assert result.valves["valve"].parts[0].indices.e_rms < 0.2
+
+
+def test_no_messages_at_all_is_an_error(run, tmp_path):
+    from valve_control.bags.writer import BagWriter
+
+    with BagWriter(tmp_path / "bag", "mcap") as writer:
+        writer.add_topic("/spool_position", FLOAT, "float64 data", "")
+    with pytest.raises(BagError, match="no message|empty"):
+        load(tmp_path / "bag")
+
+
+# Mapping
+
+
+def test_any_number_can_play_a_part(run, tmp_path):
+    """The LVDT in metres in a JointState, the command under another name."""
+    from made import STORE, T
+
+    header = T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](0, 0), "")
+    messages = []
+    for m in run.messages:
+        if m.topic == "/spool_position":
+            value = np.frombuffer(m.data[4:])[0] / 250.0
+            joints = T["sensor_msgs/msg/JointState"](
+                header, ["arm", "spool"], np.array([9.0, value]), np.array([]), np.array([])
+            )
+            data = bytes(STORE.serialize_cdr(joints, "sensor_msgs/msg/JointState"))
+            m = m._replace(topic="/joint_states", type="sensor_msgs/msg/JointState", data=data)
+        elif m.topic == "/spool_command":
+            m = m._replace(topic="/plc/wanted")
+        messages.append(m)
+    bag = write(tmp_path / "bag", messages)
+    valve = load(
+        bag, ["spool_position=/joint_states.position[spool]*250", "spool_command=/plc/wanted"]
+    ).valves["valve"]
+    signals = align(valve)
+    assert np.allclose(signals.measurement, run.readings, atol=1e-12)
+    assert np.array_equal(signals.voltage, run.voltages) and np.all(np.isfinite(signals.command))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("spool_position", ["--map", "part=/topic.field"]),
+        ("position=/x", ["--map", "spool_position"]),
+        ("spool_position=/x.a*b", ["number"]),
+        ("spool_position=/x.a b", ["field"]),
+        ("spool_position=", ["--map"]),
+    ],
+)
+def test_a_wrong_mapping_is_refused(text, words):
+    with pytest.raises(BagError) as caught:
+        parse_map(text)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_mapping_to_what_is_not_there(run, tmp_path):
+    bag = write(tmp_path / "bag", run.messages)
+    with pytest.raises(BagError, match="/nothing"):
+        load(bag, ["spool_position=/nothing.data"])
+    with pytest.raises(BagError, match="there is no number 'speed'"):
+        load(bag, ["spool_position=/spool_position.speed"])
+
+
+# What-if
+
+
+def test_what_if_with_the_recorded_parameters_is_the_recorded_run(tmp_path):
+    """A run from rest, whose noise is the simulator's: simulated again it is the same, bit for bit."""
+    controller, simulator = {"controller": "oarc"}, {"lvdt.noise": 0.004, "friction.coulomb": 0.3, "seed": 5}
+    made = Run(controller=controller, simulator=simulator)
+    random = np.random.default_rng(5)
+
+    class Noise:
+        standard_normal = random.standard_normal
+
+        @staticmethod
+        def integers(low, high):
+            return low
+
+    made.random = Noise()
+    command = 1.5 * np.sin(2.0 * np.pi * 2.0 * np.arange(1200) * 1e-3)
+    for value in command:
+        made.sample(float(value))
+    valve = load(write(tmp_path / "bag", made.messages)).valves["valve"]
+    result = what_if.replay(valve, align(valve), {}, {})
+    assert result.distance == 0.0 and np.array_equal(result.run.voltage, made.voltages)
+    other = what_if.replay(valve, align(valve), {"controller": "pid"}, {"friction.coulomb": 0.0})
+    plain = offline.simulate(
+        {**made.values, "controller": "pid"}, {**made.valve_values, "friction.coulomb": 0.0}, command
+    )
+    assert np.array_equal(other.run.voltage, plain.voltage) and other.distance > 0.01
