@@ -243,6 +243,10 @@ class Decoder:
         self, buffer: Bytes, offset: Integers, length: Integers
     ) -> tuple[Floats, npt.NDArray[np.bool_]]:
         """Fields (n×m) of the messages, and which of them could be decoded."""
+        if len(length) and length[0] == length.min() == length.max() and self._layouts.get(int(length[0])):
+            fits, values = self._take(self._layouts[int(length[0])][0], buffer, offset)
+            if fits.all():
+                return values, fits
         result = np.full((len(offset), len(self.fields)), np.nan)
         done = np.zeros(len(offset), dtype=np.bool_)
         for size in np.unique(length).tolist():

@@ -94,6 +94,8 @@ class McapFile:
         self._metadata: dict[str, str] = {}
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, int] = {}  # channel → topic
+        self._table = np.full(65536, -1, dtype=np.int64)  # likewise, for whole columns
+        self._known = 0
         self._buffer = self._map(content)
         self.size = len(self._buffer)
         self._chunks: list[ChunkPlace] = []
@@ -164,7 +166,7 @@ class McapFile:
     ) -> Iterator[Batch]:
         if len(messages) == 0:
             return
-        channel, log, publish, sequence, offset, length = messages.T
+        channel, log, publish, sequence, offset, length = np.ascontiguousarray(messages.T)
         topic = self._topic_of()[channel]
         keep = topic >= 0
         if start is not None:
@@ -176,10 +178,11 @@ class McapFile:
         yield batch if keep.all() else batch.select(keep)
 
     def _topic_of(self) -> Integers:
-        table = np.full(65536, -1, dtype=np.int64)
-        for channel, topic in self._channels.items():
-            table[channel] = topic
-        return table
+        if len(self._channels) != self._known:
+            self._known = len(self._channels)
+            for channel, topic in self._channels.items():
+                self._table[channel] = topic
+        return self._table
 
     def _index(self) -> None:
         """Find chunks, schemas and channels; the summary repeats them if the file is whole."""
@@ -207,7 +210,7 @@ class McapFile:
             self.problems.append(
                 f"{self.path} is unfinished{torn} (valve-control bag recover makes it whole)"
             )
-        if not self.topics:
+        if not self.finished or not self.topics:
             for place in self._chunks:
                 data = self._content(place)
                 inner = 0

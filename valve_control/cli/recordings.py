@@ -109,7 +109,8 @@ def add_commands(commands: Any) -> None:
     )
     recover.add_argument("bag", metavar="BAG", help="folder of the bag, or one file")
     recover.add_argument("--out", metavar="FOLDER", help="mend a copy instead")
-    recover.set_defaults(run=_recover, json=None)
+    recover.add_argument("--json", metavar="FILE", help="what was done as JSON; - for standard output alone")
+    recover.set_defaults(run=_recover)
 
 
 # Reading
@@ -338,5 +339,18 @@ def compare_bags(arguments: argparse.Namespace) -> None:
 def _recover(arguments: argparse.Namespace) -> int:
     from valve_control.bags.recover import recover
 
-    print(recover(Path(arguments.bag), Path(arguments.out) if arguments.out is not None else None))
+    result = recover(Path(arguments.bag), Path(arguments.out) if arguments.out is not None else None)
+    write_json(
+        arguments, {**result._asdict(), "bag": str(result.bag), "files": [f._asdict() for f in result.files]}
+    )
+    if not result.done:
+        say(arguments, f"{result.bag} is whole ({result.messages} messages), nothing was done")
+        return 0
+    for file in result.files:
+        what = f"mended, {file.cut} bytes of torn records cut off" if file.mended else "was whole"
+        say(arguments, f"{file.name}: {file.messages} messages, {what}")
+    say(
+        arguments,
+        f"{result.bag} is whole again: {result.messages} messages; wrote {result.bag / 'metadata.yaml'}",
+    )
     return 0

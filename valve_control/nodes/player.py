@@ -105,9 +105,12 @@ def _timed(
         start=None if start is None else begin + round(start * 1e9),
         end=None if end is None else begin + round(end * 1e9),
     )
-    publishers = {
-        name: node.create_publisher(message_class(bag.topic(name).type), name, SAMPLES) for name in topics
-    }
+    try:
+        publishers = {
+            name: node.create_publisher(message_class(bag.topic(name).type), name, SAMPLES) for name in topics
+        }
+    except LookupError as error:
+        raise BagError(f"{path} cannot be played: {error}") from error
     if not any(len(entry.raw) for entry in series.values()):
         raise BagError(f"{path} has no message on {', '.join(topics)}")
     times = np.concatenate([entry.publish_time for entry in series.values()])

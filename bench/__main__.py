@@ -1,0 +1,36 @@
+"""``python -m bench``: all benchmarks; exit status 1 if a wanted ratio is missed."""
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+from bench import bags
+
+
+def main() -> int:
+    """Run them."""
+    options = argparse.ArgumentParser(prog="bench", description=__doc__)
+    options.add_argument("--seconds", type=float, default=300.0, help="length of the bags (300)")
+    options.add_argument("--out", default="out", metavar="FOLDER", help="output folder (out)")
+    arguments = options.parse_args()
+    out = Path(arguments.out)
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="valve_control-bench-") as folder:
+        results = {"bags": bags.run(Path(folder), arguments.seconds)}
+    (out / "bench.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    print(f"\nwrote {out / 'bench.json'}")
+    missed = [
+        name
+        for name, entry in results["bags"].items()
+        if entry["ratio"] < entry["wanted_ratio"]
+        or entry["analyze_peak_memory_gib"] > entry["wanted_memory_gib"]
+    ]
+    for name in missed:
+        print(f"missed: {name}", file=sys.stderr)
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

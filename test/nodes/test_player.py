@@ -1,0 +1,68 @@
+"""Live replay of bags to running nodes."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recordings"))
+from made import Run, write
+
+from bench import controller
+from valve_control.bags.errors import BagError
+from valve_control.nodes import player
+from valve_control.nodes.cascade import process
+
+
+@pytest.fixture(scope="module")
+def run():
+    made = Run(controller={"lvdt.frozen_samples": 0})
+    made.move(600)
+    return made
+
+
+@pytest.mark.parametrize("law", ["arc", "oarc"])
+def test_a_running_controller_gives_the_recorded_voltages_in_lockstep(tmp_path, law):
+    made = Run(controller={"controller": law, "lvdt.frozen_samples": 0})
+    made.move(1500)
+    bag = write(tmp_path / "bag", made.messages)
+    arguments = ["-p", f"controller:={law}", "-p", "lockstep:=true"]
+    with controller(tmp_path, *arguments):
+        result = player.play(str(bag), [], None, 1.0, lockstep=True, quiet=True)
+    assert result.differing == 0 and np.array_equal(result.answers, made.voltages)
+
+
+def test_topics_are_published_at_their_times_and_faster(tmp_path, run):
+    bag = write(tmp_path / "bag", run.messages)
+    for rate in (1.0, 4.0):
+        with process("recorder", ["-p", f"bag:={tmp_path / f'again_{rate}'}"], tmp_path / f"r_{rate}.log"):
+            result = player.play(str(bag), [], ["/spool_position", "/spool_command"], rate, False, quiet=True)
+        heard = again(tmp_path / f"again_{rate}")
+        assert result.published == 1200
+        assert np.array_equal(heard["/spool_position"], run.readings)
+        assert len(heard["/spool_command"]) == 600
+        # Never before its time; a busy machine may be late.
+        assert result.elapsed * rate >= 0.599
+
+
+def again(path):
+    from valve_control.bags.bag import Bag
+
+    series = Bag(path).read({"/spool_position": ["data"], "/spool_command": ["data"]})
+    return {name: entry.values["data"] for name, entry in series.items()}
+
+
+def test_nobody_who_listens_is_an_error(tmp_path, run, monkeypatch):
+    monkeypatch.setattr(player, "MEET", 0.3)
+    bag = write(tmp_path / "bag", run.messages)
+    with pytest.raises(BagError, match="nobody has listened to /spool_command"):
+        player.play(str(bag), [], None, 1.0, False, quiet=True)
+    assert not rclpy.ok()
+
+
+def test_a_topic_that_is_not_there_is_said():
+    bag = Path(__file__).resolve().parents[1] / "data" / "bags" / "jazzy_mcap_drone_yaw"
+    with pytest.raises(BagError, match="/nothing"):
+        player.play(str(bag), [], ["/nothing"], 1.0, False, quiet=True)

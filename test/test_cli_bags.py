@@ -1,0 +1,177 @@
+"""The command on bags, as a user or another program runs it."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent / "recordings"))
+from made import Run, write
+
+from valve_control.cli import main
+
+REAL = Path(__file__).parent / "data" / "bags"
+
+
+def command(*arguments, cwd=None):
+    return subprocess.run(
+        [sys.executable, "-m", "valve_control.cli", *map(str, arguments)],
+        capture_output=True, text=True, timeout=120, cwd=cwd, check=False,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bags")
+    arc = Run()
+    arc.move(1200)
+    arc.change(arc__k1=100.0)
+    arc.move(800)
+    oarc = Run(controller={"controller": "oarc"})
+    oarc.move(2000)
+    boom, arm = Run(namespace="/boom"), Run(2, namespace="/arm")
+    boom.move(300)
+    arm.move(300)
+    write(folder / "arc", arc.messages)
+    write(folder / "oarc", oarc.messages, "sqlite3")
+    write(folder / "both", boom.messages + arm.messages)
+    return folder
+
+
+def test_analyze_writes_everything_it_says(bags, tmp_path):
+    files = {k: tmp_path / f"out.{k}" for k in ("json", "csv", "html")}
+    done = command(
+        "analyze", bags / "arc", "--json", files["json"], "--csv", files["csv"], "--html", files["html"],
+        "--expect", "e_rms<0.1", "--expect", "timing.spool_position.lost==0",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for path in files.values():
+        assert f"wrote {path}" in done.stdout
+    assert "after change 1: arc.k1 = 100.0" in done.stdout and done.stdout.count("met: ") == 2
+    about = json.loads(files["json"].read_text())
+    assert about["valves"]["valve"]["controller"] == "arc"
+    assert [e["met"] for e in about["expectations"]] == [True, True]
+    table = np.genfromtxt(files["csv"], delimiter=",", names=True)
+    assert len(table) == 2000
+    error = table["measurement_V"] - table["command_V"]
+    assert np.allclose(table["error_V"], error)
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(about["valves"]["valve"]["indices"]["e_rms"])
+    text = files["html"].read_text()
+    assert "Plotly.newPlot" in text and "b0dn" in text and "bound of V2" in text
+
+
+def test_json_on_standard_output_alone(bags):
+    done = command("analyze", bags / "both", "--json", "-")
+    assert done.returncode == 0, done.stderr
+    assert set(json.loads(done.stdout)["valves"]) == {"boom", "arm"}
+
+
+def test_an_expectation_that_is_not_met_is_the_exit_status(bags):
+    done = command("analyze", bags / "arc", "--expect", "e_rms<1e-6")
+    assert done.returncode == 1 and "NOT MET: e_rms<1e-6" in done.stdout
+
+
+def test_replay_in_shadow_is_the_recording(bags, tmp_path):
+    done = command("replay", bags / "arc", "--json", tmp_path / "s.json", "--html", tmp_path / "s.html",
+                   "--csv", tmp_path / "s.csv")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "bit for bit" in done.stdout
+    about = json.loads((tmp_path / "s.json").read_text())
+    assert about["bit_equal"] is True and about["samples"] == 2000 and about["mode"] == "shadow"
+    table = np.genfromtxt(tmp_path / "s.csv", delimiter=",", names=True)
+    assert np.array_equal(table["recorded_voltage_V"], table["shadow_voltage_V"])
+    other = command("replay", bags / "arc", "--controller", "pid", "--json", "-")
+    assert json.loads(other.stdout)["bit_equal"] is False
+
+
+def test_replay_as_what_if(bags, tmp_path):
+    done = command("replay", bags / "oarc", "--mode", "what-if", "--set", "oarc.ks1=200.0", "--json", "-",
+                   "--html", tmp_path / "w.html")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    about = json.loads(done.stdout)
+    assert about["controller"] == "oarc" and about["measurement_distance_rms_V"] < 0.05
+    assert about["simulated"]["e_rms"] == pytest.approx(about["recorded"]["e_rms"], rel=0.5)
+    assert (tmp_path / "w.html").stat().st_size > 1e6
+
+
+def test_compare_bags(bags, tmp_path):
+    done = command("compare", bags / "arc", bags / "oarc", bags / "both", "--json", tmp_path / "c.json",
+                   "--html", tmp_path / "c.html", "--figure", tmp_path / "c.png")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    runs = json.loads((tmp_path / "c.json").read_text())["runs"]
+    assert [r["name"] for r in runs] == ["arc", "oarc", "both/arm", "both/boom"]
+    for run in runs:
+        assert run["name"] in done.stdout
+    assert (tmp_path / "c.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_recover_says_what_it_did(bags, tmp_path):
+    shutil.copytree(bags / "arc", tmp_path / "bag")
+    done = command("bag", "recover", tmp_path / "bag")
+    assert done.returncode == 0 and "nothing was done" in done.stdout
+    file = next((tmp_path / "bag").glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[:-700])
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    torn = command("analyze", tmp_path / "bag")
+    assert torn.returncode == 0 and "unfinished" in torn.stdout and "bag recover" in torn.stdout
+    done = command("bag", "recover", tmp_path / "bag", "--json", tmp_path / "r.json")
+    assert done.returncode == 0 and "is whole again" in done.stdout, done.stderr
+    assert json.loads((tmp_path / "r.json").read_text())["done"] is True
+    mended = command("analyze", tmp_path / "bag")
+    assert mended.returncode == 0 and "unfinished" not in mended.stdout
+
+
+def test_a_real_bag_with_a_mapped_field(tmp_path):
+    done = command("analyze", REAL / "jazzy_mcap_drone_yaw", "--map", "spool_position=/cf_logpos.position.x*2",
+                   "--map", "valve_voltage=/cf_controll.orientation.w", "--json", "-")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    valve = json.loads(done.stdout)["valves"]["valve"]
+    assert valve["timing"]["spool_position"]["messages"] == 88
+    assert valve["sources"]["spool_position"] == "/cf_logpos.position.x*2"
+    assert valve["indices"]["e_rms"] is None and valve["indices"]["u_rms"] is not None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["analyze", "nothing"], ["there is no bag nothing"]),
+        (["analyze", REAL / "README.md"], ["README.md", "not a bag"]),
+        (["analyze", REAL / "jazzy_mcap_drone_yaw"], ["spool_position", "/cf_logpos", "--map"]),
+        (["analyze", "{arc}", "--map", "spool_position=/nothing"], ["/nothing"]),
+        (["analyze", "{arc}", "--map", "spool=/x"], ["--map", "'spool=/x'"]),
+        (["analyze", "{arc}", "--expect", "good"], ["--expect", "e_rms<0.02"]),
+        (["analyze", "{arc}", "--expect", "erms<1"], ["erms", "e_rms"]),
+        (["analyze", "{arc}", "--from", "2", "--to", "1"], ["--to", "--from"]),
+        (["analyze", "{arc}", "--from", "900"], ["no message"]),
+        (["analyze", "{arc}", "--html", "no/such/folder/r.html"], ["r.html", "no folder"]),
+        (["replay", "{both}"], ["boom", "arm", "--of"]),
+        (["replay", "{both}", "--of", "leg"], ["leg", "boom"]),
+        (["replay", "{arc}", "--set", "arc.k1=-1"], ["arc.k1", "between"]),
+        (["replay", "{arc}", "--set", "u_max=nan"], ["u_max"]),
+        (["replay", "{arc}", "--mode", "what-if", "--set", "sample_period=0.5"], ["sample_period"]),
+        (["replay", "{arc}", "--mode", "backwards"], ["backwards", "shadow"]),
+        (["replay", "{arc}", "--mode", "live", "--rate", "0"], ["--rate"]),
+        (["compare", "{arc}", "nothing"], ["nothing"]),
+        (["compare", "{arc}", "--seed", "3"], ["--seed", "simulation"]),
+        (["compare", "--html", "x.html"], ["--html", "bags"]),
+        (["bag", "recover", "nothing"], ["nothing", "exist"]),
+        (["bag", "recover", REAL / "README.md"], ["README.md"]),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_sentence(bags, tmp_path, monkeypatch, capsys, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    names = {name: bags / name for name in ("arc", "oarc", "both")}
+    try:
+        status = main([str(a).format(**names) for a in arguments])
+    except SystemExit as left:
+        status = left.code
+    out, err = capsys.readouterr()
+    assert status == 2 and out == "", out + err
+    lines = err.strip().splitlines()
+    assert len(lines) == 1, err
+    for word in words:
+        assert word in lines[0], lines[0]
