@@ -126,7 +126,8 @@ def test_recover_says_what_it_did(bags, tmp_path):
 
 
 def test_a_real_bag_with_a_mapped_field(tmp_path):
-    done = command("analyze", REAL / "jazzy_mcap_drone_yaw", "--map", "spool_position=/cf_logpos.position.x*2",
+    done = command("analyze", REAL / "jazzy_mcap_drone_yaw",
+                   "--map", "spool_position=/cf_logpos.position.x*2",
                    "--map", "valve_voltage=/cf_controll.orientation.w", "--json", "-")  # fmt: skip
     assert done.returncode == 0, done.stderr
     valve = json.loads(done.stdout)["valves"]["valve"]

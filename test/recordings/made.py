@@ -10,12 +10,14 @@ from valve_control.bags.writer import BagWriter
 from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, VALVE, defaults, updated
 from valve_control.plant import valve
+from valve_control.supervision.memory import remember
 from valve_control.supervision.supervisor import Supervisor
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 T = STORE.types
 FLOAT = "std_msgs/msg/Float64"
 ARRAY = "std_msgs/msg/Float64MultiArray"
+STRING = "std_msgs/msg/String"
 EVENT = "rcl_interfaces/msg/ParameterEvent"
 BEGIN = 1_790_000_000_000_000_000  # ns
 PERIOD = 1_000_000  # ns
@@ -62,6 +64,10 @@ def event(node, values, new=False):
     return bytes(STORE.serialize_cdr(message, EVENT))
 
 
+def string(text):
+    return bytes(STORE.serialize_cdr(T[STRING](text), STRING))
+
+
 def state(labels, values):
     dim = [T["std_msgs/msg/MultiArrayDimension"](label, 1, 1) for label in labels]
     layout = T["std_msgs/msg/MultiArrayLayout"](dim, 0)
@@ -71,7 +77,8 @@ def state(labels, values):
 class Run:
     """A controller on a valve; commands arrive ``ahead`` of a reading, or while it is being answered."""
 
-    def __init__(self, seed=1, namespace="", controller=None, simulator=None):
+    def __init__(self, seed=1, namespace="", controller=None, simulator=None, memory_every=100):
+        self.memory_every = memory_every
         self.random = np.random.default_rng(seed)
         self.namespace = namespace
         self.values = updated(CONTROLLER, defaults(CONTROLLER), controller or {})
@@ -135,6 +142,18 @@ class Run:
                 name = f"{self.namespace}/controller/state"
                 self.messages.append(
                     Message(name, ARRAY, answered + 20_000, 0, state(labels, numbers), answered + 90_000)
+                )
+            if self.supervisor.samples % self.memory_every == 1:
+                name = f"{self.namespace}/controller/memory"
+                self.messages.append(
+                    Message(
+                        name,
+                        STRING,
+                        answered + 30_000,
+                        0,
+                        string(remember(self.supervisor)),
+                        answered + 99_000,
+                    )
                 )
         if command is not None and late:
             self.supervisor.command(command)

@@ -118,14 +118,46 @@ def test_another_controller_in_shadow(tmp_path):
     assert np.corrcoef(result.voltage[100:], result.recorded[100:])[0, 1] > 0.8
 
 
-def test_a_recording_that_begins_in_the_middle_says_so(tmp_path):
-    run = Run()
+def from_the_middle(tmp_path, run, seconds):
+    """The bag of a recorder that came when the controller had run for a while."""
+    later = run.time - round(seconds * 1e9)
+    return write(
+        tmp_path / "bag", run.messages, keep=lambda m: m.topic == "/parameter_events" or m.time > later
+    )
+
+
+@pytest.mark.parametrize("law", ["arc", "oarc", "pid", "compensator"])
+def test_a_recording_that_begins_in_the_middle_begins_with_an_account(tmp_path, law):
+    run = Run(controller={"controller": "pid" if law == "arc" else "arc"})
+    run.move(200)
+    run.change(controller=law)
+    run.move(800)
+    result = shadowed(from_the_middle(tmp_path, run, 0.55))
+    assert result.differing == 0 and 450 <= len(result.voltage) <= 550
+    assert np.array_equal(result.voltage, run.voltages[-len(result.voltage) :])
+    assert any("first account" in text for text in result.left_out)
+
+
+def test_without_an_account_the_middle_is_not_known_and_said(tmp_path):
+    run = Run(memory_every=10**9)
     run.move(300)
-    later = run.time - 150_000_000
-    kept = lambda m: m.topic == "/parameter_events" or m.time > later  # noqa: E731
-    result = shadowed(write(tmp_path / "bag", run.messages, keep=kept))
-    assert any("remembered" in text for text in result.left_out)
+    result = shadowed(from_the_middle(tmp_path, run, 0.15))
+    assert any("not known" in text for text in result.left_out)
     assert result.differing > 0
+
+
+def test_after_something_unknown_an_account_brings_it_back(tmp_path):
+    """Parameters that were changed and changed back while the recorder did not listen."""
+    run = Run()
+    run.move(250)
+    run.change(arc__k1=60.0)
+    run.move(120)
+    run.change(arc__k1=120.0)
+    run.move(500)
+    hidden = [m for m in run.messages if m.topic == "/parameter_events"][-2:]
+    result = shadowed(write(tmp_path / "bag", run.messages, keep=lambda m: m not in hidden))
+    wrong = np.flatnonzero(result.voltage != result.recorded)
+    assert 100 < len(wrong) <= 252 and wrong[0] >= 249 and wrong[-1] < 502
 
 
 def test_without_voltages_the_shadow_still_says_what_it_would_give(tmp_path):

@@ -13,7 +13,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
 from std_srvs.srv import Trigger
 
 from valve_control.nodes import realtime
@@ -23,6 +23,7 @@ from valve_control.nodes.loop import run, stopping
 from valve_control.parameters import build, files, stability
 from valve_control.parameters.table import CONTROLLER, Values
 from valve_control.simulation.closed_loop import LAWS
+from valve_control.supervision.memory import remember
 from valve_control.supervision.supervisor import Mode, Supervisor
 
 LEVELS = {
@@ -56,6 +57,7 @@ class Controller(Managed):
         self._unpaired = False  # lockstep without anybody who commands
         self._message = Float64()
         self._state_message = Float64MultiArray()
+        self._remembered = -(10**9)  # samples at the last account; the first comes at once
         self._last_command = NEVER  # wall time of the last one
         self._commanded = False  # whether there has been an upper level
         self._arrivals: deque[float] = deque(maxlen=WINDOW)
@@ -85,6 +87,7 @@ class Controller(Managed):
         self._supervisor.apply(values, params)
         self._params = params
         self._period = build.number(values, "sample_period")
+        self._remember_every = round(build.number(values, "memory_period") / self._period)
         self._decimation = int(build.number(values, "state_decimation"))
         if values["lockstep"] != self._lockstep:
             self._lockstep = values["lockstep"] is True
@@ -109,6 +112,7 @@ class Controller(Managed):
         """Topics."""
         self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
         self._states = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
+        self._memories = self.create_publisher(String, "~/memory", SAMPLES)
         self._commands = PolledSubscription(self, Float64, "spool_command", SAMPLES)
         self._readings = PolledSubscription(self, Float64, "spool_position", SAMPLES)
 
@@ -119,6 +123,7 @@ class Controller(Managed):
         self._commands.destroy()
         self.destroy_publisher(self._voltages)
         self.destroy_publisher(self._states)
+        self.destroy_publisher(self._memories)
         self._readings = None
 
     def begin(self) -> None:
@@ -204,6 +209,9 @@ class Controller(Managed):
         if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
             self._state_message.data = self._supervisor.telemetry()
             self._states.publish(self._state_message)
+        if 0 < self._remember_every <= self._supervisor.samples - self._remembered:
+            self._remembered = self._supervisor.samples
+            self._memories.publish(String(data=remember(self._supervisor)))
 
     def _elapsed(self, now: float) -> float:
         """Seconds since the last call."""

@@ -1,5 +1,6 @@
 """The parameters of all nodes, asked for without waiting, and kept up to date."""
 
+import functools
 import time
 from collections.abc import Callable
 from typing import Any
@@ -8,10 +9,15 @@ from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 EVENTS = "/parameter_events"
 LIST = "/list_parameters"
 ASK_AGAIN = 3.0  # s; a server that has not yet seen its client does not answer
+# The middleware holds up a server by 0.1 s for each answer to a client that it has not yet seen, and with it
+# a running control loop: a server that we have just seen gets this long to see us.
+ACQUAINT = 1.0  # s
 
 
 class Question:
@@ -25,13 +31,19 @@ class Question:
         self._request: Any = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
         self._future: Any = None
         self._asked = 0.0
+        self._seen: float | None = None  # since when the servers are there
         self.events: list[ParameterEvent] = []  # changes since the beginning
 
     def answer(self) -> list[Parameter] | None:
         """The parameters once they have come."""
         now = time.monotonic()
         if self._future is None or (not self._future.done() and now > self._asked + ASK_AGAIN):
-            if not self._client.service_is_ready():
+            if not (self._list.service_is_ready() and self._get.service_is_ready()):
+                self._seen = None
+                return None
+            if self._seen is None:
+                self._seen = now
+            if now < self._seen + ACQUAINT:
                 return None
             if self._future is not None:
                 self._client.remove_pending_request(self._future)
@@ -130,4 +142,19 @@ class Snapshots:
     def _write_one(self, name: str) -> None:
         event = ParameterEvent(node=name, new_parameters=list(self._values[name].values()))
         event.stamp = self._node.get_clock().now().to_msg()
-        self._write(serialize_message(event))
+        self._write(exact(serialize_message(event)))
+
+
+def exact(data: bytes) -> bytes:
+    """A ParameterEvent without the spare bytes that rclpy leaves at its end, which strict readers refuse."""
+    store = types()
+    definition = store.get_msgdef("rcl_interfaces/msg/ParameterEvent")
+    decode = definition.deserialize_cdr_le if data[1] else definition.deserialize_cdr_be
+    _, end = decode(data[4:], 0, definition.cls, store)
+    return data[: 4 + end]
+
+
+@functools.cache
+def types() -> Typestore:
+    """Message types of Jazzy."""
+    return get_typestore(Stores.ROS2_JAZZY)

@@ -204,6 +204,15 @@ CONTROLLER: Table = (
     ),
     Parameter("state_decimation", 10, "", "every n-th sample appears on ~/state; 0: none", 0, 100000),
     Parameter(
+        "memory_period",
+        1.0,
+        "s",
+        "time between two accounts of all that the controller remembers, on ~/memory, with which a recording "
+        "can be replayed from its middle; 0.0: none",
+        0.0,
+        3600.0,
+    ),
+    Parameter(
         "command_timeout",
         0.5,
         "s",

@@ -61,6 +61,7 @@ class Valve(NamedTuple):
     signals: dict[str, Samples]  # by part
     recorded: dict[str, Samples]  # likewise, with what cannot be used: NaN, other publishers
     state: State | None
+    memories: list[tuple[int, str]]  # what the controller remembered, with source times [ns]
     controller: parameters.Node | None
     simulator: parameters.Node | None
     problems: list[str]
@@ -112,11 +113,11 @@ def load(
     labels = {name: _labels(bag, name) for name in states}
     for name in states:
         wanted[name] = [f"data[{label}]" for label in STATE_FIELDS]
-    events = {parameters.TOPIC} & set(bag.topics)
+    raw = {parameters.TOPIC, *(_memory_topic(name) for name in states)} & set(bag.topics)
     begin = bag.begin if start is not None or end is not None else 0
     series = bag.read(
         wanted,
-        raw=events,
+        raw=raw,
         sparse=states,
         start=None if start is None else begin + round(start * 1e9),
         end=None if end is None else begin + round(end * 1e9),
@@ -129,6 +130,11 @@ def load(
     if not any(len(s.time) for valve in valves.values() for s in valve.signals.values()):
         raise BagError(f"{path} has no message on any topic of a valve, so there is nothing to analyse")
     return Recording(bag, valves, nodes, bag.problems)
+
+
+def _memory_topic(state: str) -> str:
+    """Topic on which the controller with this topic of its state says what it remembers."""
+    return f"{state.removesuffix('/state')}/memory"
 
 
 def _labels(bag: Bag, topic: str) -> list[str]:
@@ -153,6 +159,11 @@ def _valve(
         got = series[topics.state]
         named = {label: got.values[f"data[{label}]"] for label in STATE_FIELDS}
         state = State(got.publish_time, labels, named)
+    memories: list[tuple[int, str]] = []
+    told = series.get(_memory_topic(topics.state))
+    if told is not None:
+        texts = [raw[8:].rstrip(b"\0").decode(errors="replace") for raw in told.raw]
+        memories = sorted(zip(told.publish_time.tolist(), texts, strict=True))
     for part in ("spool_command", "spool_position", "valve_voltage"):
         if part not in signals:
             problems.append(f"{topics.name} has no {part}; what needs it is left out")
@@ -166,6 +177,7 @@ def _valve(
         signals,
         recorded,
         state,
+        memories,
         kinds.get("controller"),
         kinds.get("valve_simulator"),
         problems,

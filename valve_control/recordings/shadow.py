@@ -7,6 +7,7 @@ reading was being answered came before or after is not: both are tried, and the 
 
 import math
 from bisect import bisect_left
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, ParameterError, Values, defaults, updated
 from valve_control.recordings.parameters import Change
 from valve_control.recordings.recording import Valve, seconds
+from valve_control.supervision.memory import recall
 from valve_control.supervision.supervisor import Supervisor
 
 Floats = npt.NDArray[np.float64]
@@ -140,7 +142,7 @@ class _Replay:
         if self._wrong >= HOPELESS:
             self._left_out.append(
                 f"{HOPELESS} voltages in a row differ from the recording: from there on commands are taken "
-                "by their source times alone"
+                "by their source times alone, until the controller's next account of what it remembers"
             )
         if self._silences:
             self._left_out.append(
@@ -184,27 +186,67 @@ class _Replay:
     def _with_voltages(self, told: Callable[[int], None] | None) -> Iterator[Row]:
         """The reading that each recorded voltage answers, when it was answered."""
         assert self._voltages is not None
-        if self._voltages.sequence[0] > 1:
-            self._left_out.append(
-                f"the recording begins with voltage {self._voltages.sequence[0]} of the controller; what its "
-                "law remembered then is not known"
-            )
-        memory = self._supervisor.snapshot()
-        newest = max(0, bisect_left(self._stamps, self._sent[0]) - 1)
-        oldest = max(0, newest - START) if self._faithful and not self._lockstep else newest
-        paths = [Path(reading, 0, memory, (), ()) for reading in range(newest, oldest - 1, -1)]
-        last = self._sent[0]
-        for k, (moment, wanted) in enumerate(zip(self._sent, self._voltages.value.tolist(), strict=True)):
+        begin, paths = self._beginning()
+        accounts = deque(account for account in self._valve.memories if account[0] > self._sent[begin])
+        wanted = self._voltages.value.tolist()
+        last = self._sent[begin]
+        for k in range(begin, len(wanted)):
+            moment = self._sent[k]
             changes = self._changes_before(moment)
             elapsed = 0.0 if self._lockstep else (moment - last) * 1e-9
             last = moment
-            paths = self._step(paths, changes, moment, elapsed, wanted)
+            paths = self._step(paths, changes, moment, elapsed, wanted[k])
+            until = self._sent[k + 1] if k + 1 < len(wanted) else math.inf
+            while accounts and accounts[0][0] < until:
+                time, text = accounts.popleft()
+                if self._wrong and time > moment and self._faithful and recall(self._supervisor, text):
+                    yield from self._settled(paths[0])
+                    paths = [self._path_from(time)]
+                    self._wrong = 0
             if len(paths) == 1:
                 yield from self._settled(paths[0])
                 paths = [paths[0]._replace(rows=(), notes=())]
             if told is not None and k % REPORT == REPORT - 1:
                 told(REPORT)
         yield from self._settled(paths[0])
+
+    def _beginning(self) -> tuple[int, list[Path]]:
+        """The first voltage to answer and how it may have come about: at rest, or after an account."""
+        assert self._voltages is not None
+        number = int(self._voltages.sequence[0])
+        if number > 1 and self._faithful:
+            for time, text in self._valve.memories:
+                for change in self._changes_before(time):
+                    self._apply(change)
+                begin = bisect_left(self._sent, time)
+                if begin < len(self._sent) and recall(self._supervisor, text):
+                    if begin:
+                        self._left_out.append(
+                            f"{begin} voltages before the controller's first account of what it remembers"
+                        )
+                    return begin, [self._path_from(time)]
+            self._left_out.append(
+                f"the recording begins with voltage {number} of the controller; what it remembered then is "
+                "not known"
+            )
+        memory = self._current = self._supervisor.snapshot()
+        newest = max(0, bisect_left(self._stamps, self._sent[0]) - 1)
+        oldest = max(0, newest - START) if self._faithful and not self._lockstep else newest
+        return 0, [Path(reading, 0, memory, (), ()) for reading in range(newest, oldest - 1, -1)]
+
+    def _path_from(self, time: int) -> Path:
+        """Where the supervisor is now, which has just recalled what it remembered at ``time`` [ns]."""
+        number, command = self._supervisor.last_inputs
+        reading = bisect_left(self._stamps, time)
+        if self._numbered and number is not None:
+            at = bisect_left(self._numbers, number)
+            if at < len(self._numbers) and self._numbers[at] == number:
+                reading = at + 1
+        taken = self._sent_before(time)
+        while taken > 0 and command is not None and self._command_values[taken - 1] != command:
+            taken -= 1
+        memory = self._current = self._supervisor.snapshot()
+        return Path(reading, 0 if command is None else taken, memory, (), ())
 
     def _settled(self, path: Path) -> Iterator[Row]:
         """What is certain of a path."""

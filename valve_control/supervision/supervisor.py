@@ -196,6 +196,22 @@ class Supervisor:
         if self._monitor is not None:
             vars(self._monitor).update(watched)
 
+    @property
+    def last_inputs(self) -> tuple[int | None, float | None]:
+        """Number of the last reading, and the command [V] in force."""
+        return self._sequence, self._command
+
+    def monitor_memory(self) -> dict[str, Any]:
+        """What the watch over the LVDT remembers."""
+        return (
+            {} if self._monitor is None else {k: v for k, v in vars(self._monitor).items() if k != "params"}
+        )
+
+    def recall_monitor(self, memory: dict[str, Any]) -> None:
+        """Give the watch over the LVDT its memory back."""
+        if self._monitor is not None:
+            vars(self._monitor).update(memory)
+
     # Inputs
 
     def command(self, value: float) -> None:
