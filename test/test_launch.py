@@ -31,7 +31,7 @@ def test_launch_file_names_only_what_exists(path):
         assert arg.get("default") is not None and arg.get("description"), arg.get("name")
     used = set(VARIABLE.findall(path.read_text(encoding="utf-8")))
     assert used <= set(declared) and set(declared) - used == set()
-    executables = re.search(r"NODES = \[(.*?)\]", (ROOT / "setup.py").read_text()).group(1)
+    executables = re.search(r"NODES = \[(.*?)\]", (ROOT / "setup.py").read_text(), re.DOTALL).group(1)
     for node in root.iter("node"):
         assert node.get("pkg") == "valve_control" and f'"{node.get("exec")}"' in executables
         for param in node.findall("param"):
@@ -48,6 +48,10 @@ def test_launch_file_names_only_what_exists(path):
                 ]
             for choice in choices:
                 assert (ROOT / folder / choice).is_file(), choice
+    recorders = [node for node in root.iter("node") if node.get("exec") == "recorder"]
+    for recorder in recorders:
+        assert recorder.get("if") == "$(var record)" and recorder.find("param").get("value") == "$(var bag)"
+    assert len(recorders) == (path.name == "valve.launch.xml")
     for include in root.iter("include"):
         target = ROOT / include.get("file").split("valve_control)/")[1]
         known = arguments(ET.parse(target).getroot())

@@ -26,6 +26,7 @@ from valve_control.supervision.supervisor import Supervisor
 Floats = npt.NDArray[np.float64]
 Row = tuple[int, float, float, float]  # reading, command [V], recorded and shadow voltage [V]
 TAKING = 60_000  # ns from taking commands to publishing the voltage, about
+FIRST = 40  # voltages by which a beginning at rest is known
 HOPELESS = 20  # samples in a row that differ, after which the recorded voltage no longer decides
 QUEUE = 12  # readings, a little more than wait at most for a controller that stood still
 HELD_BACK = 50  # commands that a reliable reader may hold back while it waits for a lost one
@@ -213,26 +214,50 @@ class _Replay:
     def _beginning(self) -> tuple[int, list[Path]]:
         """The first voltage to answer and how it may have come about: at rest, or after an account."""
         assert self._voltages is not None
-        number = int(self._voltages.sequence[0])
-        if number > 1 and self._faithful:
-            for time, text in self._valve.memories:
-                for change in self._changes_before(time):
-                    self._apply(change)
-                begin = bisect_left(self._sent, time)
-                if begin < len(self._sent) and recall(self._supervisor, text):
-                    if begin:
-                        self._left_out.append(
-                            f"{begin} voltages before the controller's first account of what it remembers"
-                        )
-                    return begin, [self._path_from(time)]
-            self._left_out.append(
-                f"the recording begins with voltage {number} of the controller; what it remembered then is "
-                "not known"
-            )
+        at_rest = self._paths_at_rest()
+        if not self._faithful or self._explains_the_first(at_rest):
+            return 0, at_rest
+        for time, text in self._valve.memories:
+            begin = bisect_left(self._sent, time)
+            if time < self._stamps[0] or begin == len(self._sent):
+                continue
+            for change in self._changes_before(time):
+                self._apply(change)
+            if recall(self._supervisor, text) and self._has_next_reading():
+                self._left_out.append(
+                    f"{begin} voltages come before the controller's first account of what it remembers, and "
+                    "not from its beginning"
+                )
+                return begin, [self._path_from(time)]
+        self._left_out.append(
+            f"the recording begins with voltage {self._voltages.sequence[0]} of the controller; what it "
+            "remembered then is not known"
+        )
+        return 0, at_rest
+
+    def _has_next_reading(self) -> bool:
+        """Whether the reading after the one that the supervisor had last is in the bag."""
+        number, _ = self._supervisor.last_inputs
+        return not self._numbered or number is None or number + 1 >= self._numbers[0]
+
+    def _paths_at_rest(self) -> list[Path]:
         memory = self._current = self._supervisor.snapshot()
         newest = max(0, bisect_left(self._stamps, self._sent[0]) - 1)
         oldest = max(0, newest - START) if self._faithful and not self._lockstep else newest
-        return 0, [Path(reading, 0, memory, (), ()) for reading in range(newest, oldest - 1, -1)]
+        return [Path(reading, 0, memory, (), ()) for reading in range(newest, oldest - 1, -1)]
+
+    def _explains_the_first(self, paths: list[Path]) -> bool:
+        """Whether a controller that begins at rest gives the first voltages."""
+        assert self._voltages is not None
+        begin, changes, last = paths[0].memory, list(self._changes), self._sent[0]
+        for moment, wanted in zip(self._sent[:FIRST], self._voltages.value[:FIRST].tolist(), strict=True):
+            elapsed = 0.0 if self._lockstep else (moment - last) * 1e-9
+            last = moment
+            paths = self._step(paths, self._changes_before(moment), moment, elapsed, wanted)
+        wrong, self._wrong, self._changes = self._wrong, 0, changes
+        self._supervisor.restore(begin)
+        self._current = begin
+        return wrong == 0
 
     def _path_from(self, time: int) -> Path:
         """Where the supervisor is now, which has just recalled what it remembered at ``time`` [ns]."""
