@@ -118,6 +118,7 @@ class Snapshots:
             question.destroy()
             del self._questions[name]
             self._write_one(name)
+            self._node.get_logger().info(f"has the {len(values)} parameters of {name}")
 
     def observe(self, data: bytes) -> None:
         """Take in a serialized ParameterEvent that was received."""

@@ -217,6 +217,7 @@ class _Replay:
         at_rest = self._paths_at_rest()
         if not self._faithful or self._explains_the_first(at_rest):
             return 0, at_rest
+        changes = list(self._changes)
         for time, text in self._valve.memories:
             begin = bisect_left(self._sent, time)
             if time < self._stamps[0] or begin == len(self._sent):
@@ -233,6 +234,7 @@ class _Replay:
             f"the recording begins with voltage {self._voltages.sequence[0]} of the controller; what it "
             "remembered then is not known"
         )
+        self._changes, self._current = changes, None
         return 0, at_rest
 
     def _has_next_reading(self) -> bool:
