@@ -10,6 +10,7 @@ import numpy.typing as npt
 from valve_control.analysis.figures import COLOURS
 
 Floats = npt.NDArray[np.float64]
+MARKS = 50  # vertical lines at most
 POINTS = 8000  # of one line; more are drawn as the envelope of their extremes
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #1c2530 }
@@ -55,12 +56,18 @@ def envelope(x: Floats, y: Floats, points: int = POINTS) -> tuple[Floats, Floats
     return x[index], y[index]
 
 
-def figure(plots: Sequence[Plot], x_title: str, logarithmic_x: bool = False, height: int = 240) -> str:
-    """Plots below each other with one horizontal axis, as a piece of HTML."""
+def figure(
+    plots: Sequence[Plot],
+    x_title: str,
+    logarithmic_x: bool = False,
+    height: int = 220,
+    marks: Sequence[float] = (),
+) -> str:
+    """Plots below each other with one horizontal axis, as a piece of HTML; ``marks`` are vertical lines."""
     import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
-    result = make_subplots(rows=len(plots), cols=1, shared_xaxes=True, vertical_spacing=0.04)
+    result = make_subplots(rows=len(plots), cols=1, shared_xaxes=True, vertical_spacing=0.12 / len(plots))
     named: set[str] = set()
     for row, plot in enumerate(plots, start=1):
         for i, line in enumerate(plot.lines):
@@ -80,6 +87,8 @@ def figure(plots: Sequence[Plot], x_title: str, logarithmic_x: bool = False, hei
         result.update_yaxes(
             title_text=plot.title, type="log" if plot.logarithmic else "linear", row=row, col=1
         )
+    for mark in marks[:MARKS]:
+        result.add_vline(x=mark, line={"width": 1, "dash": "dot", "color": "#8a4b00"})
     result.update_xaxes(type="log" if logarithmic_x else "linear")
     result.update_xaxes(title_text=x_title, row=len(plots), col=1)
     result.update_layout(

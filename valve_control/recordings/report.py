@@ -116,13 +116,17 @@ def write_html(path: Path, study: Study) -> None:
 def _sections(study: Study) -> dict[str, str]:
     about = as_dict(study)["bag"]
     sections = {
-        "Bag": table(["", ""], [(key, value) for key, value in about.items() if key != "topics"])
+        "Bag": table(["", ""], [(key, _plain(value)) for key, value in about.items() if key != "topics"])
         + table(["topic", "type"], list(about["topics"].items()))
         + notes(study.left_out)
     }
     for name, valve in study.valves.items():
         sections.update(_valve_sections(name, valve))
     return sections
+
+
+def _plain(value: Any) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, list) else "" if value is None else str(value)
 
 
 def index_table(rows: list[tuple[str, str, Indices, str]]) -> str:
@@ -149,7 +153,10 @@ def _valve_sections(name: str, valve: ValveStudy) -> dict[str, str]:
                 )
             )
         sections[f"{name}: indices"] = index_table(rows) + notes(valve.left_out)
-        sections[f"{name}: signals"] = figure(_signal_plots(valve), "time [s]")
+        changes = valve.valve.controller.changes if valve.valve.controller is not None else []
+        begin_stamp = int(valve.signals.stamp[0])
+        marks = [(change.time - begin_stamp) * 1e-9 for change in changes]
+        sections[f"{name}: signals"] = figure(_signal_plots(valve), "time [s]", marks=marks)
         detail = _detail(valve)
         if detail:
             sections[f"{name}: around the largest error, sample by sample"] = detail
