@@ -5,6 +5,7 @@ walking through one message; it holds for every message of the same size with th
 places, which is all of them for most topics.
 """
 
+import functools
 import re
 import struct
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from valve_control.bags.batch import Bytes, Integers, Topic
 from valve_control.bags.errors import BagError
@@ -176,6 +178,12 @@ def normal(field: str) -> tuple[str, str | None]:
     return rebuilt[: -len(parts[-1][1]) - 2], parts[-1][1]
 
 
+@functools.cache
+def jazzy() -> Typestore:
+    """Message types of ROS 2 Jazzy."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
 def types_of(topic: Topic) -> Any:
     """Field definitions for the topic's type: the bag's own, else those of ROS 2 Jazzy. Raises BagError."""
     if topic.definition and topic.type:
@@ -189,12 +197,12 @@ def types_of(topic: Topic) -> Any:
                 return store.fielddefs
         except Exception:  # the parser raises what it meets; the distribution's definition is as good
             pass
-    jazzy = get_typestore(Stores.ROS2_JAZZY).fielddefs
-    if topic.type not in jazzy:
+    known = jazzy().fielddefs
+    if topic.type not in known:
         raise BagError(
             f"{topic.name} has the type {topic.type or 'unknown'}, of which the bag has no definition"
         )
-    return jazzy
+    return known
 
 
 def _gather(

@@ -1,13 +1,11 @@
 """Parameters of the nodes as a bag holds them: rcl_interfaces/ParameterEvent on /parameter_events."""
 
-import functools
 import struct
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from rosbags.typesys import Stores, get_typestore
-
 from valve_control.bags.bag import Series
+from valve_control.bags.cdr import jazzy
 from valve_control.parameters.table import NODES, ParameterError, Values, defaults, lookup, updated
 
 TOPIC = "/parameter_events"
@@ -98,19 +96,14 @@ def history(events: Series | None, problems: list[str]) -> dict[str, Node]:
     return nodes
 
 
-@functools.cache
-def _types() -> Any:
-    return get_typestore(Stores.ROS2_JAZZY)
-
-
 def _event(raw: bytes) -> Any:
     """The message, None if it cannot be decoded. What rclpy serializes may have bytes to spare at its end."""
-    definition = _types().get_msgdef(TYPE)
+    definition = jazzy().get_msgdef(TYPE)
     if len(raw) < 4 or raw[0] != 0 or raw[1] > 1:
         return None
     decode = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
     try:
-        return decode(raw[4:], 0, definition.cls, _types())[0]
+        return decode(raw[4:], 0, definition.cls, jazzy())[0]
     except (struct.error, ValueError, IndexError):
         return None
 
