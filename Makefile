@@ -41,7 +41,7 @@ lockstep: $(STAMP)  ## three processes in lockstep, compared bit for bit with of
 	@$(PYTHON) -m valve_control.nodes.lockstep $(ARGS)
 
 bench: $(STAMP)  ## benchmarks, as ratios measured in one run (ARGS="--seconds 3600" for an hour's bags)
-	@$(PYTHON) -m bench $(ARGS)
+	@$(PYTHON) -m benchmarks $(ARGS)
 
 test: $(STAMP)  ## all tests
 	@$(PYTHON) -m pytest $(PYTEST_ARGS)

@@ -1,6 +1,5 @@
 """The parameters of all nodes, asked for without waiting, and kept up to date."""
 
-import functools
 import time
 from collections.abc import Callable
 from typing import Any
@@ -9,8 +8,6 @@ from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
 EVENTS = "/parameter_events"
 LIST = "/list_parameters"
@@ -143,19 +140,4 @@ class Snapshots:
     def _write_one(self, name: str) -> None:
         event = ParameterEvent(node=name, new_parameters=list(self._values[name].values()))
         event.stamp = self._node.get_clock().now().to_msg()
-        self._write(exact(serialize_message(event)))
-
-
-def exact(data: bytes) -> bytes:
-    """A ParameterEvent without the spare bytes that rclpy leaves at its end, which strict readers refuse."""
-    store = types()
-    definition = store.get_msgdef("rcl_interfaces/msg/ParameterEvent")
-    decode = definition.deserialize_cdr_le if data[1] else definition.deserialize_cdr_be
-    _, end = decode(data[4:], 0, definition.cls, store)
-    return data[: 4 + end]
-
-
-@functools.cache
-def types() -> Typestore:
-    """Message types of Jazzy."""
-    return get_typestore(Stores.ROS2_JAZZY)
+        self._write(serialize_message(event))

@@ -1,4 +1,4 @@
-"""``python -m bench``: all benchmarks; exit status 1 if a wanted ratio is missed."""
+"""``python -m benchmarks``: all benchmarks; exit status 1 if a wanted ratio is missed."""
 
 import argparse
 import json
@@ -6,12 +6,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-from bench import bags
+from benchmarks import bags
 
 
 def main() -> int:
     """Run them."""
-    options = argparse.ArgumentParser(prog="bench", description=__doc__)
+    options = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
     options.add_argument("--seconds", type=float, default=300.0, help="length of the bags (300)")
     options.add_argument("--out", default="out", metavar="FOLDER", help="output folder (out)")
     arguments = options.parse_args()
