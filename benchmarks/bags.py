@@ -1,4 +1,4 @@
-"""Reading a bag column by column against a plain rosbags loop over the same bag, and what an analysis takes."""
+"""Reading a bag column by column against a plain rosbags loop over it, and what an analysis takes."""
 
 import resource
 import struct
@@ -79,11 +79,12 @@ def run(folder: Path, seconds: float) -> dict[str, Any]:
         slow, same = plain_loop(bag)
         assert count == same
         began = time.perf_counter()
+        report = ["--html", str(folder / "report.html"), "--json", str(folder / "report.json")]
         subprocess.run(
-            [sys.executable, "-m", "valve_control.cli", "analyze", str(bag), "--html", str(folder / "report.html"),
-             "--json", str(folder / "report.json")],
-            check=True, stdout=subprocess.DEVNULL,
-        )  # fmt: skip
+            [sys.executable, "-m", "valve_control.cli", "analyze", str(bag), *report],
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
         took = time.perf_counter() - began
         memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
         results[storage] = {

@@ -510,7 +510,7 @@ RECORDER: Table = (
         [""],
         "",
         "regular expressions, one of which must match the whole name of a topic; empty: commands, readings, "
-        "voltages and states of all valves, /diagnostics and /clock. /parameter_events is always recorded",
+        "voltages, states and memories of all valves, /diagnostics and /clock; /parameter_events always",
     ),
     Parameter("max_size", 0.0, "MB", "size after which the bag's next file begins; 0.0: never", 0.0, 1e6),
     Parameter("max_duration", 0.0, "s", "time after which the bag's next file begins; 0.0: never", 0.0, 1e6),
