@@ -86,7 +86,7 @@ class McapFile:
     with a file that can be read in part.
     """
 
-    def __init__(self, path: Path, content: bytes | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self.problems: list[str] = []
         self.topics: list[Topic] = []
@@ -96,20 +96,18 @@ class McapFile:
         self._channels: dict[int, int] = {}  # channel → topic
         self._table = np.full(65536, -1, dtype=np.int64)  # likewise, for whole columns
         self._known = 0
-        self._buffer = self._map(content)
+        self._buffer = self._map()
         self.size = len(self._buffer)
         self._chunks: list[ChunkPlace] = []
         self._loose = False  # whether messages stand outside of chunks
         self._index()
 
-    def _map(self, content: bytes | None) -> Bytes:
-        if content is not None:
-            buffer = np.frombuffer(content, dtype=np.uint8)
-        else:
-            with self.path.open("rb") as stream:
-                if self.path.stat().st_size == 0:
-                    raise BagError(f"{self.path} is empty")
-                buffer = np.frombuffer(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ), dtype=np.uint8)
+    def _map(self) -> Bytes:
+        if self.path.stat().st_size == 0:
+            raise BagError(f"{self.path} is empty")
+        with self.path.open("rb") as stream:
+            self._mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+        buffer = np.frombuffer(self._mapped, dtype=np.uint8)
         if bytes(buffer[: len(MAGIC)]) != MAGIC:
             raise BagError(f"{self.path} is not an MCAP file: it does not begin with MCAP's magic bytes")
         return buffer
@@ -129,9 +127,10 @@ class McapFile:
             while at < self.size:
                 at, messages, others = self._records(self._buffer, at, self.size)
                 yield from self._chosen(self._buffer, messages, start, end)
+                self._release(done, at)
                 if told is not None:
                     told(at - done)
-                    done = at
+                done = at
                 if len(messages) == 0 and len(others) == 0:
                     break
         for place in self._chunks:
@@ -147,13 +146,21 @@ class McapFile:
                     if at == before:
                         self.problems.append(f"{self.path}: the chunk at byte {place.begin} is damaged")
                         break
-            if told is not None and not self._loose:
-                told(max(0, place.begin + place.length - done))
+            self._release(place.begin, place.begin + place.length)
+            if not self._loose:
+                if told is not None:
+                    told(max(0, place.begin + place.length - done))
                 done = place.begin + place.length
         if told is not None:
             told(max(0, self.size - done))
 
     # How
+
+    def _release(self, begin: int, end: int) -> None:
+        """Give back the memory behind a part of the file that has been read."""
+        start = -(-begin // mmap.PAGESIZE) * mmap.PAGESIZE
+        if end > start:
+            self._mapped.madvise(mmap.MADV_DONTNEED, start, end - start)
 
     def _records(self, buffer: Bytes, start: int, end: int) -> tuple[int, Integers, Integers]:
         messages = np.empty((WINDOW, 6), dtype=np.int64)
@@ -220,6 +227,7 @@ class McapFile:
                     self._learn(data, others)
                     if inner == before:
                         break
+        self._release(0, self.size)
 
     def _record(self, kind: Any, buffer: Bytes, begin: int, length: int) -> Any:
         """A record read by the library, None (and a problem) if it is damaged."""
