@@ -284,8 +284,7 @@ def no_topics(folder):
         (empty_folder, ["empty", "not a bag"]),
         (unknown_version, ["12", "9"]),
         (missing_file, ["none of the files"]),
-        (broken_yaml, ["metadata.yaml", "YAML"]),
-        (no_topics, ["x.mcap", "no topics"]),
+        (no_topics, ["x.mcap", "no topics that can be read"]),
     ],
 )
 def test_what_is_no_bag_is_said_in_one_sentence(tmp_path, make, words):
@@ -294,6 +293,11 @@ def test_what_is_no_bag_is_said_in_one_sentence(tmp_path, make, words):
     assert "\n" not in str(caught.value)
     for word in words:
         assert word in str(caught.value)
+
+
+def test_metadata_that_cannot_be_read_does_not_matter(tmp_path):
+    bag = Bag(broken_yaml(tmp_path))
+    assert "/cf_logpos" in bag.topics and any("metadata.yaml" in problem for problem in bag.problems)
 
 
 def test_one_bad_file_of_several_is_left_out(tmp_path):

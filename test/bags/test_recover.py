@@ -287,3 +287,17 @@ def test_a_bag_on_a_read_only_disk_is_one_sentence(tmp_path, whole):
     torn(tmp_path / "bag", data[: ends[4]]).chmod(0o444)
     with pytest.raises(BagError, match="cannot be mended: Permission denied"):
         recover(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("name", ["kilted_mcap_file_zstd", "rosbag2_sqlite3_message_zstd_split"])
+@pytest.mark.parametrize("metadata_left", [True, False])
+def test_what_rosbag2_compressed_is_refused_and_not_touched(tmp_path, name, metadata_left):
+    """Mended as if it were not compressed, a part of it would be read no more."""
+    bag = tmp_path / "bag"
+    shutil.copytree(Path(__file__).resolve().parents[1] / "data" / "bags" / name, bag)
+    if not metadata_left:
+        (bag / "metadata.yaml").unlink()
+    before = {path.name: path.read_bytes() for path in bag.iterdir()}
+    with pytest.raises(BagError, match="compressed by rosbag2"):
+        recover(bag)
+    assert {path.name: path.read_bytes() for path in bag.iterdir()} == before

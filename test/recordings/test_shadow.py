@@ -107,6 +107,23 @@ def test_nan_readings_and_a_jump_are_refused_as_they_were(tmp_path):
     assert result.differing == 0 and np.array_equal(result.voltage, run.voltages)
 
 
+@pytest.mark.parametrize("length", [100, 1500])
+def test_a_long_time_at_0_v_leaves_few_ways(tmp_path, length):
+    """Readings lost while nothing tells which: it must end soon, and be exact afterwards."""
+    run = Run()
+    run.move(300)
+    for k in range(length):
+        run.time += 1_000_000
+        run.put("spool_position", run.time, 99.0)
+        if k not in (40, 41, 60):
+            voltage = run.supervisor.sample(99.0, run.counts["spool_position"], 0.001)
+            run.put("valve_voltage", run.time + 150_000, voltage)
+            run.voltages.append(voltage)
+    run.move(400)
+    result = shadowed(write(tmp_path / "bag", run.messages))
+    assert result.differing == 0 and np.array_equal(result.voltage[-300:], run.voltages[-300:])
+
+
 def test_another_controller_in_shadow(tmp_path):
     run = Run()
     run.move(500)

@@ -62,7 +62,9 @@ class Bag:
                         f"{topic.name} has two types, {known.type} and {topic.type}; the second is left out"
                     )
         if not self.topics:
-            raise BagError(f"{self.path} is an empty bag: it has no topics")
+            reasons = f": {'; '.join(self.problems)}" if self.problems else ""
+            self.close()
+            raise BagError(f"{self.path} has no topics that can be read{reasons}")
 
     @property
     def size(self) -> int:
@@ -79,6 +81,11 @@ class Bag:
         """Log time [ns] of the first message, 0 without any."""
         firsts = (next(file.batches(), None) for file in self._files)
         return min((int(batch.log_time.min()) for batch in firsts if batch is not None), default=0)
+
+    def close(self) -> None:
+        """Give files back; nothing can be read any more."""
+        for file in self._files:
+            file.close()
 
     # Reading
 
@@ -134,10 +141,17 @@ class Bag:
 
     def first(self, name: str) -> bytes | None:
         """First message of a topic, None if it has none."""
+        return next(iter(self.first_messages(name, 1)), None)
+
+    def first_messages(self, name: str, count: int) -> list[bytes]:
+        """At most ``count`` messages of a topic from its beginning."""
+        found: list[bytes] = []
         for _, batch in self.batches([name]):
-            at = int(batch.offset[0])
-            return batch.buffer[at : at + int(batch.length[0])].tobytes()
-        return None
+            for at, size in zip(batch.offset.tolist(), batch.length.tolist(), strict=True):
+                if len(found) == count:
+                    return found
+                found.append(batch.buffer[at : at + size].tobytes())
+        return found
 
     # How
 
@@ -163,7 +177,13 @@ class Bag:
         return files
 
     def _listed(self) -> list[Path]:
-        told = bag_metadata.read(self.path)
+        try:
+            told = bag_metadata.read(self.path)
+        except bag_metadata.UnknownVersionError:
+            raise
+        except BagError as error:
+            self._complain(f"{error}; it is not used (valve-control bag recover writes it anew)")
+            return self._found(complain=False)
         self.version = told.version
         self.distribution = told.ros_distro
         self.compression = told.compression_mode.lower() if told.compression_mode.lower() != "none" else ""
@@ -177,13 +197,15 @@ class Bag:
             raise BagError(f"{self.path} has none of the files that its metadata.yaml names")
         return [path for path in paths if path.exists()]
 
-    def _found(self) -> list[Path]:
+    def _found(self, complain: bool = True) -> list[Path]:
         paths = [p for p in self.path.iterdir() if _plain_suffix(p) in KINDS]
         if not paths:
             raise BagError(f"{self.path} is not a bag: it has neither metadata.yaml nor .mcap nor .db3 files")
-        self._complain(
-            f"{self.path} is unfinished: it has no metadata.yaml (valve-control bag recover makes it whole)"
-        )
+        if complain:
+            self._complain(
+                f"{self.path} is unfinished: it has no metadata.yaml "
+                "(valve-control bag recover makes it whole)"
+            )
         return sorted(paths, key=lambda p: (len(p.name), p.name))
 
     def _file(self, path: Path) -> McapFile | SqliteFile:

@@ -117,6 +117,10 @@ class McapFile:
         """The rosbag2 metadata that the file holds as YAML, "" if none."""
         return self._metadata.get("serialized_metadata", "")
 
+    def close(self) -> None:
+        """Give back the memory; the file itself is closed already."""
+        self._release(0, self.size)
+
     def batches(
         self, start: int | None = None, end: int | None = None, told: Callable[[int], None] | None = None
     ) -> Iterator[Batch]:

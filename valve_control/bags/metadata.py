@@ -211,6 +211,8 @@ def read(folder: Path) -> Metadata:
         raise BagError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
     try:
         return _metadata(tree)
+    except _Unknown as error:
+        raise UnknownVersionError(f"{path}: {error}") from error
     except _Wrong as error:
         raise BagError(f"{path}: {error}") from error
 
@@ -232,8 +234,16 @@ def parse_qos(profiles: object) -> tuple[Qos, ...]:
         raise BagError(f"offered_qos_profiles: {error}") from error
 
 
+class UnknownVersionError(BagError):
+    """A bag of a version that is not known."""
+
+
 class _Wrong(ValueError):
     """What is wrong with a part of the file."""
+
+
+class _Unknown(_Wrong):
+    """A version that is not known."""
 
 
 def _get(tree: object, key: str, kind: type[T]) -> T:
@@ -253,7 +263,7 @@ def _metadata(tree: object) -> Metadata:
     bag = _get(tree, ROOT, dict)
     version = _get(bag, "version", int)
     if version > VERSION:
-        raise _Wrong(f"it is of version {version}; versions up to {VERSION} are known")
+        raise _Unknown(f"it is of version {version}; versions up to {VERSION} are known")
     return Metadata(
         storage_identifier=_get(bag, "storage_identifier", str),
         starting_time=_start(bag),

@@ -1,5 +1,6 @@
 """A bag whose recorder was killed is made whole again."""
 
+import contextlib
 import re
 import shutil
 import sqlite3
@@ -15,10 +16,12 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Schema, Statistics
 
 from valve_control.bags import mending, metadata
+from valve_control.bags.bag import Bag
 from valve_control.bags.errors import BagError
 from valve_control.bags.metadata import Counted, File, Metadata, Topic
 from valve_control.bags.writer import BUSY, SQLITE_SCHEMA, SUFFIXES, Lock, reason
 
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 SIDE_FILES = ("-wal", "-shm", "-journal")  # what SQLite leaves beside a database that was not closed
 
 
@@ -67,6 +70,7 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
     if out is not None:
         _files(path)
         path = _copied(path, out)
+    _refuse_compressed(path)
     storage, files = _files(path)
     try:
         lock = Lock(path if path.is_dir() else path.absolute().parent)
@@ -76,6 +80,26 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
         return _recovered(path, storage, files)
     finally:
         lock.release()
+
+
+def _refuse_compressed(path: Path) -> None:
+    """Refuse bags that rosbag2 compressed: what is in them is not seen here. Raises BagError."""
+    packed = [f.name for f in path.iterdir() if f.suffix in (".zstd", ".zst")] if path.is_dir() else []
+    mode = ""
+    if path.is_dir():
+        with contextlib.suppress(BagError):
+            mode = metadata.read(path).compression_mode
+        if not mode and not packed:
+            with contextlib.suppress(BagError):
+                with contextlib.closing(Bag(path)) as bag:
+                    firsts = [bag.first(name) for name in bag.topics]
+                mode = "MESSAGE" if any(first and first[:4] == ZSTD_MAGIC for first in firsts) else ""
+    if packed or mode not in ("", "NONE", "none"):
+        what = f"{packed[0]} is" if packed else "its messages are"
+        raise BagError(
+            f"{path} cannot be mended: {what} compressed by rosbag2, and only uncompressed bags can be; "
+            "valve-control analyze reads it as it is"
+        )
 
 
 def _recovered(path: Path, storage: str, files: Sequence[Path]) -> Recovered:

@@ -46,8 +46,10 @@ class SqliteFile:
         try:
             self._learn()
         except BagError:
+            self._db.close()
             raise
         except DAMAGE as error:
+            self._db.close()
             raise BagError(f"{path} is not a bag that can be read: {error}") from error
 
     def _connect(self) -> sqlite3.Connection:
@@ -90,6 +92,10 @@ class SqliteFile:
         if "metadata" in self._tables:
             rows = self._db.execute("SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1").fetchall()
             self.metadata = rows[0][0] if rows else ""
+
+    def close(self) -> None:
+        """Give the file back."""
+        self._db.close()
 
     def batches(
         self, start: int | None = None, end: int | None = None, told: Callable[[int], None] | None = None

@@ -334,6 +334,7 @@ class BagWriter:
         except OSError as error:
             raise BagError(f"{folder} cannot be made: {reason(error)}") from error
         self._lock = Lock(folder)
+        self._rotating = False
         self._open_file()
         self._closed = False
 
@@ -380,7 +381,7 @@ class BagWriter:
         """A serialized message of ``topic``, received at ``log_time`` and sent at ``publish_time`` [ns]."""
         self._check_open()
         tally = self._tally
-        if self._is_full(log_time):
+        if self._is_full(log_time) and not self._rotating:
             self._rotate()
             tally = self._tally
         self._storage.write(topic, log_time, publish_time, sequence, data)
@@ -480,7 +481,12 @@ class BagWriter:
     def _rotate(self) -> None:
         self._finish_file()
         self._open_file()
-        self._on_new_file()
+        # What opens a file belongs to it, however large it is.
+        self._rotating = True
+        try:
+            self._on_new_file()
+        finally:
+            self._rotating = False
 
     def _write_metadata(self) -> None:
         topics = [Counted(topic, self._totals[name]) for name, (topic, _) in self._topics.items()]

@@ -19,11 +19,13 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
-def check_outputs(paths: Sequence[str | None]) -> None:
-    """Refuse outputs that cannot be written before the work begins."""
-    for path in paths:
-        if path is None or path == "-":
+def check_outputs(printable: Sequence[str | None], files: Sequence[str | None] = ()) -> None:
+    """Refuse outputs that cannot be written, before the work begins; ``printable`` may be -."""
+    for path in (*printable, *files):
+        if path is None or (path == "-" and path in printable):
             continue
+        if path == "-":
+            raise ParameterError("only --json takes - for standard output; give a file")
         folder = Path(path).resolve().parent
         if not folder.is_dir():
             raise ParameterError(f"{path} cannot be written: there is no folder {folder}")

@@ -166,15 +166,16 @@ def _analyze(arguments: argparse.Namespace) -> int:
     from valve_control.recordings import expectations, report
     from valve_control.recordings.study import as_dict, study
 
-    check_outputs([arguments.json, arguments.csv, arguments.html])
+    check_outputs([arguments.json], [arguments.csv, arguments.html])
     loaded = _load(arguments, arguments.bag)
     result = study(loaded)
     about = as_dict(result)
     outcomes = [o for text in arguments.expect for o in expectations.check(text, about["valves"])]
     about["expectations"] = [outcome._asdict() for outcome in outcomes]
+    csv_files = _csv_files(arguments.csv, result.valves)
     if arguments.json != "-":
         print(report.text(result))
-    for path, valve in _csv_files(arguments.csv, result.valves):
+    for path, valve in csv_files:
         report.write_csv(path, valve)
         say(arguments, f"wrote {path}")
     if arguments.html is not None:
@@ -191,6 +192,8 @@ def _csv_files(path: str | None, valves: "dict[str, ValveStudy]") -> "list[tuple
     if path is None:
         return []
     usable = {name: valve for name, valve in valves.items() if valve.signals is not None}
+    if not usable:
+        raise BagError("there is nothing for --csv: no valve has readings that can be aligned")
     if len(usable) == 1:
         return [(Path(path), next(iter(usable.values())))]
     stem = Path(path)
@@ -201,13 +204,34 @@ def _csv_files(path: str | None, valves: "dict[str, ValveStudy]") -> "list[tuple
 
 
 def _replay(arguments: argparse.Namespace) -> int:
-    check_outputs([arguments.json, arguments.csv, arguments.html])
+    check_outputs([arguments.json], [arguments.csv, arguments.html])
+    _refuse_of_other_modes(arguments)
     if arguments.mode == "live":
         return _replay_live(arguments)
-    valve = _one_valve(arguments, _load(arguments, arguments.bag))
+    loaded = _load(arguments, arguments.bag)
+    valve = _one_valve(arguments, loaded)
+    valve = valve._replace(left_out=[*loaded.problems, *valve.left_out])
     if arguments.mode == "shadow":
         return _replay_shadow(arguments, valve)
     return _replay_what_if(arguments, valve)
+
+
+def _refuse_of_other_modes(arguments: argparse.Namespace) -> None:
+    """Raise ParameterError for an option that the chosen mode would ignore."""
+    timed = {"rate": arguments.rate != 1.0, "topics": arguments.topics}
+    simulated = {
+        name: getattr(arguments, name) for name in ("controller", "set", "params_file", "csv", "html")
+    }
+    if arguments.mode != "live":
+        ignored = {**timed, "lockstep": arguments.lockstep}
+    elif arguments.lockstep:
+        ignored = {**simulated, **timed}
+    else:
+        ignored = {**simulated, "of": arguments.of}
+    wrong = [name for name, given in ignored.items() if given]
+    if wrong:
+        lock = " --lockstep" if arguments.mode == "live" and arguments.lockstep else ""
+        raise ParameterError(f"replay --mode {arguments.mode}{lock} takes no --{wrong[0].replace('_', '-')}")
 
 
 def _overrides(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -232,9 +256,14 @@ def _replay_shadow(arguments: argparse.Namespace, study: "ValveStudy") -> int:
     from valve_control.recordings import replay_report, shadow
 
     valve = study.valve
+    changes = _overrides(arguments)
+    names = [n for node, own in changes.items() for n in own if n not in changes["controller"]]
+    if names:
+        raise ParameterError(f"replay --mode shadow has no {names[0]}, which is not of the controller")
     count = len(valve.signals["spool_position"].time) if "spool_position" in valve.signals else 0
     with tqdm(total=count, desc="shadow", unit=" samples", disable=count < 20_000, ascii=True) as progress:
-        result = shadow.replay(valve, _overrides(arguments)["controller"], progress.update)
+        result = shadow.replay(valve, changes["controller"], progress.update)
+    result = result._replace(left_out=[*study.left_out, *result.left_out])
     if arguments.json != "-":
         print(replay_report.shadow_text(result))
     _write_replay(
@@ -253,6 +282,7 @@ def _replay_what_if(arguments: argparse.Namespace, study: "ValveStudy") -> int:
         raise BagError("; ".join(study.left_out))
     changes = _overrides(arguments)
     result = what_if.replay(study.valve, study.signals, changes["controller"], changes["valve_simulator"])
+    result = result._replace(left_out=[*study.left_out, *result.left_out])
     if result.run.warning:
         print(f"warning: {result.run.warning}", file=sys.stderr)
     if arguments.json != "-":
@@ -314,7 +344,7 @@ def compare_bags(arguments: argparse.Namespace) -> None:
     from valve_control.recordings import comparison
     from valve_control.recordings.study import study
 
-    check_outputs([arguments.json, arguments.figure, arguments.html])
+    check_outputs([arguments.json], [arguments.figure, arguments.html])
     runs = []
     for path in arguments.bags:
         runs += comparison.runs(path, study(_load(arguments, path)))
@@ -339,6 +369,7 @@ def compare_bags(arguments: argparse.Namespace) -> None:
 def _recover(arguments: argparse.Namespace) -> int:
     from valve_control.bags.recover import recover
 
+    check_outputs([arguments.json])
     result = recover(Path(arguments.bag), Path(arguments.out) if arguments.out is not None else None)
     write_json(
         arguments, {**result._asdict(), "bag": str(result.bag), "files": [f._asdict() for f in result.files]}
@@ -349,8 +380,6 @@ def _recover(arguments: argparse.Namespace) -> int:
     for file in result.files:
         what = f"mended, {file.cut} bytes of torn records cut off" if file.mended else "was whole"
         say(arguments, f"{file.name}: {file.messages} messages, {what}")
-    say(
-        arguments,
-        f"{result.bag} is whole again: {result.messages} messages; wrote {result.bag / 'metadata.yaml'}",
-    )
+    wrote = f"; {result.bag / 'metadata.yaml'} fits" if result.bag.is_dir() else ""
+    say(arguments, f"{result.bag} is whole again: {result.messages} messages{wrote}")
     return 0

@@ -158,7 +158,7 @@ def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], title: str) ->
 def _simulate(arguments: argparse.Namespace) -> None:
     from valve_control.simulation import offline
 
-    check_outputs([arguments.json, arguments.figure, arguments.csv, arguments.npz])
+    check_outputs([arguments.json], [arguments.figure, arguments.csv, arguments.npz])
     settings = _settings(arguments)
     command = _command(arguments, settings["command_source"])
     run = offline.simulate(settings["controller"], settings["valve_simulator"], command)
@@ -209,7 +209,7 @@ def _compare(arguments: argparse.Namespace) -> None:
     if arguments.bags:
         from valve_control.cli.recordings import compare_bags
 
-        given = [name for name in SIMULATED if getattr(arguments, name)]
+        given = [name for name in SIMULATED if getattr(arguments, name) not in (None, [])]
         if given:
             raise ParameterError(
                 f"compare with bags takes no --{given[0].replace('_', '-')}, which is for simulation"
@@ -218,7 +218,7 @@ def _compare(arguments: argparse.Namespace) -> None:
         return
     if arguments.html or arguments.map:
         raise ParameterError("compare takes --html and --map with bags only")
-    check_outputs([arguments.json, arguments.figure])
+    check_outputs([arguments.json], [arguments.figure])
     settings = _settings(arguments)
     command = _command(arguments, settings["command_source"])
     runs = []

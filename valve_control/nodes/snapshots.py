@@ -119,7 +119,10 @@ class Snapshots:
 
     def observe(self, data: bytes) -> None:
         """Take in a serialized ParameterEvent that was received."""
-        event = deserialize_message(data, ParameterEvent)
+        try:
+            event = deserialize_message(data, ParameterEvent)
+        except Exception:  # rclpy has no public type for bytes that are no message
+            return
         if event.node in self._questions:
             self._questions[event.node].events.append(event)
         if event.node in self._values:

@@ -1,6 +1,7 @@
 """Conditions on the results of a study, such as ``e_rms<0.02``, for continuous integration."""
 
 import difflib
+import math
 import operator
 import re
 from collections.abc import Callable, Mapping
@@ -39,7 +40,7 @@ def figures(valve: Mapping[str, Any]) -> dict[str, float | None]:
         elif value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)):
             flat[prefix] = value
 
-    for key in ("timing", "latency_s", "recorded_after_s"):
+    for key in ("indices", "timing", "latency_s", "recorded_after_s"):
         add(key, valve[key] or {})
     for key in ("unanswered", "lyapunov_over_bound", "sample_period_s"):
         flat[key] = valve[key]
@@ -75,6 +76,6 @@ def check(text: str, valves: Mapping[str, Mapping[str, Any]]) -> list[Outcome]:
                 + (f"did you mean {', '.join(near)}?" if near else f"there is {', '.join(known)}")
             )
         value = known[name]
-        met = value is not None and OPERATORS[sign](value, limit)
+        met = value is not None and math.isfinite(value) and OPERATORS[sign](value, limit)
         outcomes.append(Outcome(text, valve, value, met))
     return outcomes

@@ -1,7 +1,8 @@
 """Which topic plays which part: `spool_position`, `spool_command` and `valve_voltage` of each valve."""
 
 import re
-from collections.abc import Mapping, Sequence
+import struct
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from valve_control.bags.bag import Bag
@@ -11,6 +12,7 @@ from valve_control.bags.errors import BagError
 PARTS = ("spool_command", "spool_position", "valve_voltage")
 ONLY = "valve"  # name of a valve whose topics stand in no namespace
 STATE_TYPE = "std_msgs/msg/Float64MultiArray"
+TRIED = 100  # messages in which a field is looked for
 SCALE = re.compile(r"^(?P<source>[^*]+)\*(?P<factor>[^*]+)$")
 
 
@@ -57,7 +59,11 @@ def parse_map(text: str) -> tuple[str, str, Source]:
     topic, _, field = source.partition(".")
     topic = topic if topic.startswith("/") else f"/{topic}"
     normal(field or "data")
-    return valve.strip("/") or ONLY, part, Source(topic, field or "data", factor)
+    return (
+        valve if valve.strip("/") == ONLY else valve.strip("/") or ONLY,
+        part,
+        Source(topic, field or "data", factor),
+    )
 
 
 def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
@@ -69,10 +75,18 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     for name in bag.topics:
         namespace, _, part = name.rpartition("/")
         if part in PARTS:
-            sources.setdefault(namespace.strip("/") or ONLY, {})[part] = Source(name, "data")
+            found = Source(name, "data")
+            wrong = _wrong_field(bag, found)
+            if wrong:
+                bag.problems.append(f"{wrong}; it is left out")
+            else:
+                sources.setdefault(_name(namespace), {})[part] = found
     for text in maps:
         valve, part, source = parse_map(text)
         bag.topic(source.topic)
+        wrong = _wrong_field(bag, source)
+        if wrong:
+            raise BagError(wrong)
         sources.setdefault(valve, {})[part] = source
     if not sources:
         topics = ", ".join(f"{t.name} ({t.type})" for t in bag.topics.values())
@@ -80,7 +94,6 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
             f"{bag.path} has no spool_command, spool_position or valve_voltage; it has {topics}; name what "
             "plays their parts with --map spool_position=/topic.field"
         )
-    _check_fields(bag, sources)
     return {
         valve: ValveTopics(valve, _namespace(valve), parts, _state(bag, _namespace(valve)))
         for valve, parts in sorted(sources.items())
@@ -88,7 +101,12 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
 
 
 def _namespace(valve: str) -> str:
-    return "" if valve == ONLY else f"/{valve}"
+    return "" if valve == ONLY else f"/{valve.strip('/')}"
+
+
+def _name(namespace: str) -> str:
+    plain = namespace.strip("/")
+    return f"/{plain}" if plain == ONLY else plain or ONLY
 
 
 def _state(bag: Bag, namespace: str) -> str:
@@ -98,14 +116,18 @@ def _state(bag: Bag, namespace: str) -> str:
     return ""
 
 
-def _check_fields(bag: Bag, sources: Mapping[str, Mapping[str, Source]]) -> None:
-    """Each source is a number that the first message of its topic has."""
-    for parts in sources.values():
-        for source in parts.values():
-            message = bag.first(source.topic)
-            decoder = Decoder(bag.topic(source.topic), [source.field])
-            if message is not None:
-                try:
-                    decoder.layout(message)
-                except BagError as error:
-                    raise BagError(f"{source.topic} ({bag.topic(source.topic).type}): {error}") from None
+def _wrong_field(bag: Bag, source: Source) -> str:
+    """Why ``source`` is no number of its topic's first messages, "" if it is one of any."""
+    topic = bag.topic(source.topic)
+    error = ""
+    try:
+        decoder = Decoder(topic, [source.field])
+        for message in bag.first_messages(source.topic, TRIED):
+            try:
+                decoder.layout(message)
+                return ""
+            except (BagError, struct.error) as reason:
+                error = error or str(reason)
+    except BagError as reason:
+        error = str(reason)
+    return f"{source.topic} ({topic.type}): {error}" if error else ""

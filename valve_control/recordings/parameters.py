@@ -45,6 +45,19 @@ class Node(NamedTuple):
         """The part of its name before the last slash."""
         return self.name.rpartition("/")[0]
 
+    @property
+    def missing(self) -> int:
+        """Parameters of a node of this package whose values at the beginning the bag does not have."""
+        return sum(parameter.name not in self.initial for parameter in NODES.get(self.kind, ()))
+
+    def from_time(self, time: int) -> "Node":
+        """The same node as a recording that begins at ``time`` [ns] would have it."""
+        initial = dict(self.initial)
+        for change in self.changes:
+            if change.time < time:
+                initial.update(change.values)
+        return self._replace(initial=initial, changes=[c for c in self.changes if c.time >= time])
+
     def table_values(self, values: Mapping[str, Any]) -> tuple[Values, list[str]]:
         """All values of a node of this package, and a sentence for each recorded one that it cannot take."""
         table = NODES[self.kind]
@@ -80,16 +93,16 @@ def history(events: Series | None, problems: list[str]) -> dict[str, Node]:
         }
         before = seen.setdefault(event.node, {})
         differs = {name: value for name, value in values.items() if before.get(name, _Nothing) != value}
-        node = nodes.get(event.node)
-        if node is None:
-            nodes[event.node] = Node(event.node, _kind(values), values, [])
-        elif any(name not in before for name in differs):
-            # A list that came in parts: what was not known before was so from the beginning.
-            node.initial.update({k: v for k, v in differs.items() if k not in before})
-            nodes[event.node] = node._replace(kind=node.kind or _kind(values))
-            differs = {name: value for name, value in differs.items() if name in before}
-        if node is not None and differs:
-            node.changes.append(Change(time, differs))
+        node = nodes.setdefault(event.node, Node(event.node, "", {}, []))
+        if not node.kind:
+            node = nodes[event.node] = node._replace(kind=_kind(event.node, values))
+        # A list may come in parts, of what was so from the beginning; a change holds only from now on.
+        listed = {p.name for p in event.new_parameters}
+        new = {name: value for name, value in differs.items() if name in listed and name not in before}
+        node.initial.update(new)
+        changed = {name: value for name, value in differs.items() if name not in new}
+        if changed:
+            node.changes.append(Change(time, changed))
         before.update(values)
     if unreadable:
         problems.append(f"{unreadable} messages of {TOPIC} could not be decoded and are left out")
@@ -121,5 +134,8 @@ def _scalar(entry: Any) -> Any:
     return entry if isinstance(entry, str) else entry.item() if hasattr(entry, "item") else entry
 
 
-def _kind(values: Mapping[str, Any]) -> str:
-    return next((kind for kind, mark in MARKS.items() if mark in values), "")
+def _kind(name: str, values: Mapping[str, Any]) -> str:
+    """Which node of this package it is: by a parameter that only one has, else by its name."""
+    last = name.rpartition("/")[2]
+    known = next((kind for kind, mark in MARKS.items() if mark in values), "")
+    return known or (last if last in MARKS else "")

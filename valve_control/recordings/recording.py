@@ -1,5 +1,6 @@
 """Signals of the valves in a bag, cleaned and aligned to the LVDT's readings."""
 
+import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,25 +12,25 @@ from valve_control.bags.bag import Bag, Series
 from valve_control.bags.cdr import Decoder
 from valve_control.bags.errors import BagError
 from valve_control.recordings import parameters
-from valve_control.recordings.mapping import Source, ValveTopics, find_valves
+from valve_control.recordings.cleaning import Samples, clean, seconds
+from valve_control.recordings.mapping import ValveTopics, find_valves
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 ESTIMATES = ("a1", "a0", "b0", "b0dn")
-STATE_FIELDS = ("sample", "mode", "z1", "z2", "lyapunov", "lyapunov_bound", *ESTIMATES)
-CLOCKS = 1.0  # s by which two clocks may differ for source times to be used
-SMALL_DISORDER = 0.1  # s by which messages may be out of order to be sorted instead of left out
-
-
-class Samples(NamedTuple):
-    """One signal of a valve, in order of time, without what cannot be used."""
-
-    topic: str
-    time: Integers  # ns, source time if the bag has it
-    log_time: Integers  # ns, when it was recorded
-    sequence: Integers
-    value: Floats  # V
-    has_source_time: bool
+LAG_ROWS = 200  # accounts on ~/state by which answers are matched with readings
+LONGEST_LAG = 12  # readings
+STATE_FIELDS = (
+    "sample",
+    "mode",
+    "measurement",
+    "voltage",
+    "z1",
+    "z2",
+    "lyapunov",
+    "lyapunov_bound",
+    *ESTIMATES,
+)
 
 
 class Aligned(NamedTuple):
@@ -43,6 +44,7 @@ class Aligned(NamedTuple):
     voltage: Floats  # V, NaN where the bag has none
     latency: Floats  # s from reading to voltage, of the readings that were answered
     unanswered: int  # readings without a voltage before the next one
+    wall: bool  # whether time is real time, not lockstep
 
 
 class State(NamedTuple):
@@ -59,7 +61,8 @@ class Valve(NamedTuple):
     name: str
     topics: ValveTopics
     signals: dict[str, Samples]  # by part
-    recorded: dict[str, Samples]  # likewise, with what cannot be used: NaN, other publishers
+    timed: dict[str, Samples]  # likewise, with NaN
+    recorded: dict[str, Samples]  # likewise, with NaN and all publishers
     state: State | None
     memories: list[tuple[int, str]]  # what the controller remembered, with source times [ns]
     controller: parameters.Node | None
@@ -114,22 +117,30 @@ def load(
     for name in states:
         wanted[name] = [f"data[{label}]" for label in STATE_FIELDS]
     raw = {parameters.TOPIC, *(_memory_topic(name) for name in states)} & set(bag.topics)
-    begin = bag.begin if start is not None or end is not None else 0
-    series = bag.read(
-        wanted,
-        raw=raw,
-        sparse=states,
-        start=None if start is None else begin + round(start * 1e9),
-        end=None if end is None else begin + round(end * 1e9),
-        told=told(bag) if told else None,
-    )
+    begin = bag.begin
+    first = begin if start is None else begin + nanoseconds(start, "--from")
+    last = None if end is None else begin + nanoseconds(end, "--to")
+    since = None if start is None else first
+    series = bag.read(wanted, sparse=states, start=since, end=last, told=told(bag) if told else None)
+    # What is known of the nodes counts from the bag's beginning, whatever part is asked for.
+    series |= bag.read({}, raw=raw, end=last)
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
+    if start is not None:
+        nodes = {name: node.from_time(first) for name, node in nodes.items()}
     valves = {
         name: _valve(valve, series, labels.get(valve.state, []), nodes) for name, valve in topics.items()
     }
     if not any(len(s.time) for valve in valves.values() for s in valve.signals.values()):
-        raise BagError(f"{path} has no message on any topic of a valve, so there is nothing to analyse")
+        part = "" if start is None and end is None else " in this part of its time"
+        raise BagError(f"{path} has no message on any topic of a valve{part}, so there is nothing to analyse")
     return Recording(bag, valves, nodes, bag.problems)
+
+
+def nanoseconds(time: float, option: str) -> int:
+    """``time`` [s] of a command-line option. Raises BagError unless it is finite and not negative."""
+    if not 0.0 <= time <= 1e9:
+        raise BagError(f"{option} is {time}; it must be a number of seconds from 0 to 1e9")
+    return round(time * 1e9)
 
 
 def _memory_topic(state: str) -> str:
@@ -139,17 +150,18 @@ def _memory_topic(state: str) -> str:
 
 def _labels(bag: Bag, topic: str) -> list[str]:
     message = bag.first(topic)
-    return [] if message is None else Decoder(bag.topic(topic), ()).labels(message)
+    try:
+        return [] if message is None else Decoder(bag.topic(topic), ()).labels(message)
+    except (BagError, struct.error):
+        return []
 
 
 def _valve(
     topics: ValveTopics, series: dict[str, Series], labels: list[str], nodes: dict[str, parameters.Node]
 ) -> Valve:
     problems: list[str] = []
-    recorded = {
-        part: _samples(source, series[source.topic], problems) for part, source in topics.sources.items()
-    }
-    signals = {part: _usable(samples, problems) for part, samples in recorded.items()}
+    cleaned = clean(topics.sources, series, problems)
+    signals = cleaned.usable
     kinds: dict[str, Any] = {}
     for node in nodes.values():
         if node.namespace == topics.namespace and node.kind:
@@ -171,11 +183,17 @@ def _valve(
         problems.append(f"{topics.name} has no ~/state of its controller: no estimates and no V2")
     if "controller" not in kinds:
         problems.append(f"{topics.name}: the bag has no parameters of its controller")
+    for node in kinds.values():
+        if node.missing:
+            problems.append(
+                f"the bag does not have {node.missing} parameters of {node.name} from its beginning"
+            )
     return Valve(
         topics.name,
         topics,
         signals,
-        recorded,
+        cleaned.timed,
+        cleaned.recorded,
         state,
         memories,
         kinds.get("controller"),
@@ -184,97 +202,11 @@ def _valve(
     )
 
 
-def _samples(source: Source, series: Series, problems: list[str]) -> Samples:
-    value = series.values[source.field]
-    if source.factor != 1.0:
-        value = value * source.factor
-    name = source.topic
-    if series.undecodable:
-        problems.append(
-            f"{series.undecodable} messages of {name} could not be decoded and are left out: {series.error}"
-        )
-    has_source_time = bool(np.any(series.publish_time != series.log_time))
-    if has_source_time:
-        behind = float(np.median(series.log_time - series.publish_time)) * 1e-9
-        if abs(behind) > CLOCKS:
-            problems.append(
-                f"the clock of {name}'s publisher is {behind:.3g} s behind the recorder's; "
-                "times of recording are used for it"
-            )
-            has_source_time = False
-    time = series.publish_time if has_source_time else series.log_time
-    return Samples(name, time, series.log_time, series.sequence, value, has_source_time)
-
-
-def _usable(samples: Samples, problems: list[str]) -> Samples:
-    """``samples`` in order of time, without what cannot be analysed, which is said in ``problems``."""
-    name = samples.topic
-    keep = np.isfinite(samples.value)
-    if not keep.all():
-        n = int(np.count_nonzero(~keep))
-        problems.append(f"{n} messages of {name} hold NaN or infinity and are left out")
-    columns = _one_publisher(
-        name, [samples.time, samples.log_time, samples.sequence, samples.value], keep, problems
-    )
-    time, log_time, sequence, value = _forward(name, columns, problems)
-    return Samples(name, time, log_time, sequence, value, samples.has_source_time)
-
-
-def _one_publisher(name: str, columns: list[Any], keep: Any, problems: list[str]) -> list[Any]:
-    """Of publishers whose messages are interleaved, told by their sequence numbers, the one with the most."""
-    sequence = columns[2]
-    falls = int(np.count_nonzero(np.diff(sequence) <= 0)) if np.any(sequence) else 0
-    if len(sequence) > 20 and falls > max(10, 0.02 * len(sequence)):
-        owner = _owners(sequence)
-        counts = np.bincount(owner)
-        most = int(np.argmax(counts))
-        problems.append(
-            f"{len(counts)} publishers are interleaved on {name}; only the one with the most messages "
-            f"({counts[most]} of {len(sequence)}) is analysed"
-        )
-        keep = keep & (owner == most)
-    return columns if keep.all() else [column[keep] for column in columns]
-
-
-def _owners(sequence: Integers) -> Integers:
-    """Publisher of each message: the one whose last number it follows most closely."""
-    last: list[int] = []
-    owner = np.empty(len(sequence), dtype=np.int64)
-    for i, number in enumerate(sequence.tolist()):
-        behind = [(number - n, k) for k, n in enumerate(last) if 0 < number - n <= 1000]
-        k = min(behind)[1] if behind else len(last)
-        if k == len(last):
-            last.append(number)
-        last[k] = number
-        owner[i] = k
-    return owner
-
-
-def _forward(name: str, columns: list[Any], problems: list[str]) -> list[Any]:
-    """Messages in order of time; where it goes back by more than a little, the longest part in order."""
-    time = columns[0]
-    back = np.flatnonzero(np.diff(time) < 0)
-    if len(back) == 0:
-        return columns
-    largest = float(np.max(time[back] - time[back + 1])) * 1e-9
-    if largest <= SMALL_DISORDER:
-        problems.append(
-            f"{len(back)} messages of {name} were out of order by up to {largest:.3g} s and are sorted"
-        )
-        order = np.argsort(time, kind="stable")
-        return [column[order] for column in columns]
-    edges = [0, *(back + 1).tolist(), len(time)]
-    begin, end = max(zip(edges[:-1], edges[1:], strict=True), key=lambda e: e[1] - e[0])
-    problems.append(
-        f"time goes backwards on {name} {len(back)} time(s), by up to {largest:.3g} s; only the longest part "
-        f"that runs forward is analysed ({end - begin} of {len(time)} messages)"
-    )
-    return [column[begin:end] for column in columns]
-
-
-def seconds(stamp: Integers, begin: int | Integers = 0) -> Floats:
-    """Nanoseconds since ``begin`` as seconds."""
-    return (stamp - begin).astype(np.float64) * 1e-9
+def at_time(signals: Aligned, stamp: int) -> float:
+    """Time [s] of a run at ``stamp`` [ns], in lockstep that of the next sample."""
+    if signals.wall:
+        return (stamp - int(signals.stamp[0])) * 1e-9
+    return float(signals.time[min(int(np.searchsorted(signals.stamp, stamp)), len(signals.time) - 1)])
 
 
 def align(valve: Valve) -> Aligned:
@@ -288,20 +220,25 @@ def align(valve: Valve) -> Aligned:
     stamp = valve.signals["spool_position"].time
     measurement = valve.signals["spool_position"].value
     period = valve.period
-    until = np.append(stamp[1:], stamp[-1] + round((period if np.isfinite(period) else 0.0) * 1e9))
+    if not period > 0.0:
+        raise BagError(f"{valve.name}: the readings have no interval, so no sample period is known")
+    until = np.append(stamp[1:], stamp[-1] + round(period * 1e9))
     seen: Integers = stamp
     voltage: Floats = np.full(len(stamp), np.nan)
     latency = np.empty(0)
-    unanswered = 0
+    missed: npt.NDArray[np.bool_] = np.zeros(len(stamp), dtype=np.bool_)
     voltages = valve.signals.get("valve_voltage")
     if voltages is not None and len(voltages.time):
-        after = np.searchsorted(voltages.time, stamp, side="right")
+        # Where answers take longer than a period, others come between a reading and its own.
+        own = np.arange(len(stamp)) + _lag(valve, stamp, voltages)
+        later = np.minimum(own, len(stamp) - 1)
+        after = np.searchsorted(voltages.time, stamp[later], side="right")
         answer = voltages.time[np.minimum(after, len(voltages.time) - 1)]
-        answered = (answer > stamp) & (answer <= until)
+        answered = (answer > stamp[later]) & (answer <= until[later]) & (own == later)
         latency = seconds(answer[answered], stamp[answered])
-        unanswered = int(np.count_nonzero(~answered))
+        missed = ~answered
         seen = np.where(answered, answer, stamp)
-        voltage = _held(voltages, np.searchsorted(voltages.time, until, side="left") - 1)
+        voltage = _held(voltages, np.searchsorted(voltages.time, until[later], side="left") - 1)
     command: Floats = np.full(len(stamp), np.nan)
     commands = valve.signals.get("spool_command")
     first = 0
@@ -314,9 +251,36 @@ def align(valve: Valve) -> Aligned:
     if valve.lockstep:
         time = (np.arange(len(stamp), dtype=np.float64) - first) * period
     return Aligned(
-        time[first:], stamp[first:], period, command[first:], measurement[first:], voltage[first:], latency,
-        unanswered,
-    )  # fmt: skip
+        time[first:],
+        stamp[first:],
+        period,
+        command[first:],
+        measurement[first:],
+        voltage[first:],
+        latency,
+        int(np.count_nonzero(missed[first:])),
+        not valve.lockstep,
+    )
+
+
+def _lag(valve: Valve, stamp: Integers, voltages: Samples) -> int:
+    """How many readings come between a reading and its voltage, as ~/state shows; 0 where it does not."""
+    if valve.state is None:
+        return 0
+    measured, given = valve.state.values["measurement"], valve.state.values["voltage"]
+    rows = np.flatnonzero(np.isfinite(measured) & np.isfinite(given) & (given != 0.0))
+    rows = rows[:: max(1, len(rows) // LAG_ROWS)]
+    readings = valve.signals["spool_position"].value
+    votes = np.zeros(LONGEST_LAG, dtype=np.int64)
+    for row in rows.tolist():
+        newest = int(np.searchsorted(voltages.time, valve.state.stamp[row], side="right"))
+        near = np.flatnonzero(voltages.value[max(0, newest - 3) : newest] == given[row])
+        if len(near) == 0:
+            continue
+        moment = voltages.time[max(0, newest - 3) + int(near[-1])]
+        before = int(np.searchsorted(stamp, moment)) - np.arange(1, LONGEST_LAG + 1)
+        votes += (before >= 0) & (readings[np.maximum(before, 0)] == measured[row])
+    return int(np.argmax(votes))
 
 
 def _held(samples: Samples, index: Integers) -> Floats:

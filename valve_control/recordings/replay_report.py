@@ -117,7 +117,7 @@ def shadow_page(result: Shadow, bag: str) -> str:
 
 
 def _both(result: WhatIf) -> tuple[Any, Any]:
-    recorded = segment_indices(result.recorded, Segment("run", "", 0, len(result.time)))
+    recorded = segment_indices(result.original, Segment("run", "", 0, len(result.original.time)))
     return recorded, result.run.indices
 
 

@@ -9,7 +9,8 @@ import numpy.typing as npt
 from valve_control.analysis.indices import Indices
 from valve_control.analysis.page import Line, Plot, figure, notes, page, table
 from valve_control.analysis.tables import HEADER, index_row
-from valve_control.recordings.recording import seconds
+from valve_control.recordings.cleaning import seconds
+from valve_control.recordings.recording import at_time
 from valve_control.recordings.study import Study, ValveStudy, as_dict, estimates, guarantee_use
 
 Floats = npt.NDArray[np.float64]
@@ -154,8 +155,7 @@ def _valve_sections(name: str, valve: ValveStudy) -> dict[str, str]:
             )
         sections[f"{name}: indices"] = index_table(rows) + notes(valve.left_out)
         changes = valve.valve.controller.changes if valve.valve.controller is not None else []
-        begin_stamp = int(valve.signals.stamp[0])
-        marks = [(change.time - begin_stamp) * 1e-9 for change in changes]
+        marks = [at_time(valve.signals, change.time) for change in changes]
         sections[f"{name}: signals"] = figure(_signal_plots(valve), "time [s]", marks=marks)
         detail = _detail(valve)
         if detail:
@@ -186,9 +186,8 @@ def _valve_sections(name: str, valve: ValveStudy) -> dict[str, str]:
 
 
 def _changes(valve: ValveStudy, node: Any) -> str:
-    begin = int(valve.signals.stamp[0]) if valve.signals is not None else 0
     rows = [
-        (f"{(change.time - begin) * 1e-9:.3f}", name, value)
+        ("" if valve.signals is None else f"{at_time(valve.signals, change.time):.3f}", name, value)
         for change in node.changes
         for name, value in change.values.items()
     ]

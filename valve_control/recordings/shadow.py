@@ -18,8 +18,9 @@ import numpy.typing as npt
 from valve_control.bags.errors import BagError
 from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, ParameterError, Values, defaults, updated
+from valve_control.recordings.cleaning import seconds
 from valve_control.recordings.parameters import Change
-from valve_control.recordings.recording import Valve, seconds
+from valve_control.recordings.recording import Valve
 from valve_control.supervision.memory import recall
 from valve_control.supervision.supervisor import Supervisor
 
@@ -31,7 +32,7 @@ HOPELESS = 20  # samples in a row that differ, after which the recorded voltage 
 QUEUE = 12  # readings, a little more than wait at most for a controller that stood still
 HELD_BACK = 50  # commands that a reliable reader may hold back while it waits for a lost one
 START = 40  # readings before the first voltage that it may answer
-MOST = 200  # ways that are followed side by side
+MOST = 45  # ways that are followed side by side
 STOOD_STILL = "the controller's process stood still"
 REPORT = 10_000  # samples between two words of progress
 
@@ -69,13 +70,28 @@ def replay(valve: Valve, overrides: Mapping[str, Any], told: Callable[[int], Non
     return _Replay(valve, overrides).run(told)
 
 
+class Rows(NamedTuple):
+    """Rows, newest first; ways share those that they have in common."""
+
+    row: Row
+    before: "Rows | None"
+
+    def in_order(self) -> list[Row]:
+        """Oldest first."""
+        rows, at = [], self
+        while at is not None:
+            rows.append(at.row)
+            at = at.before  # type: ignore[assignment]
+        return rows[::-1]
+
+
 class Path(NamedTuple):
     """One way in which the recording can have come about."""
 
     reading: int  # the next one
     taken: int  # commands
     memory: Any  # of the supervisor
-    rows: tuple[Row, ...]  # since there is more than one way
+    rows: "Rows | None"  # since there is more than one way
     notes: tuple[str, ...]  # events that it supposes, likewise
 
 
@@ -103,7 +119,13 @@ class _Replay:
         self._supervisor = Supervisor()
         self._values = self._initial_values()
         self._changes = list(valve.controller.changes) if valve.controller is not None else []
-        self._faithful = valve.controller is not None and not overrides and self._voltages is not None
+        node = valve.controller
+        known = node is not None and node.missing == 0 and not self._left_out
+        self._faithful = known and not overrides and self._voltages is not None
+        if not known:
+            self._left_out.append(
+                "not all of the recorded controller's parameters are known: defaults stand for the others"
+            )
         self._law = build.word(self._values, "controller")
         self._lockstep = self._values["lockstep"] is True
         self._stamps = self._readings.time.tolist()
@@ -206,7 +228,7 @@ class _Replay:
                     self._wrong = 0
             if len(paths) == 1:
                 yield from self._settled(paths[0])
-                paths = [paths[0]._replace(rows=(), notes=())]
+                paths = [paths[0]._replace(rows=None, notes=())]
             if told is not None and k % REPORT == REPORT - 1:
                 told(REPORT)
         yield from self._settled(paths[0])
@@ -217,7 +239,7 @@ class _Replay:
         at_rest = self._paths_at_rest()
         if not self._faithful or self._explains_the_first(at_rest):
             return 0, at_rest
-        changes = list(self._changes)
+        changes, values = list(self._changes), self._values
         for time, text in self._valve.memories:
             begin = bisect_left(self._sent, time)
             if time < self._stamps[0] or begin == len(self._sent):
@@ -234,7 +256,7 @@ class _Replay:
             f"the recording begins with voltage {self._voltages.sequence[0]} of the controller; what it "
             "remembered then is not known"
         )
-        self._changes, self._current = changes, None
+        self._changes, self._values, self._current = changes, values, None
         return 0, at_rest
 
     def _has_next_reading(self) -> bool:
@@ -246,17 +268,17 @@ class _Replay:
         memory = self._current = self._supervisor.snapshot()
         newest = max(0, bisect_left(self._stamps, self._sent[0]) - 1)
         oldest = max(0, newest - START) if self._faithful and not self._lockstep else newest
-        return [Path(reading, 0, memory, (), ()) for reading in range(newest, oldest - 1, -1)]
+        return [Path(reading, 0, memory, None, ()) for reading in range(newest, oldest - 1, -1)]
 
     def _explains_the_first(self, paths: list[Path]) -> bool:
         """Whether a controller that begins at rest gives the first voltages."""
         assert self._voltages is not None
-        begin, changes, last = paths[0].memory, list(self._changes), self._sent[0]
+        begin, changes, values, last = paths[0].memory, list(self._changes), self._values, self._sent[0]
         for moment, wanted in zip(self._sent[:FIRST], self._voltages.value[:FIRST].tolist(), strict=True):
             elapsed = 0.0 if self._lockstep else (moment - last) * 1e-9
             last = moment
             paths = self._step(paths, self._changes_before(moment), moment, elapsed, wanted)
-        wrong, self._wrong, self._changes = self._wrong, 0, changes
+        wrong, self._wrong, self._changes, self._values = self._wrong, 0, changes, values
         self._supervisor.restore(begin)
         self._current = begin
         return wrong == 0
@@ -273,11 +295,11 @@ class _Replay:
         while taken > 0 and command is not None and self._command_values[taken - 1] != command:
             taken -= 1
         memory = self._current = self._supervisor.snapshot()
-        return Path(reading, 0 if command is None else taken, memory, (), ())
+        return Path(reading, 0 if command is None else taken, memory, None, ())
 
     def _settled(self, path: Path) -> Iterator[Row]:
         """What is certain of a path."""
-        for row in path.rows:
+        for row in path.rows.in_order() if path.rows is not None else ():
             if row[0] >= 0:
                 yield row
             else:
@@ -307,17 +329,22 @@ class _Replay:
             # A controller may be deaf for the first commands, which shows when they begin to move.
             if path.taken == 0 < self._likely(path, moment) and self._time(path.reading) < moment:
                 follow(path, self._answer(path.reading, 0, elapsed))
-        # The likeliest of each path first, since what can be followed is limited.
-        clear = tells or (len(paths) == 1 and self._time(paths[0].reading + 1) >= moment)
-        if not (found and clear):
+        # Where there are several ways already, or the voltage tells, only what these leave open is tried.
+        clear = tells or len(paths) > 1 or self._time(paths[0].reading + 1) >= moment
+        if len(paths) > 1 and not tells:
+            # Each of them may have lost a reading more.
             for path in paths:
-                for attempt in self._others(path, moment, elapsed):
-                    follow(path, attempt)
-                    if len(found) >= MOST or (found and tells):
-                        break
+                if self._time(path.reading + 1) < moment and len(found) < MOST:
+                    follow(path, self._answer(path.reading + 1, self._likely(path, moment), elapsed))
+        if not (found and clear):
+            others = ((path, attempt) for path in paths for attempt in self._others(path, moment, elapsed))
+            for path, attempt in others:
+                follow(path, attempt)
+                if len(found) >= MOST or (found and tells):
+                    break
         if found:
             self._wrong = 0
-            return list(found.values())
+            return list(found.values())[:MOST]
         self._wrong += 1
         return plain[:1]
 
@@ -333,8 +360,8 @@ class _Replay:
         voltage = attempt.act()
         memory = self._current = supervisor.snapshot()
         row = (attempt.reading, self._newest_command(), wanted, voltage)
-        notes = (*path.notes, attempt.note) if attempt.note else path.notes
-        return Path(attempt.next, self._taken, memory, (*path.rows, row), notes), voltage
+        notes = (*path.notes, attempt.note) if attempt.note and attempt.note not in path.notes else path.notes
+        return Path(attempt.next, self._taken, memory, Rows(row, path.rows), notes), voltage
 
     def _plain(self, path: Path, moment: int, elapsed: float) -> Attempt:
         """What happened most likely."""

@@ -11,8 +11,9 @@ from valve_control.analysis.segments import Segment, motions
 from valve_control.analysis.spectra import Spectrum, spectrum
 from valve_control.analysis.timing import Timing, spread, timing
 from valve_control.bags.errors import BagError
+from valve_control.recordings.cleaning import seconds
 from valve_control.recordings.parameters import Change
-from valve_control.recordings.recording import ESTIMATES, Aligned, Recording, State, Valve, align, seconds
+from valve_control.recordings.recording import ESTIMATES, Aligned, Recording, State, Valve, align, at_time
 
 Floats = npt.NDArray[np.float64]
 NONE = Indices(np.nan, np.nan, np.nan, np.nan, np.nan)
@@ -65,7 +66,7 @@ def _study_valve(valve: Valve) -> ValveStudy:
         signals = align(valve)
     except BagError as reason:
         left_out.append(str(reason))
-    times = {part: timing(s.time, s.sequence) for part, s in valve.signals.items()}
+    times = {part: timing(s.time, s.sequence) for part, s in valve.timed.items()}
     recorded_after = {
         part: spread(seconds(s.log_time, s.time))._asdict()
         for part, s in valve.signals.items()
@@ -156,7 +157,7 @@ def estimates(state: State | None) -> dict[str, Floats]:
     if state is None:
         return {}
     found = {name: state.values[name] for name in ESTIMATES}
-    return found if any(np.any(np.isfinite(values)) for values in found.values()) else {}
+    return {name: values for name, values in found.items() if np.any(np.isfinite(values))}
 
 
 def guarantee_use(state: State | None) -> float | None:
@@ -221,7 +222,7 @@ def _valve_dict(result: ValveStudy) -> dict[str, Any]:
 
 
 def _since(stamp: int, signals: Aligned | None) -> float | None:
-    return None if signals is None else (stamp - int(signals.stamp[0])) * 1e-9
+    return None if signals is None else at_time(signals, stamp)
 
 
 def _part_dict(part: Part, signals: Aligned) -> dict[str, Any]:

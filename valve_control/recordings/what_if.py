@@ -21,6 +21,7 @@ class WhatIf(NamedTuple):
 
     time: Floats  # s
     recorded: Aligned  # on that grid
+    original: Aligned  # as recorded
     run: offline.Run
     distance: float  # V, rms of simulated minus recorded measurement
     left_out: list[str]
@@ -50,7 +51,7 @@ def replay(
             f"{len(valve.controller.changes)} recorded change(s) of parameters are not simulated: "
             "the run has the values of the beginning"
         )
-    return WhatIf(grid.time, grid, run, distance, left_out)
+    return WhatIf(grid.time, grid, signals, run, distance, left_out)
 
 
 def _values(
@@ -67,6 +68,12 @@ def _values(
 def _on_grid(signals: Aligned, period: float) -> Aligned:
     """``signals`` sampled every ``period`` [s]; over a gap the last sample holds."""
     count = round((signals.time[-1] - signals.time[0]) / period) + 1
+    finer = max(1.0, signals.period / period)
+    if count > 3 * finer * len(signals.time) + 10_000:
+        raise BagError(
+            f"the readings leave gaps: {len(signals.time)} in {signals.time[-1]:.0f} s; choose a part "
+            "without them with --from and --to"
+        )
     time = np.arange(count) * period
     index = np.clip(np.searchsorted(signals.time, time + 0.5 * period) - 1, 0, len(signals.time) - 1)
     return signals._replace(
