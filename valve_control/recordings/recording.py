@@ -120,10 +120,13 @@ def load(
     begin = bag.begin
     first = begin if start is None else begin + nanoseconds(start, "--from")
     last = None if end is None else begin + nanoseconds(end, "--to")
-    since = None if start is None else first
-    series = bag.read(wanted, sparse=states, start=since, end=last, told=told(bag) if told else None)
-    # What is known of the nodes counts from the bag's beginning, whatever part is asked for.
-    series |= bag.read({}, raw=raw, end=last)
+    hears = told(bag) if told else None
+    if start is None:
+        series = bag.read(wanted, raw=raw, sparse=states, end=last, told=hears)
+    else:
+        # What is known of the nodes counts from the bag's beginning, whatever part is asked for.
+        series = bag.read(wanted, sparse=states, start=first, end=last, told=hears)
+        series |= bag.read({}, raw=raw, end=last)
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
     if start is not None:
         nodes = {name: node.from_time(first) for name, node in nodes.items()}
