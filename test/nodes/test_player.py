@@ -8,9 +8,9 @@ import pytest
 import rclpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recordings"))
+from bench import controller
 from made import Run, write
 
-from bench import controller
 from valve_control.bags.errors import BagError
 from valve_control.nodes import player
 from valve_control.nodes.cascade import process

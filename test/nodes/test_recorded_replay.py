@@ -5,9 +5,9 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
+from bench import set_parameters, spin_until
 from std_msgs.msg import Float64
 
-from bench import set_parameters, spin_until
 from valve_control.nodes.cascade import node_arguments, process
 from valve_control.recordings import shadow
 from valve_control.recordings.recording import load

@@ -12,6 +12,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
+from bench import set_parameters, spin_until
 from mcap.reader import make_reader
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -19,7 +20,6 @@ from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
 from std_msgs.msg import Float64, String
 
-from bench import set_parameters, spin_until
 from valve_control.bags import metadata
 from valve_control.bags.recover import recover
 from valve_control.nodes.cascade import process
