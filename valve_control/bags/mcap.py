@@ -18,7 +18,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, Schema
 
 from valve_control.bags.batch import Batch, Bytes, Integers, Topic, qos_profiles
 from valve_control.bags.errors import BagError
@@ -91,7 +91,6 @@ class McapFile:
         self.problems: list[str] = []
         self.topics: list[Topic] = []
         self.finished = False
-        self._metadata: dict[str, str] = {}
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, int] = {}  # channel → topic
         self._table = np.full(65536, -1, dtype=np.int64)  # likewise, for whole columns
@@ -111,11 +110,6 @@ class McapFile:
         if bytes(buffer[: len(MAGIC)]) != MAGIC:
             raise BagError(f"{self.path} is not an MCAP file: it does not begin with MCAP's magic bytes")
         return buffer
-
-    @property
-    def metadata(self) -> str:
-        """The rosbag2 metadata that the file holds as YAML, "" if none."""
-        return self._metadata.get("serialized_metadata", "")
 
     def close(self) -> None:
         """Give back the memory; the file itself is closed already."""
@@ -207,10 +201,6 @@ class McapFile:
             for opcode, begin, length in others.tolist():
                 if opcode == Opcode.CHUNK:
                     self._chunks.append(self._place(begin, length))
-                elif opcode == Opcode.METADATA:
-                    record = self._record(Metadata, self._buffer, begin, length)
-                    if record is not None and record.name == "rosbag2":
-                        self._metadata = record.metadata
                 ended = ended or opcode in (Opcode.DATA_END, Opcode.FOOTER)
                 self.finished = opcode == Opcode.FOOTER
             if self.finished or at == before:

@@ -28,8 +28,6 @@ class SqliteFile:
         self.path = path
         self.problems: list[str] = []
         self.topics: list[Topic] = []
-        self.metadata = ""
-        self.finished = True
         with path.open("rb") as stream:
             head = stream.read(len(MAGIC))
         self.size = path.stat().st_size
@@ -40,7 +38,6 @@ class SqliteFile:
         # A write-ahead log beside it, of a recorder that was killed, must be readable too.
         left = path.with_name(path.name + "-wal")
         if left.exists() and left.stat().st_size > 0:
-            self.finished = False
             self.problems.append(f"{path} is unfinished (valve-control bag recover makes it whole)")
         self._db = self._connect()
         try:
@@ -89,9 +86,6 @@ class SqliteFile:
                     qos_profiles(entry.get("offered_qos_profiles", "")),
                 )
             )
-        if "metadata" in self._tables:
-            rows = self._db.execute("SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1").fetchall()
-            self.metadata = rows[0][0] if rows else ""
 
     def close(self) -> None:
         """Give the file back."""

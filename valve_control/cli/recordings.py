@@ -148,15 +148,10 @@ def _load(arguments: argparse.Namespace, path: str) -> "Recording":
 
 
 def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveStudy":
+    from valve_control.recordings.recording import chosen
     from valve_control.recordings.study import study
 
-    valves = study(loaded).valves
-    if arguments.of is None and len(valves) > 1:
-        raise BagError(f"{arguments.bag} has the valves {', '.join(valves)}; choose one with --of")
-    name = arguments.of if arguments.of is not None else next(iter(valves))
-    if name not in valves:
-        raise BagError(f"{arguments.bag} has no valve {name}; it has {', '.join(valves)}")
-    return valves[name]
+    return chosen(arguments.bag, study(loaded).valves, arguments.of)
 
 
 # Tasks

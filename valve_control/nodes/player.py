@@ -18,7 +18,7 @@ from valve_control.bags.errors import BagError
 from valve_control.nodes.adapter import SAMPLES, PolledSubscription
 from valve_control.nodes.definitions import message_class
 from valve_control.recordings.mapping import find_valves
-from valve_control.recordings.recording import Valve, align, load
+from valve_control.recordings.recording import Valve, align, chosen, load
 
 MEET = 10.0  # s to wait for somebody who listens
 SETTLE = 0.5  # s in which discovery becomes mutual
@@ -59,21 +59,11 @@ def play(
     node = rclpy.create_node("player")
     try:
         if lockstep:
-            return _in_lockstep(node, _valve(path, maps, start, end, of), quiet)
+            return _in_lockstep(node, chosen(path, load(path, maps, start, end).valves, of), quiet)
         return _timed(node, path, maps, topics, rate, start, end, quiet)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-
-
-def _valve(path: str, maps: Sequence[str], start: float | None, end: float | None, of: str | None) -> Valve:
-    valves = load(path, maps, start, end).valves
-    if of is None and len(valves) > 1:
-        raise BagError(f"{path} has the valves {', '.join(valves)}; choose one with --of")
-    name = of if of is not None else next(iter(valves))
-    if name not in valves:
-        raise BagError(f"{path} has no valve {name}; it has {', '.join(valves)}")
-    return valves[name]
 
 
 def _meet(publishers: dict[str, Any]) -> None:

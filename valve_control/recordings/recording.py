@@ -1,9 +1,9 @@
 """Signals of the valves in a bag, cleaned and aligned to the LVDT's readings."""
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from valve_control.recordings.mapping import ValveTopics, find_valves
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 ESTIMATES = ("a1", "a0", "b0", "b0dn")
+V = TypeVar("V")
 LAG_ROWS = 200  # accounts on ~/state by which answers are matched with readings
 LONGEST_LAG = 12  # readings
 STATE_FIELDS = (
@@ -137,6 +138,16 @@ def load(
         part = "" if start is None and end is None else " in this part of its time"
         raise BagError(f"{path} has no message on any topic of a valve{part}, so there is nothing to analyse")
     return Recording(bag, valves, nodes, bag.problems)
+
+
+def chosen(path: Path | str, valves: Mapping[str, V], of: str | None) -> V:
+    """The valve ``of`` of a bag, or its only one. Raises BagError."""
+    if of is None and len(valves) > 1:
+        raise BagError(f"{path} has the valves {', '.join(valves)}; choose one with --of")
+    name = next(iter(valves)) if of is None else of
+    if name not in valves:
+        raise BagError(f"{path} has no valve {name}; it has {', '.join(valves)}")
+    return valves[name]
 
 
 def nanoseconds(time: float, option: str) -> int:
