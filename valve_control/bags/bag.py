@@ -141,17 +141,13 @@ class Bag:
 
     def first(self, name: str) -> bytes | None:
         """First message of a topic, None if it has none."""
-        return next(iter(self.first_messages(name, 1)), None)
+        return next(self.messages(name), None)
 
-    def first_messages(self, name: str, count: int) -> list[bytes]:
-        """At most ``count`` messages of a topic from its beginning."""
-        found: list[bytes] = []
+    def messages(self, name: str) -> Iterator[bytes]:
+        """Messages of a topic from its beginning, read as they are asked for."""
         for _, batch in self.batches([name]):
             for at, size in zip(batch.offset.tolist(), batch.length.tolist(), strict=True):
-                if len(found) == count:
-                    return found
-                found.append(batch.buffer[at : at + size].tobytes())
-        return found
+                yield batch.buffer[at : at + size].tobytes()
 
     # How
 

@@ -232,17 +232,8 @@ def _refuse_of_other_modes(arguments: argparse.Namespace) -> None:
 def _overrides(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     from valve_control.parameters import files
 
-    changes: dict[str, dict[str, Any]] = {node: {} for node in NODES}
-    for path in arguments.params_file:
-        for node, values in files.load(path).items():
-            changes[node].update(values)
-    if arguments.controller is not None:
-        changes["controller"]["controller"] = arguments.controller
-    for text in arguments.set:
-        name, by_node = files.parse_setting(text)
-        for node, value in by_node.items():
-            changes[node][name] = value
-    return changes
+    direct = {"controller": {"controller": arguments.controller}}
+    return files.given(arguments.params_file, direct, arguments.set)
 
 
 def _replay_shadow(arguments: argparse.Namespace, study: "ValveStudy") -> int:
@@ -259,14 +250,13 @@ def _replay_shadow(arguments: argparse.Namespace, study: "ValveStudy") -> int:
     with tqdm(total=count, desc="shadow", unit=" samples", disable=count < 20_000, ascii=True) as progress:
         result = shadow.replay(valve, changes["controller"], progress.update)
     result = result._replace(left_out=[*study.left_out, *result.left_out])
-    if arguments.json != "-":
-        print(replay_report.shadow_text(result))
-    _write_replay(
+    _tell_replay(
         arguments,
+        replay_report.shadow_text(result),
         replay_report.shadow_columns(result),
         lambda: replay_report.shadow_page(result, arguments.bag),
+        replay_report.shadow_dict(result, arguments.bag, valve.name),
     )
-    write_json(arguments, replay_report.shadow_dict(result, arguments.bag, valve.name))
     return 0
 
 
@@ -280,20 +270,28 @@ def _replay_what_if(arguments: argparse.Namespace, study: "ValveStudy") -> int:
     result = result._replace(left_out=[*study.left_out, *result.left_out])
     if result.run.warning:
         print(f"warning: {result.run.warning}", file=sys.stderr)
-    if arguments.json != "-":
-        print(replay_report.what_if_text(result))
-    _write_replay(
+    _tell_replay(
         arguments,
+        replay_report.what_if_text(result),
         replay_report.what_if_columns(result),
         lambda: replay_report.what_if_page(result, arguments.bag),
+        replay_report.what_if_dict(result, arguments.bag, study.valve.name),
     )
-    write_json(arguments, replay_report.what_if_dict(result, arguments.bag, study.valve.name))
     return 0
 
 
-def _write_replay(arguments: argparse.Namespace, columns: dict[str, Any], page: Callable[[], str]) -> None:
+def _tell_replay(
+    arguments: argparse.Namespace,
+    text: str,
+    columns: dict[str, Any],
+    page: Callable[[], str],
+    about: dict[str, Any],
+) -> None:
+    """A replay on the terminal, and as CSV, HTML and JSON where asked for."""
     import numpy as np
 
+    if arguments.json != "-":
+        print(text)
     if arguments.csv is not None:
         np.savetxt(
             arguments.csv, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns),
@@ -303,6 +301,7 @@ def _write_replay(arguments: argparse.Namespace, columns: dict[str, Any], page: 
     if arguments.html is not None:
         Path(arguments.html).write_text(page(), encoding="utf-8")
         say(arguments, f"wrote {arguments.html}")
+    write_json(arguments, about)
 
 
 def _replay_live(arguments: argparse.Namespace) -> int:

@@ -99,26 +99,15 @@ def add_commands(commands: Any) -> None:
 def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
     from valve_control.parameters import files
 
-    changes: dict[str, dict[str, Any]] = {node: {} for node in NODES}
-    for path in arguments.params_file:
-        for node, values in files.load(path).items():
-            changes[node].update(values)
-    direct = {
+    array = {} if arguments.command is None else {"scenario": "array", "command_file": arguments.command}
+    direct: dict[str, dict[str, Any]] = {
         "controller": {"controller": getattr(arguments, "controller", None)},
         "valve_simulator": {"valve": arguments.valve, "seed": arguments.seed},
-        "command_source": {"scenario": arguments.scenario, "duration": arguments.duration},
+        "command_source": {"scenario": arguments.scenario, "duration": arguments.duration, **array},
     }
-    for node, options in direct.items():
-        changes[node].update({k: v for k, v in options.items() if v is not None})
-    if arguments.command is not None:
-        changes["command_source"].update(scenario="array", command_file=arguments.command)
-    if arguments.sample_period is not None:
-        for node in direct:
-            changes[node]["sample_period"] = arguments.sample_period
-    for text in arguments.set:
-        name, by_node = files.parse_setting(text)
-        for node, value in by_node.items():
-            changes[node][name] = value
+    for options in direct.values():
+        options["sample_period"] = arguments.sample_period
+    changes = files.given(arguments.params_file, direct, arguments.set)
     return {node: updated(table, defaults(table), changes[node]) for node, table in NODES.items()}
 
 

@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +122,26 @@ def _assign(result: dict[str, Values], targets: list[str], name: str, value: Any
 
 def _joined(nodes: list[str]) -> Table:
     return tuple(parameter for node in nodes for parameter in NODES[node])
+
+
+def given(
+    paths: Sequence[str], direct: Mapping[str, Mapping[str, Any]], settings: Sequence[str]
+) -> dict[str, dict[str, Any]]:
+    """Values by node from parameter files, options of their own, and --set; later ones win.
+
+    Raises ParameterError.
+    """
+    changes: dict[str, dict[str, Any]] = {node: {} for node in NODES}
+    for path in paths:
+        for node, values in load(path).items():
+            changes[node].update(values)
+    for node, options in direct.items():
+        changes[node].update({name: value for name, value in options.items() if value is not None})
+    for text in settings:
+        name, by_node = parse_setting(text)
+        for node, value in by_node.items():
+            changes[node][name] = value
+    return changes
 
 
 def parse_setting(text: str) -> tuple[str, dict[str, Value]]:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from valve_control.analysis.figures import COLOURS, Trace, draw_traces
 from valve_control.analysis.indices import Indices
-from valve_control.analysis.page import Line, Plot, envelope, figure, notes, page
+from valve_control.analysis.page import Line, Plot, figure, notes, page
 from valve_control.recordings.recording import Aligned
 from valve_control.recordings.report import index_table
 from valve_control.recordings.study import NONE, Study
@@ -74,7 +74,7 @@ def html(names: Sequence[str], runs: Sequence[BagRun]) -> str:
         if run.signals is None:
             continue
         s, colour = run.signals, COLOURS[i % len(COLOURS)]
-        positions.append(Line(f"{name}: command", *envelope(s.time, s.command), colour, True))
+        positions.append(Line(f"{name}: command", s.time, s.command, colour, True))
         positions.append(Line(name, s.time, s.measurement, colour))
         errors.append(Line(name, s.time, s.measurement - s.command, colour))
         voltages.append(Line(name, s.time, s.voltage, colour))

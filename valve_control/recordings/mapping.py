@@ -3,6 +3,7 @@
 import re
 import struct
 from collections.abc import Sequence
+from itertools import islice
 from typing import NamedTuple
 
 from valve_control.bags.bag import Bag
@@ -122,7 +123,7 @@ def _wrong_field(bag: Bag, source: Source) -> str:
     error = ""
     try:
         decoder = Decoder(topic, [source.field])
-        for message in bag.first_messages(source.topic, TRIED):
+        for message in islice(bag.messages(source.topic), TRIED):
             try:
                 decoder.layout(message)
                 return ""

@@ -23,11 +23,8 @@ LAG_ROWS = 200  # accounts on ~/state by which answers are matched with readings
 LONGEST_LAG = 12  # readings
 STATE_FIELDS = (
     "sample",
-    "mode",
     "measurement",
     "voltage",
-    "z1",
-    "z2",
     "lyapunov",
     "lyapunov_bound",
     *ESTIMATES,

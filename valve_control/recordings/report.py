@@ -11,7 +11,7 @@ from valve_control.analysis.page import Line, Plot, figure, notes, page, table
 from valve_control.analysis.tables import HEADER, index_row
 from valve_control.recordings.cleaning import seconds
 from valve_control.recordings.recording import at_time
-from valve_control.recordings.study import Study, ValveStudy, as_dict, estimates, guarantee_use
+from valve_control.recordings.study import Study, ValveStudy, about_bag, estimates, guarantee_use
 
 Floats = npt.NDArray[np.float64]
 LISTED = 12  # motions in the terminal; all of them are in JSON and HTML
@@ -20,7 +20,7 @@ DETAIL = 1.0  # s before and after the largest error, shown sample by sample
 
 def text(study: Study) -> str:
     """The study as tables for a terminal."""
-    about = as_dict(study)["bag"]
+    about = about_bag(study)
     lines = [
         f"{about['path']}: {about['storage']}{', ' + about['compression'] if about['compression'] else ''}, "
         f"{about['bytes'] / 1e6:.1f} MB, {about['duration_s']:.3f} s from {about['start']}"
@@ -115,7 +115,7 @@ def write_html(path: Path, study: Study) -> None:
 
 
 def _sections(study: Study) -> dict[str, str]:
-    about = as_dict(study)["bag"]
+    about = about_bag(study)
     sections = {
         "Bag": table(["", ""], [(key, _plain(value)) for key, value in about.items() if key != "topics"])
         + table(["topic", "type"], list(about["topics"].items()))

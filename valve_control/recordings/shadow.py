@@ -78,10 +78,11 @@ class Rows(NamedTuple):
 
     def in_order(self) -> list[Row]:
         """Oldest first."""
-        rows, at = [], self
+        rows: list[Row] = []
+        at: Rows | None = self
         while at is not None:
             rows.append(at.row)
-            at = at.before  # type: ignore[assignment]
+            at = at.before
         return rows[::-1]
 
 
@@ -171,11 +172,10 @@ class _Replay:
             self._left_out.append(
                 f"{self._silences} voltages answer no reading (0 V while the LVDT was silent)"
             )
-        numbers = np.array([row[0] for row in rows])
-        unseen = int(np.sum(np.diff(numbers) - 1))
+        used = np.array([row[0] for row in rows])
+        unseen = int(np.sum(np.diff(used) - 1))
         if unseen:
             self._left_out.append(f"{unseen} readings were not seen by the controller")
-        used = numbers
         command, recorded, voltage = (np.array([row[i] for row in rows]) for i in (1, 2, 3))
         time = seconds(self._readings.time[used], int(self._readings.time[used[0]]))
         if self._lockstep:

@@ -169,24 +169,29 @@ def guarantee_use(state: State | None) -> float | None:
     return float(np.max(state.values["lyapunov"][usable] / bound[usable])) if usable.any() else None
 
 
-def as_dict(result: Study) -> dict[str, Any]:
-    """The whole study for JSON."""
+def about_bag(result: Study) -> dict[str, Any]:
+    """What the bag is, for JSON."""
     bag = result.recording.bag
     stamps = [s.log_time for v in result.recording.valves.values() for s in v.signals.values() if len(s.time)]
     begin, end = min(int(s.min()) for s in stamps), max(int(s.max()) for s in stamps)
     return {
-        "bag": {
-            "path": str(bag.path),
-            "storage": bag.storage,
-            "compression": bag.compression or None,
-            "files": bag.files,
-            "bytes": bag.size,
-            "version": bag.version,
-            "distribution": bag.distribution or None,
-            "start": datetime.datetime.fromtimestamp(begin * 1e-9, datetime.UTC).isoformat(),
-            "duration_s": (end - begin) * 1e-9,
-            "topics": {name: topic.type for name, topic in sorted(bag.topics.items())},
-        },
+        "path": str(bag.path),
+        "storage": bag.storage,
+        "compression": bag.compression or None,
+        "files": bag.files,
+        "bytes": bag.size,
+        "version": bag.version,
+        "distribution": bag.distribution or None,
+        "start": datetime.datetime.fromtimestamp(begin * 1e-9, datetime.UTC).isoformat(),
+        "duration_s": (end - begin) * 1e-9,
+        "topics": {name: topic.type for name, topic in sorted(bag.topics.items())},
+    }
+
+
+def as_dict(result: Study) -> dict[str, Any]:
+    """The whole study for JSON."""
+    return {
+        "bag": about_bag(result),
         "valves": {name: _valve_dict(valve) for name, valve in result.valves.items()},
         "left_out": result.left_out,
     }
