@@ -58,6 +58,7 @@ class Controller(Managed):
         self._message = Float64()
         self._state_message = Float64MultiArray()
         self._remembered = -(10**9)  # samples at the last account; the first comes at once
+        self._eventful = False  # whether more than samples and commands has changed what is remembered
         self._last_command = NEVER  # wall time of the last one
         self._commanded = False  # whether there has been an upper level
         self._arrivals: deque[float] = deque(maxlen=WINDOW)
@@ -85,6 +86,7 @@ class Controller(Managed):
         params, wanted = built
         self._values = values
         self._supervisor.apply(values, params)
+        self._eventful = True
         self._params = params
         self._period = build.number(values, "sample_period")
         self._remember_every = round(build.number(values, "memory_period") / self._period)
@@ -133,6 +135,7 @@ class Controller(Managed):
             for _ in topic.take():
                 pass
         self._supervisor.start()
+        self._eventful = True
         self._said = None
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._lockstep else self._seen + REMIND
@@ -178,6 +181,8 @@ class Controller(Managed):
             voltage = self._supervisor.silence(self._elapsed(now), self._catching_up)
             if self._supervisor.begun:
                 self._publish(voltage)
+                self._eventful = True
+                self._give_account()
             self._watch_at = now + REMIND
             worked = True
         if self._supervisor.changed:
@@ -194,6 +199,7 @@ class Controller(Managed):
         elif self._catching_up and (not self._arrivals or began - self._arrivals[-1] >= 0.5 * self._period):
             self._catching_up = False
         if self._catching_up:
+            self._eventful = True
             self._publish(self._supervisor.silence(self._elapsed(began), stalled=True))
         else:
             elapsed = self._elapsed(began)
@@ -209,8 +215,15 @@ class Controller(Managed):
         if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
             self._state_message.data = self._supervisor.telemetry()
             self._states.publish(self._state_message)
-        if 0 < self._remember_every <= self._supervisor.samples - self._remembered:
-            self._remembered = self._supervisor.samples
+        self._give_account()
+
+    def _give_account(self) -> None:
+        """Publish what is remembered, now and then and after events that a recording would not show."""
+        samples = self._supervisor.samples
+        due = self._eventful or self._supervisor.changed or samples - self._remembered >= self._remember_every
+        if due and self._remember_every > 0:
+            self._remembered = samples
+            self._eventful = False
             self._memories.publish(String(data=remember(self._supervisor)))
 
     def _elapsed(self, now: float) -> float:
@@ -269,6 +282,7 @@ class Controller(Managed):
                 self._commanded = self._commanded or count > 0
                 if count == 0 and self._commanded and not self._lockstep:
                     self._supervisor.command_gone()
+                    self._eventful = True
 
     def _check_stability(self) -> None:
         """Warn about unstable gains; after they came into use, since it takes longer than a period."""
@@ -282,6 +296,7 @@ class Controller(Managed):
 
     def _on_reset(self, request: Any, response: Any) -> Any:
         self._supervisor.reset()
+        self._eventful = True
         response.success = True
         response.message = "estimates and filters are at their start"
         self.get_logger().info(response.message)

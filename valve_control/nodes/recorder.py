@@ -345,6 +345,10 @@ class Recorder(Worker):
         counts = self._writer.counts
         for name, topic in sorted(self._topics.items()):
             self.get_logger().info(f"{name}: {counts[name]} messages, {topic.lost} lost")
+        for name in self._snapshots.unanswered():
+            self.get_logger().warning(
+                f"the bag lacks the parameters of {name}, which did not answer; it has their changes"
+            )
         files = f"{self._writer.files} file{'s' if self._writer.files != 1 else ''}"
         self.get_logger().info(
             f"{self._writer.message_count} messages in {files} of {self._settings.folder.absolute()}"

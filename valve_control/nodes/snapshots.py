@@ -117,6 +117,10 @@ class Snapshots:
             self._write_one(name)
             self._node.get_logger().info(f"has the {len(values)} parameters of {name}")
 
+    def unanswered(self) -> list[str]:
+        """Nodes whose parameters have not come."""
+        return sorted(self._questions)
+
     def observe(self, data: bytes) -> None:
         """Take in a serialized ParameterEvent that was received."""
         try:

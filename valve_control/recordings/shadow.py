@@ -6,7 +6,7 @@ reading was being answered came before or after is not: both are tried, and the 
 """
 
 import math
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -18,10 +18,10 @@ import numpy.typing as npt
 from valve_control.bags.errors import BagError
 from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, ParameterError, Values, defaults, updated
-from valve_control.recordings.cleaning import seconds
+from valve_control.recordings.cleaning import Samples, seconds
 from valve_control.recordings.parameters import Change
 from valve_control.recordings.recording import Valve
-from valve_control.supervision.memory import recall
+from valve_control.supervision.memory import agrees, recall
 from valve_control.supervision.supervisor import Supervisor
 
 Floats = npt.NDArray[np.float64]
@@ -34,6 +34,7 @@ HELD_BACK = 50  # commands that a reliable reader may hold back while it waits f
 START = 40  # readings before the first voltage that it may answer
 MOST = 45  # ways that are followed side by side
 STOOD_STILL = "the controller's process stood still"
+NEAR = 1e9  # ns, how far the reading after an account may be from it
 REPORT = 10_000  # samples between two words of progress
 
 
@@ -139,6 +140,7 @@ class _Replay:
         self._taken = 0  # commands
         self._wrong = 0  # voltages in a row that are not the recorded ones
         self._silences = 0
+        self._adopted = 0  # accounts that no way led to, though the voltages agreed
         self._current: Any = None  # what the supervisor remembers now, if that is known
         self._events = (
             ("the upper level left", self._supervisor.command_gone),
@@ -171,6 +173,10 @@ class _Replay:
         if self._silences:
             self._left_out.append(
                 f"{self._silences} voltages answer no reading (0 V while the LVDT was silent)"
+            )
+        if self._adopted:
+            self._left_out.append(
+                f"{self._adopted} times the controller's account told more than the voltages: taken from it"
             )
         used = np.array([row[0] for row in rows])
         unseen = int(np.sum(np.diff(used) - 1))
@@ -222,16 +228,30 @@ class _Replay:
             until = self._sent[k + 1] if k + 1 < len(wanted) else math.inf
             while accounts and accounts[0][0] < until:
                 time, text = accounts.popleft()
-                if self._wrong and time > moment and self._faithful and recall(self._supervisor, text):
-                    yield from self._settled(paths[0])
-                    paths = [self._path_from(time)]
-                    self._wrong = 0
+                if time > moment and self._faithful:
+                    paths = self._compared(paths, time, text)
             if len(paths) == 1:
                 yield from self._settled(paths[0])
                 paths = [paths[0]._replace(rows=None, notes=())]
             if told is not None and k % REPORT == REPORT - 1:
                 told(REPORT)
         yield from self._settled(paths[0])
+
+    def _compared(self, paths: list[Path], time: int, text: str) -> list[Path]:
+        """The way that agrees with the account of ``time`` [ns]; if none does, the account itself."""
+        for path in paths:
+            self._supervisor.restore(path.memory)
+            if agrees(self._supervisor, text):
+                recall(self._supervisor, text)
+                memory = self._current = self._supervisor.snapshot()
+                return [path._replace(memory=memory)]
+        self._supervisor.restore(paths[0].memory)
+        self._current = paths[0].memory
+        if not recall(self._supervisor, text):
+            return paths
+        self._adopted += self._wrong == 0
+        self._wrong = 0
+        return [self._path_from(time)._replace(rows=paths[0].rows, notes=paths[0].notes)]
 
     def _beginning(self) -> tuple[int, list[Path]]:
         """The first voltage to answer and how it may have come about: at rest, or after an account."""
@@ -240,9 +260,10 @@ class _Replay:
         if not self._faithful or self._explains_the_first(at_rest):
             return 0, at_rest
         changes, values = list(self._changes), self._values
+        complete = max(map(self._complete_from, (self._readings, self._voltages, self._commands)))
         for time, text in self._valve.memories:
             begin = bisect_left(self._sent, time)
-            if time < self._stamps[0] or begin == len(self._sent):
+            if time < complete or begin == len(self._sent):
                 continue
             for change in self._changes_before(time):
                 self._apply(change)
@@ -258,6 +279,11 @@ class _Replay:
         )
         self._changes, self._values, self._current = changes, values, None
         return 0, at_rest
+
+    def _complete_from(self, samples: Samples) -> int:
+        """Since when [ns] nothing is missing of a topic whose first messages may not have been recorded."""
+        first = int(samples.time[0])
+        return 0 if samples is self._commands and samples.sequence[0] <= 1 else first
 
     def _has_next_reading(self) -> bool:
         """Whether the reading after the one that the supervisor had last is in the bag."""
@@ -288,9 +314,9 @@ class _Replay:
         number, command = self._supervisor.last_inputs
         reading = bisect_left(self._stamps, time)
         if self._numbered and number is not None:
-            at = bisect_left(self._numbers, number)
-            if at < len(self._numbers) and self._numbers[at] == number:
-                reading = at + 1
+            after = bisect_right(self._numbers, number)
+            if abs(self._time(after) - time) < NEAR:  # numbers begin anew with the node that gives them
+                reading = after
         taken = self._sent_before(time)
         while taken > 0 and command is not None and self._command_values[taken - 1] != command:
             taken -= 1
@@ -313,7 +339,8 @@ class _Replay:
     ) -> list[Path]:
         """All that ``paths`` can become under inputs that give ``wanted`` [V]; the likeliest first."""
         decides = self._faithful and self._wrong < HOPELESS
-        tells = wanted != 0.0 and abs(wanted) < self._u_max
+        # A law that takes over gives the voltage of the one before, whatever it is told.
+        tells = wanted != 0.0 and abs(wanted) < self._u_max and not changes
         found: dict[tuple[Any, ...], Path] = {}
 
         def follow(path: Path, attempt: Attempt) -> Path:

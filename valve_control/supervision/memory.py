@@ -20,6 +20,7 @@ PLAIN = (
 RECORDS: dict[str, Any] = {
     "_homing": Homing, "_offset": fade.State, "_command_offset": fade.State, "_velocity": velocity.State,
 }  # fmt: skip
+CLOCK = ("_now", "_command_time", "_gone_since", "_homing", "_expiry")  # what only real time tells
 STATES = ("_state", "_former")  # of the law, each with the law's name
 
 
@@ -32,6 +33,18 @@ def remember(supervisor: Supervisor) -> str:
         state = getattr(supervisor, name)
         memory[name] = None if state is None else [_law_of(state), state]
     return json.dumps(memory)
+
+
+def agrees(supervisor: Supervisor, text: str) -> bool:
+    """Whether ``supervisor`` remembers what ``text`` says, but for its clock."""
+    try:
+        said = json.loads(text)
+    except ValueError:
+        return False
+    own = json.loads(remember(supervisor))
+    if not isinstance(said, dict) or said.keys() != own.keys():
+        return False
+    return all(json.dumps(said[name]) == json.dumps(own[name]) for name in own if name not in CLOCK)
 
 
 def recall(supervisor: Supervisor, text: str) -> bool:
