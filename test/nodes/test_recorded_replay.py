@@ -16,13 +16,18 @@ from valve_control.recordings.study import as_dict, study
 RECORDED = ("/spool_command", "/spool_position", "/valve_voltage", "/controller/state", "/controller/memory")
 
 
-@pytest.mark.parametrize(("storage", "first"), [("mcap", True), ("sqlite3", False)])
-def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, storage, first):
-    """With live changes of parameters and of the law; the recorder comes before or after the controller."""
+@pytest.mark.parametrize(
+    ("storage", "first", "period"), [("mcap", True, "3600.0"), ("sqlite3", False, "0.2")]
+)
+def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, storage, first, period):
+    """With live changes of parameters and of the law; the recorder comes before or after the controller.
+
+    With a period of an hour there is an account of ~/memory after events only.
+    """
     bag, log = tmp_path / "bag", tmp_path / "recorder.log"
     arguments = {
         "recorder": ["-p", f"bag:={bag}", "-p", f"storage:={storage}"],
-        "controller": [*node_arguments("controller", ["arc.yaml"], {}), "-p", "memory_period:=0.2"],
+        "controller": [*node_arguments("controller", ["arc.yaml"], {}), "-p", f"memory_period:={period}"],
         "valve_simulator": node_arguments("valve_simulator", ["d3fxe.yaml"], {}),
         "command_source": node_arguments("command_source", ["command_source.yaml"], {"listeners": 1}),
     }
@@ -54,7 +59,8 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, storage, first):
         assert running["recorder"].returncode == 0, log.read_text()
     valve = load(bag).valves["valve"]
     result = shadow.replay(valve, {})
-    assert result.faithful and np.count_nonzero(np.isfinite(result.recorded)) > 1500
+    # At the latest the first live change brings an account, after which 1200 voltages were waited for.
+    assert result.faithful and np.count_nonzero(np.isfinite(result.recorded)) > 1100
     assert result.differing == 0, (result.first_difference, result.inferred, result.left_out)
     about = as_dict(study(load(bag)))["valves"]["valve"]
     assert [c["values"] for c in about["changes"] if c["node"] == "/controller"] == [
