@@ -46,7 +46,9 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, storage, first, peri
             for node in (*order, "valve_simulator", "command_source")
         }
         spin_until(ros, lambda: all(f"records {topic} " in log.read_text() for topic in RECORDED), "topics")
-        spin_until(ros, lambda: "parameters of /controller\n" in log.read_text(), "parameters of the controller")
+        spin_until(
+            ros, lambda: "parameters of /controller\n" in log.read_text(), "parameters of the controller"
+        )
         moved(800)
         assert set_parameters(ros, arc__k1=90.0).successful
         moved(400)
