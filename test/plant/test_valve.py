@@ -113,3 +113,55 @@ def test_lvdt_delay_is_that_of_a_shifted_ramp(delay):
 def test_model_that_cannot_be_a_valve(numerator, denominator, text):
     with pytest.raises(ParameterError, match=text):
         made(valve="custom", numerator=numerator, denominator=denominator)
+
+
+@given(
+    bristle=st.floats(-1.0, 1.0),
+    velocity=st.floats(-20.0, 20.0),
+    free=st.floats(-50.0, 50.0),
+    presliding=st.floats(1e-4, 1.0),
+    period=st.sampled_from([1e-5, 1e-3, 1e-2]),
+)
+def test_bristles_solve_their_implicit_equation(bristle, velocity, free, presliding, period):
+    d = made(friction__coulomb=1.2, friction__static_ratio=1.3, friction__presliding=presliding).disturbance
+    mobility = 1.1
+    rubbing, following = valve.friction(d, bristle, velocity, free, mobility, period)
+    v = free - mobility * rubbing
+    assert math.isclose(
+        following, bristle + period / presliding * (v - abs(v) * following), rel_tol=1e-9, abs_tol=1e-9
+    )
+    assert abs(following) <= 1.0 and abs(rubbing) <= 1.2 * 1.3 * (1.0 + 1e-12)
+
+
+def test_presliding_is_dahls_hysteresis():
+    """Quasi-static: from rest z = 1 - exp(-x/presliding); back over a distance s: z = 1 - 2·(1 - exp(-s/...))."""
+    p = made(friction__coulomb=1.0, friction__presliding=0.2)
+    bristle, x, v = 0.0, 0.0, 0.5
+    found = []
+    for k in range(4000):
+        v = 0.5 if k < 2000 else -0.5
+        # a spool that a strong hand moves: friction cannot change its velocity
+        _, bristle = valve.friction(p.disturbance, bristle, v, v, 1e-12, p.period)
+        x += v * p.period
+        found.append((x, bristle))
+    there, back = found[799], found[2399]
+    assert math.isclose(there[1], -math.expm1(-there[0] / 0.2), rel_tol=2e-3)
+    top, way = found[1999][1], found[1999][0] - back[0]
+    assert math.isclose(back[1], -1.0 + (1.0 + top) * math.exp(-way / 0.2), abs_tol=2e-3)
+
+
+@pytest.mark.parametrize("period", [1e-4, 1e-3, 5e-3])
+def test_presliding_spool_comes_to_rest(period):
+    valve_2 = {"valve": "second_order", "sample_period": period}
+    u = np.where(np.arange(round(4.0 / period)) * period < 0.5, 5.0, 0.0)
+    rubbed = run(made(**valve_2, friction__coulomb=1.0, friction__presliding=0.05), u)
+    free = run(made(**valve_2), u)
+    assert np.max(rubbed[:, 0]) <= np.max(free[:, 0]) + 1e-9
+    assert np.max(np.abs(rubbed[-10:, 1])) <= 1e-3
+
+
+def test_without_presliding_distance_it_is_coulomb_friction():
+    u = 3.0 * np.sin(2.0 * math.pi * 2.0 * np.arange(3000) * 1e-3)
+    short = run(made(friction__coulomb=0.7, friction__presliding=1e-7), u)
+    clipped = run(made(friction__coulomb=0.7, friction__velocity_scale=1e-6), u)
+    assert np.allclose(short[:, 0], clipped[:, 0], atol=2e-3)

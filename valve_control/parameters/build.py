@@ -234,6 +234,7 @@ def valve_params(values: Values) -> valve.Params:
         static_ratio=number(values, "friction.static_ratio"),
         stribeck_velocity=number(values, "friction.stribeck_velocity"),
         velocity_scale=number(values, "friction.velocity_scale"),
+        presliding=number(values, "friction.presliding"),
         flow_force=number(values, "flow_force"),
         offset=number(values, "disturbance.offset"),
         stiffness_drift=number(values, "drift.stiffness"),

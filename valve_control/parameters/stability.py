@@ -41,7 +41,7 @@ def spectral_radius(law: types.ModuleType, params: Any, theta: tuple[float, ...]
     period = params.period
     model = TransferFunction((theta[2],), (1.0, theta[0], theta[1]))
     plant = valve.design(
-        model, period, params.u_max, 1.0, valve.Disturbance(0, 1, 1, 1, 0, 0, 0, 0), 0.0, 0.0, 0.0, 0.0
+        model, period, params.u_max, 1.0, valve.Disturbance(0, 1, 1, 1, 0, 0, 0, 0, 0), 0.0, 0.0, 0.0, 0.0
     )
     law_zero = law.initial(params, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     if "started" in law_zero._fields:

@@ -385,7 +385,22 @@ VALVE: Table = (
     Parameter(
         "friction.stribeck_velocity", 0.1, "V/s", "velocity at which the static part decays", 1e-6, 1e3
     ),
-    Parameter("friction.velocity_scale", 0.02, "V/s", "half-width of friction's linear zone", 1e-6, 1e3),
+    Parameter(
+        "friction.velocity_scale",
+        0.02,
+        "V/s",
+        "half-width of friction's linear zone, without presliding",
+        1e-6,
+        1e3,
+    ),
+    Parameter(
+        "friction.presliding",
+        0.0,
+        "V",
+        "motion over which friction builds up like a spring (Dahl, LuGre); 0: none",
+        0.0,
+        10.0,
+    ),
     Parameter("flow_force", 0.0, "V/V", "flow force as input voltage against the position", -10.0, 10.0),
     Parameter("disturbance.offset", 0.0, "V", "constant input disturbance d_n", -10.0, 10.0),
     Parameter("drift.gain", 0.0, "1/s", "relative growth of the gain per second", -0.01, 10.0),

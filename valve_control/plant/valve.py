@@ -31,7 +31,8 @@ class Disturbance(NamedTuple):
     coulomb: float  # V      Coulomb friction
     static_ratio: float  # -      static over Coulomb friction, at least 1
     stribeck_velocity: float  # V/s    decay of the static part
-    velocity_scale: float  # V/s    half-width of the linear zone around standstill
+    velocity_scale: float  # V/s    half-width of the linear zone around standstill, without presliding
+    presliding: float  # V      deflection of the bristles before the spool slides, 0: none
     flow_force: float  # V/V    d = -flow_force·x
     offset: float  # V      constant part, b0·dn / b0
     stiffness_drift: float  # V/V/s  growth of an additional flow_force
@@ -66,6 +67,7 @@ class State(NamedTuple):
     """State of valve and LVDT. ``history`` is a ring of past positions and is overwritten in place."""
 
     x: Row  # position [V], velocity [V/s] and two inner states
+    bristle: float  # -  deflection of the bristles over that of sliding, -1 to 1
     time: float  # s
     history: npt.NDArray[np.float64]  # V
     newest: int  # index into history
@@ -132,7 +134,7 @@ def design(
 def initial(p: Params) -> State:
     """Spool at rest in the centre, no voltage."""
     length = int(p.lvdt.delay) + 2
-    return State(Row(0.0, 0.0, 0.0, 0.0), 0.0, np.zeros(length), 0)
+    return State(Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0, np.zeros(length), 0)
 
 
 def read(p: Params, s: State, noise: float) -> float:
@@ -156,25 +158,38 @@ def dot(row: Row, x: Row) -> float:
     return row.x0 * x.x0 + row.x1 * x.x1 + row.x2 * x.x2 + row.x3 * x.x3
 
 
-def friction(d: Disturbance, velocity: float, free_velocity: float, mobility: float) -> float:
-    """Friction voltage over the next period, solved implicitly.
+def friction(
+    d: Disturbance, bristle: float, velocity: float, free_velocity: float, mobility: float, period: float
+) -> tuple[float, float]:
+    """Friction voltage over the next ``period`` [s] and the bristles' deflection after it, both implicit.
 
-    Friction is level·clip(v/velocity_scale, -1, 1) with the Stribeck level at the present ``velocity``
-    [V/s]. It acts on the velocity that it leads to, v = ``free_velocity`` - ``mobility``·friction, for
-    which this shape has a closed solution: the spool sticks without chatter at any period, and friction
-    never exceeds its level. ``mobility`` in V/s per V.
+    The level is Coulomb's with Stribeck's addition at the present ``velocity`` [V/s]. The rest acts on the
+    velocity that it leads to, v = ``free_velocity`` - ``mobility``·friction (``mobility`` in V/s per V), for
+    which both shapes have a closed solution: the spool sticks without chatter at any period, and friction
+    never exceeds its level.
+
+    presliding = 0: level·clip(v/velocity_scale, -1, 1). Else level·z, where the bristles' deflection obeys
+    dz/dt = (v - |v|·z)/presliding: below its level friction is a spring of level/presliding, so small
+    motions show hysteresis (Dahl 1968; LuGre of Canudas de Wit et al. 1995 with stiffness 1/presliding and
+    without bristle damping).
     """
     level = d.coulomb
     if d.static_ratio > 1.0:
         ratio = velocity / d.stribeck_velocity
         level = d.coulomb * (1.0 + (d.static_ratio - 1.0) * math.exp(-ratio * ratio))
+    if d.presliding > 0.0:
+        # Backward Euler: z⁺·(1 + a·|v|) = z + a·v. The difference that moves the spool gives the sign of v.
+        a = period / d.presliding
+        moving = free_velocity - mobility * level * bristle
+        sign = math.copysign(1.0, moving)
+        b = 1.0 + a * (mobility * level - sign * free_velocity)
+        root = math.sqrt(b * b + 4.0 * a * abs(moving))
+        speed = 2.0 * abs(moving) / (b + root) if b > 0.0 else (root - b) / (2.0 * a)
+        bristle = (bristle + a * sign * speed) / (1.0 + a * speed)
+        return level * bristle, bristle
     damping = level / d.velocity_scale
     linear = damping * free_velocity / (1.0 + mobility * damping)
-    if linear > level:
-        return level
-    if linear < -level:
-        return -level
-    return linear
+    return max(-level, min(level, linear)), 0.0
 
 
 def step(p: Params, s: State, voltage: float) -> State:
@@ -184,8 +199,10 @@ def step(p: Params, s: State, voltage: float) -> State:
     force = saturate(voltage, p.u_max) + d.offset - (d.flow_force + d.stiffness_drift * s.time) * x.x0
     gain = p.gain_scale * (1.0 + d.gain_drift * s.time)
     v_free = dot(p.row1, x) + p.input.x1 * gain * force
+    bristle = s.bristle
     if d.coulomb > 0.0:
-        force -= friction(d, x.x1, v_free, p.input.x1 * gain)
+        rubbing, bristle = friction(d, bristle, x.x1, v_free, p.input.x1 * gain, p.period)
+        force -= rubbing
     u = gain * force
     following = Row(
         dot(p.row0, x) + p.input.x0 * u,
@@ -197,4 +214,4 @@ def step(p: Params, s: State, voltage: float) -> State:
     if p.lvdt.delay > 0.0:
         newest = (newest + 1) % len(s.history)
         s.history[newest] = following.x0
-    return State(following, s.time + p.period, s.history, newest)
+    return State(following, bristle, s.time + p.period, s.history, newest)
