@@ -63,6 +63,13 @@ def stroke(time: float, distance: float, max_velocity: float, max_accel: float) 
     return distance
 
 
+def there_and_back(shape: Shape, time: float) -> float:
+    """Position [V] on the strokes of a point-to-point motion that began at time 0, without the offset."""
+    t = time % shape.cycle
+    there = stroke(t, shape.amplitude, shape.max_velocity, shape.max_accel)
+    return there + stroke(t - 0.5 * shape.cycle, -shape.amplitude, shape.max_velocity, shape.max_accel)
+
+
 def command(shape: Shape, time: float) -> float:
     """Command [V] at ``time`` [s] after the beginning."""
     t = time - shape.start
@@ -82,8 +89,5 @@ def command(shape: Shape, time: float) -> float:
         phase = 2.0 * math.pi * shape.frequency * length * math.expm1(t / length)
         return shape.offset + a * math.sin(phase)
     if shape.scenario == "point_to_point":
-        t = math.fmod(t, shape.cycle)
-        there = stroke(t, a, shape.max_velocity, shape.max_accel)
-        back = stroke(t - 0.5 * shape.cycle, -a, shape.max_velocity, shape.max_accel)
-        return shape.offset + there + back
+        return shape.offset + there_and_back(shape, t)
     raise ValueError(f"scenario '{shape.scenario}' is not one of {', '.join(SCENARIOS)}")

@@ -1,0 +1,1 @@
+"""A simulated valve whose controllers give a measured table of performance indices."""

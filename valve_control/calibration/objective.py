@@ -1,0 +1,110 @@
+"""How near the controllers of a simulated valve come to a measured table of indices."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.analysis.indices import Indices, indices
+from valve_control.calibration.space import Settings
+from valve_control.compiling import compile_function
+from valve_control.laws.signals import Start
+from valve_control.parameters import build
+from valve_control.parameters.table import NODES, updated
+from valve_control.plant import valve
+from valve_control.simulation import closed_loop, offline, scenarios
+
+Array = npt.NDArray[np.float64]
+Table = Mapping[str, Indices]  # by controller; NaN where nothing was measured
+WITHIN = 0.045  # log ratio beyond which a number is punished by itself
+ORDER = 0.01  # cost of two controllers in the wrong order
+FAILED = 10.0  # cost of a valve that cannot be run
+NO_TERMS = np.zeros((0, 0))
+
+
+class Fit(NamedTuple):
+    """How near a table is."""
+
+    rms: float  # root mean square of the log ratios
+    worst: float  # largest of them
+    orderings: int  # pairs of controllers that an index puts in the other order than the table
+
+    @property
+    def cost(self) -> float:
+        """What a search makes small: numbers beyond WITHIN count by themselves, and so does each wrong order."""
+        return self.rms + max(0.0, self.worst - WITHIN) + ORDER * self.orderings
+
+
+def sampled_strokes(shape: scenarios.Shape, period: float, commands: Array) -> None:
+    """Point-to-point commands [V], one every ``period`` [s]."""
+    for k in range(commands.shape[0]):
+        t = k * period - shape.start
+        value = shape.offset
+        if t >= 0.0:
+            value += scenarios.there_and_back(shape, t)
+        commands[k] = value
+
+
+def commands_of(settings: Settings) -> Array:
+    """Command [V] of each sample; compiled where a search varies it."""
+    values = settings["command_source"]
+    if values["scenario"] != "point_to_point":
+        return offline.commands(values)
+    period = build.number(values, "sample_period")
+    commands = np.zeros(max(1, round(build.number(values, "duration") / period)))
+    compile_function(sampled_strokes)(build.shape(values), period, commands)
+    return commands
+
+
+def run(settings: Settings, controllers: Sequence[str], seeds: Sequence[int]) -> dict[str, list[Indices]]:
+    """Indices of each controller with each seed of the LVDT's noise. Raises ParameterError."""
+    command = commands_of(settings)
+    valve_params = build.valve_params(settings["valve_simulator"])
+    noises = [np.random.default_rng(seed).standard_normal(len(command)) for seed in seeds]
+    signals = np.zeros((len(command), len(closed_loop.SIGNALS)))
+    found: dict[str, list[Indices]] = {name: [] for name in controllers}
+    for name in controllers:
+        law = closed_loop.LAWS[name]
+        values = updated(NODES["controller"], settings["controller"], {"controller": name})
+        law_params = build.LAW_PARAMS[name](values)
+        loop = closed_loop.loop_for(law)
+        for noise in noises:
+            state = valve.initial(valve_params)
+            first = valve.read(valve_params, state, noise[0])
+            begun = law.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
+            loop(law_params, begun, valve_params, state, command, noise, signals, NO_TERMS)
+            found[name].append(indices(signals[:, 1] - command, signals[:, 2], valve_params.period))
+    return found
+
+
+def log_ratios(found: Mapping[str, Sequence[Indices]], table: Table) -> dict[str, Array]:
+    """log(index/table), the mean over seeds, by controller; NaN where the table has nothing."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return {
+            name: np.mean(np.log(np.array(runs, dtype=float)), axis=0) - np.log(np.array(table[name]))
+            for name, runs in found.items()
+        }
+
+
+def swapped(found: Mapping[str, Sequence[Indices]], table: Table) -> list[tuple[str, str, str]]:
+    """(index, better, worse) of the table for each pair that ``found``, the mean over seeds, orders otherwise."""
+    means = {name: np.mean(np.array(runs, dtype=float), axis=0) for name, runs in found.items()}
+    pairs = []
+    for i, index in enumerate(Indices._fields):
+        for better in table:
+            for worse in table:
+                if table[better][i] < table[worse][i] and not means[better][i] < means[worse][i]:
+                    pairs.append((index, better, worse))
+    return pairs
+
+
+def fit(found: Mapping[str, Sequence[Indices]], table: Table) -> Fit:
+    """How near ``found`` is to ``table``."""
+    ratios = np.concatenate(list(log_ratios(found, table).values()))
+    ratios = ratios[~np.isnan(ratios)]
+    if not np.all(np.isfinite(ratios)):
+        return Fit(FAILED, FAILED, 0)
+    return Fit(
+        float(np.sqrt(np.mean(ratios**2))), float(np.max(np.abs(ratios))), len(swapped(found, table))
+    )

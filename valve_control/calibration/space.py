@@ -1,0 +1,138 @@
+"""What a calibration may choose: physical parameters, each within a plausible range."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.parameters.table import NODES, Values, updated
+
+Array = npt.NDArray[np.float64]
+Settings = dict[str, Values]  # by node
+
+
+class Dimension(NamedTuple):
+    """One free quantity and the parameters that take its value."""
+
+    name: str
+    targets: tuple[tuple[str, str], ...]  # node and parameter
+    entry: int  # of a parameter that is a list, else -1
+    low: float
+    high: float
+    logarithmic: bool
+    unit: str
+    reason: str  # for the range
+
+    def from_unit(self, share: float) -> float:
+        """Value at ``share`` of the range, 0 to 1."""
+        if self.logarithmic:
+            return self.low * (self.high / self.low) ** share
+        return self.low + share * (self.high - self.low)
+
+    def to_unit(self, value: float) -> float:
+        """Share of the range at which ``value`` lies."""
+        if self.logarithmic:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+def _valve(
+    name: str, low: float, high: float, unit: str, reason: str, logarithmic: bool = False
+) -> Dimension:
+    return Dimension(name, (("valve_simulator", name),), -1, low, high, logarithmic, unit, reason)
+
+
+def _command(name: str, low: float, high: float, unit: str, reason: str) -> Dimension:
+    return Dimension(name, (("command_source", name),), -1, low, high, False, unit, reason)
+
+
+# The command's speed and acceleration, the gains, the reshaping and θ(0) are the paper's and stay.
+DIMENSIONS = (
+    _valve("gain_scale", 0.8, 1.4, "-", "identified from small signals; a larger stroke may differ"),
+    _valve("flow_force", -0.3, 0.3, "V/V", "steady flow force: up to 0.3 of the spring's"),
+    _valve("disturbance.offset", -0.5, 0.5, "V", "the centre of spring and amplifier, 5 % of u_max"),
+    _valve("friction.coulomb", 0.1, 2.5, "V", "up to a quarter of u_max", True),
+    _valve("friction.static_ratio", 1.0, 3.0, "-", "lubricated steel on steel"),
+    _valve("friction.stribeck_velocity", 0.003, 10.0, "V/s", "below the command's 8 V/s", True),
+    _valve("friction.presliding", 0.003, 0.6, "V", "micrometres up to 6 % of the stroke", True),
+    _valve("lvdt.noise", 0.001, 0.010, "V", "0.01 to 0.1 % of 10 V", True),
+    _valve("lvdt.resolution", 0.0003, 0.010, "V", "16 to 11 bits of ±10 V", True),
+    _valve("lvdt.delay", 0.0, 0.001, "s", "demodulation of the LVDT"),
+    _command("amplitude", 1.5, 4.5, "V", "Fig. 5's stroke is not printed"),
+    _command("cycle", 4.0, 8.0, "s", "Fig. 5's time axis is not printed"),
+    _command("offset", -0.3, 0.3, "V", "where the command begins; the valve begins at 0 V"),
+    Dimension(
+        "theta_min b0",
+        (("controller", "arc.theta_min"), ("controller", "oarc.theta_min")),
+        2,
+        600.0,
+        1199.0,
+        False,
+        "1/s²",
+        "θ3min is not printed; θ3(0) = 1200 lies above",
+    ),
+    Dimension(
+        "oarc.z2_weight",
+        (("controller", "oarc.z2_weight"),),
+        -1,
+        1.0,
+        1e7,
+        True,
+        "1/s²",
+        "1 is the print, which chatters at 1 ms (docs/errata.md)",
+    ),
+    Dimension(
+        "arc.velocity_cutoff",
+        (("controller", "arc.velocity_cutoff"),),
+        -1,
+        30.0,
+        480.0,
+        True,
+        "Hz",
+        "'backward difference plus low pass'; not printed",
+    ),
+    Dimension(
+        "pid.derivative_cutoff",
+        (("controller", "pid.derivative_cutoff"),),
+        -1,
+        30.0,
+        480.0,
+        True,
+        "Hz",
+        "not printed",
+    ),
+)
+
+
+def values_at(dimensions: Sequence[Dimension], point: Array) -> dict[str, float]:
+    """Value of each dimension at ``point`` of the unit cube."""
+    return {d.name: d.from_unit(float(share)) for d, share in zip(dimensions, point, strict=True)}
+
+
+def changed(base: Settings, dimensions: Sequence[Dimension], values: Mapping[str, float]) -> Settings:
+    """``base`` with the free quantities at ``values``. Raises ParameterError."""
+    changes: dict[str, Values] = {node: {} for node in base}
+    for dimension in dimensions:
+        for node, name in dimension.targets:
+            value = values[dimension.name]
+            if dimension.entry < 0:
+                changes[node][name] = value
+            else:
+                items = changes[node].get(name, base[node][name])
+                assert isinstance(items, list)
+                changes[node][name] = [
+                    value if i == dimension.entry else item for i, item in enumerate(items)
+                ]
+    return {node: updated(NODES[node], base[node], changes[node]) for node in base}
+
+
+def present(base: Settings, dimension: Dimension) -> float:
+    """The value that ``base`` has."""
+    node, name = dimension.targets[0]
+    value = base[node][name]
+    if isinstance(value, list):
+        value = value[dimension.entry]
+    assert isinstance(value, (int, float))
+    return float(value)
