@@ -5,6 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from valve_control.parameters import build
+from valve_control.parameters.table import COMMAND, ParameterError, defaults
 from valve_control.simulation import scenarios
 
 
@@ -50,3 +52,22 @@ def test_sweep_passes_its_end_frequency():
 def test_unknown_scenario():
     with pytest.raises(ValueError, match="point_to_point"):
         scenarios.command(shape(scenario="zigzag"), 1.0)
+
+
+def test_stepped_sine_has_whole_cycles_of_log_spaced_frequencies():
+    s = shape(scenario="stepped_sine", frequency=2.0, end_frequency=32.0, steps=5, cycles=4, step_time=0.5)
+    steps = scenarios.steps_of(s)
+    assert np.allclose([step.frequency for step in steps], [2.0, 4.0, 8.0, 16.0, 32.0])
+    assert np.allclose([step.end - step.start for step in steps], [2.0, 1.0, 0.5, 0.5, 0.5])
+    for step in steps:
+        quarter = s.start + step.start + 0.25 / step.frequency
+        assert math.isclose(scenarios.command(s, quarter), s.offset + s.amplitude)
+        assert math.isclose(scenarios.command(s, s.start + step.end), s.offset, abs_tol=1e-9)
+    assert scenarios.command(s, 100.0) == s.offset
+
+
+def test_stepped_sine_must_fit_the_duration():
+    values = defaults(COMMAND)
+    values["scenario"] = "stepped_sine"
+    with pytest.raises(ParameterError, match=r"duration is 6 s; the stepped sine takes"):
+        build.shape(values)

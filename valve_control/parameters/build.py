@@ -10,7 +10,7 @@ from valve_control.parameters import design
 from valve_control.parameters.table import ParameterError, Value, Values
 from valve_control.plant import valve
 from valve_control.plant.models import MODELS, TransferFunction
-from valve_control.simulation.scenarios import Shape, stroke_time
+from valve_control.simulation.scenarios import Shape, steps_of, stroke_time
 
 THETA_NAMES = ("a1", "a0", "b0", "b0·dn")
 
@@ -185,6 +185,13 @@ def _model(values: Values, choice: str, prefix: str) -> TransferFunction:
     return model
 
 
+def valve_model(values: Values) -> TransferFunction:
+    """Linear model of the valve, with its gain scaled. Raises ParameterError."""
+    model = _model(values, "valve", "")
+    scale = number(values, "gain_scale")
+    return TransferFunction(tuple(scale * c for c in model.numerator), model.denominator)
+
+
 def compensator_params(values: Values) -> compensator.Params:
     """Compensator from the controller's values. Raises ParameterError."""
     chosen = word(values, "compensator.design")
@@ -198,6 +205,8 @@ def compensator_params(values: Values) -> compensator.Params:
             transfer_function = design.pole_zero_compensator(
                 _model(values, "compensator.model", "compensator."),
                 number(values, "compensator.bandwidth"),
+                bool(values["compensator.cancel_zeros"]),
+                int(number(values, "compensator.order")),
             )
         return design.compensator_params(transfer_function, period, number(values, "u_max"))
     except design.DesignError as error:
@@ -269,7 +278,16 @@ def shape(values: Values) -> Shape:
         max_accel=number(values, "max_accel"),
         cycle=number(values, "cycle"),
         sweep_time=number(values, "sweep_time"),
+        steps=int(number(values, "steps")),
+        cycles=int(number(values, "cycles")),
+        step_time=number(values, "step_time"),
     )
+    if made.scenario == "stepped_sine":
+        needed = made.start + steps_of(made)[-1].end
+        if needed > number(values, "duration"):
+            raise ParameterError(
+                f"duration is {number(values, 'duration'):g} s; the stepped sine takes {needed:.4g} s"
+            )
     if made.scenario == "point_to_point":
         ramp, cruise, _ = stroke_time(abs(made.amplitude), made.max_velocity, made.max_accel)
         needed = 2.0 * (2.0 * ramp + cruise)

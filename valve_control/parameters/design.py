@@ -35,33 +35,51 @@ PRINTED_FOURTH_ORDER = TransferFunction(
 )
 
 
+LARGEST_ORDER = 6  # poles of a compensator: three second-order sections
+
+
 @functools.cache
-def pole_zero_compensator(model: TransferFunction, bandwidth: float) -> TransferFunction:
+def pole_zero_compensator(
+    model: TransferFunction, bandwidth: float, cancel_zeros: bool = True, order: int = 0
+) -> TransferFunction:
     """Compensator that turns a stable ``model`` into a Bessel low-pass of ``bandwidth`` [Hz] (-3 dB).
 
-    It cancels all poles of the model and those zeros that lie left of the imaginary axis; a zero to
-    the right stays in the response, since cancelling it would be unstable. The Bessel filter has one
-    order more than the valve's relative degree, so that the compensator rolls off.
+    It cancels all poles of the model and, with ``cancel_zeros``, those zeros that lie left of the
+    imaginary axis; a zero to the right stays in the response, since cancelling it would be unstable.
+    ``order``: poles of the Bessel filter; 0 is one more than makes the compensator proper, so that it
+    rolls off.
 
-    Raises DesignError for an unstable model, a bandwidth that is not positive, or too high an order.
+    Raises DesignError for an unstable or improper model, a bandwidth that is not positive, or an order
+    too low or too high.
     """
     if bandwidth <= 0.0:
         raise DesignError(f"compensator.bandwidth is {bandwidth:g} Hz; it must be positive")
     zeros, poles, gain = scipy.signal.tf2zpk(model.numerator, model.denominator)
+    if len(zeros) > len(poles):
+        raise DesignError(f"the model is improper: it has {len(zeros)} zeros and {len(poles)} poles")
     if np.any(poles.real >= 0.0):
         raise DesignError(
             f"the model has a pole at {poles[np.argmax(poles.real)]:.4g} rad/s; "
             "a pole-zero compensator needs a stable model"
         )
-    cancelled = zeros[zeros.real < 0.0]
-    kept = zeros[zeros.real >= 0.0]
-    order = len(poles) - len(cancelled) + 1
+    stable = zeros.real < 0.0 if cancel_zeros else np.zeros(len(zeros), dtype=bool)
+    cancelled, kept = zeros[stable], zeros[~stable]
+    least = len(poles) - len(cancelled)
+    order = order or least + 1
+    if order < least:
+        raise DesignError(
+            f"compensator.order is {order}; with fewer than {least} poles the compensator would be improper"
+        )
+    if order + len(cancelled) > LARGEST_ORDER:
+        raise DesignError(
+            f"the compensator would have {order + len(cancelled)} poles; it may have {LARGEST_ORDER}"
+        )
     _, target, _ = scipy.signal.bessel(order, 2.0 * np.pi * bandwidth, analog=True, output="zpk", norm="mag")
     denominator = np.poly(np.concatenate([target, cancelled])).real
-    if len(denominator) > 7:
-        raise DesignError("the model's order is too high: a compensator has at most 6 poles")
     numerator = np.poly(poles).real
     static = gain * np.prod(-kept).real * np.prod(-cancelled).real / np.prod(-poles).real
+    if static == 0.0:
+        raise DesignError("the model has a zero at 0 rad/s, so its static gain cannot be compensated")
     numerator = numerator * (denominator[-1] / numerator[-1] / static)
     return TransferFunction(tuple(map(float, numerator)), tuple(map(float, denominator)))
 

@@ -1,5 +1,7 @@
 """Command shapes: functions of time [s] that give the spool position command [V]."""
 
+import bisect
+import functools
 import math
 from typing import NamedTuple
 
@@ -7,16 +9,27 @@ from typing import NamedTuple
 class Shape(NamedTuple):
     """One command shape; each scenario uses what it needs."""
 
-    scenario: str  # point_to_point, sine, step, sweep or constant
+    scenario: str  # point_to_point, sine, step, sweep, stepped_sine or constant
     amplitude: float  # V     height, stroke or amplitude
     offset: float  # V     added to everything
     start: float  # s     standstill before the motion begins
-    frequency: float  # Hz    sine; start of the sweep
-    end_frequency: float  # Hz    end of the sweep
+    frequency: float  # Hz    sine; start of the sweep; first step
+    end_frequency: float  # Hz    end of the sweep; last step
     max_velocity: float  # V/s   point to point
     max_accel: float  # V/s²  point to point
     cycle: float  # s     point to point: there and back again
     sweep_time: float  # s     duration of one sweep
+    steps: int = 30  # -     frequencies of the stepped sine
+    cycles: int = 5  # -     least cycles of each
+    step_time: float = 1.0  # s     least time of each
+
+
+class Step(NamedTuple):
+    """One frequency of a stepped sine, from ``start`` to ``end`` [s] after the motion's beginning."""
+
+    start: float  # s
+    end: float  # s
+    frequency: float  # Hz
 
 
 SCENARIOS = {
@@ -24,6 +37,7 @@ SCENARIOS = {
     "sine": "sine wave (Fig. 4: 6 Hz)",
     "step": "step to the amplitude",
     "sweep": "sine whose frequency rises exponentially from frequency to end_frequency",
+    "stepped_sine": "whole cycles of one frequency after the other, from frequency to end_frequency",
     "constant": "the offset alone",
 }
 
@@ -70,6 +84,34 @@ def there_and_back(shape: Shape, time: float) -> float:
     return there + stroke(t - 0.5 * shape.cycle, -shape.amplitude, shape.max_velocity, shape.max_accel)
 
 
+@functools.cache
+def sine_steps(
+    frequency: float, end_frequency: float, steps: int, cycles: int, step_time: float
+) -> tuple[Step, ...]:
+    """Log-spaced frequencies [Hz], each with whole ``cycles`` that last at least ``step_time`` [s]."""
+    made: list[Step] = []
+    start = 0.0
+    for i in range(steps):
+        f = frequency * (end_frequency / frequency) ** (i / max(1, steps - 1))
+        end = start + max(cycles, math.ceil(step_time * f)) / f
+        made.append(Step(start, end, f))
+        start = end
+    return tuple(made)
+
+
+def steps_of(shape: Shape) -> tuple[Step, ...]:
+    """The steps of a stepped sine."""
+    return sine_steps(shape.frequency, shape.end_frequency, shape.steps, shape.cycles, shape.step_time)
+
+
+def stepped_sine(steps: tuple[Step, ...], time: float) -> float:
+    """Unit sine at ``time`` [s] of a stepped sine that began at time 0; 0 after its end."""
+    i = bisect.bisect_right(steps, time, key=lambda step: step.end)
+    if i == len(steps):
+        return 0.0
+    return math.sin(2.0 * math.pi * steps[i].frequency * (time - steps[i].start))
+
+
 def command(shape: Shape, time: float) -> float:
     """Command [V] at ``time`` [s] after the beginning."""
     t = time - shape.start
@@ -88,6 +130,8 @@ def command(shape: Shape, time: float) -> float:
         length = shape.sweep_time / ratio
         phase = 2.0 * math.pi * shape.frequency * length * math.expm1(t / length)
         return shape.offset + a * math.sin(phase)
+    if shape.scenario == "stepped_sine":
+        return shape.offset + a * stepped_sine(steps_of(shape), t)
     if shape.scenario == "point_to_point":
         return shape.offset + there_and_back(shape, t)
     raise ValueError(f"scenario '{shape.scenario}' is not one of {', '.join(SCENARIOS)}")
