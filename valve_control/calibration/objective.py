@@ -32,7 +32,7 @@ class Fit(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """What a search makes small: numbers beyond WITHIN count by themselves, and so does each wrong order."""
+        """What a search makes small: numbers beyond WITHIN and wrong orders count by themselves."""
         return self.rms + max(0.0, self.worst - WITHIN) + ORDER * self.orderings
 
 
@@ -88,7 +88,7 @@ def log_ratios(found: Mapping[str, Sequence[Indices]], table: Table) -> dict[str
 
 
 def swapped(found: Mapping[str, Sequence[Indices]], table: Table) -> list[tuple[str, str, str]]:
-    """(index, better, worse) of the table for each pair that ``found``, the mean over seeds, orders otherwise."""
+    """(index, better, worse) of the table for each pair that the means over seeds order otherwise."""
     means = {name: np.mean(np.array(runs, dtype=float), axis=0) for name, runs in found.items()}
     pairs = []
     for i, index in enumerate(Indices._fields):
@@ -105,6 +105,4 @@ def fit(found: Mapping[str, Sequence[Indices]], table: Table) -> Fit:
     ratios = ratios[~np.isnan(ratios)]
     if not np.all(np.isfinite(ratios)):
         return Fit(FAILED, FAILED, 0)
-    return Fit(
-        float(np.sqrt(np.mean(ratios**2))), float(np.max(np.abs(ratios))), len(swapped(found, table))
-    )
+    return Fit(float(np.sqrt(np.mean(ratios**2))), float(np.max(np.abs(ratios))), len(swapped(found, table)))

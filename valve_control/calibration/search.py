@@ -1,4 +1,4 @@
-"""Search for the valve: differential evolution over the plausible ranges, then a simplex from the best points.
+"""Search for the valve: differential evolution over the plausible ranges, then simplices from the best point.
 
 Both are scipy's, and repeatable by the seed whatever the number of processes.
 """

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.parameters import build
 from valve_control.parameters.table import NODES, Values, updated
 
 Array = npt.NDArray[np.float64]
@@ -28,7 +29,7 @@ class Dimension(NamedTuple):
     def from_unit(self, share: float) -> float:
         """Value at ``share`` of the range, 0 to 1."""
         if self.logarithmic:
-            return self.low * (self.high / self.low) ** share
+            return self.low * math.exp(share * math.log(self.high / self.low))
         return self.low + share * (self.high - self.low)
 
     def to_unit(self, value: float) -> float:
@@ -120,19 +121,14 @@ def changed(base: Settings, dimensions: Sequence[Dimension], values: Mapping[str
             if dimension.entry < 0:
                 changes[node][name] = value
             else:
-                items = changes[node].get(name, base[node][name])
-                assert isinstance(items, list)
-                changes[node][name] = [
-                    value if i == dimension.entry else item for i, item in enumerate(items)
-                ]
+                items = build.numbers({**base[node], **changes[node]}, name)
+                changes[node][name] = [*items[: dimension.entry], value, *items[dimension.entry + 1 :]]
     return {node: updated(NODES[node], base[node], changes[node]) for node in base}
 
 
 def present(base: Settings, dimension: Dimension) -> float:
     """The value that ``base`` has."""
     node, name = dimension.targets[0]
-    value = base[node][name]
-    if isinstance(value, list):
-        value = value[dimension.entry]
-    assert isinstance(value, (int, float))
-    return float(value)
+    if dimension.entry < 0:
+        return build.number(base[node], name)
+    return build.numbers(base[node], name)[dimension.entry]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from valve_control import __version__
 from valve_control.bags.errors import BagError
-from valve_control.cli import recordings, simulate
+from valve_control.cli import calibration, recordings, simulate
 from valve_control.cli.common import Parser
 from valve_control.parameters.table import ParameterError
 
@@ -22,6 +22,7 @@ EXAMPLES = """examples:
   valve-control replay my_bag --mode what-if --set arc.k1=150
   valve-control compare monday_bag tuesday_bag --html both.html
   valve-control bag recover my_bag
+  valve-control calibrate paper --set duration=9.3 --output my_valve.yaml
   valve-control parameters arc
 """
 
@@ -38,6 +39,7 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="task", required=True, metavar="COMMAND")
     simulate.add_commands(commands)
     recordings.add_commands(commands)
+    calibration.add_commands(commands)
     return top
 
 

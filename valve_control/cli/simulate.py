@@ -96,7 +96,7 @@ def add_commands(commands: Any) -> None:
     parameters.set_defaults(run=_parameters, json=None)
 
 
-def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
+def settings_of(arguments: argparse.Namespace) -> dict[str, Values]:
     from valve_control.parameters import files
 
     array = {} if arguments.command is None else {"scenario": "array", "command_file": arguments.command}
@@ -148,7 +148,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
     from valve_control.simulation import offline
 
     check_outputs([arguments.json], [arguments.figure, arguments.csv, arguments.npz])
-    settings = _settings(arguments)
+    settings = settings_of(arguments)
     command = _command(arguments, settings["command_source"])
     run = offline.simulate(settings["controller"], settings["valve_simulator"], command)
     if run.warning:
@@ -208,7 +208,7 @@ def _compare(arguments: argparse.Namespace) -> None:
     if arguments.html or arguments.map:
         raise ParameterError("compare takes --html and --map with bags only")
     check_outputs([arguments.json], [arguments.figure])
-    settings = _settings(arguments)
+    settings = settings_of(arguments)
     command = _command(arguments, settings["command_source"])
     runs = []
     for controller in CONTROLLERS:

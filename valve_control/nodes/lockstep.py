@@ -3,11 +3,13 @@
 import json
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from valve_control.nodes.cascade import (
     Listener,
@@ -20,15 +22,21 @@ from valve_control.nodes.cascade import (
     tool_options,
     wait_until,
 )
+from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, lookup
 from valve_control.simulation import offline
+from valve_control.simulation.offline import Run
+
+Array = npt.NDArray[np.float64]
 
 CONTROLLERS = lookup(CONTROLLER, "controller").choices
 CONFIG = ("d3fxe.yaml", "command_source.yaml")
 # Controller, source and this tool listen to the reading; the source waits for the controller alone.
-SIMULATOR = {"clock": "lockstep", "listeners": 3}
-SOURCE = {"trigger": "lockstep", "listeners": 1}
-LAW = {"lockstep": True, "lvdt.frozen_samples": 0, "state_decimation": 0}
+FIXED: dict[str, dict[str, Any]] = {
+    "controller": {"lockstep": True, "lvdt.frozen_samples": 0, "state_decimation": 0},
+    "command_source": {"trigger": "lockstep", "listeners": 1},
+    "valve_simulator": {"clock": "lockstep", "listeners": 3},
+}
 MEET = 1.0  # s in which everyone discovers everyone
 LISTENED = ("spool_position", "valve_voltage")
 STALL = 20.0  # s without a sample after which the run is given up
@@ -42,28 +50,36 @@ def memory(pid: int) -> int:
     return int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmRSS")))
 
 
-def run_lockstep(controller: str, duration: float, folder: Path) -> dict[str, Any]:
-    """One run of ``duration`` [s] of valve time; what was measured. Raises RuntimeError if it stalls."""
-    settings: dict[str, dict[str, Any]] = {
-        "controller": {"controller": controller, **LAW},
-        "command_source": {"duration": duration, **SOURCE},
-        "valve_simulator": SIMULATOR,
-    }
-    values = {node: node_values(node, CONFIG, own) for node, own in settings.items()}
-    period = float(str(values["controller"]["sample_period"]))
-    wanted = round(duration / period)
-    twin = offline.simulate(
-        values["controller"], values["valve_simulator"], offline.commands(values["command_source"])
-    )
+class Heard(NamedTuple):
+    """What a lockstep run of the nodes gave, and the same run offline."""
+
+    twin: Run
+    samples: dict[str, Array]  # V, by topic, NaN where no message was heard
+    result: dict[str, Any]  # for JSON
+
+
+def run_lockstep(
+    name: str, config: Sequence[str], settings: Mapping[str, Mapping[str, Any]], folder: Path
+) -> Heard:
+    """One run of the command source's duration, with ``settings`` by node over the files ``config``.
+
+    Raises RuntimeError if it stalls.
+    """
+    own = {node: {**settings.get(node, {}), **fixed} for node, fixed in FIXED.items()}
+    values = {node: node_values(node, config, own[node]) for node in own}
+    command = offline.commands(values["command_source"])
+    period, wanted = build.number(values["controller"], "sample_period"), len(command)
+    twin = offline.simulate(values["controller"], values["valve_simulator"], command)
     listener = Listener("lockstep", ("valve_voltage",))
     resident: list[list[int]] = []
     try:
         with ExitStack() as stack:
             children = []
-            for node, own in settings.items():
-                log = folder / f"lockstep_{controller}_{node}.log"
-                children.append(stack.enter_context(process(node, node_arguments(node, CONFIG, own), log)))
-            progress = stack.enter_context(bar(controller, duration))
+            for node in own:
+                log = folder / f"lockstep_{name}_{node}.log"
+                arguments = node_arguments(node, config, own[node])
+                children.append(stack.enter_context(process(node, arguments, log)))
+            progress = stack.enter_context(bar(name, wanted * period))
             wait_until(lambda: listener.count_publishers("valve_voltage") == 1, "the controller", children)
             wait_until(lambda: listener.count_publishers("spool_position") == 1, "the simulator", children)
             time.sleep(MEET)
@@ -79,39 +95,58 @@ def run_lockstep(controller: str, duration: float, folder: Path) -> dict[str, An
                 before, done = done, min(voltages[-1] if voltages else 0, wanted)
                 if done > before:
                     moved = now
-                    progress.update(min((done - before) * period, duration - progress.n))
+                    progress.update(min((done - before) * period, wanted * period - progress.n))
                 elif now - moved > STALL:
-                    raise RuntimeError(f"{controller}: lockstep stands still at sample {done}")
+                    raise RuntimeError(f"{name}: lockstep stands still at sample {done}")
                 if any(child.poll() is not None for child in children):
-                    raise RuntimeError(f"{controller}: a node ended at sample {done}")
+                    raise RuntimeError(f"{name}: a node ended at sample {done}")
                 if now >= look:
                     look = now + MEMORY_EVERY
                     resident.append([memory(child.pid) for child in children])
                 time.sleep(0.05)
     finally:
         listener.destroy_node()
-    numbers = {topic: np.array(listener.sequence[topic]) - 1 for topic in LISTENED}
-    differing = []
+    samples = {}
+    for topic in LISTENED:
+        numbers = np.array(listener.sequence[topic]) - 1
+        inside = numbers < wanted
+        samples[topic] = np.full(wanted, np.nan)
+        samples[topic][numbers[inside]] = listener.arrays(topic)[0][inside]
+    differing: list[int] = []
     for topic, expected in zip(LISTENED, (twin.measurement, twin.voltage), strict=True):
-        inside = numbers[topic] < wanted
-        got = listener.arrays(topic)[0][inside]
-        differing += numbers[topic][inside][got != expected[numbers[topic][inside]]].tolist()
-    voltage, stamps = listener.arrays("valve_voltage")
+        got = samples[topic]
+        differing += np.flatnonzero(np.isfinite(got) & (got != expected)).tolist()
+    voltage, stamps = samples["valve_voltage"], listener.arrays("valve_voltage")[1]
     took = stamps[-1] - stamps[0]
-    made = int(numbers["valve_voltage"][-1] - numbers["valve_voltage"][0])
-    return {
-        "controller": controller,
+    made = listener.sequence["valve_voltage"][-1] - listener.sequence["valve_voltage"][0]
+    result = {
+        "name": name,
+        "controller": twin.controller,
         "samples": wanted,
-        "heard": {topic: int(np.count_nonzero(numbers[topic] < wanted)) for topic in LISTENED},
+        "heard": {topic: int(np.count_nonzero(np.isfinite(got))) for topic, got in samples.items()},
         "equal": not differing,
         "first_difference": min(differing) if differing else None,
-        "voltage_at_end_V": float(voltage[numbers["valve_voltage"] < wanted][-1]),
+        "voltage_at_end_V": float(voltage[np.isfinite(voltage)][-1]),
         "offline_voltage_at_end_V": float(twin.voltage[-1]),
         "wall_s": float(took),
         "samples_per_s": float(made / took),
         "times_real_time": float(made * period / took),
-        "resident_kB": {node: [row[i] for row in resident] for i, node in enumerate(settings)},
+        "resident_kB": {node: [row[i] for row in resident] for i, node in enumerate(own)},
     }
+    return Heard(twin, samples, result)
+
+
+def check(results: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether all runs equal their twins; says which do not. Raises RuntimeError if too little was heard."""
+    for result in results:
+        if min(result["heard"].values()) < HEARD * result["samples"]:
+            raise RuntimeError(f"{result['name']}: too few messages heard: {result['heard']}")
+        if not result["equal"]:
+            print(
+                f"{result['name']}: differs from the offline run from sample {result['first_difference']} on",
+                file=sys.stderr,
+            )
+    return all(result["equal"] for result in results)
 
 
 def main() -> int:
@@ -126,7 +161,11 @@ def main() -> int:
     def work() -> int:
         results = []
         for controller in arguments.only or CONTROLLERS:
-            results.append(run_lockstep(controller, arguments.duration, folder))
+            settings = {
+                "controller": {"controller": controller},
+                "command_source": {"duration": arguments.duration},
+            }
+            results.append(run_lockstep(controller, CONFIG, settings, folder).result)
         print(f"\n{'controller':14}{'samples':>10}{'equal':>7}{'samples/s':>11}{'x real time':>13}", end="")
         print(f"{'memory [MB]':>16}")
         for result in results:
@@ -139,16 +178,7 @@ def main() -> int:
         path = folder / "lockstep.json"
         path.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
         print(f"\nwrote {path} and the nodes' logs")
-        for result in results:
-            if min(result["heard"].values()) < HEARD * result["samples"]:
-                raise RuntimeError(f"{result['controller']}: too few messages heard: {result['heard']}")
-            if not result["equal"]:
-                print(
-                    f"{result['controller']}: differs from the offline run from sample "
-                    f"{result['first_difference']} on",
-                    file=sys.stderr,
-                )
-        return 0 if all(result["equal"] for result in results) else 1
+        return 0 if check(results) else 1
 
     return run_tool("lockstep", folder, work)
 

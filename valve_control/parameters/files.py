@@ -50,21 +50,27 @@ def from_yaml(parameter: Parameter, value: Any) -> Value:
 
 
 def save(path: Path, node: str, values: Values) -> None:
-    """Write ``values`` of ``node`` (its full name) as a ROS 2 parameter file. Raises OSError.
+    """Write ``values`` of ``node`` (its full name) as a ROS 2 parameter file. Raises OSError."""
+    save_sections(path, {node: values})
+
+
+def save_sections(path: Path, sections: Mapping[str, Values], head: str = "") -> None:
+    """Write values by node as a ROS 2 parameter file that begins with the comment ``head``. Raises OSError.
 
     The file is whole or as it was before.
     """
-    tree: dict[str, Any] = {}
-    for name, value in values.items():
-        *groups, last = name.split(".")
-        branch = tree
-        for group in groups:
-            branch = branch.setdefault(group, {})
-        branch[last] = value
+    trees: dict[str, Any] = {}
+    for node, values in sections.items():
+        tree: dict[str, Any] = {}
+        for name, value in values.items():
+            *groups, last = name.split(".")
+            branch = tree
+            for group in groups:
+                branch = branch.setdefault(group, {})
+            branch[last] = value
+        trees[node] = {"ros__parameters": tree}
     dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-    text = yaml.dump(
-        {node: {"ros__parameters": tree}}, Dumper=dumper, sort_keys=False, default_flow_style=None
-    )
+    text = head + yaml.dump(trees, Dumper=dumper, sort_keys=False, default_flow_style=None)
     with tempfile.NamedTemporaryFile(
         "w", dir=path.parent, prefix=f".{path.name}.", delete=False, encoding="utf-8"
     ) as stream:

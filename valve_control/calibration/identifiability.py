@@ -1,0 +1,134 @@
+"""How well a table determines each free quantity, and which quantity explains what."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import scipy.optimize
+
+from valve_control.calibration import objective
+from valve_control.calibration.objective import Fit
+from valve_control.calibration.search import Problem, cost_at, fit_at
+from valve_control.calibration.space import changed, values_at
+
+Array = npt.NDArray[np.float64]
+T = TypeVar("T")
+Done = Callable[[], None]
+SHARES = (0.0, 0.15, 0.35, 0.65, 0.85, 1.0)  # of a range, at which its profile is taken
+SIZE = 0.05  # of the first simplex, as share of the ranges
+# What an effect is when it is not there.
+ABSENT = {
+    "flow_force": 0.0,
+    "disturbance.offset": 0.0,
+    "friction.coulomb": 0.0,
+    "friction.static_ratio": 1.0,
+    "friction.presliding": 0.0,
+    "lvdt.noise": 0.0,
+    "lvdt.resolution": 0.0,
+    "lvdt.delay": 0.0,
+    "offset": 0.0,
+}
+
+
+class Profile(NamedTuple):
+    """Cost over one quantity while all others are chosen anew."""
+
+    name: str
+    values: list[float]
+    costs: list[float]
+
+    def interval(self, limit: float) -> tuple[float, float]:
+        """Between which values the cost stays below ``limit`` (linear between the points)."""
+        x, y = np.array(self.values), np.array(self.costs)
+        best = int(np.argmin(y))
+        ends = []
+        for order in (range(best, -1, -1), range(best, len(x))):
+            indices = list(order)
+            end = x[indices[-1]]
+            for inner, outer in zip(indices, indices[1:], strict=False):
+                if y[outer] > limit >= y[inner]:
+                    end = x[inner] + (limit - y[inner]) / (y[outer] - y[inner]) * (x[outer] - x[inner])
+                    break
+            ends.append(float(end))
+        return ends[0], ends[1]
+
+
+class Absence(NamedTuple):
+    """The fit without one effect, everything else chosen anew."""
+
+    name: str
+    fit: Fit
+
+
+def _refined(problem: Problem, start: Array, evaluations: int) -> tuple[Array, float]:
+    n = len(start)
+    corners = np.vstack([start, start + SIZE * np.where(start < 0.5, 1.0, -1.0) * np.eye(n)])
+    result = scipy.optimize.minimize(
+        partial(cost_at, problem),
+        start,
+        method="Nelder-Mead",
+        options={"initial_simplex": corners, "maxfev": evaluations, "adaptive": True},
+    )
+    return np.clip(result.x, 0.0, 1.0), float(result.fun)
+
+
+def _held(problem: Problem, point: Array, index: int, value: float) -> tuple[Problem, Array]:
+    """The problem with quantity ``index`` held at ``value``, and the rest of ``point``."""
+    dimension = problem.dimensions[index]
+    base = changed(problem.base, [dimension], {dimension.name: value})
+    others = [d for i, d in enumerate(problem.dimensions) if i != index]
+    return problem._replace(base=base, dimensions=others), np.delete(point, index)
+
+
+def _profile(problem: Problem, point: Array, evaluations: int, index: int) -> Profile:
+    dimension = problem.dimensions[index]
+    own = float(point[index])
+    found = {own: cost_at(problem, point)}
+    for shares in (
+        sorted((s for s in SHARES if s < own), reverse=True),
+        sorted(s for s in SHARES if s > own),
+    ):
+        others = np.delete(point, index)
+        for share in shares:
+            reduced, _ = _held(problem, point, index, dimension.from_unit(share))
+            others, found[share] = _refined(reduced, others, evaluations)
+    ordered = sorted(found)
+    return Profile(dimension.name, [dimension.from_unit(s) for s in ordered], [found[s] for s in ordered])
+
+
+def profiles(problem: Problem, point: Array, evaluations: int, processes: int, done: Done) -> list[Profile]:
+    """Profile of each quantity; ``evaluations`` to choose the others anew at each of its points."""
+    work = partial(_profile, problem, point, evaluations)
+    return _together(work, range(len(problem.dimensions)), processes, done)
+
+
+def _absence(problem: Problem, point: Array, evaluations: int, index: int) -> Absence:
+    name = problem.dimensions[index].name
+    reduced, others = _held(problem, point, index, ABSENT[name])
+    others, _ = _refined(reduced, others, evaluations)
+    return Absence(name, fit_at(reduced, others))
+
+
+def absences(problem: Problem, point: Array, evaluations: int, processes: int, done: Done) -> list[Absence]:
+    """The fit without each effect that can be absent."""
+    which = [i for i, d in enumerate(problem.dimensions) if d.name in ABSENT]
+    return _together(partial(_absence, problem, point, evaluations), which, processes, done)
+
+
+def _together(work: Callable[[int], T], indices: Sequence[int], processes: int, done: Done) -> list[T]:
+    with ProcessPoolExecutor(processes) as pool:
+        results = []
+        for result in pool.map(work, indices):
+            results.append(result)
+            done()
+    return results
+
+
+def scatter(problem: Problem, point: Array, seeds: Sequence[int]) -> dict[str, Array]:
+    """Standard deviation of the log indices over ``seeds`` of the noise, by controller."""
+    settings = changed(problem.base, problem.dimensions, values_at(problem.dimensions, point))
+    found = objective.run(settings, list(problem.table), seeds)
+    return {name: np.std(np.log(np.array(runs, dtype=float)), axis=0) for name, runs in found.items()}

@@ -1,0 +1,58 @@
+"""What a calibrated valve says where it was not fitted: other noise, other motions, a drifted valve."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from valve_control.analysis.indices import Indices
+from valve_control.calibration import objective
+from valve_control.calibration.space import Settings
+from valve_control.parameters import build
+from valve_control.parameters.table import NODES, updated
+
+DRIFT = 0.2  # relative change of gain, friction and flow force
+
+
+class Trial(NamedTuple):
+    """One case and the indices of each controller in it."""
+
+    name: str
+    found: dict[str, Indices]
+
+
+def _with(base: Settings, node: str, **values: Any) -> Settings:
+    named = {name.replace("__", "."): value for name, value in values.items()}
+    return {**base, node: updated(NODES[node], base[node], named)}
+
+
+def trials(settings: Settings, controllers: Sequence[str]) -> list[Trial]:
+    """The calibrated case, three other seeds of the noise, two other motions, and drifts by 20 %."""
+    valve, command = settings["valve_simulator"], settings["command_source"]
+    seed = int(build.number(valve, "seed"))
+    cases: list[tuple[str, Settings, int]] = [("as calibrated", settings, seed)]
+    cases += [(f"noise seed {seed + i}", settings, seed + i) for i in (1, 2, 3)]
+    slow = 0.5 * build.number(command, "max_velocity")
+    smooth = 0.5 * build.number(command, "max_accel")
+    cases.append(
+        (
+            "half velocity and acceleration",
+            _with(settings, "command_source", max_velocity=slow, max_accel=smooth),
+            seed,
+        )
+    )
+    cases.append(
+        (
+            "sine 2 Hz, 1 V",
+            _with(settings, "command_source", scenario="sine", frequency=2.0, amplitude=1.0, offset=0.0),
+            seed,
+        )
+    )
+    for name, keys in (("gain", ("gain_scale",)), ("friction", ("friction.coulomb",))):
+        for sign in (1.0, -1.0):
+            drifted = {key: build.number(valve, key) * (1.0 + sign * DRIFT) for key in keys}
+            cases.append(
+                (f"{name} {100 * sign * DRIFT:+.0f} %", _with(settings, "valve_simulator", **drifted), seed)
+            )
+    return [
+        Trial(name, {c: runs[0] for c, runs in objective.run(case, controllers, [number]).items()})
+        for name, case, number in cases
+    ]

@@ -1,0 +1,277 @@
+"""Calibrate a simulated valve to a measured table of indices."""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from valve_control.cli.common import check_outputs, say, write_json
+from valve_control.cli.simulate import settings_of, setup_options
+from valve_control.parameters.table import NODES, ParameterError, Values, defaults
+
+if TYPE_CHECKING:
+    from valve_control.calibration.search import Problem
+    from valve_control.calibration.space import Dimension, Settings
+
+FIELDS = ("e_M", "e_F", "e_rms", "u_rms", "c_u")
+CLEAR = 1.5  # times the best cost, within which a quantity counts as not excluded
+
+
+def add_commands(commands: Any) -> None:
+    """Add calibrate to the command's sub-commands."""
+    calibrate = commands.add_parser(
+        "calibrate",
+        parents=[setup_options()],
+        help="find the simulated valve whose controllers give a measured table of indices",
+        description="Search the simulated valve (friction, gain, LVDT, what was not printed) under which the "
+        "controllers give a measured table: CSV, YAML or JSON with a row for each controller and the columns "
+        f"{', '.join(FIELDS)}. 'paper' is Table 1 of the paper.",
+    )
+    calibrate.add_argument("table", metavar="TABLE", help="file with the measured indices, or: paper")
+    group = calibrate.add_argument_group("search")
+    group.add_argument("--search-seed", type=int, default=1, metavar="N", help="seed of the search (1)")
+    group.add_argument(
+        "--generations", type=int, default=400, metavar="N", help="of the differential evolution (400)"
+    )
+    group.add_argument(
+        "--simplex", type=int, default=4000, metavar="N", help="evaluations of the simplices after it (4000)"
+    )
+    group.add_argument(
+        "--noise-seeds",
+        type=int,
+        default=1,
+        metavar="N",
+        help="average over N seeds of the noise, from --seed on (1)",
+    )
+    group.add_argument(
+        "--fix", action="append", default=[], metavar="NAME", help="quantity that stays as it is"
+    )
+    group.add_argument(
+        "--from-present",
+        action="store_true",
+        help="begin at the given parameters, not anywhere in the ranges",
+    )
+    group.add_argument("--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
+    output = calibrate.add_argument_group("what comes out")
+    output.add_argument(
+        "--output", metavar="FILE", help="ROS 2 parameter file of valve, command and controllers"
+    )
+    output.add_argument("--json", metavar="FILE", help="everything as JSON; - for standard output alone")
+    output.add_argument(
+        "--profile",
+        type=int,
+        default=0,
+        metavar="N",
+        help="say how identifiable each quantity is and what explains what: N evaluations per point (0: not)",
+    )
+    output.add_argument("--trials", action="store_true", help="check on other noise, motions and drifts")
+    calibrate.add_argument("--ranges", action="store_true", help="list the free quantities and leave")
+    calibrate.set_defaults(run=_calibrate)
+
+
+def _calibrate(arguments: argparse.Namespace) -> None:
+    from valve_control.calibration import measured, objective, search, space
+
+    check_outputs([arguments.json], [arguments.output])
+    table = measured.read(arguments.table)
+    base = settings_of(arguments)
+    dimensions = _chosen(arguments, table)
+    if arguments.ranges:
+        for d in dimensions:
+            say(arguments, f"{d.name:28}{d.low:10g} … {d.high:<10g}{d.unit:8}{d.reason}")
+        return
+    _check_counts(arguments)
+    first = int(str(base["valve_simulator"]["seed"]))
+    problem = search.Problem(base, table, dimensions, range(first, first + arguments.noise_seeds))
+    start = None
+    if arguments.from_present:
+        import numpy as np
+
+        start = np.clip([d.to_unit(space.present(base, d)) for d in dimensions], 0.0, 1.0)
+    found = search.search(
+        problem,
+        arguments.search_seed,
+        arguments.generations,
+        arguments.simplex,
+        arguments.processes,
+        _Progress(arguments.generations),
+        start,
+    )
+    values = space.values_at(dimensions, found.point)
+    settings = space.changed(base, dimensions, values)
+    runs = objective.run(settings, list(table), problem.seeds)
+    fit = objective.fit(runs, table)
+    result: dict[str, Any] = {
+        "table": {name: row._asdict() for name, row in table.items()},
+        "fit": fit._asdict(),
+        "ratios": _ratios(runs, table),
+        "values": values,
+        "evaluations": found.evaluations,
+        "seconds": found.seconds,
+        "search_seed": arguments.search_seed,
+        "noise_seeds": list(problem.seeds),
+    }
+    if arguments.json != "-":
+        _print_fit(result, objective.swapped(runs, table), dimensions)
+    if arguments.output is not None:
+        save(Path(arguments.output), arguments.table, base, settings, result)
+        say(arguments, f"wrote {arguments.output}")
+    if arguments.trials:
+        result["trials"] = _trials(arguments, settings, table)
+    if arguments.profile:
+        result["identifiability"] = _identifiability(arguments, problem, found.point)
+    write_json(arguments, result)
+
+
+def _chosen(arguments: argparse.Namespace, table: Mapping[str, Any]) -> list["Dimension"]:
+    from valve_control.calibration.space import DIMENSIONS
+
+    names = [d.name for d in DIMENSIONS]
+    for name in arguments.fix:
+        if name not in names:
+            raise ParameterError(f"--fix {name}: there is no such quantity; there are {', '.join(names)}")
+    laws = ("arc", "oarc", "pid")
+    return [
+        d
+        for d in DIMENSIONS
+        if d.name not in arguments.fix
+        and (
+            d.targets[0][0] != "controller"
+            or any(
+                target.split(".")[0] in table or target.split(".")[0] not in laws for _, target in d.targets
+            )
+        )
+    ]
+
+
+def _check_counts(arguments: argparse.Namespace) -> None:
+    for name, low in (
+        ("generations", 1),
+        ("simplex", 0),
+        ("noise_seeds", 1),
+        ("processes", 1),
+        ("profile", 0),
+    ):
+        if getattr(arguments, name) < low:
+            option = name.replace("_", "-")
+            raise ParameterError(f"--{option} is {getattr(arguments, name)}; it must be at least {low}")
+
+
+class _Progress:
+    """A line of progress every few seconds, with the time left of the evolution."""
+
+    def __init__(self, generations: int) -> None:
+        self._generations = generations
+        self._calls = 0
+        self._began = self._said = time.monotonic()
+
+    def __call__(self, evaluations: int, best: float) -> None:
+        self._calls += 1
+        now = time.monotonic()
+        if now - self._said < 5.0:
+            return
+        self._said = now
+        share = self._calls / (self._generations + 1)
+        left = (now - self._began) * (1.0 / share - 1.0)
+        stage = f"evolution {100.0 * share:.0f} %, {left:.0f} s left" if share < 1.0 else "simplices"
+        print(f"{evaluations} valves, best cost {best:.4f}, {stage}", file=sys.stderr)
+
+
+def _ratios(runs: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    import numpy as np
+
+    from valve_control.calibration.objective import log_ratios
+
+    return {
+        name: {field: float(np.exp(value)) for field, value in zip(FIELDS, row, strict=True)}
+        for name, row in log_ratios(runs, table).items()
+    }
+
+
+def _print_fit(
+    result: Mapping[str, Any], swapped: Sequence[tuple[str, str, str]], dimensions: Sequence["Dimension"]
+) -> None:
+    print(f"\n{'index / table':14}" + "".join(f"{field:>9}" for field in FIELDS))
+    for name, row in result["ratios"].items():
+        print(f"{name:14}" + "".join(f"{value:9.3f}" for value in row.values()))
+    fit = result["fit"]
+    print(f"rms log error {fit['rms']:.4f}, worst {100.0 * fit['worst']:.1f} %, ", end="")
+    orders = ", ".join(f"{index}: {better} not below {worse}" for index, better, worse in swapped)
+    print(f"orders that differ: {orders or 'none'}")
+    print(f"{result['evaluations']} valves in {result['seconds']:.0f} s\n")
+    for d in dimensions:
+        value = result["values"][d.name]
+        edge = min(d.to_unit(value), 1.0 - d.to_unit(value)) < 0.005
+        print(f"{d.name:28}{value:12.5g} {d.unit:8}" + (" at the end of its range" if edge else ""))
+
+
+def save(path: Path, table: str, base: "Settings", settings: "Settings", result: Mapping[str, Any]) -> None:
+    """Write what differs from the defaults as a ROS 2 parameter file. Raises OSError."""
+    from valve_control.parameters import files
+
+    fit = result["fit"]
+    head = (
+        f"# Calibrated to {table}: rms log error {fit['rms']:.4f}, "
+        f"worst number {100 * fit['worst']:.1f} % off.\n"
+        f"# valve-control calibrate, search seed {result['search_seed']}, "
+        f"{result['evaluations']} valves, noise seeds {result['noise_seeds']}.\n"
+    )
+    sections: dict[str, Values] = {}
+    for node, values in settings.items():
+        standard = defaults(NODES[node])
+        differing = {
+            name: value
+            for name, value in values.items()
+            if value != standard[name] or value != base[node][name]
+        }
+        if differing:
+            sections[f"/**/{node}"] = differing
+    files.save_sections(path, sections, head)
+
+
+def _trials(
+    arguments: argparse.Namespace, settings: "Settings", table: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    from valve_control.calibration.trials import trials
+
+    found = trials(settings, list(table))
+    if arguments.json != "-":
+        print(f"\n{'trial':32}{'controller':12}" + "".join(f"{field:>9}" for field in FIELDS))
+        for trial in found:
+            for name, row in trial.found.items():
+                print(f"{trial.name:32}{name:12}" + "".join(f"{value:9.4f}" for value in row))
+    return [{"name": t.name, "indices": {n: r._asdict() for n, r in t.found.items()}} for t in found]
+
+
+def _identifiability(arguments: argparse.Namespace, problem: "Problem", point: Any) -> dict[str, Any]:
+    from tqdm import tqdm
+
+    from valve_control.calibration import identifiability as ident
+    from valve_control.calibration.search import cost_at
+
+    count = 2 * len(problem.dimensions)
+    with tqdm(total=count, desc="profiles", file=sys.stderr) as bar:
+
+        def done() -> None:
+            bar.update(1)
+
+        profiles = ident.profiles(problem, point, arguments.profile, arguments.processes, done)
+        absences = ident.absences(problem, point, arguments.profile, arguments.processes, done)
+    limit = CLEAR * cost_at(problem, point)
+    if arguments.json != "-":
+        print(f"\nhow identifiable: interval in which the cost stays below {CLEAR:g} times the best")
+        for d, profile in zip(problem.dimensions, profiles, strict=True):
+            low, high = profile.interval(limit)
+            share = d.to_unit(high) - d.to_unit(low)
+            print(f"{d.name:28}{low:12.4g} … {high:<12.4g}{d.unit:8}{100.0 * share:5.0f} % of the range")
+        print("\nwithout one effect, everything else chosen anew: rms log error, worst number")
+        for absence in sorted(absences, key=lambda a: -a.fit.rms):
+            print(f"{absence.name:28}{absence.fit.rms:8.4f}{100.0 * absence.fit.worst:8.1f} %")
+    return {
+        "limit": limit,
+        "profiles": [{**p._asdict(), "interval": p.interval(limit)} for p in profiles],
+        "without": {a.name: a.fit._asdict() for a in absences},
+    }
