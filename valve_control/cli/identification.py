@@ -1,0 +1,195 @@
+"""Models on the command line: identify, and compensators made from them."""
+
+import argparse
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from valve_control.bags.errors import BagError
+from valve_control.cli.common import check_outputs, say
+from valve_control.cli.simulate import setup_options
+from valve_control.parameters.table import NODES, ParameterError, Values, defaults, updated
+
+if TYPE_CHECKING:
+    from valve_control.identification.experiment import Experiment
+    from valve_control.identification.rational import Fit
+    from valve_control.identification.response import Response
+    from valve_control.identification.result import Identification
+
+WEIGHTINGS = ("likelihood", "relative", "uniform")
+SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
+BAG_ONLY = ("map", "of", "start", "end")
+
+
+def add_commands(commands: Any) -> None:
+    """Add identify to the command's sub-commands."""
+    identify = commands.add_parser(
+        "identify",
+        parents=[setup_options()],
+        help="transfer functions of a valve, from a test in simulation or from a bag",
+        description="Measure the frequency response from voltage to LVDT and fit transfer functions like (2) "
+        "and (3) with confidence bounds. Without a bag: a test of the simulated valve without feedback, a "
+        "stepped sine from 0.5 to 100 Hz unless --scenario (sweep, ...), --command or --set (frequency, "
+        "end_frequency, steps, cycles, step_time, sweep_time, amplitude, offset, in V of voltage) say "
+        "otherwise.",
+    )
+    identify.add_argument(
+        "bag", nargs="?", metavar="BAG", help="recorded stepped sine, sweep or other motion"
+    )
+    group = identify.add_argument_group("with a bag")
+    group.add_argument(
+        "--map",
+        action="append",
+        default=[],
+        metavar="PART=/TOPIC.FIELD",
+        help="as for analyze; again for more",
+    )
+    group.add_argument("--of", metavar="VALVE", help="which valve, if the bag has several")
+    group.add_argument(
+        "--from", dest="start", type=float, metavar="S", help="begin this long after its beginning"
+    )
+    group.add_argument("--to", dest="end", type=float, metavar="S", help="end this long after its beginning")
+    group = identify.add_argument_group("how it is measured and fitted")
+    group.add_argument(
+        "--settle", type=float, default=0.4, metavar="S", help="transient left out of a step (0.4)"
+    )
+    group.add_argument(
+        "--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help="only these frequencies [Hz] are fitted"
+    )
+    group.add_argument(
+        "--order",
+        type=int,
+        choices=(2, 3, 4),
+        help="beside the second order (4, if it tells more than order 2)",
+    )
+    group.add_argument("--zeros", type=int, metavar="N", help="zeros of that model (order - 2)")
+    group.add_argument("--delay", action="store_true", help="estimate a dead time too")
+    group.add_argument(
+        "--weighting",
+        choices=WEIGHTINGS,
+        default="likelihood",
+        help="likelihood: by uncertainty; relative: per cent; uniform: volts (default: likelihood)",
+    )
+    output = identify.add_argument_group("what comes out")
+    output.add_argument(
+        "--output", metavar="FILE", help="ROS 2 parameter file: valve model, compensator's model, estimates"
+    )
+    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
+    output.add_argument("--csv", metavar="FILE", help="measured response as CSV")
+    output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
+    identify.set_defaults(run=_identify)
+
+
+def _identify(arguments: argparse.Namespace) -> int:
+    from valve_control.identification import experiment, files, result
+
+    check_outputs([arguments.json], [arguments.output, arguments.csv, arguments.figure])
+    files.check_figure(arguments.figure)
+    if not arguments.settle >= 0.0:
+        raise ParameterError(f"--settle is {arguments.settle:g}; it must not be negative")
+    band = None
+    if arguments.band is not None:
+        low, high = arguments.band
+        if not 0.0 < low < high < float("inf"):
+            raise ParameterError(f"--band {low:g} {high:g} must be two rising frequencies above 0 Hz")
+        band = (low, high)
+    tested = _recorded(arguments) if arguments.bag is not None else _simulated(arguments)
+    measured = experiment.estimate(tested, arguments.settle, band)
+    found = _found(arguments, tested, measured)
+    outputs: list[tuple[str | None, Callable[[], str | bytes]]] = [
+        (arguments.output, lambda: result.yaml_text(found)),
+        (arguments.csv, lambda: result.csv_text(measured)),
+        (arguments.figure, lambda: result.bode_figure(found, arguments.figure)),
+        (arguments.json if arguments.json != "-" else None, lambda: files.as_json(result.as_dict(found))),
+    ]
+    made = [(path, make()) for path, make in outputs if path is not None]
+    if arguments.output is not None:
+        result.check_parameters(result.parameters(found))
+    if arguments.json != "-":
+        print(result.text(found))
+    for path, content in made:
+        files.write(path, content)
+        say(arguments, f"wrote {path}")
+    if arguments.json == "-":
+        print(files.as_json(result.as_dict(found)), end="")
+    return 0
+
+
+def _simulated(arguments: argparse.Namespace) -> "Experiment":
+    from valve_control.identification import experiment
+    from valve_control.parameters import build
+    from valve_control.parameters import files as parameter_files
+    from valve_control.simulation import offline
+
+    for name in BAG_ONLY:
+        if getattr(arguments, name) not in (None, []):
+            option = {"start": "from", "end": "to"}.get(name, name)
+            raise ParameterError(f"identify without a bag takes no --{option}")
+    direct: dict[str, dict[str, Any]] = {
+        "controller": {},
+        "valve_simulator": {"valve": arguments.valve, "seed": arguments.seed},
+        "command_source": {"scenario": arguments.scenario, "duration": arguments.duration},
+    }
+    for options in direct.values():
+        options["sample_period"] = arguments.sample_period
+    given = parameter_files.given(arguments.params_file, direct, arguments.set)
+    settings: dict[str, Values] = {
+        node: updated(NODES[node], defaults(NODES[node]), given[node])
+        for node in ("controller", "valve_simulator")
+    }
+    period = build.number(settings["valve_simulator"], "sample_period")
+    command = experiment.test_values(given["command_source"], period)
+    motion = None
+    if arguments.command is not None:
+        motion = offline.read_commands(arguments.command)
+        command = {**command, "scenario": "array"}
+    return experiment.simulated(settings["controller"], settings["valve_simulator"], command, motion)
+
+
+def _recorded(arguments: argparse.Namespace) -> "Experiment":
+    from valve_control.identification import experiment
+    from valve_control.recordings import recording
+
+    for name in SIMULATED:
+        if getattr(arguments, name) not in (None, []):
+            raise ParameterError(
+                f"identify with a bag takes no --{name.replace('_', '-')}, which is for simulation"
+            )
+    if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
+        raise ParameterError(f"--to {arguments.end:g} lies not after --from {arguments.start:g}")
+    loaded = recording.load(arguments.bag, arguments.map, arguments.start, arguments.end)
+    if not loaded.valves:
+        raise BagError(f"{arguments.bag} has no topic of a valve")
+    valve = recording.chosen(arguments.bag, loaded.valves, arguments.of)
+    return experiment.recorded(loaded, valve)
+
+
+def _found(arguments: argparse.Namespace, tested: "Experiment", measured: "Response") -> "Identification":
+    from valve_control.identification import rational, result, theta
+
+    options = {"delayed": arguments.delay, "weighting": arguments.weighting}
+    notes = [*tested.notes, *measured.notes]
+    second = rational.fit(measured, 2, **options)
+    fits: list[Fit] = [second]
+    if arguments.order is not None:
+        order, zeros = arguments.order, arguments.zeros
+        limit = max(0, order - 2)
+        if zeros is not None and not 0 <= zeros <= limit:
+            raise ParameterError(
+                f"--zeros is {zeros}; a valve of order {order} has at most {limit}, two fewer than poles"
+            )
+        if order > 2:
+            fits.append(rational.fit(measured, order, zeros, **options))
+    elif arguments.zeros is not None:
+        raise ParameterError("--zeros needs --order")
+    elif second.model_error == 0.0:
+        notes.append("noise alone explains what the second order leaves, so no higher order is fitted")
+    else:
+        try:
+            fits.append(rational.fit(measured, 4, **options))
+        except ParameterError as error:
+            notes.append(f"the second order stands alone: {error}")
+    best = fits[-1]
+    suggestion = theta.suggest(measured, second, best, tested.u_max)
+    return result.Identification(
+        tested.source, measured, tuple(fits), best, suggestion, tested.u_max, tuple(notes)
+    )

@@ -1,0 +1,1 @@
+"""Identification: frequency responses from records, rational fits, and compensators made from them."""

@@ -1,0 +1,237 @@
+"""Frequency response of a valve from voltages held and positions read, with its uncertainty.
+
+Everything is in samples: voltage k is held from reading k to reading k+1, so that no time of the middleware
+enters. What is estimated is the response from held voltage to sampled position; its delay of half a sample
+belongs to the model that is fitted (``bode.held_response``).
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+from valve_control.parameters.table import ParameterError
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+LEAST_CYCLES = 2
+SAME = 0.02  # by which cycles of one frequency may differ in length
+PURE = 0.05  # of a sine's amplitude that may be left when the sine is taken off
+LEAST_COHERENCE = 0.5
+RESOLUTION = 3.0  # standard deviations below which a response cannot be told from noise
+CERTAIN = 1e-6  # relative uncertainty that no response falls below
+BAND_RATIO = 1.06  # upper over lower end of a band of frequencies that is averaged over
+BAND_BINS = 8  # at least, in it
+SILENT = 1e-4  # of the largest amplitude, below which a voltage does not move
+
+
+class Segment(NamedTuple):
+    """Samples of one frequency, its transient included."""
+
+    first: int
+    end: int
+    frequency: float  # Hz
+
+
+class Response(NamedTuple):
+    """Response from held voltage to sampled position."""
+
+    frequency: Floats  # Hz
+    value: Complexes  # V/V
+    deviation: Floats  # V/V, standard deviation of real and imaginary part each
+    coherence: Floats  # share of the reading's motion that is linear in the voltage
+    period: float  # s
+    method: str  # stepped sine or H1
+    notes: tuple[str, ...]  # frequencies left out, and why
+
+
+def check_saturation(voltage: Floats, u_max: float) -> None:
+    """Raise ParameterError where the voltage [V] was at its limit: what then drove the valve is unknown."""
+    at_limit = int(np.count_nonzero(np.abs(voltage) >= u_max * (1.0 - 1e-12)))
+    if at_limit:
+        raise ParameterError(
+            f"the voltage is at its limit of {u_max:g} V in {at_limit} of {len(voltage)} samples; "
+            "choose a smaller amplitude"
+        )
+
+
+def stepped(
+    voltage: Floats, position: Floats, segments: Sequence[Segment], period: float, settle: float
+) -> Response:
+    """Response at the frequency of each segment, from the whole cycles after its first ``settle`` [s].
+
+    A sine, a cosine and a constant are fitted to voltage and position; the residual of the position gives the
+    uncertainty. Samples that are NaN are left out. Raises ParameterError if too little is left.
+    """
+    points = []
+    notes = []
+    for segment in segments:
+        if segment.frequency >= 0.5 / period:
+            raise ParameterError(
+                f"{segment.frequency:g} Hz is not below Nyquist's frequency, {0.5 / period:g} Hz at a sample "
+                f"period of {period:g} s"
+            )
+        cycle = 1.0 / (segment.frequency * period)
+        count = math.floor((segment.end - segment.first - settle / period) / cycle + 1e-6)
+        if count < LEAST_CYCLES:
+            raise ParameterError(
+                f"{segment.frequency:.4g} Hz has {max(0, count)} whole cycles after its transient of "
+                f"{settle:g} s; it needs {LEAST_CYCLES} (parameters cycles and step_time, or --settle)"
+            )
+        k = np.arange(segment.end - round(count * cycle), segment.end)
+        k = k[np.isfinite(voltage[k]) & np.isfinite(position[k])]
+        if len(k) < 8:
+            raise ParameterError(f"{segment.frequency:.4g} Hz has only {len(k)} readings; it needs 8")
+        u, _ = _phasor(voltage[k], k, segment.frequency * period)
+        y, noise = _phasor(position[k], k, segment.frequency * period)
+        if abs(u) < 1e-6:
+            raise ParameterError(
+                f"the voltage does not move at {segment.frequency:.4g} Hz; there is no excitation"
+            )
+        deviation = noise * math.sqrt(2.0 / len(k)) / abs(u)
+        value = y / u
+        if abs(value) < RESOLUTION * deviation:
+            notes.append(
+                f"{segment.frequency:.4g} Hz is left out: its response of {abs(value):.2g} V/V is lost in "
+                f"noise of {deviation:.2g} V/V"
+            )
+            continue
+        coherence = 0.5 * abs(y) ** 2 / (0.5 * abs(y) ** 2 + noise**2)
+        points.append((segment.frequency, value, max(deviation, CERTAIN * abs(value)), coherence))
+    return _response(points, period, "stepped sine", notes)
+
+
+def _phasor(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> tuple[complex, float]:
+    """Complex amplitude of ``turns`` per sample in ``signal``, and the standard deviation of the rest."""
+    angle = 2.0 * np.pi * turns * index
+    columns = np.column_stack([np.cos(angle), np.sin(angle), np.ones(len(index))])
+    fit, _, _, _ = np.linalg.lstsq(columns, signal, rcond=None)
+    rest = signal - columns @ fit
+    return complex(fit[0], -fit[1]), math.sqrt(float(rest @ rest) / (len(index) - 3))
+
+
+def spectral(voltage: Floats, position: Floats, period: float, lowest: float, highest: float) -> Response:
+    """H1 estimate from ``lowest`` to ``highest`` [Hz], for a sweep or any other motion.
+
+    Cross and auto spectra of the whole record are averaged over neighbouring frequencies, not over pieces of
+    the record as scipy.signal.csd and welch do: a sweep passes a frequency in one piece alone, and what its
+    window cuts off costs a per cent. Increments are taken, so that a record from rest to rest begins and ends
+    with nothing and leaks nothing. Coherence gives the uncertainty [1]. Raises ParameterError if too little
+    is left.
+
+    [1] J. S. Bendat, A. G. Piersol, Random Data, table 9.6.
+    """
+    if highest >= 0.5 / period:
+        raise ParameterError(
+            f"{highest:g} Hz is not below Nyquist's frequency, {0.5 / period:g} Hz at a sample period of "
+            f"{period:g} s"
+        )
+    length = len(voltage) * period
+    if lowest * length < LEAST_CYCLES:
+        raise ParameterError(
+            f"{lowest:g} Hz makes {lowest * length:.2g} cycles in {length:.3g} s; it needs {LEAST_CYCLES} "
+            "(--band, or a longer test)"
+        )
+    n = scipy.fft.next_fast_len(len(voltage), real=True)
+    frequency = np.fft.rfftfreq(n, period)
+    u, y = (np.fft.rfft(np.diff(signal), n) for signal in (voltage, position))
+    strength = np.abs(u) / np.maximum(frequency, frequency[1])
+    strongest = float(np.max(strength))
+    points = []
+    silent = lost = 0
+    first = int(np.searchsorted(frequency, lowest))
+    while first < len(frequency) and frequency[first] <= highest:
+        end = max(first + BAND_BINS, int(np.searchsorted(frequency, frequency[first] * BAND_RATIO)))
+        band = slice(first, end)
+        first = end
+        if end > len(frequency) or frequency[end - 1] > highest:
+            break
+        power = np.abs(u[band]) ** 2
+        total = float(np.sum(power))
+        if np.max(strength[band]) <= SILENT * strongest:
+            silent += 1
+            continue
+        cross, answer = complex(np.sum(np.conj(u[band]) * y[band])), float(np.sum(np.abs(y[band]) ** 2))
+        coherence = min(1.0, abs(cross) ** 2 / (total * max(answer, 1e-300)))
+        # Bins in which the voltage does not move add nothing.
+        count = max(1.0, total**2 / float(np.sum(power**2)) * len(voltage) / n)
+        if coherence < LEAST_COHERENCE:
+            lost += 1
+            continue
+        value = cross / total
+        deviation = abs(value) * math.sqrt((1.0 - coherence) / (2.0 * coherence * count))
+        middle = float(np.sum(power * frequency[band]) / total)
+        points.append((middle, value, max(deviation, CERTAIN * abs(value)), coherence))
+    notes = []
+    if silent:
+        notes.append(f"{silent} bands of frequency are left out: the voltage does not move there")
+    if lost:
+        notes.append(f"{lost} bands of frequency are left out: their coherence is below {LEAST_COHERENCE:g}")
+    return _response(points, period, "H1", notes)
+
+
+def _response(
+    points: list[tuple[float, complex, float, float]], period: float, method: str, notes: list[str]
+) -> Response:
+    if not points:
+        reason = notes[0] if notes else "no frequency was excited"
+        raise ParameterError(f"no frequency can be used: {reason}")
+    columns = list(zip(*sorted(points, key=lambda point: point[0]), strict=True))
+    frequency, deviation, coherence = (np.array(columns[i], dtype=np.float64) for i in (0, 2, 3))
+    value = np.array(columns[1], dtype=np.complex128)
+    return Response(frequency, value, deviation, coherence, period, method, tuple(notes))
+
+
+def find_segments(voltage: Floats, period: float) -> list[Segment]:
+    """Stretches of one frequency in a recorded ``voltage`` [V]; empty for a sweep or another motion.
+
+    Cycles lie between upward passages through the middle; neighbours of one length belong together if a sine
+    is what they are.
+    """
+    middle = 0.5 * (float(np.nanmax(voltage)) + float(np.nanmin(voltage)))
+    u = np.where(np.isfinite(voltage), voltage, middle) - middle
+    before = np.flatnonzero((u[:-1] <= 0.0) & (u[1:] > 0.0))
+    if len(before) < 3:
+        return []
+    passage = before + u[before] / (u[before] - u[before + 1])
+    length = np.diff(passage)
+    found: list[Segment] = []
+    first = 0
+    for i in range(1, len(length) + 1):
+        tolerance = max(SAME * length[first], 0.25)
+        if i < len(length) and abs(length[i] - np.mean(length[first:i])) <= tolerance:
+            continue
+        if i - first >= LEAST_CYCLES:
+            begin, end = math.ceil(passage[first]), math.floor(passage[i]) + 1
+            segment = refined(u, begin, end, (i - first) / (passage[i] - passage[first]), period, PURE)
+            found += [segment] if segment is not None else []
+        first = i
+    return found
+
+
+def refined(
+    voltage: Floats, first: int, end: int, turns: float, period: float, pure: float
+) -> Segment | None:
+    """The stretch with its frequency of about ``turns`` per sample made exact, if a sine is what it is.
+
+    ``pure``: what may be left of it without the sine, over the sine's amplitude.
+    """
+    k = np.arange(first, end)
+    u = voltage[first:end]
+    for _ in range(4):
+        angle = 2.0 * np.pi * turns * k
+        phasor, _ = _phasor(u, k, turns)
+        # One more column: what the sine gains as its frequency grows.
+        slope = np.real(1j * phasor * np.exp(1j * angle)) * 2.0 * np.pi * (k - k.mean())
+        columns = np.column_stack([np.cos(angle), np.sin(angle), slope, np.ones(len(k))])
+        fit, _, _, _ = np.linalg.lstsq(columns, u, rcond=None)
+        turns += float(fit[2])
+        if not 0.0 < turns < 0.5:
+            return None
+    phasor, rest = _phasor(u, k, turns)
+    if abs(phasor) < 1e-6 or rest > pure * abs(phasor):
+        return None
+    return Segment(first, end, turns / period)

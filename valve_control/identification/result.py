@@ -1,0 +1,312 @@
+"""What an identification gives: tables, ROS 2 parameter file, JSON, CSV, Bode plot."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+
+from valve_control.analysis.figures import COLOURS
+from valve_control.identification import bode, files, rational
+from valve_control.identification.bode import Corners, Root
+from valve_control.identification.rational import Fit
+from valve_control.identification.response import Response
+from valve_control.identification.theta import Suggestion
+from valve_control.parameters import build
+from valve_control.parameters.files import load
+from valve_control.parameters.table import NODES, ParameterError, Values, defaults, updated
+from valve_control.plant.models import TransferFunction
+
+
+class Identification(NamedTuple):
+    """All that an identification found."""
+
+    source: str
+    measured: Response
+    fits: tuple[Fit, ...]  # by order
+    best: Fit  # the one that stands for the valve
+    theta: Suggestion
+    u_max: float  # V
+    notes: tuple[str, ...]
+
+
+def polynomial(coefficients: tuple[float, ...]) -> str:
+    """A polynomial in s, such as s² + 58.77 s + 1657."""
+    powers = "⁰¹²³⁴⁵⁶⁷⁸⁹"
+    text = ""
+    for i, c in enumerate(coefficients):
+        power = len(coefficients) - 1 - i
+        s = "" if power == 0 else "s" if power == 1 else f"s{powers[power]}"
+        size = s if s and abs(c) == 1.0 else f"{abs(c):.7g}{' ' if s else ''}{s}"
+        text += f" {'-' if c < 0.0 else '+'} {size}" if text else f"{'-' if c < 0.0 else ''}{size}"
+    return text
+
+
+def hertz(frequency: float | None) -> str:
+    """A frequency in a table, or that there is none."""
+    return "none" if frequency is None else f"{frequency:.2f} Hz"
+
+
+def roots_text(found: list[Root]) -> str:
+    """Poles or zeros in Hz, with damping."""
+    told = [f"{r.frequency:.2f} Hz" + (f" (damping {r.damping:.3f})" if r.pair else "") for r in found]
+    return ", ".join(told) or "none"
+
+
+def fit_text(made: Fit) -> str:
+    """One fit as the terminal shows it."""
+    about = (
+        f", of which the model {100 * made.model_error:.2g} %" if made.model_error else ", all of it noise"
+    )
+    lines = [
+        f"order {made.order}: ({polynomial(made.model.numerator)}) / ({polynomial(made.model.denominator)})"
+        + (f" with a delay of {1e3 * made.delay:.3f} ms" if "delay" in made.names else "")
+    ]
+    for name, value, bound in zip(made.names, made.values, made.bounds, strict=True):
+        share = 100.0 * bound / abs(value) if value else np.inf
+        lines.append(f"  {name:6} {value:14.7g} ± {bound:10.3g}  ({share:.2g} %)")
+    lines += [
+        f"  static gain {made.model.static_gain:.5f} ± {made.gain_bound:.2g} V/V; "
+        f"fit error {100 * made.error:.3g} % rms{about}",
+        f"  poles {roots_text(bode.roots(made.model.denominator))}; "
+        f"zeros {roots_text(bode.roots(made.model.numerator))}",
+        f"  -3 dB at {hertz(made.corners.minus_3db)}, -90° at {hertz(made.corners.minus_90)}",
+    ]
+    return "\n".join(lines)
+
+
+def text(found: Identification) -> str:
+    """The whole identification as the terminal shows it."""
+    m = found.measured
+    corners = rational.measured_corners(m)
+    relative = m.deviation / np.abs(m.value)
+    lines = [
+        f"{found.source}",
+        f"measured: {m.method}, {len(m.frequency)} frequencies from {m.frequency[0]:.4g} to "
+        f"{m.frequency[-1]:.4g} Hz, uncertainty {100 * np.min(relative):.2g} to "
+        f"{100 * np.max(relative):.2g} %; "
+        f"-3 dB at {hertz(corners.minus_3db)}, -90° at {hertz(corners.minus_90)}",
+        *(fit_text(made) for made in found.fits),
+        f"for arc and oarc: theta_initial {found.theta.initial}",
+        f"                  theta_min     {found.theta.lower}",
+        f"                  theta_max     {found.theta.upper}",
+        *(f"note: {note}" for note in found.notes),
+    ]
+    return "\n".join(lines)
+
+
+def parameters(found: Identification) -> dict[str, Values]:
+    """What the nodes take: the valve's model, a compensator for it, and the adaptive laws' estimates."""
+    model = found.best.model
+    numerator, denominator = ([_rounded(c) for c in part] for part in model)
+    estimates = {
+        "theta_initial": found.theta.initial,
+        "theta_min": found.theta.lower,
+        "theta_max": found.theta.upper,
+    }
+    valve: Values = {
+        "valve": "custom",
+        "numerator": numerator,
+        "denominator": denominator,
+        "gain_scale": 1.0,
+        "flow_force": 0.0,
+    }
+    if "delay" in found.best.names:
+        valve["lvdt.delay"] = _rounded(found.best.delay)
+    controller: Values = {
+        "compensator.design": "designed",
+        "compensator.model": "custom",
+        "compensator.numerator": numerator,
+        "compensator.denominator": denominator,
+        "open_loop.static_gain": _rounded(model.static_gain),
+    }
+    for law in ("arc", "oarc"):
+        controller.update({f"{law}.{name}": list(values) for name, values in estimates.items()})
+    return with_period({"valve_simulator": valve, "controller": controller}, found.measured.period)
+
+
+def with_period(tree: dict[str, Values], period: float) -> dict[str, Values]:
+    """``tree`` with the sample period [s] for all nodes, "", unless it is the default."""
+    if period == defaults(NODES["controller"])["sample_period"]:
+        return tree
+    return {"": {"sample_period": _rounded(period)}, **tree}
+
+
+def check_parameters(tree: dict[str, Values]) -> None:
+    """Raise ParameterError unless controller and simulator could take these."""
+    common = tree.get("", {})
+    makers: dict[str, Callable[[Values], Any]] = {
+        "valve_simulator": build.valve_params,
+        "controller": build.law_params,
+    }
+    for node, make in makers.items():
+        make(updated(NODES[node], defaults(NODES[node]), {**common, **tree.get(node, {})}))
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.10g}")
+
+
+def yaml_text(found: Identification) -> str:
+    """A ROS 2 parameter file of ``parameters``."""
+    made = found.best
+    return parameter_file(
+        parameters(found),
+        [
+            f"Identified from: {found.source}",
+            f"Order {made.order}, fit error {100 * made.error:.3g} % rms; coefficients with 95 % bounds:",
+            *(
+                f"  {name} = {value:.7g} ± {bound:.2g}"
+                for name, value, bound in zip(made.names, made.values, made.bounds, strict=True)
+            ),
+            "arc, oarc: the second-order fit to begin with; bounds from its confidence and from how far it",
+            "is from the higher order over several bands of frequency.",
+        ],
+    )
+
+
+def parameter_file(tree: dict[str, Values], comments: list[str]) -> str:
+    """A ROS 2 parameter file with a section for each node of any namespace; "" is all nodes."""
+    content: dict[str, Any] = {}
+    for node, values in tree.items():
+        section: dict[str, Any] = {}
+        content[f"/**/{node}" if node else "/**"] = {"ros__parameters": section}
+        for name, value in values.items():
+            *groups, last = name.split(".")
+            branch = section
+            for group in groups:
+                branch = branch.setdefault(group, {})
+            branch[last] = list(value) if isinstance(value, list) else value
+    head = "".join(f"# {line}\n" for line in comments)
+    return head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
+
+
+def read_model(path: str) -> TransferFunction:
+    """The valve's model in a parameter file such as ``identify`` writes. Raises ParameterError."""
+    given = load(path)
+    valve, controller = given["valve_simulator"], given["controller"]
+    if "valve" in valve or "numerator" in valve:
+        valve_values = updated(NODES["valve_simulator"], defaults(NODES["valve_simulator"]), valve)
+        return build.valve_model(valve_values)
+    if "compensator.numerator" in controller:
+        values: Values = updated(
+            NODES["valve_simulator"],
+            defaults(NODES["valve_simulator"]),
+            {
+                "valve": "custom",
+                "numerator": controller["compensator.numerator"],
+                "denominator": controller.get("compensator.denominator", [1.0, 58.771, 1657.206]),
+            },
+        )
+        return build.valve_model(values)
+    raise ParameterError(f"{path} has no valve model: neither 'valve' nor 'compensator.numerator' is in it")
+
+
+def _corners(found: Corners) -> dict[str, float | None]:
+    return {"minus_3db_hz": found.minus_3db, "minus_90_hz": found.minus_90}
+
+
+def fit_dict(made: Fit) -> dict[str, Any]:
+    """One fit for JSON."""
+    return {
+        "order": made.order,
+        "numerator": list(made.model.numerator),
+        "denominator": list(made.model.denominator),
+        "delay_s": made.delay,
+        "coefficients": {
+            name: {"value": float(value), "bound": float(bound)}
+            for name, value, bound in zip(made.names, made.values, made.bounds, strict=True)
+        },
+        "static_gain": {"value": made.model.static_gain, "bound": made.gain_bound},
+        "poles": [root._asdict() for root in bode.roots(made.model.denominator)],
+        "zeros": [root._asdict() for root in bode.roots(made.model.numerator)],
+        "weighting": made.weighting,
+        "error": made.error,
+        "model_error": made.model_error,
+        **_corners(made.corners),
+    }
+
+
+def as_dict(found: Identification) -> dict[str, Any]:
+    """The whole identification for JSON."""
+    m = found.measured
+    return {
+        "source": found.source,
+        "sample_period": m.period,
+        "u_max": found.u_max,
+        "response": {
+            "method": m.method,
+            "frequency_hz": m.frequency,
+            "real": m.value.real,
+            "imaginary": m.value.imag,
+            "deviation": m.deviation,
+            "coherence": m.coherence,
+            **_corners(rational.measured_corners(m)),
+        },
+        "fits": [fit_dict(made) for made in found.fits],
+        "best_order": found.best.order,
+        "theta": {
+            "initial": found.theta.initial,
+            "min": found.theta.lower,
+            "max": found.theta.upper,
+        },
+        "notes": list(found.notes),
+    }
+
+
+def csv_text(m: Response) -> str:
+    """The measured response as CSV."""
+    rows = ["frequency_hz,real,imaginary,magnitude_db,phase_deg,deviation,coherence"]
+    phase = np.degrees(np.unwrap(np.angle(m.value)))
+    for i, value in enumerate(m.value):
+        numbers = (
+            m.frequency[i],
+            value.real,
+            value.imag,
+            20.0 * np.log10(abs(value)),
+            phase[i],
+            m.deviation[i],
+            m.coherence[i],
+        )
+        rows.append(",".join(f"{number:.10g}" for number in numbers))
+    return "\n".join(rows) + "\n"
+
+
+def bode_figure(found: Identification, path: str) -> bytes:
+    """Measured response with 95 % error bars, and the fits as held and sampled, for ``path``."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    m = found.measured
+    figure, (top, bottom) = plt.subplots(2, 1, figsize=(9.0, 8.0), sharex=True)
+    share = 1.96 * m.deviation / np.abs(m.value)
+    size = 20.0 * np.log10(np.abs(m.value))
+    bar = np.vstack([-20.0 * np.log10(np.maximum(1.0 - share, 0.05)), 20.0 * np.log10(1.0 + share)])
+    turn = np.degrees(np.unwrap(np.angle(m.value)))
+    style = {
+        "fmt": "o",
+        "ms": 4,
+        "color": "black",
+        "lw": 1.0,
+        "capsize": 2,
+        "label": f"measured ({m.method})",
+    }
+    top.errorbar(m.frequency, size, yerr=bar, **style)
+    bottom.errorbar(m.frequency, turn, yerr=np.degrees(np.minimum(share, np.pi)), **style)
+    frequency = np.geomspace(m.frequency[0], m.frequency[-1], 500)
+    for made, colour in zip(found.fits, COLOURS, strict=False):
+        value = bode.held_response(made.model, frequency, m.period, made.delay)
+        label = f"order {made.order}, error {100 * made.error:.2g} %"
+        top.semilogx(frequency, 20.0 * np.log10(np.abs(value)), color=colour, label=label)
+        bottom.semilogx(frequency, np.degrees(np.unwrap(np.angle(value))), color=colour, label=label)
+    top.set_ylabel("position over voltage [dB]")
+    bottom.set_ylabel("phase [°]")
+    bottom.set_xlabel("frequency [Hz]")
+    top.legend(loc="lower left")
+    for axis in (top, bottom):
+        axis.grid(True, which="both", alpha=0.3)
+    figure.suptitle(found.source)
+    figure.tight_layout()
+    return files.figure_bytes(figure, path)
