@@ -1,0 +1,495 @@
+"""Theorems 1 A and 2 A as an experiment: V2 against (25) and (52) on random valves.
+
+Each case is a second-order valve inside its assumed ranges, a motion, a bounded disturbance d̃ and a start.
+Every law meets the same cases at every sample period. The laws' own ``step`` runs; the reshaping passes
+the motion on with its exact derivatives. The plant is simulated exactly, with the disturbance constant
+over ``SUBSTEP``. A run ends where the voltage saturates, since nothing is promised from there on.
+
+The gains are the paper's. ε is drawn below h²/(4k), h = bound on |θ̃ᵀφ| + |d̃| along the motion: the
+robust term then adds up to k·h²/(4k·ε) to the loop's gain k. Larger ε would give a bound that nothing
+comes near. The ranges of valves, motions and disturbances are such that ±10 V hardly ever saturates.
+"""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from valve_control.laws import arc, guarantee, oarc, reshaping, velocity
+from valve_control.laws.projection import Theta, span
+from valve_control.laws.signals import Start
+from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER, defaults, updated
+from valve_control.theorems import bench
+from valve_control.theorems.bench import Array, Motion, Plant, Progress
+
+PERIODS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5)  # s
+SUBSTEP = 2e-5  # s
+SETTLED = 0.03  # s; exp(-240·0.03) = 0.0007
+DURATION = 0.4  # s; about 100 time constants of the bound
+KINDS = ("piecewise", "sine", "bang-bang")
+U_MAX = 10.0  # V
+SMALL = 1e-6  # V, V/s; errors from which no gain can be read
+TIGHTNESS = (0.03, 1.0)  # ε over h²/(4k); ten times that for OARC, whose start would saturate otherwise
+CHUNK = 250  # valves in one task
+
+
+class Push(NamedTuple):
+    """Disturbance d̃ with |d̃| <= size."""
+
+    kind: float  # index into KINDS
+    size: float  # V/s²  δ_d
+    frequency: float  # Hz    of the sine; levels per second of the piecewise one
+    phase: float  # rad
+
+
+class Case(NamedTuple):
+    """One valve with everything that happens to it."""
+
+    truth: Theta  # θ
+    lower: Theta  # θmin
+    upper: Theta  # θmax
+    estimate: Theta  # θ̂(0)
+    motion: Motion
+    push: Push
+    levels: Array  # -     of the piecewise disturbance, within ±1
+    adaptation: float  # -     multiplies the paper's Γ
+    tightness: float  # -     ε over h²/(4k)
+    start: float  # -     V2(0) over ε/λ, about
+    side: float  # ±1    of the first error
+
+
+class Outcome(NamedTuple):
+    """Numbers of one run."""
+
+    ratio: float  # -   largest V2 over its bound, after the first sample
+    settled: float  # -   the same once the bound has forgotten V2(0), after SETTLED
+    time: float  # s   of that
+    excess: float  # -   largest growth of V2 beyond the inequality of one period, over ε
+    loop_gain: float  # -   largest gain of the law's feedback, robust term included, times ΔT
+    peak: float  # V   largest voltage asked for
+    saturated: float  # 1.0 if the run ended in saturation
+
+
+class Cell(NamedTuple):
+    """All runs of one law at one sample period; arrays have an entry per valve."""
+
+    law: str
+    period: float  # s
+    kinds: Array  # index into KINDS
+    ratio: Array
+    settled: Array
+    time: Array  # s
+    excess: Array
+    loop_gain: Array
+    peak: Array  # V
+    saturated: Array
+
+    @property
+    def breaches(self) -> int:
+        """Runs in which V2 ever exceeded its bound."""
+        return int(np.sum(self.ratio > 1.0))
+
+    @property
+    def worst(self) -> float:
+        """Largest V2 over its bound."""
+        return float(np.max(self.ratio))
+
+    def quantile(self, share: float) -> float:
+        """Margin V2/bound that ``share`` of the runs stay below."""
+        return float(np.quantile(self.ratio, share))
+
+
+class Scaling(NamedTuple):
+    """How the inequality of one period, dV2 <= (ε - λ·V2)·ΔT, is missed as ΔT grows, over ε."""
+
+    law: str
+    periods: Array  # s
+    shift: Array  # -  median over the valves of |excess(ΔT) - excess(shortest ΔT)|
+    order: float  # -  slope of log shift over log ΔT
+
+
+class Study(NamedTuple):
+    """Theorems 1 A and 2 A on random valves."""
+
+    seed: int
+    valves: int
+    duration: float  # s
+    cells: tuple[Cell, ...]
+
+    def cell(self, law: str, period: float) -> Cell:
+        """Runs of ``law`` at ``period`` [s]."""
+        return next(c for c in self.cells if c.law == law and c.period == period)
+
+    def scaling(self, law: str) -> Scaling:
+        """Sampling error of ``law`` over ΔT, from the same valves at every ΔT that never saturated."""
+        cells = sorted((c for c in self.cells if c.law == law), key=lambda c: c.period)
+        finest, *others = [c for c in cells if np.mean(c.saturated) < 0.25]
+        sound = np.all([c.saturated == 0.0 for c in (finest, *others)], axis=0)
+        periods = np.array([c.period for c in others])
+        shift = np.array([np.median(np.abs(c.excess - finest.excess)[sound]) for c in others])
+        return Scaling(law, periods, shift, bench.order(periods - finest.period, shift))
+
+
+def draw(seed: int, number: int) -> Case:
+    """Case ``number`` of a seed.
+
+    Seven valves in ten are corners of their box and start from the estimate in the opposite corner; every
+    other of these is the corner whose errors all push the same way along this motion.
+    """
+    rng = np.random.default_rng([seed, number])
+    centre = rng.uniform([20.0, 1000.0, 1000.0, -300.0], [80.0, 2000.0, 1800.0, 300.0])
+    half = np.append(rng.uniform(0.01, 0.06, 3) * centre[:3], rng.uniform(20.0, 200.0))
+    side = float(rng.choice([-1.0, 1.0]))
+    corner = [rng.choice([-1.0, 1.0], 4), np.array([1.0, side, -side, -1.0])][number // len(KINDS) % 2]
+    place, guess = (corner, -corner) if rng.random() < 0.7 else rng.uniform(-1.0, 1.0, (2, 4))
+    motion = Motion(
+        start=side * rng.uniform(0.0, 1.0),
+        a1=side * rng.uniform(0.2, 0.8),
+        w1=2.0 * math.pi * rng.uniform(0.3, 2.0),
+        a2=rng.choice([-1.0, 1.0]) * rng.uniform(0.02, 0.15),
+        w2=2.0 * math.pi * rng.uniform(2.0, 6.0),
+        a3=0.0,
+        w3=0.0,
+    )
+    return Case(
+        truth=Theta(*(float(v) for v in centre + place * half)),
+        lower=Theta(*(float(v) for v in centre - half)),
+        upper=Theta(*(float(v) for v in centre + half)),
+        estimate=Theta(*(float(v) for v in centre + guess * half)),
+        motion=Motion(*(float(v) for v in motion)),
+        push=Push(
+            float(number % len(KINDS)),
+            float(rng.uniform(50.0, 400.0)),
+            float(math.exp(rng.uniform(0.0, math.log(300.0)))),
+            float(rng.uniform(0.0, 2.0 * math.pi)),
+        ),
+        levels=rng.uniform(-1.0, 1.0, 61),
+        adaptation=float(math.exp(rng.uniform(0.0, math.log(100.0)))),
+        tightness=float(math.exp(rng.uniform(*np.log(TIGHTNESS)))),
+        start=float(rng.uniform(0.0, 3.0)),
+        side=side,
+    )
+
+
+def uncertainty(case: Case) -> float:
+    """Bound h [V/s²] on |θ̃ᵀφ| + |d̃| of (22) along the motion, all extremes at once."""
+    m, low = case.motion, case.lower
+    position = abs(m.start) + 2.0 * (abs(m.a1) + abs(m.a2))
+    rate = abs(m.a1) * m.w1 + abs(m.a2) * m.w2
+    accel = abs(m.a1) * m.w1**2 + abs(m.a2) * m.w2**2
+    voltage = (low.a1 * rate + low.a0 * position + accel) / low.b0
+    s = span(case.lower, case.upper)
+    return s.a1 * rate + s.a0 * position + s.b0 * voltage + s.b0dn + case.push.size
+
+
+def disturbance(push: Push, levels: Array, time: float, direction: float) -> float:
+    """Disturbance d̃ [V/s²] at ``time`` [s]; the bang-bang one goes where V2 grows most, ``direction``."""
+    if push.kind == 0.0:
+        return push.size * float(levels[int(time * push.frequency) % len(levels)])
+    if push.kind == 1.0:
+        return push.size * math.sin(2.0 * math.pi * push.frequency * time + push.phase)
+    return math.copysign(push.size, direction)
+
+
+@functools.cache
+def _scaled(law: str, period: float) -> Any:
+    changes = {"sample_period": period, "u_max": U_MAX, f"{law}.robust_term": "quadratic"}
+    p: Any = build.LAW_PARAMS[law](updated(CONTROLLER, defaults(CONTROLLER), changes))
+    return p._replace(reshaping=bench.unlimited(period))
+
+
+@functools.cache
+def _observer_peak(k1: float, k2: float) -> float:
+    return bench.observer_peak(k1, k2)
+
+
+def _gamma(gamma: Theta, scale: float) -> Theta:
+    return Theta(*(scale * g for g in gamma))
+
+
+def arc_case(case: Case, period: float, filtered: bool) -> tuple[arc.Params, arc.State, float, float]:
+    """ARC for this case, its state, and the valve's position [V] and velocity [V/s] at the start."""
+    base: arc.Params = _scaled("arc", period)
+    epsilon = case.tightness * uncertainty(case) ** 2 / (4.0 * base.k2)
+    p = base._replace(
+        gamma=_gamma(base.gamma, case.adaptation),
+        theta_initial=case.estimate,
+        theta_min=case.lower,
+        theta_max=case.upper,
+        epsilon=epsilon,
+        disturbance_bound=case.push.size,
+        velocity=base.velocity if filtered else bench.KEEPS_VELOCITY,
+    )
+    x1 = case.motion.start
+    x2 = case.side * math.sqrt(2.0 * case.start * epsilon / (2.0 * min(p.k1, p.k2)))
+    return p, arc.initial(p, Start(x1, 0.0, x1, 0.0, x2)), x1, x2
+
+
+def oarc_case(case: Case, period: float) -> tuple[oarc.Params, oarc.State, float, float]:
+    """OARC for this case, its state, and the valve's position [V] and velocity [V/s] at the start.
+
+    The valve rests under the voltage that the K-filters know of: ε of (32) is zero, as the law has no
+    α1s3 and no u_s3 against it.
+    """
+    base: oarc.Params = _scaled("oarc", period)
+    c, rho, low = 10.0 * case.tightness, base.z2_weight, case.lower.b0
+    h1 = uncertainty(case) * base.k1 / base.k2
+    slope = base.ks1 / low * (1.0 + 1.0 / c)
+    p = base._replace(
+        gamma=_gamma(base.gamma, case.adaptation),
+        theta_initial=case.estimate,
+        theta_min=case.lower,
+        theta_max=case.upper,
+        epsilon1=c * h1 * h1 / (4.0 * base.ks1),
+        epsilon2=c * rho * (slope * h1) ** 2 / (4.0 * base.ks2),
+        disturbance_bound=case.push.size * _observer_peak(base.k1, base.k2),
+    )
+    wanted = case.start * (p.epsilon1 + p.epsilon2) / (2.0 * min(p.ks1, p.ks2))
+    x1 = case.motion.start + case.side * math.sqrt(2.0 * wanted / (1.0 + rho * slope * slope))
+    voltage = (case.truth.a0 * x1 - case.truth.b0dn) / case.truth.b0
+    return p, oarc.initial(p, Start(x1, voltage, x1, 0.0, 0.0)), x1, 0.0
+
+
+def arc_given(p: arc.Params, s: arc.State, reference: reshaping.State, x1: float, x2: float) -> arc.State:
+    """ARC's state with the motion's reference, and the true velocity unless it has a filter of its own."""
+    if p.velocity.smoothing == 0.0:
+        return arc.State(reference, velocity.State(x1, x2), s.theta, s.bound)
+    return arc.State(reference, s.velocity, s.theta, s.bound)
+
+
+def oarc_given(p: oarc.Params, s: oarc.State, reference: reshaping.State, x1: float, x2: float) -> oarc.State:
+    """OARC's state with the motion's reference."""
+    return oarc.State(reference, s.eta, s.v0, s.psi, s.theta, s.bound)
+
+
+def arc_lyapunov(p: arc.Params, terms: arc.Terms, x2: float) -> float:
+    """V2 [V²/s²] of (24) from the true velocity [V/s]."""
+    z2 = x2 - terms.reference_rate + p.k1 * terms.z1
+    return 0.5 * terms.z1 * terms.z1 + 0.5 * z2 * z2
+
+
+def oarc_lyapunov(p: oarc.Params, terms: oarc.Terms, x2: float) -> float:
+    """V2 [V²] of (47)."""
+    return terms.lyapunov
+
+
+def arc_direction(p: arc.Params, terms: arc.Terms) -> float:
+    """Sign of ∂(dV2/dt)/∂d̃, from (24)."""
+    return terms.z2
+
+
+def oarc_direction(p: oarc.Params, terms: oarc.Terms) -> float:
+    """Sign of ∂(dV2/dt)/∂ε_u,2, from (41) and (49), without the robust term's share of ∂α1/∂x1."""
+    return terms.z1 - p.z2_weight * (terms.a1 / terms.b0 - p.ks1 / p.theta_min.b0) * terms.z2
+
+
+def arc_growth(p: arc.Params) -> float:
+    """ε_V of (25)."""
+    return p.epsilon
+
+
+def oarc_growth(p: oarc.Params) -> float:
+    """ε11 + ε21 of (52)."""
+    return p.epsilon1 + p.epsilon2
+
+
+def arc_gain(terms: arc.Terms, b0: float) -> float:
+    """Feedback gain [1/s] of the loop around z2, (22), on a valve with this ``b0`` [1/s²]."""
+    if abs(terms.z2) < SMALL:
+        return 0.0
+    return b0 * abs((terms.feedback_voltage + terms.robust_voltage) / terms.z2)
+
+
+def oarc_gain(terms: oarc.Terms, b0: float) -> float:
+    """Larger feedback gain [1/s] of the loops around z1, (40), and z2, (46)."""
+    outer = inner = 0.0
+    if abs(terms.z1) > SMALL:
+        alpha_s = (terms.velocity - terms.reference_rate) / terms.b0 - terms.z2  # α1s, by (38) and (39)
+        outer = b0 * abs(alpha_s / terms.z1)
+    if abs(terms.z2) > SMALL:
+        inner = abs((terms.feedback_voltage + terms.robust_voltage) / terms.z2)
+    return max(outer, inner)
+
+
+class Law(NamedTuple):
+    """One law as the experiment needs it; the fields but ``text`` and ``case`` stand in ``run_valve``."""
+
+    text: str
+    case: Callable[[Case, float], tuple[Any, Any, float, float]]
+    law_step: Callable[..., Any]
+    given: Callable[..., Any]
+    lyapunov: Callable[..., Any]
+    direction: Callable[..., Any]
+    growth: Callable[..., Any]
+    gain: Callable[..., Any]
+
+
+_ARC = Law(
+    "ARC, true velocity",
+    functools.partial(arc_case, filtered=False),
+    arc.step,
+    arc_given,
+    arc_lyapunov,
+    arc_direction,
+    arc_growth,
+    arc_gain,
+)
+LAWS = {
+    "arc": _ARC,
+    "arc_filtered": _ARC._replace(
+        text="ARC, velocity from the LVDT",
+        case=functools.partial(arc_case, filtered=True),
+    ),
+    "oarc": Law(
+        "OARC",
+        oarc_case,
+        oarc.step,
+        oarc_given,
+        oarc_lyapunov,
+        oarc_direction,
+        oarc_growth,
+        oarc_gain,
+    ),
+}
+SWITCHED = Law._fields[2:]
+
+
+law_step = given = lyapunov = direction = growth = gain = bench.missing  # of a Law, put in by loop_for
+
+
+def run_valve(
+    p: Any,
+    s: Any,
+    motion: Motion,
+    push: Push,
+    levels: Array,
+    valve: Plant,
+    b0: float,
+    b0dn: float,
+    x1: float,
+    x2: float,
+    samples: int,
+    substeps: int,
+) -> Outcome:
+    """Run one case to its end, or until the voltage saturates.
+
+    ``b0`` [1/s²] and ``b0dn`` [V/s²]: of the true valve; ``x1`` [V], ``x2`` [V/s]: its start;
+    ``valve``: its exact step over one of ``substeps`` parts of a period.
+    """
+    period = p.period
+    part = period / substeps
+    allowed = growth(p)
+    before = bound = ratio = settled = time = excess = loop_gain = peak = saturated = 0.0
+    for k in range(samples):
+        now = k * period
+        position, rate, accel = bench.reference(motion, now)
+        s = given(p, s, reshaping.State(position, rate), x1, x2)
+        command = bench.command_for(p.reshaping, position, rate, accel)
+        voltage, s, terms = law_step(p, s, command, x1, 0.0)
+        v2 = lyapunov(p, terms, x2)
+        if k == 0:
+            bound = v2
+        else:
+            bound = guarantee.advance(p.guarantee, bound, allowed, True)
+            if v2 > ratio * bound:
+                ratio, time = v2 / bound, now
+            if now > SETTLED:
+                settled = max(settled, v2 / bound)
+            beyond = v2 - guarantee.advance(p.guarantee, before, allowed, True)
+            beyond /= p.guarantee.gain * allowed
+            excess = beyond if k == 1 else max(excess, beyond)
+        before = v2
+        peak = max(peak, abs(terms.unsaturated_voltage))
+        if voltage != terms.unsaturated_voltage:
+            saturated = 1.0
+            break
+        loop_gain = max(loop_gain, gain(terms, b0) * period)
+        towards = direction(p, terms)
+        for i in range(substeps):
+            force = b0 * voltage + b0dn + disturbance(push, levels, now + i * part, towards)
+            x1, x2 = (
+                valve.m11 * x1 + valve.m12 * x2 + valve.g1 * force,
+                valve.m21 * x1 + valve.m22 * x2 + valve.g2 * force,
+            )
+    return Outcome(ratio, settled, time, excess, loop_gain, peak, saturated)
+
+
+def loop_for(law: str, compiled: bool = True) -> Callable[..., Any]:
+    """``run_valve`` with the functions of ``law``, compiled or in plain Python.
+
+    Laws that share their types must share their functions too: numba's cache goes by the types.
+    """
+    return bench.loop_with(run_valve, {name: getattr(LAWS[law], name) for name in SWITCHED}, compiled)
+
+
+class Task(NamedTuple):
+    """A block of cases of one law at one sample period."""
+
+    law: str
+    period: float  # s
+    seed: int
+    first: int
+    valves: int
+    duration: float  # s
+
+
+def run_block(task: Task) -> Array:
+    """Outcomes of a block of cases, one a row."""
+    loop = loop_for(task.law)
+    substeps = max(1, round(task.period / SUBSTEP))
+    rows = []
+    for number in range(task.first, task.first + task.valves):
+        case = draw(task.seed, number)
+        p, s, x1, x2 = LAWS[task.law].case(case, task.period)
+        rows.append(
+            loop(
+                p,
+                s,
+                case.motion,
+                case.push,
+                case.levels,
+                bench.plant(case.truth, task.period / substeps),
+                case.truth.b0,
+                case.truth.b0dn,
+                x1,
+                x2,
+                round(task.duration / task.period),
+                substeps,
+            )
+        )
+    return np.array(rows)
+
+
+def study(
+    valves: int = 2000,
+    seed: int = 1,
+    laws: Sequence[str] = tuple(LAWS),
+    periods: Sequence[float] = PERIODS,
+    duration: float = DURATION,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> Study:
+    """Theorems 1 A and 2 A on ``valves`` random valves per law and sample period [s].
+
+    ``progress(done, all)`` counts blocks of runs.
+    """
+    firsts = range(0, valves, CHUNK)
+    tasks = [
+        Task(law, period, seed, first, min(CHUNK, valves - first), duration)
+        for law in laws
+        for period in periods
+        for first in firsts
+    ]
+    if jobs > 1:
+        for law in laws:
+            run_block(Task(law, periods[0], seed, 0, 1, periods[0]))  # fills numba's cache for all processes
+    blocks = bench.work(run_block, tasks, jobs, progress)
+    kinds = np.arange(valves, dtype=np.float64) % len(KINDS)
+    cells = []
+    for i in range(0, len(tasks), len(firsts)):
+        rows = np.concatenate(blocks[i : i + len(firsts)])
+        cells.append(Cell(tasks[i].law, tasks[i].period, kinds, *rows.T))
+    return Study(seed, valves, duration, tuple(cells))
