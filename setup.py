@@ -12,6 +12,7 @@ NODES = [
     "demo",
     "faults",
     "lockstep",
+    "paper",
 ]
 
 setup(
@@ -38,6 +39,7 @@ setup(
         "lz4>=4.3",
         "zstandard>=0.22",
         "plotly>=6.0",
+        "cma>=4.0",
     ],
     extras_require={"test": ["pytest>=7.4", "hypothesis>=6.90", "sympy>=1.12"]},
     python_requires=">=3.11",

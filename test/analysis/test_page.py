@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.analysis.page import Line, Plot, envelope, figure, page, table
+from valve_control.analysis.figures import Line, Plot
+from valve_control.analysis.page import envelope, figure, page, table
 from valve_control.analysis.spectra import spectrum
 
 

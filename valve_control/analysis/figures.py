@@ -1,4 +1,4 @@
-"""Figures as PNG files."""
+"""Figures as PNG and SVG files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +18,24 @@ class Trace(NamedTuple):
     command: Array  # V
     position: Array  # V
     voltage: Array  # V
+
+
+class Line(NamedTuple):
+    """One line of a plot."""
+
+    label: str
+    x: Array
+    y: Array
+    colour: str = ""
+    dashed: bool = False
+
+
+class Plot(NamedTuple):
+    """One plot of a figure."""
+
+    title: str  # of its vertical axis
+    lines: Sequence[Line]
+    logarithmic: bool = False
 
 
 def draw_traces(path: Path, groups: Mapping[str, Mapping[str, Trace]], title: str) -> None:
@@ -58,3 +76,45 @@ def _draw_column(axes: Sequence[Any], traces: Mapping[str, Trace]) -> None:
     top.legend(loc="upper right")
     for axis in axes:
         axis.grid(True, alpha=0.3)
+
+
+def draw_plots(
+    paths: Sequence[Path], plots: Sequence[Plot], x_title: str, title: str, logarithmic_x: bool = False
+) -> None:
+    """Plots below each other with one horizontal axis, in each of ``paths``, whose endings tell the format.
+
+    Raises OSError if a path cannot be written.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    matplotlib.rcParams["svg.hashsalt"] = "valve_control"  # the same figure gives the same file
+    height = 1.2 + 2.4 * len(plots)
+    figure, axes = plt.subplots(len(plots), 1, figsize=(9.0, height), sharex=True, squeeze=False)
+    for axis, plot in zip(axes[:, 0], plots, strict=True):
+        for i, line in enumerate(plot.lines):
+            axis.plot(
+                line.x,
+                line.y,
+                color=line.colour or COLOURS[i % len(COLOURS)],
+                ls="--" if line.dashed else "-",
+                lw=1.0,
+                label=line.label,
+            )
+        axis.set_ylabel(plot.title)
+        axis.grid(True, which="both", alpha=0.3)
+        if plot.logarithmic:
+            axis.set_yscale("log")
+        if logarithmic_x:
+            axis.set_xscale("log")
+    axes[0, 0].legend(fontsize="small", ncols=2)
+    axes[-1, 0].set_xlabel(x_title)
+    figure.suptitle(title)
+    figure.tight_layout()
+    try:
+        for path in paths:
+            figure.savefig(path, dpi=110, metadata={"Date": None} if path.suffix == ".svg" else None)
+    finally:
+        plt.close(figure)

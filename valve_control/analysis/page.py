@@ -2,12 +2,12 @@
 
 import html
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.analysis.figures import COLOURS
+from valve_control.analysis.figures import COLOURS, Plot
 
 Floats = npt.NDArray[np.float64]
 MARKS = 50  # vertical lines at most
@@ -20,24 +20,6 @@ table { border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabula
 th, td { padding: .2rem .8rem; text-align: right; border-bottom: 1px solid #e8ecef } th { color: #5a6672 }
 th:first-child, td:first-child { text-align: left } .note { color: #8a4b00 } .scroll { overflow-x: auto }
 """
-
-
-class Line(NamedTuple):
-    """One line of a plot."""
-
-    label: str
-    x: Floats
-    y: Floats
-    colour: str = ""
-    dashed: bool = False
-
-
-class Plot(NamedTuple):
-    """One plot of a figure."""
-
-    title: str  # of its vertical axis
-    lines: Sequence[Line]
-    logarithmic: bool = False
 
 
 def envelope(x: Floats, y: Floats, points: int = POINTS) -> tuple[Floats, Floats]:

@@ -1,5 +1,6 @@
 """How well a table determines each free quantity, and which quantity explains what."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -7,7 +8,6 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import scipy.optimize
 
 from valve_control.calibration import objective
 from valve_control.calibration.objective import Fit
@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 T = TypeVar("T")
 Done = Callable[[], None]
 SHARES = (0.0, 0.15, 0.35, 0.65, 0.85, 1.0)  # of a range, at which its profile is taken
-SIZE = 0.05  # of the first simplex, as share of the ranges
+SIZE = 0.05  # first step, as share of the ranges
 # What an effect is when it is not there.
 ABSENT = {
     "flow_force": 0.0,
@@ -64,15 +64,22 @@ class Absence(NamedTuple):
 
 
 def _refined(problem: Problem, start: Array, evaluations: int) -> tuple[Array, float]:
-    n = len(start)
-    corners = np.vstack([start, start + SIZE * np.where(start < 0.5, 1.0, -1.0) * np.eye(n)])
-    result = scipy.optimize.minimize(
-        partial(cost_at, problem),
-        start,
-        method="Nelder-Mead",
-        options={"initial_simplex": corners, "maxfev": evaluations, "adaptive": True},
-    )
-    return np.clip(result.x, 0.0, 1.0), float(result.fun)
+    """The other quantities chosen anew, from ``start``."""
+    import cma
+
+    options = {"seed": 1, "maxfevals": evaluations, "verbose": -9, "tolflatfitness": 20}
+    best, cost = start, cost_at(problem, start)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        strategy = cma.CMAEvolutionStrategy(start, SIZE, options)
+        while not strategy.stop():
+            points = strategy.ask()
+            costs = [cost_at(problem, point) for point in points]
+            strategy.tell(points, costs)
+            i = int(np.argmin(costs))
+            if costs[i] < cost:
+                best, cost = np.clip(points[i], 0.0, 1.0), costs[i]
+    return best, cost
 
 
 def _held(problem: Problem, point: Array, index: int, value: float) -> tuple[Problem, Array]:

@@ -14,12 +14,20 @@ Array = npt.NDArray[np.float64]
 Settings = dict[str, Values]  # by node
 
 
+class Target(NamedTuple):
+    """A parameter that takes the value of a free quantity."""
+
+    node: str
+    parameter: str
+    entry: int = -1  # of a parameter that is a list
+    factor: float = 1.0
+
+
 class Dimension(NamedTuple):
-    """One free quantity and the parameters that take its value."""
+    """One free quantity."""
 
     name: str
-    targets: tuple[tuple[str, str], ...]  # node and parameter
-    entry: int  # of a parameter that is a list, else -1
+    targets: tuple[Target, ...]
     low: float
     high: float
     logarithmic: bool
@@ -42,11 +50,21 @@ class Dimension(NamedTuple):
 def _valve(
     name: str, low: float, high: float, unit: str, reason: str, logarithmic: bool = False
 ) -> Dimension:
-    return Dimension(name, (("valve_simulator", name),), -1, low, high, logarithmic, unit, reason)
+    return Dimension(name, (Target("valve_simulator", name),), low, high, logarithmic, unit, reason)
 
 
 def _command(name: str, low: float, high: float, unit: str, reason: str) -> Dimension:
-    return Dimension(name, (("command_source", name),), -1, low, high, False, unit, reason)
+    return Dimension(name, (Target("command_source", name),), low, high, False, unit, reason)
+
+
+def _bound(end: str, entry: int, theta: str, low: float, high: float, unit: str, reason: str) -> Dimension:
+    """A bound of θ, the same for both laws that adapt."""
+    targets = tuple(Target("controller", f"{law}.theta_{end}", entry) for law in ("arc", "oarc"))
+    return Dimension(f"theta_{end} {theta}", targets, low, high, False, unit, reason)
+
+
+def _law(name: str, low: float, high: float, unit: str, reason: str) -> Dimension:
+    return Dimension(name, (Target("controller", name),), low, high, True, unit, reason)
 
 
 # The command's speed and acceleration, the gains, the reshaping and θ(0) are the paper's and stay.
@@ -64,46 +82,25 @@ DIMENSIONS = (
     _command("amplitude", 1.5, 4.5, "V", "Fig. 5's stroke is not printed"),
     _command("cycle", 4.0, 8.0, "s", "Fig. 5's time axis is not printed"),
     _command("offset", -0.3, 0.3, "V", "where the command begins; the valve begins at 0 V"),
+    _bound("min", 0, "a1", 1.0, 19.9, "1/s", "below θ1(0) = 20; positive, the valve is damped"),
+    _bound("min", 1, "a0", 100.0, 1199.0, "1/s²", "below θ2(0) = 1200; positive, the valve has a spring"),
+    _bound("min", 2, "b0", 600.0, 1199.0, "1/s²", "below θ3(0) = 1200, down to half of it"),
     Dimension(
-        "theta_min b0",
-        (("controller", "arc.theta_min"), ("controller", "oarc.theta_min")),
-        2,
-        600.0,
-        1199.0,
-        False,
-        "1/s²",
-        "θ3min is not printed; θ3(0) = 1200 lies above",
-    ),
-    Dimension(
-        "oarc.z2_weight",
-        (("controller", "oarc.z2_weight"),),
-        -1,
-        1.0,
-        1e7,
+        "theta_max b0·dn",
+        tuple(
+            Target("controller", f"{law}.theta_{end}", 3, sign)
+            for law in ("arc", "oarc")
+            for end, sign in (("min", -1.0), ("max", 1.0))
+        ),
+        100.0,
+        6000.0,
         True,
-        "1/s²",
-        "1 is the print, which chatters at 1 ms (docs/errata.md)",
+        "V/s²",
+        "±: 0.08 to 5 V at the input",
     ),
-    Dimension(
-        "arc.velocity_cutoff",
-        (("controller", "arc.velocity_cutoff"),),
-        -1,
-        30.0,
-        480.0,
-        True,
-        "Hz",
-        "'backward difference plus low pass'; not printed",
-    ),
-    Dimension(
-        "pid.derivative_cutoff",
-        (("controller", "pid.derivative_cutoff"),),
-        -1,
-        30.0,
-        480.0,
-        True,
-        "Hz",
-        "not printed",
-    ),
+    _law("oarc.z2_weight", 1.0, 1e7, "1/s²", "1 is the print, which chatters at 1 ms (docs/errata.md)"),
+    _law("arc.velocity_cutoff", 30.0, 480.0, "Hz", "'backward difference plus low pass'; not printed"),
+    _law("pid.derivative_cutoff", 30.0, 480.0, "Hz", "not printed"),
 )
 
 
@@ -116,19 +113,20 @@ def changed(base: Settings, dimensions: Sequence[Dimension], values: Mapping[str
     """``base`` with the free quantities at ``values``. Raises ParameterError."""
     changes: dict[str, Values] = {node: {} for node in base}
     for dimension in dimensions:
-        for node, name in dimension.targets:
-            value = values[dimension.name]
-            if dimension.entry < 0:
+        for target in dimension.targets:
+            node, name = target.node, target.parameter
+            value = target.factor * values[dimension.name]
+            if target.entry < 0:
                 changes[node][name] = value
             else:
                 items = build.numbers({**base[node], **changes[node]}, name)
-                changes[node][name] = [*items[: dimension.entry], value, *items[dimension.entry + 1 :]]
+                changes[node][name] = [*items[: target.entry], value, *items[target.entry + 1 :]]
     return {node: updated(NODES[node], base[node], changes[node]) for node in base}
 
 
 def present(base: Settings, dimension: Dimension) -> float:
     """The value that ``base`` has."""
-    node, name = dimension.targets[0]
-    if dimension.entry < 0:
-        return build.number(base[node], name)
-    return build.numbers(base[node], name)[dimension.entry]
+    target = dimension.targets[0]
+    if target.entry < 0:
+        return target.factor * build.number(base[target.node], target.parameter)
+    return target.factor * build.numbers(base[target.node], target.parameter)[target.entry]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from valve_control import __version__
 from valve_control.bags.errors import BagError
-from valve_control.cli import calibration, recordings, simulate
+from valve_control.cli import calibration, identification, paper, recordings, simulate
 from valve_control.cli.common import Parser
 from valve_control.parameters.table import ParameterError
 
@@ -23,6 +23,8 @@ EXAMPLES = """examples:
   valve-control compare monday_bag tuesday_bag --html both.html
   valve-control bag recover my_bag
   valve-control calibrate paper --set duration=9.3 --output my_valve.yaml
+  valve-control paper
+  valve-control identify --set lvdt.noise=0.005 --output valve.yaml --figure bode.png
   valve-control parameters arc
 """
 
@@ -39,7 +41,9 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="task", required=True, metavar="COMMAND")
     simulate.add_commands(commands)
     recordings.add_commands(commands)
+    identification.add_commands(commands)
     calibration.add_commands(commands)
+    paper.add_commands(commands)
     return top
 
 

@@ -33,11 +33,13 @@ def add_commands(commands: Any) -> None:
     calibrate.add_argument("table", metavar="TABLE", help="file with the measured indices, or: paper")
     group = calibrate.add_argument_group("search")
     group.add_argument("--search-seed", type=int, default=1, metavar="N", help="seed of the search (1)")
+    group.add_argument("--evaluations", type=int, default=40000, metavar="N", help="valves to try (40000)")
     group.add_argument(
-        "--generations", type=int, default=400, metavar="N", help="of the differential evolution (400)"
-    )
-    group.add_argument(
-        "--simplex", type=int, default=4000, metavar="N", help="evaluations of the simplices after it (4000)"
+        "--population",
+        type=int,
+        default=16,
+        metavar="N",
+        help="of the first CMA-ES; doubled by restarts (16)",
     )
     group.add_argument(
         "--noise-seeds",
@@ -94,10 +96,10 @@ def _calibrate(arguments: argparse.Namespace) -> None:
     found = search.search(
         problem,
         arguments.search_seed,
-        arguments.generations,
-        arguments.simplex,
+        arguments.evaluations,
+        arguments.population,
         arguments.processes,
-        _Progress(arguments.generations),
+        _Progress(arguments.evaluations),
         start,
     )
     values = space.values_at(dimensions, found.point)
@@ -133,51 +135,39 @@ def _chosen(arguments: argparse.Namespace, table: Mapping[str, Any]) -> list["Di
     for name in arguments.fix:
         if name not in names:
             raise ParameterError(f"--fix {name}: there is no such quantity; there are {', '.join(names)}")
-    laws = ("arc", "oarc", "pid")
-    return [
-        d
-        for d in DIMENSIONS
-        if d.name not in arguments.fix
-        and (
-            d.targets[0][0] != "controller"
-            or any(
-                target.split(".")[0] in table or target.split(".")[0] not in laws for _, target in d.targets
-            )
-        )
-    ]
+    return [d for d in DIMENSIONS if d.name not in arguments.fix and _matters(d, table)]
+
+
+def _matters(dimension: "Dimension", table: Mapping[str, Any]) -> bool:
+    """Whether a controller of the table has the quantity."""
+    return any(t.node != "controller" or t.parameter.split(".")[0] in table for t in dimension.targets)
 
 
 def _check_counts(arguments: argparse.Namespace) -> None:
-    for name, low in (
-        ("generations", 1),
-        ("simplex", 0),
-        ("noise_seeds", 1),
-        ("processes", 1),
-        ("profile", 0),
-    ):
+    lowest = {"evaluations": 1, "population": 4, "noise_seeds": 1, "processes": 1, "profile": 0}
+    for name, low in lowest.items():
         if getattr(arguments, name) < low:
             option = name.replace("_", "-")
             raise ParameterError(f"--{option} is {getattr(arguments, name)}; it must be at least {low}")
 
 
 class _Progress:
-    """A line of progress every few seconds, with the time left of the evolution."""
+    """A line of progress every few seconds, with the time left."""
 
-    def __init__(self, generations: int) -> None:
-        self._generations = generations
-        self._calls = 0
+    def __init__(self, evaluations: int) -> None:
+        self._evaluations = evaluations
         self._began = self._said = time.monotonic()
 
     def __call__(self, evaluations: int, best: float) -> None:
-        self._calls += 1
         now = time.monotonic()
         if now - self._said < 5.0:
             return
         self._said = now
-        share = self._calls / (self._generations + 1)
-        left = (now - self._began) * (1.0 / share - 1.0)
-        stage = f"evolution {100.0 * share:.0f} %, {left:.0f} s left" if share < 1.0 else "simplices"
-        print(f"{evaluations} valves, best cost {best:.4f}, {stage}", file=sys.stderr)
+        left = (now - self._began) * max(0.0, self._evaluations / evaluations - 1.0)
+        print(
+            f"{evaluations} of {self._evaluations} valves, best cost {best:.4f}, {left:.0f} s left",
+            file=sys.stderr,
+        )
 
 
 def _ratios(runs: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, dict[str, float]]:

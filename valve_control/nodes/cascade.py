@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import rclpy
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -30,17 +29,6 @@ from valve_control.parameters.table import NODES, ParameterError, Values, defaul
 Array = npt.NDArray[np.float64]
 EVERYTHING = QoSProfile(depth=50000, reliability=ReliabilityPolicy.RELIABLE)
 TOPICS = ("spool_command", "spool_position", "valve_voltage")
-
-
-def config_folder() -> Path:
-    """Folder of the YAML files: of the installed package, or of the source tree."""
-    source = Path(__file__).resolve().parents[2] / "config"
-    if source.is_dir():
-        return source
-    try:
-        return Path(get_package_share_directory("valve_control")) / "config"
-    except PackageNotFoundError:
-        return Path(sys.prefix) / "share" / "valve_control" / "config"
 
 
 @contextmanager
@@ -69,7 +57,7 @@ def node_arguments(node: str, config: Sequence[str], settings: Mapping[str, Any]
     """``--params-file`` and ``-p`` arguments: files of config/ by name, what ``node`` has of ``settings``."""
     arguments = []
     for name in config:
-        arguments += ["--params-file", str(config_folder() / name)]
+        arguments += ["--params-file", str(files.config_folder() / name)]
     table = {parameter.name: parameter for parameter in NODES[node]}
     for name, value in settings.items():
         if name in table:
@@ -82,7 +70,7 @@ def node_values(node: str, config: Sequence[str], settings: Mapping[str, Any]) -
     table = NODES[node]
     changes: dict[str, Any] = {}
     for name in config:
-        changes.update(files.load(str(config_folder() / name))[node])
+        changes.update(files.load(str(files.config_folder() / name))[node])
     names = {parameter.name for parameter in table}
     changes.update({name: value for name, value in settings.items() if name in names})
     return updated(table, defaults(table), changes)

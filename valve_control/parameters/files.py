@@ -19,6 +19,15 @@ from valve_control.parameters.table import (
 )
 
 
+def config_folder() -> Path:
+    """Folder of the package's own parameter files: of the source tree, or where the package is installed."""
+    package = Path(__file__).resolve().parents[1]
+    if (package.parent / "config" / "d3fxe.yaml").is_file():
+        return package.parent / "config"
+    shares = (above / "share" / "valve_control" / "config" for above in package.parents)
+    return next((folder for folder in shares if folder.is_dir()), package.parent / "config")
+
+
 def _flat(tree: dict[Any, Any], prefix: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in tree.items():

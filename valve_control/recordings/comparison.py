@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from valve_control.analysis.figures import COLOURS, Trace, draw_traces
+from valve_control.analysis.figures import COLOURS, Line, Plot, Trace, draw_traces
 from valve_control.analysis.indices import Indices
-from valve_control.analysis.page import Line, Plot, figure, notes, page
+from valve_control.analysis.page import figure, notes, page
 from valve_control.recordings.recording import Aligned
 from valve_control.recordings.report import index_table
 from valve_control.recordings.study import NONE, Study

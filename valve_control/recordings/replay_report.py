@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.analysis.figures import Line, Plot
 from valve_control.analysis.indices import indices, rms
-from valve_control.analysis.page import Line, Plot, figure, notes, page, table
+from valve_control.analysis.page import figure, notes, page, table
 from valve_control.analysis.segments import Segment
 from valve_control.analysis.tables import HEADER, index_row
 from valve_control.recordings.report import index_table

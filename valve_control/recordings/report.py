@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.analysis.figures import Line, Plot
 from valve_control.analysis.indices import Indices
-from valve_control.analysis.page import Line, Plot, figure, notes, page, table
+from valve_control.analysis.page import figure, notes, page, table
 from valve_control.analysis.tables import HEADER, index_row
 from valve_control.recordings.cleaning import seconds
 from valve_control.recordings.recording import at_time

@@ -1,0 +1,109 @@
+"""Rebuild the paper's Table 1 and figures."""
+
+import argparse
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from valve_control.cli.common import say
+from valve_control.parameters.table import ParameterError
+
+if TYPE_CHECKING:
+    from valve_control.paper.traces import Trace
+
+
+def add_commands(commands: Any) -> None:
+    """Add paper to the command's sub-commands."""
+    paper = commands.add_parser(
+        "paper",
+        help="rebuild the paper's Table 1 and its figures",
+        description="Run PID, ARC, OARC and the compensators on the calibrated valve, through the real nodes "
+        "in lockstep, and write table1.json, the paper's figures as PNG and SVG, and index.html.",
+    )
+    paper.add_argument("--out", default="out/paper", metavar="FOLDER", help="output folder (out/paper)")
+    paper.add_argument(
+        "--offline",
+        action="store_true",
+        help="simulate without ROS nodes; the numbers are the same, bit for bit",
+    )
+    paper.add_argument("--config", metavar="FILE", help="another calibrated valve (d3fxe_experiment.yaml)")
+    paper.set_defaults(run=_paper, json=None)
+
+
+def _paper(arguments: argparse.Namespace) -> int:
+    from valve_control.paper import report
+    from valve_control.paper.figures import figures
+    from valve_control.paper.jobs import jobs, valve_gain
+    from valve_control.parameters import files
+    from valve_control.parameters.table import VALVE, defaults, updated
+
+    config = arguments.config or str(files.config_folder() / "d3fxe_experiment.yaml")
+    valve = updated(VALVE, defaults(VALVE), files.load(config)["valve_simulator"])
+    folder = Path(arguments.out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ParameterError(f"output folder {folder} cannot be made: {error.strerror}") from error
+    all_jobs = jobs(valve)
+    runs = _offline(all_jobs, config) if arguments.offline else _through_nodes(all_jobs, folder, config)
+    table = report.table_1(runs)
+    print(f"\n{'':8}" + "".join(f"{name:>9}" for name in ("e_M", "e_F", "e_rms", "u_rms", "c_u")))
+    for row in report.rows_of(table):
+        print(f"{row[0]:8}" + "".join(f"{cell:>9}" for cell in row[1:]))
+    for text in report.verdicts(table):
+        print(text)
+    made = figures(runs, valve_gain(valve))
+    for figure in made:
+        for note in figure.notes:
+            print(f"{figure.title.split(':')[0]}: {note}")
+    source = (
+        "These figures draw the messages of the real nodes: controller, valve simulator and command source "
+        "as processes over DDS, in lockstep."
+        if not arguments.offline
+        else "These figures were simulated offline, without nodes."
+    )
+    filled = sum(run.filled for run in runs.values())
+    heard = f" Messages not heard by the tool and taken from the equal run offline: {filled}."
+    written = report.write(
+        folder, table, made, {"How": report.paragraph(source + ("" if arguments.offline else heard))}
+    )
+    for path in written:
+        say(arguments, f"wrote {path}")
+    return 0
+
+
+def _offline(all_jobs: list[Any], config: str) -> "dict[str, Trace]":
+    from valve_control.paper import traces
+    from valve_control.paper.jobs import values_of
+    from valve_control.parameters import files
+    from valve_control.simulation import offline
+
+    set_by_file = files.load(config)
+    runs = {}
+    for job in all_jobs:
+        values = values_of(job, set_by_file)
+        command = offline.commands(values["command_source"])
+        runs[job.name] = traces.offline(
+            offline.simulate(values["controller"], values["valve_simulator"], command)
+        )
+    return runs
+
+
+def _through_nodes(all_jobs: list[Any], folder: Path, config: str) -> "dict[str, Trace]":
+    """The runs of the nodes, which another process starts: this one does not import ROS."""
+    from valve_control.paper import traces
+
+    if importlib.util.find_spec("rclpy") is None:
+        raise ParameterError("paper needs ROS 2 (rclpy) for the runs of the nodes; or give --offline")
+    logs = folder / "runs"
+    logs.mkdir(exist_ok=True)
+    command = [sys.executable, "-m", "valve_control.nodes.paper", "--out", str(logs), "--config", config]
+    status = subprocess.run(command, check=False).returncode
+    if status != 0:
+        raise OSError(0, f"the runs of the nodes failed with status {status}", str(folder))
+    results = json.loads((logs / "lockstep.json").read_text(encoding="utf-8"))
+    print(f"{len(results)} runs through the nodes, each equal to its twin offline, bit for bit")
+    return {job.name: traces.load(logs / f"{job.name}.npz") for job in all_jobs}

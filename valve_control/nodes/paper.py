@@ -1,0 +1,41 @@
+"""The runs of `valve-control paper` through the real nodes, in lockstep over DDS."""
+
+import json
+import sys
+from pathlib import Path
+
+from valve_control.nodes.cascade import parse_tool, run_tool, tool_options
+from valve_control.nodes.lockstep import check, run_lockstep
+from valve_control.paper import traces
+from valve_control.paper.jobs import CONFIG, jobs
+from valve_control.parameters import files
+from valve_control.parameters.table import VALVE, defaults, updated
+
+
+def main() -> int:
+    """Write a trace of each run; exit status 1 if one differs from its twin offline."""
+    options = tool_options("paper", __doc__, ())
+    options.add_argument(
+        "--config", default=str(files.config_folder() / CONFIG), metavar="FILE", help="the valve"
+    )
+    arguments = parse_tool(options)
+    folder = Path(arguments.out)
+
+    def work() -> int:
+        config = str(Path(arguments.config).resolve())
+        valve = updated(VALVE, defaults(VALVE), files.load(config)["valve_simulator"])
+        results = []
+        for job in jobs(valve):
+            heard = run_lockstep(job.name, [config], job.settings, folder)
+            results.append(heard.result)
+            trace = traces.heard(heard.twin, heard.samples["spool_position"], heard.samples["valve_voltage"])
+            traces.save(folder / f"{job.name}.npz", trace)
+        path = folder / "lockstep.json"
+        path.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+        return 0 if check(results) else 1
+
+    return run_tool("paper", folder, work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

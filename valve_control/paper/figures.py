@@ -1,0 +1,191 @@
+"""The paper's figures from our runs."""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.analysis.figures import Line, Plot
+from valve_control.identification import bode
+from valve_control.identification.response import Response, find_segments, stepped
+from valve_control.paper.jobs import FEEDBACK, open_loops
+from valve_control.paper.traces import Trace
+from valve_control.parameters import design
+from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+
+Floats = npt.NDArray[np.float64]
+GRID = np.geomspace(0.5, 100.0, 400)  # Hz
+SETTLE = 0.2  # s before a steady sine
+
+
+class Figure(NamedTuple):
+    """One figure and what to say about it."""
+
+    name: str  # of its files
+    title: str
+    x_title: str
+    plots: list[Plot]
+    logarithmic_x: bool
+    notes: list[str]
+
+
+def output_response(trace: Trace) -> Response:
+    """Response from command to LVDT reading of a run with a stepped sine."""
+    segments = find_segments(trace.command, trace.period)
+    return stepped(trace.command, trace.measurement, segments, trace.period, SETTLE)
+
+
+def valve_response(trace: Trace) -> Response:
+    """Response from held voltage to LVDT reading."""
+    segments = find_segments(trace.voltage, trace.period)
+    return stepped(trace.voltage, trace.measurement, segments, trace.period, SETTLE)
+
+
+def _decibels(value: npt.NDArray[np.complex128]) -> Floats:
+    return np.asarray(20.0 * np.log10(np.abs(value)))
+
+
+def _degrees(value: npt.NDArray[np.complex128]) -> Floats:
+    return np.asarray(np.degrees(np.unwrap(np.angle(value))))
+
+
+def _bode(lines: Mapping[str, tuple[Floats, npt.NDArray[np.complex128], bool]]) -> list[Plot]:
+    """Magnitude and phase of responses, by label: frequency [Hz], response, dashed."""
+    return [
+        Plot(title, [Line(label, f, read(value), "", dashed) for label, (f, value, dashed) in lines.items()])
+        for title, read in (("magnitude [dB]", _decibels), ("phase [°]", _degrees))
+    ]
+
+
+def measured_corners(response: Response) -> tuple[float | None, float | None]:
+    """-3 dB and -90° [Hz] of a measured response, interpolated; None where it does not get there."""
+    level, phase = _decibels(response.value), _degrees(response.value)
+    found: list[float | None] = []
+    for y, limit in ((level, -3.0), (phase, -90.0)):
+        below = np.flatnonzero(y < limit)
+        if len(below) == 0 or below[0] == 0:
+            found.append(None)
+            continue
+        i = int(below[0])
+        share = (limit - y[i - 1]) / (y[i] - y[i - 1])
+        x = np.log(response.frequency[i - 1 : i + 1])
+        found.append(float(np.exp(x[0] + share * (x[1] - x[0]))))
+    return found[0], found[1]
+
+
+def _hertz(frequency: float | None) -> str:
+    return "not reached" if frequency is None else f"{frequency:.1f} Hz"
+
+
+def figure_1(runs: Mapping[str, Trace]) -> Figure:
+    """Response of the valve and both approximations."""
+    measured = valve_response(runs["response_open_loop"])
+    lines = {
+        "calibrated valve, 2 V": (measured.frequency, measured.value, False),
+        "second order (2)": (GRID, bode.response(SECOND_ORDER, GRID), True),
+        "fourth order (3)": (GRID, bode.response(FOURTH_ORDER, GRID), True),
+    }
+    notes = []
+    for label, model in (("(2)", SECOND_ORDER), ("(3)", FOURTH_ORDER)):
+        corner = bode.model_corners(model)
+        notes.append(f"{label}: -3 dB at {_hertz(corner.minus_3db)}, -90° at {_hertz(corner.minus_90)}")
+    notes.append(
+        "The paper says 'around 6.5 Hz'. The calibrated valve has friction and another gain, as its "
+        "motion of 2 V shows; (2) and (3) are the paper's linear approximations of a test whose amplitude "
+        "is not printed."
+    )
+    return Figure(
+        "figure1", "Fig. 1: the valve and its approximations", "frequency [Hz]", _bode(lines), True, notes
+    )
+
+
+def _compensated(transfer: TransferFunction, frequency: Floats) -> npt.NDArray[np.complex128]:
+    return bode.response(transfer, frequency) * bode.response(FOURTH_ORDER, frequency)
+
+
+def figure_3(runs: Mapping[str, Trace], gain: float) -> Figure:
+    """Responses with each compensator and under feedback."""
+    labels = {name: label for name, (label, _) in open_loops(gain).items()}
+    labels |= {name: name.upper() for name in FEEDBACK}
+    lines = {}
+    notes = []
+    for name, label in labels.items():
+        response = output_response(runs[f"response_{name}"])
+        lines[label] = (response.frequency, response.value, False)
+        corner, phase = ("not reached" if f is None else f"{f:.1f} Hz" for f in measured_corners(response))
+        notes.append(f"{label}: -3 dB {corner}, -90° {phase} (nodes, calibrated valve)")
+    for label, transfer in (
+        ("(12) on (3)", design.PRINTED_SECOND_ORDER),
+        ("(13) on (3)", design.PRINTED_FOURTH_ORDER),
+        ("ours on (3)", design.pole_zero_compensator(FOURTH_ORDER, 25.0)),
+    ):
+        lines[label] = (GRID, _compensated(transfer, GRID), True)
+        corner_of = bode.corners(partial(_compensated, transfer))
+        notes.append(f"{label}, linear: -3 dB {_hertz(corner_of[0])}, -90° {_hertz(corner_of[1])}")
+    notes.append(
+        "The paper says that (13), made from the more accurate model, performs better than (12). As printed "
+        "it does not: (13) leaves the zeros of (3) in the response (docs/errata.md)."
+    )
+    return Figure(
+        "figure3", "Fig. 3: responses with compensators and under feedback", "frequency [Hz]", _bode(lines),
+        True, notes,
+    )  # fmt: skip
+
+
+def figure_4(runs: Mapping[str, Trace], gain: float) -> Figure:
+    """A sine of 6 Hz under the open-loop laws."""
+    plots = []
+    notes = []
+    first = runs["sine_open_loop"]
+    last = first.time >= 1.0
+    positions, errors = [Line("command", first.time[last], first.command[last], "black")], []
+    for name, (label, _) in open_loops(gain).items():
+        run = runs[f"sine_{name}"]
+        positions.append(Line(label, run.time[last], run.measurement[last]))
+        errors.append(Line(label, run.time[last], (run.measurement - run.command)[last]))
+        rms = float(np.sqrt(np.mean((run.measurement - run.command)[last] ** 2)))
+        notes.append(f"{label}: rms error {rms:.3f} V of a sine of {np.max(run.command):.1f} V")
+    plots = [Plot("spool position [V]", positions), Plot("error [V]", errors)]
+    return Figure("figure4", "Fig. 4: a 6 Hz sine with the open-loop laws", "time [s]", plots, False, notes)
+
+
+def feedback_figures(runs: Mapping[str, Trace]) -> list[Figure]:
+    """Figs. 5, 6 and 7: reference, errors, voltages of PID, ARC and OARC."""
+    traces = {name: runs[f"table1_{name}"] for name in FEEDBACK}
+    first = traces["pid"]
+    rate = np.gradient(first.command, first.period)
+    accel = np.gradient(rate, first.period)
+    five = Figure(
+        "figure5",
+        "Fig. 5: reference trajectory",
+        "time [s]",
+        [
+            Plot("command [V]", [Line("command", first.time, first.command, "black")]),
+            Plot("velocity [V/s]", [Line("velocity", first.time, rate, "black")]),
+            Plot("acceleration [V/s²]", [Line("acceleration", first.time, accel, "black")]),
+        ],
+        False,
+        [
+            f"largest velocity {np.max(np.abs(rate)):.3f} V/s, acceleration {np.max(np.abs(accel)):.2f} V/s² "
+            "(the paper: 8 V/s, 64 V/s²); stroke, duration and shape are not printed and are calibrated"
+        ],
+    )
+    errors = [
+        Plot(f"{n.upper()} error [V]", [Line(n.upper(), t.time, t.measurement - t.command)])
+        for n, t in traces.items()
+    ]
+    voltages = [
+        Plot(f"{n.upper()} voltage [V]", [Line(n.upper(), t.time, t.voltage)]) for n, t in traces.items()
+    ]
+    return [
+        five,
+        Figure("figure6", "Fig. 6: tracking errors", "time [s]", errors, False, []),
+        Figure("figure7", "Fig. 7: control inputs", "time [s]", voltages, False, []),
+    ]
+
+
+def figures(runs: Mapping[str, Trace], gain: float) -> list[Figure]:
+    """All figures; ``gain`` [V/V]: static, of the valve."""
+    return [figure_1(runs), figure_3(runs, gain), figure_4(runs, gain), *feedback_figures(runs)]

@@ -1,0 +1,96 @@
+"""The runs behind the figures: which controller, which command, on the calibrated valve."""
+
+from typing import Any, NamedTuple
+
+from valve_control.parameters.table import NODES, Values, defaults, updated
+from valve_control.plant.models import FOURTH_ORDER
+from valve_control.simulation.scenarios import sine_steps
+
+CONFIG = "d3fxe_experiment.yaml"
+FEEDBACK = ("pid", "arc", "oarc")  # rows of Table 1, in its order
+BANDWIDTH = 25.0  # Hz, of the paper's compensators
+SINE = 6.0  # Hz, Fig. 4
+OPEN_AMPLITUDE = 2.0  # V, well above friction, which no feedback overcomes
+CLOSED_AMPLITUDE = 1.0  # V, at which the amplifier does not saturate
+FREQUENCIES = (2.0, 60.0)  # Hz, first and last of a response
+STEPS, CYCLES, STEP_TIME = 16, 4, 0.4  # frequencies, cycles and seconds of each
+
+
+class Job(NamedTuple):
+    """One run."""
+
+    name: str  # of its files
+    label: str  # in figures
+    settings: dict[str, dict[str, Any]]  # by node, over CONFIG
+
+
+def valve_gain(valve: Values) -> float:
+    """Static gain [V/V] of the simulated valve (3) with gain and flow force, without friction."""
+    gain = float(str(valve["gain_scale"])) * FOURTH_ORDER.static_gain
+    return gain / (1.0 + gain * float(str(valve["flow_force"])))
+
+
+def stepped_sine(amplitude: float) -> dict[str, Any]:
+    """Command of a frequency response."""
+    steps = sine_steps(*FREQUENCIES, STEPS, CYCLES, STEP_TIME)
+    return {
+        "scenario": "stepped_sine", "frequency": FREQUENCIES[0], "end_frequency": FREQUENCIES[1],
+        "steps": STEPS, "cycles": CYCLES, "step_time": STEP_TIME, "start": 0.0, "offset": 0.0,
+        "duration": steps[-1].end + 0.1, "amplitude": amplitude,
+    }  # fmt: skip
+
+
+def open_loops(gain: float) -> dict[str, tuple[str, dict[str, Any]]]:
+    """Label and controller settings of each open-loop law; ``gain`` [V/V]: static, of the valve."""
+    designed = {
+        "controller": "compensator",
+        "compensator.design": "designed",
+        "compensator.model": "fourth_order",
+        "compensator.bandwidth": BANDWIDTH,
+    }
+    return {
+        "open_loop": ("no compensator", {"controller": "open_loop", "open_loop.static_gain": gain}),
+        "compensator_12": (
+            "(12) as printed",
+            {"controller": "compensator", "compensator.design": "printed_second_order"},
+        ),
+        "compensator_13": (
+            "(13) as printed",
+            {"controller": "compensator", "compensator.design": "printed_fourth_order"},
+        ),
+        "designed": ("ours, zeros cancelled too", designed),
+    }
+
+
+def jobs(valve: Values) -> list[Job]:
+    """All runs; ``valve``: the simulator's values of CONFIG."""
+    made = [Job(f"table1_{name}", name.upper(), {"controller": {"controller": name}}) for name in FEEDBACK]
+    sine = {
+        "scenario": "sine", "frequency": SINE, "amplitude": OPEN_AMPLITUDE, "offset": 0.0, "start": 0.0,
+        "duration": 2.0,
+    }  # fmt: skip
+    laws = open_loops(valve_gain(valve))
+    for name, (label, law) in laws.items():
+        made.append(Job(f"sine_{name}", label, {"controller": law, "command_source": sine}))
+    for name, (label, law) in laws.items():
+        source = stepped_sine(OPEN_AMPLITUDE)
+        made.append(Job(f"response_{name}", label, {"controller": law, "command_source": source}))
+    for name in FEEDBACK:
+        source = stepped_sine(CLOSED_AMPLITUDE)
+        made.append(
+            Job(
+                f"response_{name}",
+                name.upper(),
+                {"controller": {"controller": name}, "command_source": source},
+            )
+        )
+    return made
+
+
+def values_of(job: Job, config: dict[str, Values]) -> dict[str, Values]:
+    """All values by node; ``config``: what CONFIG sets. Raises ParameterError."""
+    return {
+        node: updated(table, defaults(table), {**config[node], **job.settings.get(node, {})})
+        for node, table in NODES.items()
+        if node in ("controller", "valve_simulator", "command_source")
+    }

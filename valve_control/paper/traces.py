@@ -1,0 +1,69 @@
+"""Signals of one run, from the nodes or from offline, as a file between the two halves of the work."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.simulation.offline import Run
+
+Array = npt.NDArray[np.float64]
+
+
+class Trace(NamedTuple):
+    """One run."""
+
+    source: str  # nodes or offline
+    period: float  # s
+    command: Array  # V
+    measurement: Array  # V
+    voltage: Array  # V
+    position: Array  # V, true
+    reference: Array  # V, the law's reshaped command
+    filled: int  # messages not heard, taken from the equal run offline
+
+    @property
+    def time(self) -> Array:
+        """Time [s] of each sample."""
+        return np.arange(len(self.command), dtype=np.float64) * self.period
+
+
+def offline(run: Run) -> Trace:
+    """Trace of a run offline."""
+    return Trace(
+        "offline", run.period, run.command, run.measurement, run.voltage, run.position,
+        run.terms["reference"], 0,
+    )  # fmt: skip
+
+
+def heard(run: Run, measurement: Array, voltage: Array) -> Trace:
+    """Trace of the nodes' messages, NaN where none was heard; ``run``: the same offline, bit for bit."""
+    missing = int(np.count_nonzero(np.isnan(measurement)) + np.count_nonzero(np.isnan(voltage)))
+    return offline(run)._replace(
+        source="nodes",
+        measurement=np.where(np.isnan(measurement), run.measurement, measurement),
+        voltage=np.where(np.isnan(voltage), run.voltage, voltage),
+        filled=missing,
+    )
+
+
+def save(path: Path, trace: Trace) -> None:
+    """Write ``trace`` as NPZ. Raises OSError."""
+    fields: dict[str, Any] = trace._asdict()
+    with path.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, **fields)
+
+
+def load(path: Path) -> Trace:
+    """The trace that ``save`` wrote. Raises OSError."""
+    with np.load(path, allow_pickle=False) as stored:
+        entries = {name: stored[name] for name in Trace._fields}
+    return Trace(
+        **{
+            **entries,
+            "source": str(entries["source"]),
+            "period": float(entries["period"]),
+            "filled": int(entries["filled"]),
+        }
+    )
