@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 WEIGHTINGS = ("likelihood", "relative", "uniform")
 SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
+VAGUE = 0.5  # of the static gain, a bound beyond which a fit says nothing
 BAG_ONLY = ("map", "of", "start", "end")
 
 
@@ -185,7 +186,13 @@ def _found(arguments: argparse.Namespace, tested: "Experiment", measured: "Respo
         notes.append("noise alone explains what the second order leaves, so no higher order is fitted")
     else:
         try:
-            fits.append(rational.fit(measured, 4, **options))
+            fourth = rational.fit(measured, 4, **options)
+            if fourth.gain_bound > VAGUE * abs(fourth.model.static_gain):
+                raise ParameterError(
+                    f"order 4 leaves the static gain open, {fourth.model.static_gain:.3g} ± "
+                    f"{fourth.gain_bound:.2g} V/V"
+                )
+            fits.append(fourth)
         except ParameterError as error:
             notes.append(f"the second order stands alone: {error}")
     best = fits[-1]

@@ -31,8 +31,11 @@ WEIGHTINGS = ("likelihood", "relative", "uniform")
 CONFIDENCE = 0.95
 ROUNDS = 30  # of the start's iteration
 LEAST_DAMPING = 1e-3
+DELAYS = 40  # tried to begin with, each a tenth of the fastest cycle more
+DELAY_STEP = 0.1
 WIDEST_DELAY = 0.25  # of the slowest cycle
-BAND = 20.0  # times the measured frequencies within which a pole is believed
+BAND = 20.0  # times the highest measured frequency below which a pole is believed
+DEPTH = 0.2  # times the lowest one above which it is
 
 
 class Fit(NamedTuple):
@@ -153,8 +156,8 @@ def fit(
     )
 
 
-def measured_corners(measured: Response) -> Corners:
-    """-3 dB and -90° of the response itself, read between its frequencies from its lowest one on.
+def measured_corners(measured: Response, static_gain: float) -> Corners:
+    """-3 dB below ``static_gain`` [V/V] and -90° of the response itself, read between its frequencies.
 
     The hold's half sample is taken off, so that they compare with those of a continuous model.
     """
@@ -163,7 +166,7 @@ def measured_corners(measured: Response) -> Corners:
     # Far below the lowest frequency the phase is 0.
     known = np.log(np.append(min(LOWEST, 0.1 * measured.frequency[0]), measured.frequency))
     turn = np.append(0.0, turn)
-    size = np.log(np.abs(np.append(value[0], value)))
+    size = np.log(np.abs(np.append(static_gain, value)))
 
     def evaluate(frequency: Floats) -> Complexes:
         at = np.log(frequency)
@@ -183,11 +186,34 @@ def hold(frequency: Floats, period: float) -> Complexes:
 
 
 def _start(measured: Response, order: int, zeros: int, delayed: bool, size: Floats) -> tuple[_Form, Floats]:
-    """Linear least squares of numerator - response·denominator, weighted by the denominator before."""
-    value = measured.value / hold(measured.frequency, measured.period)
+    """Linear least squares for each of several delays; the nearest is where the search begins."""
+    value: Complexes = measured.value / hold(measured.frequency, measured.period)
     omega = 2.0 * np.pi * measured.frequency
     scale = float(np.sqrt(omega[0] * omega[-1]))
-    s = 1j * omega / scale
+    delays = DELAY_STEP / measured.frequency[-1] * np.arange(DELAYS if delayed else 1)
+    s: Complexes = 1j * omega / scale
+    advanced: list[Complexes] = [value * np.exp(1j * omega * delay) for delay in delays]
+    tried = [
+        (*_linear(without, s, order, zeros, size), float(delay))
+        for without, delay in zip(advanced, delays, strict=True)
+    ]
+    _, numerator, below, delay = min(tried, key=lambda attempt: attempt[0])
+    factors = _stable_factors(np.asarray(np.roots(below[::-1]), dtype=np.complex128), order)
+    gain = float(abs(value[0])) or 1.0
+    static = float(np.prod(np.exp(factors[1 : order - order % 2 : 2])))
+    static *= float(np.exp(factors[-1])) if order % 2 else 1.0
+    at = [max(0.05, delay / measured.period)] if delayed else []
+    x = np.concatenate([factors, numerator / (static * gain), at])
+    return _Form(order, zeros, delayed, scale, gain, measured.period), x
+
+
+def _linear(
+    value: Complexes, s: Complexes, order: int, zeros: int, size: Floats
+) -> tuple[float, Floats, Floats]:
+    """Error, numerator and denominator (lowest power first) that make numerator - value·denominator small.
+
+    Each round weighs by the denominator of the one before, so that what is made small becomes the distance.
+    """
     powers = s[:, None] ** np.arange(max(order, zeros) + 1)
     weight = 1.0 / size
     best: tuple[float, Floats, Floats] | None = None
@@ -204,13 +230,7 @@ def _start(measured: Response, order: int, zeros: int, delayed: bool, size: Floa
             best = (error, numerator, below)
         weight = 1.0 / (size * np.maximum(np.abs(denominator), 1e-9))
     assert best is not None
-    _, numerator, below = best
-    factors = _stable_factors(np.asarray(np.roots(below[::-1]), dtype=np.complex128), order)
-    gain = float(abs(value[0])) or 1.0
-    static = float(np.prod(np.exp(factors[1 : order - order % 2 : 2])))
-    static *= float(np.exp(factors[-1])) if order % 2 else 1.0
-    x = np.concatenate([factors, numerator / (static * gain), [0.1] if delayed else []])
-    return _Form(order, zeros, delayed, scale, gain, measured.period), x
+    return best
 
 
 def _stable_factors(poles: Complexes, order: int) -> Floats:
@@ -315,6 +335,12 @@ def _check(form: _Form, x: Floats, measured: Response) -> None:
         raise ParameterError(
             f"the fit of order {form.order} is unstable or on the edge of it (poles at {at:.4g} Hz without "
             "damping); choose another order or a better test"
+        )
+    slowest = float(np.min(np.abs(poles))) / (2.0 * np.pi)
+    if slowest < DEPTH * measured.frequency[0]:
+        raise ParameterError(
+            f"the fit of order {form.order} puts a pole at {slowest:.2g} Hz, far below the measured "
+            f"{measured.frequency[0]:.4g} Hz; choose a lower order"
         )
     widest = float(np.max(np.abs(poles))) / (2.0 * np.pi)
     if widest > BAND * measured.frequency[-1]:

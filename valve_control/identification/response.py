@@ -25,6 +25,7 @@ RESOLUTION = 3.0  # standard deviations below which a response cannot be told fr
 CERTAIN = 1e-6  # relative uncertainty that no response falls below
 BAND_RATIO = 1.06  # upper over lower end of a band of frequencies that is averaged over
 BAND_BINS = 8  # at least, in it
+DISTORTED = 0.02  # of the amplitude, harmonics that are told
 SILENT = 1e-4  # of the largest amplitude, below which a voltage does not move
 
 
@@ -68,6 +69,7 @@ def stepped(
     """
     points = []
     notes = []
+    distorted = (0.0, 0.0)
     for segment in segments:
         if segment.frequency >= 0.5 / period:
             raise ParameterError(
@@ -87,6 +89,9 @@ def stepped(
             raise ParameterError(f"{segment.frequency:.4g} Hz has only {len(k)} readings; it needs 8")
         u, _ = _phasor(voltage[k], k, segment.frequency * period)
         y, noise = _phasor(position[k], k, segment.frequency * period)
+        harmonics = _harmonics(position[k], k, segment.frequency * period) / max(abs(y), 1e-300)
+        if harmonics > max(distorted[0], DISTORTED):
+            distorted = (harmonics, segment.frequency)
         if abs(u) < 1e-6:
             raise ParameterError(
                 f"the voltage does not move at {segment.frequency:.4g} Hz; there is no excitation"
@@ -101,7 +106,19 @@ def stepped(
             continue
         coherence = 0.5 * abs(y) ** 2 / (0.5 * abs(y) ** 2 + noise**2)
         points.append((segment.frequency, value, max(deviation, CERTAIN * abs(value)), coherence))
+    if distorted[0] > 0.0:
+        notes.append(
+            f"the position has harmonics of up to {100.0 * distorted[0]:.3g} % (at {distorted[1]:.4g} Hz): "
+            "friction or another nonlinearity, so the response holds for this amplitude alone"
+        )
     return _response(points, period, "stepped sine", notes)
+
+
+def _harmonics(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> float:
+    """Amplitude of the second to fifth harmonic together, as far as they stand out of the noise."""
+    found = [_phasor(signal, index, n * turns) for n in (2, 3, 4, 5) if n * turns < 0.49]
+    floor = RESOLUTION * math.sqrt(2.0 / len(index))
+    return math.hypot(*(abs(size) for size, rest in found if abs(size) > 2.0 * floor * rest))
 
 
 def _phasor(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> tuple[complex, float]:

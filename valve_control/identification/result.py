@@ -78,7 +78,7 @@ def fit_text(made: Fit) -> str:
 def text(found: Identification) -> str:
     """The whole identification as the terminal shows it."""
     m = found.measured
-    corners = rational.measured_corners(m)
+    corners = rational.measured_corners(m, found.best.model.static_gain)
     relative = m.deviation / np.abs(m.value)
     lines = [
         f"{found.source}",
@@ -241,7 +241,7 @@ def as_dict(found: Identification) -> dict[str, Any]:
             "imaginary": m.value.imag,
             "deviation": m.deviation,
             "coherence": m.coherence,
-            **_corners(rational.measured_corners(m)),
+            **_corners(rational.measured_corners(m, found.best.model.static_gain)),
         },
         "fits": [fit_dict(made) for made in found.fits],
         "best_order": found.best.order,
