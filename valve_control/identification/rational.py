@@ -35,6 +35,7 @@ DELAYS = 40  # tried to begin with, each a tenth of the fastest cycle more
 DELAY_STEP = 0.1
 WIDEST_DELAY = 0.25  # of the slowest cycle
 BAND = 20.0  # times the highest measured frequency below which a pole is believed
+WIDEST = 14.0  # logarithm of a factor's coefficient over the scale
 DEPTH = 0.2  # times the lowest one above which it is
 
 
@@ -191,8 +192,8 @@ def _start(measured: Response, order: int, zeros: int, delayed: bool, size: Floa
     omega = 2.0 * np.pi * measured.frequency
     scale = float(np.sqrt(omega[0] * omega[-1]))
     delays = DELAY_STEP / measured.frequency[-1] * np.arange(DELAYS if delayed else 1)
-    s: Complexes = 1j * omega / scale
-    advanced: list[Complexes] = [value * np.exp(1j * omega * delay) for delay in delays]
+    s = np.asarray(1j * omega / scale, dtype=np.complex128)
+    advanced = [value * np.exp(1j * omega * delay) for delay in delays]
     tried = [
         (*_linear(without, s, order, zeros, size), float(delay))
         for without, delay in zip(advanced, delays, strict=True)
@@ -263,7 +264,7 @@ def _residuals(form: _Form, x: Floats, measured: Response, weight: Floats) -> Fl
 def _minimise(form: _Form, start: Floats, measured: Response, weight: Floats) -> Floats:
     low = np.full(len(start), -np.inf)
     high = np.full(len(start), np.inf)
-    low[: form.order], high[: form.order] = -25.0, 25.0
+    low[: form.order], high[: form.order] = -WIDEST, WIDEST
     if form.delayed:
         low[-1], high[-1] = 0.0, max(1.0, WIDEST_DELAY / (measured.frequency[0] * form.period))
     inside = np.clip(start, low + 1e-9, high - 1e-9)
@@ -276,7 +277,7 @@ def _minimise(form: _Form, start: Floats, measured: Response, weight: Floats) ->
             xtol=1e-12,
             ftol=1e-12,
             gtol=1e-12,
-            max_nfev=300,
+            max_nfev=100,
         )
     except (ValueError, np.linalg.LinAlgError) as error:
         raise ParameterError(f"no model of order {form.order} fits the response: {error}") from error
