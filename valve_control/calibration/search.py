@@ -24,10 +24,6 @@ from valve_control.parameters.table import ParameterError
 Array = npt.NDArray[np.float64]
 Told = Callable[[int, float], None]  # evaluations so far, best cost
 SCATTERED = 9  # log2 of the points of the beginning
-WIDE, NARROW = (
-    0.25,
-    0.1,
-)  # first step as share of the ranges: from anywhere, from a point that is known to be good
 MOST = 128  # valves of a generation
 
 
@@ -73,10 +69,12 @@ def search(
     processes: int,
     told: Told,
     start: Array | None = None,
+    step: float = 0.25,
 ) -> Found:
     """Best point of ``evaluations`` valves. ``population``: of the first CMA-ES, doubled by each restart.
 
-    ``start``: a first guess; without one, the best of scattered points.
+    ``start``: a first guess; without one, the best of scattered points. ``step``: first standard deviation,
+    as share of the ranges.
     """
     import cma
 
@@ -112,7 +110,7 @@ def search(
             }
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                strategy = cma.CMAEvolutionStrategy(best, WIDE if start is None else NARROW, options)
+                strategy = cma.CMAEvolutionStrategy(best, step, options)
                 while count < evaluations and not strategy.stop():
                     points = strategy.ask()
                     strategy.tell(points, judged(points))

@@ -37,9 +37,9 @@ def add_commands(commands: Any) -> None:
     group.add_argument(
         "--population",
         type=int,
-        default=16,
+        default=40,
         metavar="N",
-        help="of the first CMA-ES; doubled by restarts (16)",
+        help="of the first CMA-ES; doubled by restarts (40)",
     )
     group.add_argument(
         "--noise-seeds",
@@ -55,6 +55,9 @@ def add_commands(commands: Any) -> None:
         "--from-present",
         action="store_true",
         help="begin at the given parameters, not anywhere in the ranges",
+    )
+    group.add_argument(
+        "--step", type=float, default=0.25, metavar="X", help="first step as share of the ranges (0.25)"
     )
     group.add_argument("--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
     output = calibrate.add_argument_group("what comes out")
@@ -101,6 +104,7 @@ def _calibrate(arguments: argparse.Namespace) -> None:
         arguments.processes,
         _Progress(arguments.evaluations),
         start,
+        arguments.step,
     )
     values = space.values_at(dimensions, found.point)
     settings = space.changed(base, dimensions, values)
@@ -144,6 +148,8 @@ def _matters(dimension: "Dimension", table: Mapping[str, Any]) -> bool:
 
 
 def _check_counts(arguments: argparse.Namespace) -> None:
+    if not 0.001 <= arguments.step <= 1.0:
+        raise ParameterError(f"--step is {arguments.step:g}; it must lie between 0.001 and 1")
     lowest = {"evaluations": 1, "population": 4, "noise_seeds": 1, "processes": 1, "profile": 0}
     for name, low in lowest.items():
         if getattr(arguments, name) < low:

@@ -93,6 +93,11 @@ class Cell(NamedTuple):
         return int(np.sum(self.ratio > 1.0))
 
     @property
+    def later_breaches(self) -> int:
+        """Those that exceeded it after SETTLED, and not only while it still remembered V2(0)."""
+        return int(np.sum(self.settled > 1.0))
+
+    @property
     def worst(self) -> float:
         """Largest V2 over its bound."""
         return float(np.max(self.ratio))
