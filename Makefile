@@ -16,7 +16,7 @@ ifndef ROS_DISTRO
 export AMENT_PREFIX_PATH := $(abspath $(VENV))
 endif
 
-.PHONY: help setup demo faults lockstep bench test lint clean
+.PHONY: help setup demo faults lockstep paper bench test lint clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
@@ -39,6 +39,9 @@ faults: $(STAMP)  ## fault campaign over DDS: reaction times, out/faults.json (a
 
 lockstep: $(STAMP)  ## three processes in lockstep, compared bit for bit with offline (ARGS="--duration 60")
 	@$(PYTHON) -m valve_control.nodes.lockstep $(ARGS)
+
+paper: $(STAMP)  ## the paper's Table 1 and figures through the real nodes in lockstep, out/paper/index.html
+	@$(PYTHON) -m valve_control.cli paper $(ARGS)
 
 bench: $(STAMP)  ## benchmarks, as ratios measured in one run (ARGS="--seconds 3600" for an hour's bags)
 	@$(PYTHON) -m benchmarks $(ARGS)
