@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from valve_control import __version__
 from valve_control.bags.errors import BagError
-from valve_control.cli import calibration, identification, paper, recordings, simulate
+from valve_control.cli import calibration, identification, paper, recordings, simulate, theorems
 from valve_control.cli.common import Parser
 from valve_control.parameters.table import ParameterError
 
@@ -25,6 +25,7 @@ EXAMPLES = """examples:
   valve-control calibrate paper --set duration=9.3 --output my_valve.yaml
   valve-control paper
   valve-control identify --set lvdt.noise=0.005 --output valve.yaml --figure bode.png
+  valve-control theorems --figure theorems.png
   valve-control parameters arc
 """
 
@@ -44,6 +45,7 @@ def parser() -> argparse.ArgumentParser:
     identification.add_commands(commands)
     calibration.add_commands(commands)
     paper.add_commands(commands)
+    theorems.add_commands(commands)
     return top
 
 

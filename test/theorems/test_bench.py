@@ -1,0 +1,51 @@
+import math
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from valve_control.laws import reshaping
+from valve_control.laws.projection import Theta
+from valve_control.theorems import bench
+from valve_control.theorems.bench import Motion
+
+
+@pytest.mark.parametrize("truth", [(58.771, 1657.206), (120.0, 900.0), (60.0, 900.0)])
+@pytest.mark.parametrize("period", [2e-5, 1e-3, 0.05])
+def test_plant_is_the_matrix_exponential(truth, period):
+    a1, a0 = truth
+    m = scipy.linalg.expm(np.array([[0.0, 1.0, 0.0], [-a0, -a1, 1.0], [0.0, 0.0, 0.0]]) * period)
+    got = bench.plant(Theta(a1, a0, 1.0, 0.0), period)
+    assert np.allclose([got.m11, got.m12, got.m21, got.m22], m[:2, :2].ravel(), rtol=1e-10)
+    assert np.allclose([got.g1, got.g2], m[:2, 2], rtol=1e-6)
+
+
+def test_reference_has_its_own_derivatives_and_passes_the_reshaping():
+    m = Motion(0.3, 1.0, 7.0, -0.4, 31.0, 0.2, 90.0)
+    h = 1e-5
+    p = bench.unlimited(1e-3)
+    for t in np.linspace(0.0, 1.0, 23):
+        x, v, a = bench.reference(m, float(t))
+        before, after = bench.reference(m, float(t - h)), bench.reference(m, float(t + h))
+        assert math.isclose((after[0] - before[0]) / (2.0 * h), v, rel_tol=1e-5, abs_tol=1e-4)
+        assert math.isclose((after[1] - before[1]) / (2.0 * h), a, rel_tol=1e-5, abs_tol=1e-2)
+        command = bench.command_for(p, x, v, a)
+        got = reshaping.acceleration(p, reshaping.State(x, v), command)
+        assert math.isclose(got, a, rel_tol=1e-9, abs_tol=1e-6)
+
+
+def test_observer_peak_bounds_every_disturbance():
+    """Bang-bang in the sign of the reversed impulse response reaches it, by (33)."""
+    k1, k2 = 308.0, 48400.0
+    peak = bench.observer_peak(k1, k2)
+    a0 = np.array([[-k1, 1.0], [-k2, 0.0]])
+    t = np.linspace(0.0, 0.2, 4001)
+    response = np.array([scipy.linalg.expm(a0 * s)[1, 1] for s in t])
+    assert math.isclose(peak, np.trapezoid(np.abs(response), t), rel_tol=1e-3)
+    assert peak > k1 / k2  # what a constant disturbance of 1 V/s² leads to
+
+
+def test_order_of_a_power():
+    x = np.array([1.0, 2.0, 5.0])
+    assert math.isclose(bench.order(x, 3.0 * x**1.7), 1.7)
+    assert math.isnan(bench.order(x[:1], x[:1]))

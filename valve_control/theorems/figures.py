@@ -1,0 +1,99 @@
+"""Figures of the studies, as PNG or SVG by the ending of the file."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from valve_control.analysis.figures import COLOURS
+from valve_control.theorems import adaptive, robust, sampling
+
+PERIOD_AXIS = "sample period ΔT [ms]"
+
+
+def _new(columns: int, width: float) -> tuple[Any, Any]:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    matplotlib.rcParams["svg.hashsalt"] = "valve_control"
+    matplotlib.rcParams["svg.fonttype"] = "none"
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, columns, figsize=(width, 4.2))
+    return figure, axes
+
+
+def _save(figure: Any, paths: Sequence[Path]) -> None:
+    import matplotlib.pyplot as plt
+
+    try:
+        for path in paths:
+            metadata = {"Date": None} if path.suffix == ".svg" else None
+            figure.savefig(path, dpi=100, metadata=metadata)
+    finally:
+        plt.close(figure)
+
+
+def draw_theorems(
+    paths: Sequence[Path], bound: robust.Study, error: adaptive.Study, sample_period: float = 1e-4
+) -> None:
+    """Runs above the bound, sampling error, z1 over time at ``sample_period`` [s], z1 that is left.
+
+    Raises OSError if a path cannot be written.
+    """
+    figure, (above, scaling, decay, left) = _new(4, 18.0)
+    for i, law in enumerate(dict.fromkeys(c.law for c in bound.cells)):
+        cells = [c for c in bound.cells if c.law == law]
+        periods = [c.period * 1e3 for c in cells]
+        share = [100.0 * c.breaches / bound.valves for c in cells]
+        above.plot(periods, share, "o-", color=COLOURS[i], label=robust.LAWS[law].text)
+        s = bound.scaling(law)
+        label = f"{robust.LAWS[law].text}: ΔT^{s.order:.2f}"
+        scaling.loglog(s.periods * 1e3, s.shift, "o-", color=COLOURS[i], label=label)
+    above.set(xscale="log", ylabel="runs with V2 above its bound [%]", xlabel=PERIOD_AXIS)
+    above.set_yscale("symlog", linthresh=0.1)
+    above.set_ylim(-0.01, 110.0)
+    scaling.set(ylabel="sampling error of one period, over ε", xlabel=PERIOD_AXIS)
+    pairs = list(dict.fromkeys((c.law, c.motion) for c in error.cells))
+    for i, (law, motion) in enumerate(pairs):
+        label = f"{law}, {motion}"
+        cell = error.cell(law, motion, sample_period)
+        time = (np.arange(cell.z1.shape[1]) + 1.0) * error.window
+        decay.semilogy(time, np.median(cell.z1, axis=0), color=COLOURS[i], label=label)
+        if motion != "rest":
+            o = error.order(law, motion)
+            label = f"{label}: ΔT^{o.order:.2f}"
+            left.loglog(o.periods * 1e3, o.residual, "o-", color=COLOURS[i], label=label)
+    decay.set(ylabel="largest |z1| in 0.5 s [V]", xlabel=f"time [s] at ΔT = {sample_period * 1e3:g} ms")
+    left.set(ylabel="|z1| that is left [V]", xlabel=PERIOD_AXIS)
+    for axis in (above, scaling, decay, left):
+        axis.grid(True, alpha=0.3)
+        axis.legend(fontsize=8)
+    figure.tight_layout()
+    _save(figure, paths)
+
+
+def draw_sample_period(paths: Sequence[Path], limits: sampling.Limits) -> None:
+    """Control activity c_u and error e_rms over ΔT, a line for each ρ.
+
+    Raises OSError if a path cannot be written.
+    """
+    figure, (effort, error) = _new(2, 11.0)
+    for colour, line in zip(COLOURS, limits.lines, strict=False):
+        label = f"ρ = {line.weight:g}" + (" (print)" if line.weight == 1.0 else "")
+        effort.loglog(line.periods * 1e3, line.c_u, "o-", ms=3, color=colour, label=label)
+        error.loglog(line.periods * 1e3, line.e_rms, "o-", ms=3, color=colour, label=label)
+        if line.critical < line.periods[-1]:
+            for axis in (effort, error):
+                axis.axvline(line.critical * 1e3, color=colour, ls="--", lw=0.8)
+    effort.set(ylabel="control variation c_u", xlabel=PERIOD_AXIS)
+    error.set(ylabel="e_rms [V]", xlabel=PERIOD_AXIS)
+    for axis in (effort, error):
+        axis.grid(True, alpha=0.3, which="both")
+        axis.legend(fontsize=8)
+    figure.suptitle(
+        "OARC, gains of the paper, on model (3); dashed: sampled loop unstable from here", fontsize=10
+    )
+    figure.tight_layout()
+    _save(figure, paths)

@@ -1,0 +1,147 @@
+"""The studies as lines of text and as plain data for JSON."""
+
+from typing import Any
+
+from valve_control.theorems import adaptive, robust, sampling
+
+QUANTILES = (0.5, 0.9, 0.99)
+
+
+def robust_data(study: robust.Study) -> dict[str, Any]:
+    """Theorems 1 A and 2 A for JSON."""
+    cells = []
+    for c in study.cells:
+        above = c.ratio > 1.0
+        cells.append(
+            {
+                "law": c.law,
+                "period": c.period,
+                "above_bound": c.breaches,
+                "above_bound_later": c.later_breaches,
+                "above_bound_by_disturbance": {
+                    kind: int((above & (c.kinds == i)).sum()) for i, kind in enumerate(robust.KINDS)
+                },
+                "saturated": int(c.saturated.sum()),
+                "ratio": {f"{q:g}": c.quantile(q) for q in QUANTILES} | {"worst": c.worst},
+                "later_worst": float(c.settled.max()),
+                "excess_worst": float(c.excess.max()),
+                "loop_gain": {
+                    "median": float(sorted(c.loop_gain)[len(c.loop_gain) // 2]),
+                    "largest": float(c.loop_gain.max()),
+                    "smallest_above_bound": float(c.loop_gain[above].min()) if above.any() else None,
+                },
+            }
+        )
+    laws = dict.fromkeys(c.law for c in study.cells)
+    return {
+        "seed": study.seed,
+        "valves": study.valves,
+        "duration": study.duration,
+        "cells": cells,
+        "order_of_sampling_error": {law: study.scaling(law).order for law in laws},
+    }
+
+
+def robust_lines(study: robust.Study) -> list[str]:
+    """Theorems 1 A and 2 A as a table."""
+    lines = [
+        f"Theorems 1 A, 2 A: V2 against its bound (25), (52); {study.valves} random valves, "
+        f"{study.duration:g} s each; later: after {robust.SETTLED * 1e3:g} ms",
+        f"{'':29}{'ΔT':>8}{'above':>7}{'later':>7}{'satu-':>8}{'V2/bound':>10}{'':>20}{'later':>10}{'gain·ΔT':>9}",
+        f"{'':29}{'[µs]':>8}{'bound':>7}{'':>7}{'rated':>8}{'median':>10}{'99 %':>10}{'worst':>10}"
+        f"{'worst':>10}{'largest':>9}",
+    ]
+    for c in study.cells:
+        lines.append(
+            f"{robust.LAWS[c.law].text:29}{c.period * 1e6:8.0f}{c.breaches:7d}{c.later_breaches:7d}"
+            f"{int(c.saturated.sum()):8d}{c.quantile(0.5):10.3f}{c.quantile(0.99):10.3f}{c.worst:10.3f}"
+            f"{c.settled.max():10.3f}{c.loop_gain.max():9.2f}"
+        )
+    for law in dict.fromkeys(c.law for c in study.cells):
+        lines.append(
+            f"sampling error of one period goes as ΔT^{study.scaling(law).order:.2f}: {robust.LAWS[law].text}"
+        )
+    return lines
+
+
+def adaptive_data(study: adaptive.Study) -> dict[str, Any]:
+    """Theorems 1 B and 2 B for JSON."""
+    cells = [
+        {
+            "law": c.law,
+            "motion": c.motion,
+            "period": c.period,
+            "z1_first": c.first,
+            "z1_left": c.residual,
+            "rate": c.rate,
+            "estimate_error": c.estimate_error,
+            "saturated": float(c.saturated.mean()),
+        }
+        for c in study.cells
+    ]
+    pairs = dict.fromkeys((c.law, c.motion) for c in study.cells)
+    return {
+        "seed": study.seed,
+        "valves": study.valves,
+        "duration": study.duration,
+        "window": study.window,
+        "cells": cells,
+        "order": [{"law": law, "motion": m, "order": study.order(law, m).order} for law, m in pairs],
+    }
+
+
+def adaptive_lines(study: adaptive.Study) -> list[str]:
+    """Theorems 1 B and 2 B as a table."""
+    lines = [
+        f"Theorems 1 B, 2 B: parametric uncertainty only; medians over {study.valves} random valves, "
+        f"{study.duration:g} s each",
+        f"{'law':6}{'motion':13}{'ΔT [µs]':>8}{'|z1| first [V]':>16}{'left [V]':>11}{'rate [1/s]':>12}"
+        f"{'‖θ̃‖ left':>11}",
+    ]
+    for c in study.cells:
+        lines.append(
+            f"{c.law:6}{c.motion:13}{c.period * 1e6:8.0f}{c.first:16.2e}{c.residual:11.2e}{c.rate:12.2f}"
+            f"{c.estimate_error:10.4f}"
+        )
+    for law, motion in dict.fromkeys((c.law, c.motion) for c in study.cells):
+        if motion != "rest":
+            order = study.order(law, motion).order
+            lines.append(f"what is left of z1 goes as ΔT^{order:.2f}: {law}, {motion}")
+    return [line.replace("nan", "  -") for line in lines]
+
+
+def sampling_data(limits: sampling.Limits) -> dict[str, Any]:
+    """Sample period over ρ for JSON."""
+    return {
+        "valve": limits.valve,
+        "duration": limits.duration,
+        "lines": [
+            {
+                "z2_weight": line.weight,
+                "period": line.periods.tolist(),
+                "c_u": line.c_u.tolist(),
+                "e_rms": line.e_rms.tolist(),
+                "saturated": line.saturated.tolist(),
+                "critical_period": line.critical,
+                "critical_period_b0_2_db": line.critical_margin,
+                "longest_calm_period": limits.limit(line.weight),
+            }
+            for line in limits.lines
+        ],
+    }
+
+
+def sampling_lines(limits: sampling.Limits) -> list[str]:
+    """Sample period over ρ as a table."""
+    lines = [
+        f"OARC on model {limits.valve}: sample period over the weight ρ of z2",
+        f"{'ρ':>10}{'calm up to [ms]':>17}{'unstable from [ms]':>20}{'with b0 2 dB up':>17}"
+        f"{'e_rms at 0.1 ms':>17}{'at 1 ms [V]':>13}",
+    ]
+    for line in limits.lines:
+        short, long = (float(line.e_rms[abs(line.periods - t).argmin()]) for t in (1e-4, 1e-3))
+        lines.append(
+            f"{line.weight:10g}{limits.limit(line.weight) * 1e3:17.2f}{line.critical * 1e3:20.3f}"
+            f"{line.critical_margin * 1e3:17.3f}{short:17.4f}{long:13.4f}"
+        )
+    return [line.replace("nan", "  -") for line in lines]
