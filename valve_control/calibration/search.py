@@ -5,6 +5,8 @@ to half the cost at which scipy's differential evolution and simplices stayed. A
 seed whatever the number of processes.
 """
 
+import contextlib
+import signal
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -71,9 +73,9 @@ def search(
     start: Array | None = None,
     step: float = 0.25,
 ) -> Found:
-    """Best point of ``evaluations`` valves. ``population``: of the first CMA-ES, doubled by each restart.
+    """Best point of ``evaluations`` valves, or of those before Ctrl-C.
 
-    ``start``: a first guess; without one, the best of scattered points. ``step``: first standard deviation,
+    ``population``: of the first CMA-ES, doubled by each restart. ``start``: a first guess; without one, the best of scattered points. ``step``: first standard deviation,
     as share of the ranges.
     """
     import cma
@@ -83,7 +85,11 @@ def search(
     evaluate = partial(cost_at, problem)
     evaluate(np.full(n, 0.5))  # compiles before the processes part
     count, cost, best = 0, np.inf, np.full(n, 0.5)
-    with ProcessPoolExecutor(processes) as pool:
+    quiet = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for this process, which gives the best so far
+    with (
+        ProcessPoolExecutor(processes, initializer=signal.signal, initargs=quiet) as pool,
+        contextlib.suppress(KeyboardInterrupt),
+    ):
 
         def judged(points: Sequence[Array]) -> list[float]:
             nonlocal count, cost, best
@@ -105,7 +111,8 @@ def search(
                 "seed": seed + restart + 1,
                 "popsize": min(MOST, population * 2**restart),
                 "verbose": -9,
-                "tolfun": 1e-5,
+                "tolfun": 1e-4,
+                "tolfunhist": 1e-4,
                 "tolflatfitness": 20,
             }
             with warnings.catch_warnings():

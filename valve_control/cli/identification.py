@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from valve_control.bags.errors import BagError
+from valve_control.cli import compensator
 from valve_control.cli.common import check_outputs, say
 from valve_control.cli.simulate import setup_options
 from valve_control.parameters.table import NODES, ParameterError, Values, defaults, updated
@@ -22,7 +23,7 @@ BAG_ONLY = ("map", "of", "start", "end")
 
 
 def add_commands(commands: Any) -> None:
-    """Add identify to the command's sub-commands."""
+    """Add identify and compensator to the command's sub-commands."""
     identify = commands.add_parser(
         "identify",
         parents=[setup_options()],
@@ -78,6 +79,7 @@ def add_commands(commands: Any) -> None:
     output.add_argument("--csv", metavar="FILE", help="measured response as CSV")
     output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
     identify.set_defaults(run=_identify)
+    compensator.add_commands(commands)
 
 
 def _identify(arguments: argparse.Namespace) -> int:
