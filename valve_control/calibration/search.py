@@ -75,8 +75,8 @@ def search(
 ) -> Found:
     """Best point of ``evaluations`` valves, or of those before Ctrl-C.
 
-    ``population``: of the first CMA-ES, doubled by each restart. ``start``: a first guess; without one, the best of scattered points. ``step``: first standard deviation,
-    as share of the ranges.
+    ``population``: of the first CMA-ES, doubled by each restart. ``start``: a first guess; without one, the
+    best of scattered points. ``step``: first standard deviation, as share of the ranges.
     """
     import cma
 
