@@ -1,0 +1,266 @@
+"""Pole-zero compensators on the command line."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from valve_control.cli.common import check_outputs
+from valve_control.parameters.table import NODES, ParameterError, Values, lookup
+
+if TYPE_CHECKING:
+    from valve_control.identification.bode import Corners
+    from valve_control.identification.cancellation import Agreement, Compensator
+    from valve_control.plant.models import TransferFunction
+
+DESIGNED = (
+    "source",
+    "model",
+    "numerator",
+    "denominator",
+    "keep_zeros",
+    "order",
+    "amplitude",
+    "output",
+    "figure",
+)
+
+
+def add_commands(commands: Any) -> None:
+    """Add compensator to the command's sub-commands."""
+    options = commands.add_parser(
+        "compensator",
+        help="pole-zero compensator (section 3.3 of the paper) for any model and bandwidth",
+        description="Design the compensator that cancels a valve's poles (and stable zeros) and leaves a "
+        "Bessel low-pass. The model: what identify wrote (--from), (2) or (3) of the paper, or polynomials.",
+    )
+    group = options.add_argument_group("the valve")
+    group.add_argument("--from", dest="source", metavar="FILE", help="parameter file with a valve model")
+    group.add_argument("--model", choices=("second_order", "fourth_order"), help="(2) or (3) (fourth_order)")
+    for part in ("numerator", "denominator"):
+        group.add_argument(f"--{part}", type=float, nargs="+", metavar="C", help="in s, highest power first")
+    group = options.add_argument_group("the compensator")
+    group.add_argument("--bandwidth", type=float, metavar="HZ", help="wanted -3 dB bandwidth (25)")
+    group.add_argument("--keep-zeros", action="store_true", help="cancel the poles alone, as (13) does")
+    group.add_argument(
+        "--order", type=int, metavar="N", help="poles of the Bessel filter (one more than needed)"
+    )
+    group.add_argument("--sample-period", type=float, metavar="S", help="sample period [s] (0.001)")
+    group.add_argument("--u-max", type=float, metavar="V", help="limit of the voltage (10)")
+    group.add_argument(
+        "--amplitude", type=float, metavar="V", help="of the command, to be judged for saturation"
+    )
+    group.add_argument(
+        "--paper", action="store_true", help="(12) and (13) again, from what they were made from"
+    )
+    output = options.add_argument_group("what comes out")
+    output.add_argument("--output", metavar="FILE", help="ROS 2 parameter file for the controller")
+    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
+    output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
+    options.set_defaults(run=_compensator)
+
+
+def _compensator(arguments: argparse.Namespace) -> int:
+    from valve_control.identification import cancellation, files, result
+
+    check_outputs([arguments.json], [arguments.output, arguments.figure])
+    files.check_figure(arguments.figure)
+    if arguments.paper:
+        return _paper(arguments)
+    numbers = {
+        "compensator.bandwidth": 25.0 if arguments.bandwidth is None else arguments.bandwidth,
+        "compensator.order": arguments.order or 0,
+        "sample_period": 0.001 if arguments.sample_period is None else arguments.sample_period,
+        "u_max": 10.0 if arguments.u_max is None else arguments.u_max,
+    }
+    for name, value in numbers.items():
+        lookup(NODES["controller"], name).check(value)
+    if arguments.amplitude is not None and not 0.0 < arguments.amplitude < float("inf"):
+        raise ParameterError(f"--amplitude is {arguments.amplitude:g} V; it must be positive")
+    made = cancellation.make(
+        _model(arguments),
+        numbers["compensator.bandwidth"],
+        not arguments.keep_zeros,
+        int(numbers["compensator.order"]),
+        numbers["sample_period"],
+        numbers["u_max"],
+        arguments.amplitude,
+    )
+    parameters = _parameters(made)
+    outputs: list[tuple[str | None, Callable[[], str | bytes]]] = [
+        (arguments.output, lambda: result.parameter_file(parameters, _comments(made))),
+        (arguments.figure, lambda: cancellation.bode_figure(made, arguments.figure)),
+    ]
+    if arguments.output is not None:
+        result.check_parameters(parameters)
+    _tell(arguments, _text(made), _dict(made), [(path, make()) for path, make in outputs if path is not None])
+    for warning in made.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    return 0
+
+
+def _tell(
+    arguments: argparse.Namespace, text: str, about: Any, contents: list[tuple[str, str | bytes]]
+) -> None:
+    from valve_control.cli.common import say
+    from valve_control.identification import files
+
+    if arguments.json == "-":
+        print(files.as_json(about), end="")
+    else:
+        print(text)
+        contents = contents + ([(arguments.json, files.as_json(about))] if arguments.json is not None else [])
+    for path, content in contents:
+        files.write(path, content)
+        say(arguments, f"wrote {path}")
+
+
+def _model(arguments: argparse.Namespace) -> "TransferFunction":
+    from valve_control.identification import result
+    from valve_control.plant.models import MODELS, TransferFunction
+
+    polynomials = (arguments.numerator, arguments.denominator)
+    given = [
+        arguments.source is not None,
+        arguments.model is not None,
+        any(p is not None for p in polynomials),
+    ]
+    if sum(given) > 1:
+        raise ParameterError("give the model once: --from, --model, or --numerator with --denominator")
+    if arguments.source is not None:
+        return result.read_model(arguments.source)
+    if given[2]:
+        if None in polynomials:
+            raise ParameterError("--numerator and --denominator need each other")
+        return TransferFunction(tuple(arguments.numerator), tuple(arguments.denominator))
+    return MODELS[arguments.model or "fourth_order"]
+
+
+def _parameters(made: "Compensator") -> dict[str, Values]:
+    from valve_control.identification.result import with_period
+    from valve_control.plant.models import MODELS
+
+    named = next((name for name, model in MODELS.items() if model == made.model), None)
+    values: Values = {
+        "controller": "compensator",
+        "compensator.design": "designed",
+        "compensator.model": named or "custom",
+        "compensator.bandwidth": float(made.bandwidth),
+        "compensator.order": made.order,
+        "compensator.cancel_zeros": made.cancel_zeros,
+    }
+    if named is None:
+        values["compensator.numerator"] = [float(c) for c in made.model.numerator]
+        values["compensator.denominator"] = [float(c) for c in made.model.denominator]
+    if made.sections.u_max != 10.0:
+        values["u_max"] = made.sections.u_max
+    return with_period({"controller": values}, made.period)
+
+
+def _comments(made: "Compensator") -> list[str]:
+    from valve_control.identification.result import polynomial
+
+    return [
+        f"Pole-zero compensator for {made.bandwidth:g} Hz:",
+        f"  ({polynomial(made.transfer_function.numerator)})",
+        f"  / ({polynomial(made.transfer_function.denominator)})",
+        *(f"warning: {warning}" for warning in made.warnings),
+    ]
+
+
+def _corners(found: "Corners") -> str:
+    from valve_control.identification.result import hertz
+
+    return f"-3 dB at {hertz(found.minus_3db)}, -90° at {hertz(found.minus_90)}"
+
+
+def _text(made: "Compensator") -> str:
+    from valve_control.identification import bode
+    from valve_control.identification.result import polynomial, roots_text
+
+    c = made.transfer_function
+    s = made.sampling
+    return "\n".join(
+        [
+            f"valve: ({polynomial(made.model.numerator)}) / ({polynomial(made.model.denominator)})",
+            f"  poles {roots_text(bode.roots(made.model.denominator))}; "
+            f"zeros {roots_text(bode.roots(made.model.numerator))}",
+            f"compensator: ({polynomial(c.numerator)})",
+            f"  / ({polynomial(c.denominator)})",
+            f"  poles {roots_text(bode.roots(c.denominator))}",
+            f"  static gain {c.static_gain:.5g} V/V, largest {made.largest_gain:.4g} V/V at "
+            f"{made.largest_at:.4g} Hz; largest step without saturation {made.largest_step:.3g} V",
+            f"valve alone:            {_corners(made.valve)}",
+            f"with the compensator:   {_corners(made.compensated)}",
+            f"sampled every {1e3 * made.period:g} ms:     {_corners(made.sampled)}",
+            f"bilinear transform: up to {s.up_to:g} Hz within {100.0 * s.gain_error:.2g} % and "
+            f"{s.phase_error:.2g}° of the continuous compensator",
+        ]
+    )
+
+
+def _dict(made: "Compensator") -> dict[str, Any]:
+    from valve_control.identification import bode
+
+    c = made.transfer_function
+
+    def corners(found: "Corners") -> dict[str, float | None]:
+        return {"minus_3db_hz": found.minus_3db, "minus_90_hz": found.minus_90}
+
+    return {
+        "model": {"numerator": list(made.model.numerator), "denominator": list(made.model.denominator)},
+        "bandwidth_hz": made.bandwidth,
+        "cancel_zeros": made.cancel_zeros,
+        "sample_period": made.period,
+        "numerator": list(c.numerator),
+        "denominator": list(c.denominator),
+        "poles": [root._asdict() for root in bode.roots(c.denominator)],
+        "static_gain": c.static_gain,
+        "largest_gain": made.largest_gain,
+        "largest_gain_hz": made.largest_at,
+        "largest_step": made.largest_step,
+        "valve": corners(made.valve),
+        "compensated": corners(made.compensated),
+        "sampled": corners(made.sampled),
+        "sampling": made.sampling._asdict(),
+        "sections": [list(s) for s in (made.sections.first, made.sections.second, made.sections.third)],
+        "warnings": list(made.warnings),
+    }
+
+
+def _paper(arguments: argparse.Namespace) -> int:
+    from valve_control.identification import cancellation
+
+    wrong = [name for name in (*DESIGNED, "bandwidth", "sample_period", "u_max") if getattr(arguments, name)]
+    if wrong:
+        option = {"source": "from"}.get(wrong[0], wrong[0]).replace("_", "-")
+        raise ParameterError(f"compensator --paper takes no --{option}")
+    found = cancellation.paper()
+    about = [
+        {name: value._asdict() if hasattr(value, "_asdict") else value for name, value in a._asdict().items()}
+        for a in found
+    ]
+    _tell(arguments, "\n".join(_agreement_text(a) for a in found), about, [])
+    return 0
+
+
+def _agreement_text(a: "Agreement") -> str:
+    from valve_control.identification.result import polynomial
+
+    def told(errors: tuple[float, ...]) -> str:
+        return ", ".join(f"{100.0 * error:.2g} %" if abs(error) > 1e-6 else "0" for error in errors[1:])
+
+    return "\n".join(
+        [
+            f"{a.name} as printed: ({polynomial(a.printed.numerator)})",
+            f"  / ({polynomial(a.printed.denominator)})",
+            f"  made from ({polynomial(a.model.numerator)}) / ({polynomial(a.model.denominator)})",
+            f"  zeros: that model's poles; print off by {told(a.numerator_errors)}",
+            f"  poles: {a.words}; print off by {told(a.denominator_errors)}",
+            f"  static gain with that model {a.static_gain:.4f}; for 1 its leading coefficient would be "
+            f"{a.again.numerator[0]:.7g} instead of {a.printed.numerator[0]:.7g}",
+            f"  on (2) as printed:     {_corners(a.printed_on_second_order)}",
+            f"  on (3) as printed:     {_corners(a.printed_on_fourth_order)}",
+            f"  on (3) designed again: {_corners(a.again_on_fourth_order)}",
+        ]
+    )
