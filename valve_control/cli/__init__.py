@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import os
 import sys
 from collections.abc import Sequence
 
@@ -25,6 +26,7 @@ EXAMPLES = """examples:
   valve-control calibrate paper --set duration=9.3 --output my_valve.yaml
   valve-control paper
   valve-control identify --set lvdt.noise=0.005 --output valve.yaml --figure bode.png
+  valve-control compensator --from valve.yaml --bandwidth 25 --output compensator.yaml
   valve-control theorems --figure theorems.png
   valve-control parameters arc
 """
@@ -54,6 +56,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     0; 1 if an output failed or an expectation was not met; 2 for bad input.
     """
+    # Matrices are small here: on a busy machine, BLAS threads that wait for each other take four times as long.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = parser().parse_args(argv)
     try:
         return int(arguments.run(arguments) or 0)
