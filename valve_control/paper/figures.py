@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.analysis.figures import Line, Plot
+from valve_control.analysis.figures import COLOURS, Line, Plot
 from valve_control.identification import bode
 from valve_control.identification.response import Response, find_segments, stepped
-from valve_control.paper.jobs import FEEDBACK, open_loops
+from valve_control.paper.jobs import BANDWIDTH, CLOSED_AMPLITUDE, FEEDBACK, OPEN_AMPLITUDE, open_loops
 from valve_control.paper.traces import Trace
 from valve_control.parameters import design
 from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
@@ -51,22 +51,34 @@ def _degrees(value: npt.NDArray[np.complex128]) -> Floats:
     return np.asarray(np.degrees(np.unwrap(np.angle(value))))
 
 
-def _bode(lines: Mapping[str, tuple[Floats, npt.NDArray[np.complex128], bool]]) -> list[Plot]:
+def _bode(
+    lines: Mapping[str, tuple[Floats, npt.NDArray[np.complex128], bool]],
+    colours: Mapping[str, str] | None = None,
+) -> list[Plot]:
     """Magnitude and phase of responses, by label: frequency [Hz], response, dashed."""
     return [
-        Plot(title, [Line(label, f, read(value), "", dashed) for label, (f, value, dashed) in lines.items()])
+        Plot(
+            title,
+            [
+                Line(label, f, read(value), (colours or {}).get(label, ""), dashed)
+                for label, (f, value, dashed) in lines.items()
+            ],
+        )
         for title, read in (("magnitude [dB]", _decibels), ("phase [°]", _degrees))
     ]
 
 
 def measured_corners(response: Response) -> tuple[float | None, float | None]:
-    """-3 dB and -90° [Hz] of a measured response, interpolated; None where it does not get there."""
+    """-3 dB and -90° [Hz] of a measured response, interpolated.
+
+    None where it does not get there, 0 where its first frequency is already beyond.
+    """
     level, phase = _decibels(response.value), _degrees(response.value)
     found: list[float | None] = []
     for y, limit in ((level, -3.0), (phase, -90.0)):
         below = np.flatnonzero(y < limit)
         if len(below) == 0 or below[0] == 0:
-            found.append(None)
+            found.append(None if len(below) == 0 else 0.0)
             continue
         i = int(below[0])
         share = (limit - y[i - 1]) / (y[i] - y[i - 1])
@@ -76,7 +88,9 @@ def measured_corners(response: Response) -> tuple[float | None, float | None]:
 
 
 def _hertz(frequency: float | None) -> str:
-    return "not reached" if frequency is None else f"{frequency:.1f} Hz"
+    if frequency is None:
+        return "not reached"
+    return "below the first frequency" if frequency == 0.0 else f"{frequency:.1f} Hz"
 
 
 def figure_1(runs: Mapping[str, Trace]) -> Figure:
@@ -111,26 +125,32 @@ def figure_3(runs: Mapping[str, Trace], gain: float) -> Figure:
     labels |= {name: name.upper() for name in FEEDBACK}
     lines = {}
     notes = []
+    colours = dict(zip(labels.values(), (*COLOURS, "black"), strict=True))
     for name, label in labels.items():
         response = output_response(runs[f"response_{name}"])
         lines[label] = (response.frequency, response.value, False)
         corner, phase = ("not reached" if f is None else f"{f:.1f} Hz" for f in measured_corners(response))
         notes.append(f"{label}: -3 dB {corner}, -90° {phase} (nodes, calibrated valve)")
-    for label, transfer in (
-        ("(12) on (3)", design.PRINTED_SECOND_ORDER),
-        ("(13) on (3)", design.PRINTED_FOURTH_ORDER),
-        ("ours on (3)", design.pole_zero_compensator(FOURTH_ORDER, 25.0)),
+    for label, like, transfer in (
+        ("(12) on (3)", "compensator_12", design.PRINTED_SECOND_ORDER),
+        ("(13) on (3)", "compensator_13", design.PRINTED_FOURTH_ORDER),
+        ("ours on (3)", "designed", design.pole_zero_compensator(FOURTH_ORDER, BANDWIDTH)),
     ):
+        colours[label] = colours[labels[like]]
         lines[label] = (GRID, _compensated(transfer, GRID), True)
         corner_of = bode.corners(partial(_compensated, transfer))
         notes.append(f"{label}, linear: -3 dB {_hertz(corner_of[0])}, -90° {_hertz(corner_of[1])}")
+    notes.append(
+        f"Without feedback measured with {OPEN_AMPLITUDE:g} V, with feedback with {CLOSED_AMPLITUDE:g} V: "
+        "at high frequencies the acceleration that 10 V give is the limit, whatever the law."
+    )
     notes.append(
         "The paper says that (13), made from the more accurate model, performs better than (12). As printed "
         "it does not: (13) leaves the zeros of (3) in the response (docs/errata.md)."
     )
     return Figure(
-        "figure3", "Fig. 3: responses with compensators and under feedback", "frequency [Hz]", _bode(lines),
-        True, notes,
+        "figure3", "Fig. 3: responses with compensators and under feedback", "frequency [Hz]",
+        _bode(lines, colours), True, notes,
     )  # fmt: skip
 
 

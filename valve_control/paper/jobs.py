@@ -11,7 +11,8 @@ FEEDBACK = ("pid", "arc", "oarc")  # rows of Table 1, in its order
 BANDWIDTH = 25.0  # Hz, of the paper's compensators
 SINE = 6.0  # Hz, Fig. 4
 OPEN_AMPLITUDE = 2.0  # V, well above friction, which no feedback overcomes
-CLOSED_AMPLITUDE = 1.0  # V, at which the amplifier does not saturate
+# V; at 1 V the amplifier's 10 V, and with it the reshaping's limit of 12000 V/s² (6), end at 17 Hz.
+CLOSED_AMPLITUDE = 0.25
 FREQUENCIES = (2.0, 60.0)  # Hz, first and last of a response
 STEPS, CYCLES, STEP_TIME = 16, 4, 0.4  # frequencies, cycles and seconds of each
 
