@@ -179,7 +179,7 @@ def test_40_lacks_theta3_z2_and_has_ks1():
 
 @pytest.mark.parametrize("weight", [1, RHO])
 def test_49_lacks_ks2_z2_squared_and_the_slope_in_phi2(weight):
-    """Also the minus of (50). dV2/dt by (38), (44), (46), (48) for any α1 of slope ∂α1/∂x1, with V2 = z1²/2 + ρ·z2²/2."""
+    """dV2/dt of z1²/2 + ρ·z2²/2 by (38), (44), (46), (48), for any α1 of slope ∂α1/∂x1; also (50)'s minus."""
     _, without_z2, regressor, xi22, v02, psi, eps, epsu = oarc_terms()
     slope, rest, v01, us2, us3 = sp.symbols("slope rest v01 us2 us3")
     alpha_c = slope * (xi22 + dot(TE, regressor)) + rest  # (45)

@@ -79,6 +79,7 @@ class Cell(NamedTuple):
     law: str
     period: float  # s
     kinds: Array  # index into KINDS
+    adaptation: Array  # multiplies the paper's Γ
     ratio: Array
     settled: Array
     time: Array  # s
@@ -493,8 +494,9 @@ def study(
             run_block(Task(law, periods[0], seed, 0, 1, periods[0]))  # fills numba's cache for all processes
     blocks = bench.work(run_block, tasks, jobs, progress)
     kinds = np.arange(valves, dtype=np.float64) % len(KINDS)
+    adaptation = np.array([draw(seed, number).adaptation for number in range(valves)])
     cells = []
     for i in range(0, len(tasks), len(firsts)):
         rows = np.concatenate(blocks[i : i + len(firsts)])
-        cells.append(Cell(tasks[i].law, tasks[i].period, kinds, *rows.T))
+        cells.append(Cell(tasks[i].law, tasks[i].period, kinds, adaptation, *rows.T))
     return Study(seed, valves, duration, tuple(cells))
