@@ -13,7 +13,7 @@ from valve_control.plant.models import TransferFunction
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
-LOWEST, HIGHEST = 1e-3, 1e4  # Hz between which corners are looked for
+LOWEST, HIGHEST = 1e-5, 1e4  # Hz between which corners are looked for
 GRID = 4000  # frequencies of that search
 
 

@@ -21,6 +21,7 @@ ROOM = 0.4  # times the sampling frequency, above which no frequency is tried un
 STILL = 1e-6  # V within which a voltage does not move
 LOOSE = 0.5  # of a sine's amplitude that jitter of a wall clock may leave
 MARGIN = 0.01  # s by which a schedule may be late
+FEEDBACK = ("arc", "oarc", "pid")
 LONGEST = 50_000_000  # samples
 
 
@@ -140,7 +141,13 @@ def recorded(recording: Recording, valve: Valve) -> Experiment:
     if not segments:
         segments = response.find_segments(held, period)
     controller = valve.controller
-    u_max = float(controller.initial.get("u_max", 10.0)) if controller is not None else 10.0
+    told = {} if controller is None else controller.initial
+    u_max = float(told.get("u_max", 10.0))
+    law = str(told.get("controller", "open_loop"))
+    if law in FEEDBACK:
+        notes.append(
+            f"the voltage came from {law}, which feeds noise of the reading back: the response is biased"
+        )
     return Experiment(
         f"{recording.bag.path.name}: {valve.name}",
         period,

@@ -29,6 +29,7 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 WEIGHTINGS = ("likelihood", "relative", "uniform")
 CONFIDENCE = 0.95
+UNSTABLE = 3.0  # times the error of unstable poles that stable ones may have
 ROUNDS = 30  # of the start's iteration
 LEAST_DAMPING = 1e-3
 DELAYS = 40  # tried to begin with, each a tenth of the fastest cycle more
@@ -115,7 +116,7 @@ def fit(
             f"{len(measured.frequency)} could be measured"
         )
     size = np.abs(measured.value)
-    form, x = _start(measured, order, zeros, delayed, size)
+    form, x, free_error = _start(measured, order, zeros, delayed, size)
     relative = 1.0 / size
     if weighting == "likelihood":
         x = _minimise(form, x, measured, relative)
@@ -129,6 +130,13 @@ def fit(
         x = _minimise(form, x, measured, weight)
     model_error = _model_error(measured, _distance(form, x, measured), count)
     _check(form, x, measured)
+    distance = _distance(form, x, measured)
+    error = float(np.sqrt(np.mean((distance / size) ** 2)))
+    if error > UNSTABLE * free_error:
+        raise ParameterError(
+            f"the fit of order {order} is unstable: poles to the right miss the response by "
+            f"{100.0 * free_error:.2g} %, stable ones by {100.0 * error:.2g} %"
+        )
     covariance = _covariance(form, x, measured, weight, model_error)
     free = max(1, 2 * len(size) - count)
     quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, free))
@@ -141,7 +149,6 @@ def fit(
         return width
 
     names = [f"b{i}" for i in range(zeros, -1, -1)] + [f"a{i}" for i in range(order - 1, -1, -1)]
-    distance = _distance(form, x, measured)
     return Fit(
         order=order,
         model=model,
@@ -151,7 +158,7 @@ def fit(
         values=form.coefficients(x),
         bounds=bound(form.coefficients),
         gain_bound=float(bound(lambda v: np.array([form.model(v)[0].static_gain]))[0]),
-        error=float(np.sqrt(np.mean((distance / size) ** 2))),
+        error=error,
         model_error=model_error,
         corners=model_corners(model, delay),
     )
@@ -186,8 +193,13 @@ def hold(frequency: Floats, period: float) -> Complexes:
     return value
 
 
-def _start(measured: Response, order: int, zeros: int, delayed: bool, size: Floats) -> tuple[_Form, Floats]:
-    """Linear least squares for each of several delays; the nearest is where the search begins."""
+def _start(
+    measured: Response, order: int, zeros: int, delayed: bool, size: Floats
+) -> tuple[_Form, Floats, float]:
+    """Linear least squares for each of several delays; the nearest is where the search begins.
+
+    Last comes the relative error of what was found, if it has poles to the right, else infinity.
+    """
     value: Complexes = measured.value / hold(measured.frequency, measured.period)
     omega = 2.0 * np.pi * measured.frequency
     scale = float(np.sqrt(omega[0] * omega[-1]))
@@ -198,14 +210,16 @@ def _start(measured: Response, order: int, zeros: int, delayed: bool, size: Floa
         (*_linear(without, s, order, zeros, size), float(delay))
         for without, delay in zip(advanced, delays, strict=True)
     ]
-    _, numerator, below, delay = min(tried, key=lambda attempt: attempt[0])
-    factors = _stable_factors(np.asarray(np.roots(below[::-1]), dtype=np.complex128), order)
+    error, numerator, below, delay = min(tried, key=lambda attempt: attempt[0])
+    poles = np.asarray(np.roots(below[::-1]), dtype=np.complex128)
+    factors = _stable_factors(poles, order)
     gain = float(abs(value[0])) or 1.0
     static = float(np.prod(np.exp(factors[1 : order - order % 2 : 2])))
     static *= float(np.exp(factors[-1])) if order % 2 else 1.0
     at = [max(0.05, delay / measured.period)] if delayed else []
     x = np.concatenate([factors, numerator / (static * gain), at])
-    return _Form(order, zeros, delayed, scale, gain, measured.period), x
+    unstable = math.sqrt(error / len(size)) if np.any(poles.real > 0.0) else math.inf
+    return _Form(order, zeros, delayed, scale, gain, measured.period), x, unstable
 
 
 def _linear(

@@ -19,6 +19,7 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 LEAST_CYCLES = 2
 SAME = 0.02  # by which cycles of one frequency may differ in length
+DRIFT = 0.003  # by which the halves of a stretch of one frequency may differ
 PURE = 0.05  # of a sine's amplitude that may be left when the sine is taken off
 LEAST_COHERENCE = 0.5
 RESOLUTION = 3.0  # standard deviations below which a response cannot be told from noise
@@ -116,9 +117,19 @@ def stepped(
 
 def _harmonics(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> float:
     """Amplitude of the second to fifth harmonic together, as far as they stand out of the noise."""
-    found = [_phasor(signal, index, n * turns) for n in (2, 3, 4, 5) if n * turns < 0.49]
-    floor = RESOLUTION * math.sqrt(2.0 / len(index))
-    return math.hypot(*(abs(size) for size, rest in found if abs(size) > 2.0 * floor * rest))
+    angle = 2.0 * np.pi * turns * index
+    count = min(5, math.floor(0.49 / turns))
+    columns = [np.ones(len(index))]
+    for n in range(1, count + 1):
+        columns += [np.cos(n * angle), np.sin(n * angle)]
+    matrix = np.column_stack(columns)
+    if len(index) <= 2 * matrix.shape[1]:
+        return 0.0
+    fit, _, _, _ = np.linalg.lstsq(matrix, signal, rcond=None)
+    rest = signal - matrix @ fit
+    floor = 2.0 * RESOLUTION * math.sqrt(2.0 * float(rest @ rest)) / len(index)
+    sizes = [math.hypot(fit[2 * n - 1], fit[2 * n]) for n in range(2, count + 1)]
+    return math.hypot(*(size for size in sizes if size > floor))
 
 
 def _phasor(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> tuple[complex, float]:
@@ -226,7 +237,22 @@ def find_segments(voltage: Floats, period: float) -> list[Segment]:
             segment = refined(u, begin, end, (i - first) / (passage[i] - passage[first]), period, PURE)
             found += [segment] if segment is not None else []
         first = i
-    return found
+    return [] if _swept(u, found, period) else found
+
+
+def _swept(u: Floats, segments: Sequence[Segment], period: float) -> bool:
+    """Whether the frequency rises or falls within the segments, so that they are pieces of a sweep."""
+    drifts = []
+    for segment in segments:
+        middle = (segment.first + segment.end) // 2
+        turns = segment.frequency * period
+        halves = [
+            refined(u, first, end, turns, period, 10.0 * PURE)
+            for first, end in ((segment.first, middle), (middle, segment.end))
+        ]
+        if halves[0] is not None and halves[1] is not None:
+            drifts.append(abs(halves[1].frequency / halves[0].frequency - 1.0))
+    return bool(drifts) and float(np.median(drifts)) > DRIFT
 
 
 def refined(

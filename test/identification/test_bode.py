@@ -1,0 +1,123 @@
+"""Responses of transfer functions: hold, sampling, delay, corners."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.signal
+from hypothesis import given
+from hypothesis import strategies as st
+
+from valve_control.identification import bode
+from valve_control.laws import compensator
+from valve_control.laws.signals import Start
+from valve_control.parameters import build, design
+from valve_control.parameters.table import VALVE, defaults, updated
+from valve_control.plant import valve
+from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+
+
+def settled_ratio(model, frequency, period, delay=0):
+    """Sampled sine through the simulated valve: complex amplitude of position over that of voltage."""
+    own = {
+        "valve": "custom",
+        "numerator": list(model.numerator),
+        "denominator": list(model.denominator),
+        "sample_period": period,
+        "lvdt.delay": delay * period,
+    }
+    p = build.valve_params(updated(VALVE, defaults(VALVE), own))
+    s = valve.initial(p)
+    k = np.arange(round(2.0 / period))
+    u = np.cos(2.0 * np.pi * frequency * period * k)
+    y = []
+    for value in u:
+        y.append(valve.read(p, s, 0.0))
+        s = valve.step(p, s, float(value))
+    late = k >= len(k) // 2
+    columns = np.exp(2j * np.pi * frequency * period * k[late])
+    basis = np.column_stack([columns.real, -columns.imag])
+    fit, *_ = np.linalg.lstsq(basis, np.array(y)[late], rcond=None)
+    return complex(*fit)
+
+
+@pytest.mark.parametrize("model", [SECOND_ORDER, FOURTH_ORDER])
+@pytest.mark.parametrize(("frequency", "delay"), [(1.0, 0), (6.0, 3), (40.0, 0), (180.0, 2)])
+def test_held_response_is_that_of_the_simulated_valve(model, frequency, delay):
+    got = bode.held_response(model, np.array([frequency]), 0.002, delay * 0.002)[0]
+    assert abs(got / settled_ratio(model, frequency, 0.002, delay) - 1.0) < 1e-6
+
+
+def test_held_response_is_the_continuous_one_with_half_a_sample_of_delay_at_low_frequencies():
+    f = np.array([0.1, 1.0, 5.0])
+    ratio = bode.held_response(FOURTH_ORDER, f, 1e-4) / bode.response(FOURTH_ORDER, f, 0.5e-4)
+    assert np.max(np.abs(ratio - 1.0)) < 1e-5
+
+
+@given(st.floats(0.0, 4.0))
+def test_fractional_delay_is_that_of_the_continuous_state(part):
+    """A sine sampled ``part`` periods late, against the valve sampled twenty times as finely."""
+    period, fine = 0.001, 20
+    steps = round(part * fine)
+    f = np.array([7.0, 60.0])
+    got = bode.held_response(FOURTH_ORDER, f, period, steps * period / fine)
+    system = scipy.signal.cont2discrete(
+        scipy.signal.tf2ss(FOURTH_ORDER.numerator, FOURTH_ORDER.denominator), period / fine
+    )
+    a, b, c, _, _ = system
+    whole = np.linalg.matrix_power(a, fine)
+    gather = sum(np.linalg.matrix_power(a, i) @ b for i in range(fine))
+    late = -(-steps // fine)
+    run = late * fine - steps
+    for i, frequency in enumerate(f):
+        z = np.exp(2j * np.pi * frequency * period)
+        state = np.linalg.solve(z * np.eye(4) - whole, gather)
+        part_gather = sum((np.linalg.matrix_power(a, j) @ b for j in range(run)), np.zeros((4, 1)))
+        value = (c @ (np.linalg.matrix_power(a, run) @ state + part_gather))[0, 0] * z ** (-late)
+        assert abs(got[i] / value - 1.0) < 1e-6
+
+
+def test_exponential():
+    random = np.random.default_rng(1)
+    for size in (0.0, 0.01, 1.0, 5.0):
+        a = size * random.standard_normal((5, 5))
+        assert np.allclose(bode.exponential(a), scipy.linalg.expm(a), rtol=1e-11, atol=1e-11)
+
+
+def test_corners_of_the_paper():
+    assert np.allclose(bode.model_corners(FOURTH_ORDER), (6.9, 6.2), atol=0.05)
+    second = bode.model_corners(SECOND_ORDER)
+    assert math.isclose(second.minus_90, math.sqrt(1657.206) / (2.0 * math.pi), rel_tol=1e-5)
+
+
+def test_no_corner_where_there_is_none():
+    lag = TransferFunction((1.0,), (1.0, 10.0))
+    assert bode.model_corners(lag).minus_90 is None
+    assert math.isclose(bode.model_corners(lag).minus_3db, 10.0 / (2.0 * math.pi), rel_tol=0.01)
+    assert bode.model_corners(lag, delay=0.01).minus_90 is not None
+
+
+def test_roots_as_frequency_and_damping():
+    (pole,) = bode.roots((1.0, 2.0 * 0.3 * 100.0, 1e4))
+    assert pole.pair and math.isclose(pole.damping, 0.3) and math.isclose(pole.frequency, 50.0 / math.pi)
+    slow, fast = bode.roots((1.0, -6.0, 5.0))
+    assert (slow.pair, slow.damping, fast.damping) == (False, -1.0, -1.0) and fast.frequency > slow.frequency
+
+
+def test_improper_model_is_refused():
+    with pytest.raises(ValueError, match="more poles than zeros"):
+        bode.held_response(TransferFunction((1.0, 2.0), (1.0, 3.0)), np.array([1.0]), 0.001)
+
+
+def test_sections_response_is_that_of_the_law():
+    p = design.compensator_params(design.PRINTED_FOURTH_ORDER, 0.001, 1e6)
+    s = compensator.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
+    k = np.arange(2000)
+    out = []
+    for value in np.cos(2.0 * np.pi * 0.02 * k):
+        voltage, s, _ = compensator.step(p, s, float(value), 0.0, 0.0)
+        out.append(voltage)
+    late = k >= 1000
+    fit = 2.0 * np.mean(np.array(out)[late] * np.exp(-2j * np.pi * 0.02 * k[late]))
+    assert abs(bode.sections_response(p, np.array([20.0]), 0.001)[0] / fit - 1.0) < 1e-6

@@ -1,0 +1,175 @@
+"""From voltages and readings to models: what goes in must come out."""
+
+import numpy as np
+import pytest
+
+from valve_control.identification import bode, experiment, rational, response, theta
+from valve_control.identification.response import Response, Segment
+from valve_control.parameters.table import CONTROLLER, VALVE, ParameterError, defaults, updated
+from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+
+COEFFICIENTS = np.array([*FOURTH_ORDER.numerator, *FOURTH_ORDER.denominator[1:]])
+SHORT = {"steps": 20, "cycles": 4, "step_time": 0.8, "frequency": 0.8}
+
+
+def measure(noise=0.0, seed=1, settle=0.4, period=0.001, valve=None, **command):
+    plant = {"lvdt.noise": noise, "seed": seed, "sample_period": period, **(valve or {})}
+    done = experiment.simulated(
+        updated(CONTROLLER, defaults(CONTROLLER), {"sample_period": period}),
+        updated(VALVE, defaults(VALVE), plant),
+        experiment.test_values({"sample_period": period, **SHORT, **command}, period),
+    )
+    return experiment.estimate(done, settle, None)
+
+
+def made(model=FOURTH_ORDER, deviation=1e-4, seed=1, count=30, highest=100.0, delay=0.0, period=0.001):
+    """A response as a stepped sine of equal length would measure it."""
+    f = np.geomspace(0.5, highest, count)
+    noise = np.random.default_rng(seed).standard_normal((2, count)) * deviation
+    value = bode.held_response(model, f, period, delay) + noise[0] + 1j * noise[1]
+    spread = np.full(count, max(deviation, 1e-9))
+    return Response(f, value, spread, np.ones(count), period, "stepped sine", ())
+
+
+def test_fourth_order_comes_back_from_a_stepped_sine_without_noise():
+    fit = rational.fit(measure(), 4)
+    assert np.max(np.abs(fit.values / COEFFICIENTS - 1.0)) < 1e-3
+    assert fit.names == ("b2", "b1", "b0", "a3", "a2", "a1", "a0")
+    assert np.allclose(fit.corners, bode.model_corners(FOURTH_ORDER), rtol=1e-4)
+
+
+@pytest.mark.parametrize("period", [0.001, 0.0025])
+def test_fourth_order_comes_back_within_3_per_cent_at_5_mv_of_noise(period):
+    measured = measure(0.005, period=period)
+    fit = rational.fit(measured, 4)
+    assert np.max(np.abs(fit.values / COEFFICIENTS - 1.0)) < 0.03
+    true = bode.held_response(FOURTH_ORDER, measured.frequency, period)
+    chi2 = np.mean(np.abs(true - measured.value) ** 2 / measured.deviation**2) / 2.0
+    assert 0.4 < chi2 < 1.9
+    corners = rational.measured_corners(measured, fit.model.static_gain)
+    assert np.allclose(corners, bode.model_corners(FOURTH_ORDER), rtol=0.02)
+
+
+def test_fourth_order_comes_back_from_a_sweep():
+    measured = measure(0.005, scenario="sweep", sweep_time=40.0)
+    assert measured.method == "H1" and np.min(measured.coherence) >= 0.5
+    assert np.max(np.abs(rational.fit(measured, 4).values / COEFFICIENTS - 1.0)) < 0.03
+
+
+def test_bounds_cover_the_truth():
+    hits = []
+    for seed in range(25):
+        fit = rational.fit(made(seed=seed), 4)
+        assert np.max(np.abs(fit.values / COEFFICIENTS - 1.0)) < 0.2
+        hits.append(np.abs(fit.values - COEFFICIENTS) <= fit.bounds)
+    assert 0.88 < np.mean(hits) < 1.0 and np.min(np.mean(hits, axis=0)) > 0.75
+
+
+def test_second_order_fit_of_3_lands_on_2():
+    """Over 1 to 40 Hz and in per cent, as on a Bode plot; the print of Fig. 1 ends near there."""
+    f = np.geomspace(1.0, 40.0, 40)
+    value = bode.held_response(FOURTH_ORDER, f, 0.001)
+    measured = Response(f, value, 1e-6 * np.abs(value), np.ones(40), 0.001, "stepped sine", ())
+    fit = rational.fit(measured, 2, weighting="relative")
+    assert np.allclose(fit.values, [1502.057, 58.771, 1657.206], rtol=0.03)
+    assert fit.model_error > 0.05
+
+
+@pytest.mark.parametrize("weighting", rational.WEIGHTINGS)
+@pytest.mark.parametrize("order", [2, 3])
+def test_every_weighting_returns_an_exact_model(weighting, order):
+    model = SECOND_ORDER if order == 2 else TransferFunction((4e4, 3e6), (1.0, 120.0, 9000.0, 4e5))
+    fit = rational.fit(made(model, deviation=0.0), order, weighting=weighting)
+    assert np.allclose(fit.model.numerator, model.numerator, rtol=1e-4)
+    assert np.allclose(fit.model.denominator, model.denominator, rtol=1e-4)
+    assert fit.model_error < 1e-4
+
+
+@pytest.mark.parametrize("delay", [0.0007, 0.003, 0.0121])
+def test_dead_time_comes_back(delay):
+    fit = rational.fit(made(deviation=1e-5, delay=delay), 4, delayed=True)
+    assert abs(fit.delay - delay) < 2e-5 and abs(fit.delay - delay) < 2.0 * fit.bounds[-1]
+    assert np.allclose(fit.values[:-1], COEFFICIENTS, rtol=0.02)
+
+
+def test_hold_that_is_left_out_would_be_seen():
+    """The same response taken for a continuous one: half a sample of delay goes into the coefficients."""
+    f = np.geomspace(0.5, 100.0, 30)
+    value = bode.response(FOURTH_ORDER, f)
+    fit = rational.fit(Response(f, value, np.full(30, 1e-9), np.ones(30), 0.001, "", ()), 4)
+    assert np.max(np.abs(fit.values / COEFFICIENTS - 1.0)) > 0.02
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_fits_of_anything_are_stable_or_refused(seed):
+    random = np.random.default_rng(seed)
+    f = np.geomspace(0.5, 100.0, 20)
+    value = random.standard_normal(20) + 1j * random.standard_normal(20)
+    try:
+        fit = rational.fit(Response(f, value, np.full(20, 0.1), np.ones(20), 0.001, "", ()), 4)
+    except ParameterError as error:
+        assert "fit of order 4" in str(error)
+    else:
+        assert np.all(np.roots(fit.model.denominator).real < 0.0)
+
+
+def test_unstable_valve_has_no_fit():
+    with pytest.raises(ParameterError, match="order 2 is unstable"):
+        rational.fit(made(TransferFunction((1500.0,), (1.0, -20.0, 1600.0)), deviation=1e-6), 2)
+
+
+def test_order_needs_frequencies():
+    with pytest.raises(ParameterError, match="order 4 has 7 unknowns and needs 4 frequencies; 3 could"):
+        rational.fit(made(count=3), 4)
+
+
+def test_segments_are_found_in_a_voltage_alone():
+    t = np.arange(3000) * 0.001
+    parts = [np.sin(2.0 * np.pi * f * t[: round(8000 / f)]) for f in (4.0, 5.0, 20.0, 90.0)]
+    voltage = 0.3 + 2.0 * np.concatenate([np.zeros(100), *parts, np.zeros(50)])
+    found = response.find_segments(voltage, 0.001)
+    assert np.allclose([s.frequency for s in found], [4.0, 5.0, 20.0, 90.0], rtol=1e-3)
+
+
+def test_no_segments_in_a_sweep():
+    t = np.arange(20_000) * 0.001
+    sweep = np.sin(2.0 * np.pi * (0.5 * t + 2.0 * t**2))
+    assert response.find_segments(sweep, 0.001) == []
+
+
+def test_saturation_transient_and_noise_are_refused():
+    with pytest.raises(ParameterError, match="at its limit of 10 V in 1 of 3 samples"):
+        response.check_saturation(np.array([1.0, -10.0, 2.0]), 10.0)
+    u = np.sin(np.arange(1000) * 0.1)
+    with pytest.raises(ParameterError, match="1 whole cycles after its transient"):
+        response.stepped(u, u, [Segment(0, 200, 10.0)], 0.001, 0.1)
+    noise = np.random.default_rng(1).standard_normal(1000)
+    with pytest.raises(ParameterError, match="lost in noise"):
+        response.stepped(u, noise, [Segment(0, 1000, 100.0 / (2.0 * np.pi))], 0.001, 0.1)
+    with pytest.raises(ParameterError, match="Nyquist"):
+        response.stepped(u, u, [Segment(0, 1000, 600.0)], 0.001, 0.1)
+
+
+def test_friction_is_told_by_its_harmonics():
+    friction = {"friction.coulomb": 1.0, "friction.velocity_scale": 0.02}
+    measured = measure(valve=friction, amplitude=4.0)
+    assert any("harmonics of up to" in note for note in measured.notes)
+    assert not measure(0.005).notes
+
+
+def test_suggested_theta_holds_every_second_order_model_of_the_valve():
+    measured = made()
+    second, fourth = rational.fit(measured, 2), rational.fit(measured, 4)
+    found = theta.suggest(measured, second, fourth, 10.0)
+    assert np.allclose(found.initial[:3], second.values[[1, 2, 0]], rtol=1e-4) and found.initial[3] == 0.0
+    for model in ([58.771, 1657.206, 1502.057], [48.0, 1515.0, 1260.0]):
+        assert np.all(np.array(found.lower[:3]) < model) and np.all(model < np.array(found.upper[:3]))
+    assert found.lower[2] > 0.0 and found.lower[3] == -found.upper[3]
+
+
+def test_valve_that_moves_against_its_voltage():
+    backwards = TransferFunction((-1500.0,), (1.0, 60.0, 1600.0))
+    fit = rational.fit(made(backwards), 2)
+    assert fit.model.static_gain < 0.0
+    with pytest.raises(ParameterError, match="against the voltage"):
+        theta.suggest(made(backwards), fit, fit, 10.0)
