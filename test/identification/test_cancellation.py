@@ -1,0 +1,114 @@
+"""Pole-zero compensators: what they reach, what is warned of, and the paper's two."""
+
+import numpy as np
+import pytest
+
+from valve_control.identification import bode, cancellation
+from valve_control.parameters.table import ParameterError
+from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+
+
+@pytest.mark.parametrize("model", [SECOND_ORDER, FOURTH_ORDER])
+@pytest.mark.parametrize("period", [0.0005, 0.001])
+def test_wanted_bandwidth_is_reached_as_sampled(model, period):
+    made = cancellation.make(model, 25.0, period=period)
+    assert np.isclose(made.compensated.minus_3db, 25.0, rtol=0.01)
+    assert np.isclose(made.sampled.minus_3db, 25.0, rtol=0.02)
+    assert made.compensated.minus_90 > made.sampled.minus_90 > 0.9 * made.compensated.minus_90
+    assert np.isclose(made.transfer_function.static_gain * model.static_gain, 1.0)
+
+
+def test_error_of_the_bilinear_transform_falls_with_the_square_of_the_period():
+    coarse = cancellation.make(FOURTH_ORDER, 20.0, period=0.002)
+    fine = cancellation.make(FOURTH_ORDER, 20.0, period=0.001)
+    f = np.array([25.0])
+
+    def error(made):
+        exact = bode.response(made.transfer_function, f)
+        return abs(bode.sections_response(made.sections, f, made.period) / exact - 1.0)[0]
+
+    assert 3.0 < error(coarse) / error(fine) < 5.0
+    assert fine.sampling.up_to == 100.0 and fine.sampling.gain_error < 0.05
+
+
+def test_kept_zeros_and_order():
+    made = cancellation.make(FOURTH_ORDER, 25.0, cancel_zeros=False, order=5)
+    assert len(made.transfer_function.denominator) == 6
+    assert any("zeros that stay" in warning for warning in made.warnings)
+    steeper = cancellation.make(SECOND_ORDER, 25.0, order=5)
+    assert np.isclose(steeper.compensated.minus_3db, 25.0, rtol=0.01)
+    assert steeper.compensated.minus_90 < made.compensated.minus_90
+
+
+def test_warnings():
+    assert cancellation.make(SECOND_ORDER, 20.0).warnings == ()
+    light = cancellation.make(FOURTH_ORDER, 20.0, amplitude=5.0).warnings
+    assert "poles at 32.33 Hz have a damping of 0.29" in light[0]
+    assert any("a step by 5 V saturates" in warning for warning in light)
+    loud = cancellation.make(SECOND_ORDER, 100.0, amplitude=9.5).warnings
+    assert any("noise of the command" in warning for warning in loud)
+    assert any("9.5 V held needs 10.5 V of 10 V" in warning for warning in loud)
+    right = TransferFunction((-10.0, 2000.0), (1.0, 30.0, 900.0, 5000.0))
+    assert any("lies to the right" in warning for warning in cancellation.make(right, 10.0).warnings)
+
+
+def test_largest_step_just_does_not_saturate():
+    made = cancellation.make(FOURTH_ORDER, 25.0)
+    again = cancellation.make(FOURTH_ORDER, 25.0, amplitude=0.999 * made.largest_step)
+    assert not any("a step by" in warning for warning in again.warnings)
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        (TransferFunction((1.0,), (1.0, -3.0, 2.0)), "stable model"),
+        (TransferFunction((1.0, 2.0, 3.0), (1.0, 3.0, 2.0)), "2 zeros and 2 poles"),
+        (TransferFunction((0.0,), (1.0, 2.0)), "must not be 0"),
+        (TransferFunction((1.0, 0.0), (1.0, 2.0, 3.0)), "zero at 0 rad/s"),
+        (TransferFunction((float("inf"),), (1.0, 2.0)), "not finite"),
+    ],
+)
+def test_models_that_cannot_be_compensated(model, words):
+    with pytest.raises(ParameterError, match=words):
+        cancellation.make(model, 10.0)
+
+
+def test_bandwidth_and_order_have_limits():
+    with pytest.raises(ParameterError, match="Nyquist"):
+        cancellation.make(SECOND_ORDER, 250.0)
+    with pytest.raises(ParameterError, match="improper"):
+        cancellation.make(SECOND_ORDER, 25.0, order=1)
+    with pytest.raises(ParameterError, match="7 poles"):
+        cancellation.make(FOURTH_ORDER, 25.0, order=5)
+
+
+def test_factors_of_the_paper():
+    """(12) is its factors to the last printed digit; of (13) one coefficient is off."""
+    second, fourth = cancellation.paper()
+    for agreement in (second, fourth):
+        assert np.max(np.abs(agreement.numerator_errors)) < 1e-6
+    # 470 for 469.91, 79652 for 79651.9, 6168503.
+    assert [round(c, d) for c, d in zip(second.again.denominator, (0, 0, 0, 0), strict=True)] == [
+        1, 470, 79652, 6168503,
+    ]  # fmt: skip
+    assert [round(c) for c in fourth.again.denominator] == [
+        1, 752, 237999, 40483518, 3703487601, 151893300250,
+    ]  # fmt: skip
+    assert fourth.printed.denominator[1] == 753.0
+    assert np.isclose(second.static_gain, 1.0) and np.isclose(fourth.static_gain, 0.889, atol=1e-3)
+    assert np.allclose(second.printed_on_fourth_order, (28.3, 20.5), atol=0.06)
+    assert np.allclose(fourth.printed_on_fourth_order, (13.2, 13.0), atol=0.06)
+    assert np.allclose(second.printed_on_second_order, (22.9, 18.7), atol=0.08)
+
+
+def test_mismatch_is_what_a_valve_ten_per_cent_off_makes():
+    root = bode.Root(30.0, 0.29, True)
+    f = np.linspace(10.0, 60.0, 2000)
+    w = 60.0 * np.pi
+
+    def pair(scale):
+        model = TransferFunction(((scale * w) ** 2,), (1.0, 0.58 * scale * w, (scale * w) ** 2))
+        return 20.0 * np.log10(np.abs(bode.response(model, f)))
+
+    worst = max(np.max(np.abs(pair(s) - pair(1.0))) for s in (0.9, 1.1))
+    assert np.isclose(cancellation.mismatch(root), worst, atol=0.02)

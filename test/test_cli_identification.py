@@ -1,0 +1,176 @@
+"""identify and compensator as a user runs them: outputs that other commands take, bad input."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from valve_control.cli import main
+from valve_control.parameters import build
+from valve_control.parameters.table import COMMAND, defaults, updated
+from valve_control.simulation import scenarios
+
+sys.path.insert(0, str(Path(__file__).parent / "recordings"))
+from made import Run, write
+
+QUICK = ["--set", "steps=12", "--set", "cycles=4", "--set", "frequency=1.0", "--set", "step_time=0.8"]
+
+
+@pytest.fixture
+def run(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        try:
+            status = main([str(a) for a in arguments])
+        except SystemExit as error:
+            status = error.code
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return call
+
+
+def test_identified_model_goes_into_simulate_and_compensator(run, tmp_path):
+    status, out, err = run(
+        "identify", *QUICK, "--set", "lvdt.noise=0.005", "--output", "valve.yaml", "--json", "r.json",
+        "--csv", "r.csv", "--figure", "bode.svg",
+    )  # fmt: skip
+    assert status == 0, err
+    for name in ("valve.yaml", "r.json", "r.csv", "bode.svg"):
+        assert f"wrote {name}" in out
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bode.svg", "r.csv", "r.json", "valve.yaml"]
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert [fit["order"] for fit in result["fits"]] == [2, 4] and result["best_order"] == 4
+    a0 = result["fits"][1]["coefficients"]["a0"]
+    assert abs(a0["value"] - 56553725.0) < 2.0 * a0["bound"] < 0.1 * 56553725.0
+    assert abs(result["fits"][1]["minus_90_hz"] - 6.17) < 0.05
+    rows = np.loadtxt(tmp_path / "r.csv", delimiter=",", skiprows=1)
+    assert rows.shape == (12, 7)
+    assert (tmp_path / "bode.svg").read_text().startswith("<?xml")
+    tree = yaml.safe_load((tmp_path / "valve.yaml").read_text())
+    assert tree["/**/controller"]["ros__parameters"]["arc"]["theta_initial"] == result["theta"]["initial"]
+    for controller in ("arc", "oarc", "compensator"):
+        status, out, err = run(
+            "simulate", "--controller", controller, "--params-file", "valve.yaml", "--json", "-"
+        )
+        assert status == 0, err
+        assert json.loads(out)["indices"]["e_rms"] < 0.05
+    status, out, err = run(
+        "compensator", "--from", "valve.yaml", "--bandwidth", "20", "--output", "c.yaml", "--json", "c.json"
+    )
+    assert status == 0 and "damping" in err
+    designed = json.loads((tmp_path / "c.json").read_text())
+    assert abs(designed["compensated"]["minus_3db_hz"] - 20.0) < 0.2
+    status, out, err = run(
+        "simulate", "--controller", "compensator", "--params-file", "c.yaml", "--json", "-",
+        "--scenario", "sine", "--set", "amplitude=0.5", "--set", "frequency=1.0",
+    )  # fmt: skip
+    assert status == 0 and json.loads(out)["indices"]["e_rms"] < 0.06
+
+
+def test_stepped_sine_in_a_bag_with_and_without_parameters(run, tmp_path):
+    own = {
+        "scenario": "stepped_sine", "frequency": 1.5, "end_frequency": 80.0, "steps": 10, "cycles": 4,
+        "step_time": 0.6, "amplitude": 2.0, "duration": 60.0,
+    }  # fmt: skip
+    values = updated(COMMAND, defaults(COMMAND), own)
+    shape = build.shape(values)
+    made = Run(controller={"controller": "open_loop"}, memory_every=10**9)
+    made.say("/command_source", values, new=True)
+    for k in range(round((shape.start + scenarios.steps_of(shape)[-1].end + 0.1) / 0.001)):
+        made.sample(scenarios.command(shape, k * 0.001))
+    write(tmp_path / "told", made.messages)
+    lost = {300, 2000, 2001, 5000}
+    write(
+        tmp_path / "bare",
+        made.messages,
+        keep=lambda m: (
+            m.topic in ("/spool_position", "/valve_voltage")
+            and not (m.topic == "/spool_position" and m.sequence in lost)
+        ),
+    )
+    write(tmp_path / "silent", made.messages, keep=lambda m: m.topic != "/valve_voltage")
+    for name in ("told", "bare"):
+        status, out, err = run("identify", name, "--settle", "0.25", "--json", "-")
+        assert status == 0, err
+        result = json.loads(out)
+        assert len(result["response"]["frequency_hz"]) == 10
+        for fitted in result["fits"][1]["coefficients"].values():
+            assert fitted["bound"] < 0.06 * fitted["value"]
+        a0 = result["fits"][1]["coefficients"]["a0"]
+        assert abs(a0["value"] / 56553725.0 - 1.0) < 0.02
+        assert any("4 of" in note for note in result["notes"]) == (name == "bare")
+    status, out, err = run("identify", "silent")
+    assert status == 2 and "has no valve_voltage, which identification needs" in err
+    status, out, err = run("identify", "told", "--seed", "3")
+    assert status == 2 and "takes no --seed" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--set", "cycles=1", "--set", "step_time=0.1"], "0 whole cycles after its transient"),
+        (["--set", "amplitude=0.0"], "does not move"),
+        (["--set", "amplitude=0.001", "--set", "lvdt.noise=0.05", *QUICK], "lost in noise"),
+        (["--set", "amplitude=10.0"], "would saturate at u_max, 10 V"),
+        (["--set", "end_frequency=600.0"], "not below Nyquist's frequency, 500 Hz"),
+        (["--set", "steps=3", "--order", "4"], "needs 4 frequencies"),
+        (["--set", "duration=5.0"], "duration is 5 s; the stepped sine takes"),
+        (["--set", "step_time=1e4"], "more than"),
+        (["--scenario", "constant"], "does not move"),
+        (["--settle", "-1"], "--settle"),
+        (["--band", "5", "2"], "--band"),
+        (["--band", "0.001", "0.002", *QUICK], "no frequency of the test"),
+        (["--zeros", "1"], "--zeros needs --order"),
+        (["--order", "4", "--zeros", "3", *QUICK], "at most 2"),
+        (["--order", "7"], "invalid choice"),
+        (["--figure", "bode.pdf"], ".png or .svg"),
+        (["--output", "no/folder/valve.yaml"], "no folder"),
+        (["--set", "lvdt.noise=x"], "lvdt.noise"),
+        (["--map", "spool_position=/x"], "takes no --map"),
+        (["no_bag"], "no bag"),
+    ],
+)
+def test_bad_input_of_identify_is_one_sentence(run, tmp_path, arguments, words):
+    status, out, err = run("identify", "--json", "r.json", *arguments)
+    assert status == 2 and out == ""
+    assert len(err.strip().splitlines()) == 1 and words in err, err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--numerator", "1", "--denominator", "1", "-3", "2"], "stable model"),
+        (["--numerator", "1", "2", "3", "--denominator", "1", "3", "2"], "2 zeros and 2 poles"),
+        (["--numerator", "1"], "need each other"),
+        (["--numerator", "1", "--denominator", "1", "1", "--model", "second_order"], "give the model once"),
+        (["--bandwidth", "nan"], "compensator.bandwidth is nan"),
+        (["--bandwidth", "300"], "Nyquist"),
+        (["--order", "1"], "improper"),
+        (["--amplitude", "-1"], "--amplitude"),
+        (["--sample-period", "1"], "sample_period"),
+        (["--from", "none.yaml"], "none.yaml cannot be read"),
+        (["--paper", "--keep-zeros"], "takes no --keep-zeros"),
+    ],
+)
+def test_bad_input_of_compensator_is_one_sentence(run, tmp_path, arguments, words):
+    status, out, err = run("compensator", "--json", "r.json", *arguments)
+    assert status == 2 and out == ""
+    assert len(err.strip().splitlines()) == 1 and words in err, err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_file_without_a_model(run, config):
+    status, _, err = run("compensator", "--from", config / "arc.yaml")
+    assert status == 2 and "has no valve model" in err
+
+
+def test_paper_shows_what_agrees(run):
+    status, out, _ = run("compensator", "--paper")
+    assert status == 0
+    assert "157 rad/s with damping 0.8, twice, and 250 rad/s" in out and "13.14 Hz" in out
