@@ -49,6 +49,8 @@ def _paper(arguments: argparse.Namespace) -> int:
         raise ParameterError(f"output folder {folder} cannot be made: {error.strerror}") from error
     all_jobs = jobs(valve)
     runs = _offline(all_jobs, config) if arguments.offline else _through_nodes(all_jobs, folder, config)
+    if runs is None:
+        return 1
     table = report.table_1(runs)
     print(f"\n{'':8}" + "".join(f"{name:>9}" for name in ("e_M", "e_F", "e_rms", "u_rms", "c_u")))
     for row in report.rows_of(table):
@@ -92,8 +94,8 @@ def _offline(all_jobs: list[Any], config: str) -> "dict[str, Trace]":
     return runs
 
 
-def _through_nodes(all_jobs: list[Any], folder: Path, config: str) -> "dict[str, Trace]":
-    """The runs of the nodes, which another process starts: this one does not import ROS."""
+def _through_nodes(all_jobs: list[Any], folder: Path, config: str) -> "dict[str, Trace] | None":
+    """Runs of the nodes, which another process starts, as this one imports no ROS; None if they fail."""
     from valve_control.paper import traces
 
     if importlib.util.find_spec("rclpy") is None:
@@ -103,7 +105,8 @@ def _through_nodes(all_jobs: list[Any], folder: Path, config: str) -> "dict[str,
     command = [sys.executable, "-m", "valve_control.nodes.paper", "--out", str(logs), "--config", config]
     status = subprocess.run(command, check=False).returncode
     if status != 0:
-        raise OSError(0, f"the runs of the nodes failed with status {status}", str(folder))
+        print(f"valve-control: the runs of the nodes failed; their logs are in {logs}", file=sys.stderr)
+        return None
     results = json.loads((logs / "lockstep.json").read_text(encoding="utf-8"))
     print(f"{len(results)} runs through the nodes, each equal to its twin offline, bit for bit")
     return {job.name: traces.load(logs / f"{job.name}.npz") for job in all_jobs}

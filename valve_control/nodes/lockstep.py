@@ -136,10 +136,15 @@ def run_lockstep(
     return Heard(twin, samples, result)
 
 
+def heard_enough(result: Mapping[str, Any]) -> bool:
+    """Whether the tool heard nearly all messages of a run."""
+    return bool(min(result["heard"].values()) >= HEARD * result["samples"])
+
+
 def check(results: Sequence[Mapping[str, Any]]) -> bool:
     """Whether all runs equal their twins; says which do not. Raises RuntimeError if too little was heard."""
     for result in results:
-        if min(result["heard"].values()) < HEARD * result["samples"]:
+        if not heard_enough(result):
             raise RuntimeError(f"{result['name']}: too few messages heard: {result['heard']}")
         if not result["equal"]:
             print(
