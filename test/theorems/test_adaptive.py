@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
+from valve_control.laws.signals import Start
+from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER, defaults
+from valve_control.simulation.closed_loop import LAWS
 from valve_control.theorems import adaptive, bench
 
 
 @pytest.fixture(scope="module")
 def study():
-    return adaptive.study(5, 2, periods=[5e-4, 2.5e-4, 1e-4], duration=15.0)
+    return adaptive.study(3, 2, periods=[5e-4, 2.5e-4, 1e-4], duration=12.0)
 
 
 @pytest.mark.parametrize("law", adaptive.LAWS)
@@ -47,11 +51,6 @@ def test_without_adaptation_the_error_stays(monkeypatch):
 
 @pytest.mark.parametrize("law", adaptive.LAWS)
 def test_compiled_and_plain_loops_give_the_same_bits(law):
-    from valve_control.parameters import build
-    from valve_control.parameters.table import CONTROLLER, defaults
-    from valve_control.simulation.closed_loop import LAWS
-    from valve_control.theorems.robust import Start
-
     p = build.LAW_PARAMS[law](defaults(CONTROLLER))
     truth = adaptive.draw(1, 1)
     results = []

@@ -122,6 +122,17 @@ def test_25_follows_from_23():
     assert rest.subs(Z2, sp.symbols("r", real=True)).is_nonnegative
 
 
+def test_52_keeps_its_rate_with_a_weight():
+    """The same for -(θ3/θ3min)·ks1·z1² - ρ·ks2·z2², whichever of ks1 and ks2 is smaller."""
+    gap, more = sp.symbols("gap more", nonnegative=True)
+    z1, z2 = sp.symbols("z1 z2", real=True)
+    v2 = (z1**2 + RHO * z2**2) / 2
+    for ks1, ks2 in ((KS1, KS1 + gap), (KS2 + gap, KS2)):
+        smaller = ks1 if ks1 == KS1 else ks2
+        rest = (1 + more) * ks1 * z1**2 + RHO * ks2 * z2**2 - 2 * smaller * v2
+        assert sp.expand(rest).is_nonnegative
+
+
 def test_quadratic_robust_term_meets_23():
     """z2·(θ3·u_s2 + h) <= ε for u_s2 = -h²·z2/(4·ε·θ3min): what is missing to ε is a square and more."""
     h, eps = sp.symbols("h epsilon", positive=True)
