@@ -70,6 +70,7 @@ def stepped(
     """
     points = []
     notes = []
+    short: list[str] = []
     distorted = (0.0, 0.0)
     for segment in segments:
         if segment.frequency >= 0.5 / period:
@@ -80,10 +81,11 @@ def stepped(
         cycle = 1.0 / (segment.frequency * period)
         count = math.floor((segment.end - segment.first - settle / period) / cycle + 1e-6)
         if count < LEAST_CYCLES:
-            raise ParameterError(
+            short.append(
                 f"{segment.frequency:.4g} Hz has {max(0, count)} whole cycles after its transient of "
                 f"{settle:g} s; it needs {LEAST_CYCLES} (parameters cycles and step_time, or --settle)"
             )
+            continue
         k = np.arange(segment.end - round(count * cycle), segment.end)
         k = k[np.isfinite(voltage[k]) & np.isfinite(position[k])]
         if len(k) < 8:
@@ -107,6 +109,11 @@ def stepped(
             continue
         coherence = 0.5 * abs(y) ** 2 / (0.5 * abs(y) ** 2 + noise**2)
         points.append((segment.frequency, value, max(deviation, CERTAIN * abs(value)), coherence))
+    if len(short) == len(segments) and short:
+        raise ParameterError(short[0])
+    notes += [f"left out: {reason}" for reason in short[:1]]
+    if len(short) > 1:
+        notes[-1] += f"; so are {len(short) - 1} more"
     if distorted[0] > 0.0:
         notes.append(
             f"the position has harmonics of up to {100.0 * distorted[0]:.3g} % (at {distorted[1]:.4g} Hz): "
