@@ -73,7 +73,9 @@ def test_fit_of_a_table():
     off = {"pid": [Indices(np.e, 1.0, 1.0, 1.0, 1.0)], "arc": [Indices(2.0, 0.5, 3.0, 1.0, 1.0)]}
     got = objective.fit(off, table)
     assert got.worst == pytest.approx(1.0) and got.rms == pytest.approx(1.0 / 3.0)
-    assert got.orderings == 1 and objective.swapped(off, table) == [("e_M", "pid", "arc")]
+    gap = 1.0 - np.log(2.0)
+    assert got.orderings == 1 and got.gap == pytest.approx(gap)
+    assert objective.swapped(off, table) == {("e_M", "pid", "arc"): pytest.approx(gap)}
 
 
 @pytest.mark.parametrize("dimension", DIMENSIONS, ids=lambda d: d.name)

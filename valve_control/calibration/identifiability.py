@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from valve_control.calibration import objective
 from valve_control.calibration.objective import Fit
-from valve_control.calibration.search import Problem, cost_at, fit_at
+from valve_control.calibration.search import Problem, cost_at, runs_at
 from valve_control.calibration.space import changed, values_at
 
 Array = npt.NDArray[np.float64]
@@ -116,7 +116,8 @@ def _absence(problem: Problem, point: Array, evaluations: int, index: int) -> Ab
     name = problem.dimensions[index].name
     reduced, others = _held(problem, point, index, ABSENT[name])
     others, _ = _refined(reduced, others, evaluations)
-    return Absence(name, fit_at(reduced, others))
+    runs = runs_at(reduced, others)
+    return Absence(name, objective.NOT_RUN if runs is None else objective.fit(runs, problem.table))
 
 
 def absences(problem: Problem, point: Array, evaluations: int, processes: int, done: Done) -> list[Absence]:

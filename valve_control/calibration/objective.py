@@ -18,7 +18,7 @@ from valve_control.simulation import closed_loop, offline, scenarios
 Array = npt.NDArray[np.float64]
 Table = Mapping[str, Indices]  # by controller; NaN where nothing was measured
 WITHIN = 0.045  # log ratio beyond which a number is punished by itself
-ORDER = 0.01  # cost of two controllers in the wrong order
+ORDER = 0.003  # cost of two controllers in the wrong order
 FAILED = 10.0  # cost of a valve that cannot be run
 NO_TERMS = np.zeros((0, 0))
 
@@ -29,11 +29,15 @@ class Fit(NamedTuple):
     rms: float  # root mean square of the log ratios
     worst: float  # largest of them
     orderings: int  # pairs of controllers that an index puts in the other order than the table
+    gap: float  # sum of the log ratios by which it does
 
     @property
     def cost(self) -> float:
         """What a search makes small: numbers beyond WITHIN and wrong orders count by themselves."""
-        return self.rms + max(0.0, self.worst - WITHIN) + ORDER * self.orderings
+        return self.rms + max(0.0, self.worst - WITHIN) + ORDER * self.orderings + self.gap
+
+
+NOT_RUN = Fit(FAILED, FAILED, 0, 0.0)
 
 
 def sampled_strokes(shape: scenarios.Shape, period: float, commands: Array) -> None:
@@ -87,15 +91,20 @@ def log_ratios(found: Mapping[str, Sequence[Indices]], table: Table) -> dict[str
         }
 
 
-def swapped(found: Mapping[str, Sequence[Indices]], table: Table) -> list[tuple[str, str, str]]:
-    """(index, better, worse) of the table for each pair that the means over seeds order otherwise."""
-    means = {name: np.mean(np.array(runs, dtype=float), axis=0) for name, runs in found.items()}
-    pairs = []
+def swapped(found: Mapping[str, Sequence[Indices]], table: Table) -> dict[tuple[str, str, str], float]:
+    """(index, better, worse) of the table for each pair that the means over seeds order otherwise.
+
+    With each the log ratio by which the better one is above.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        means = {name: np.mean(np.log(np.array(runs, dtype=float)), axis=0) for name, runs in found.items()}
+    pairs = {}
     for i, index in enumerate(Indices._fields):
         for better in table:
             for worse in table:
-                if table[better][i] < table[worse][i] and not means[better][i] < means[worse][i]:
-                    pairs.append((index, better, worse))
+                gap = float(means[better][i] - means[worse][i])
+                if table[better][i] < table[worse][i] and not gap < 0.0:
+                    pairs[index, better, worse] = gap
     return pairs
 
 
@@ -104,5 +113,8 @@ def fit(found: Mapping[str, Sequence[Indices]], table: Table) -> Fit:
     ratios = np.concatenate(list(log_ratios(found, table).values()))
     ratios = ratios[~np.isnan(ratios)]
     if not np.all(np.isfinite(ratios)):
-        return Fit(FAILED, FAILED, 0)
-    return Fit(float(np.sqrt(np.mean(ratios**2))), float(np.max(np.abs(ratios))), len(swapped(found, table)))
+        return NOT_RUN
+    pairs = swapped(found, table)
+    return Fit(
+        float(np.sqrt(np.mean(ratios**2))), float(np.max(np.abs(ratios))), len(pairs), sum(pairs.values())
+    )

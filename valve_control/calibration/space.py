@@ -80,7 +80,7 @@ DIMENSIONS = (
     _valve("lvdt.resolution", 0.0003, 0.010, "V", "16 to 11 bits of ±10 V", True),
     _valve("lvdt.delay", 0.0, 0.001, "s", "demodulation of the LVDT"),
     _command("amplitude", 1.5, 4.5, "V", "Fig. 5's stroke is not printed"),
-    _command("cycle", 4.0, 8.0, "s", "Fig. 5's time axis is not printed"),
+    _command("cycle", 4.0, 12.0, "s", "Fig. 5's time axis is not printed"),
     _command("offset", -0.3, 0.3, "V", "where the command begins; the valve begins at 0 V"),
     _bound("min", 0, "a1", 1.0, 19.9, "1/s", "below θ1(0) = 20; positive, the valve is damped"),
     _bound("min", 1, "a0", 100.0, 1199.0, "1/s²", "below θ2(0) = 1200; positive, the valve has a spring"),

@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     0; 1 if an output failed or an expectation was not met; 2 for bad input.
     """
-    # Matrices are small here: on a busy machine, BLAS threads that wait for each other take four times as long.
+    # For small matrices BLAS threads that wait for each other take four times as long on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = parser().parse_args(argv)
     try:

@@ -44,9 +44,9 @@ def add_commands(commands: Any) -> None:
     group.add_argument(
         "--noise-seeds",
         type=int,
-        default=1,
+        default=4,
         metavar="N",
-        help="average over N seeds of the noise, from --seed on (1)",
+        help="fit the mean over N seeds of the noise, from --seed on, and the first of them alone (4)",
     )
     group.add_argument(
         "--fix", action="append", default=[], metavar="NAME", help="quantity that stays as it is"
@@ -109,11 +109,11 @@ def _calibrate(arguments: argparse.Namespace) -> None:
     values = space.values_at(dimensions, found.point)
     settings = space.changed(base, dimensions, values)
     runs = objective.run(settings, list(table), problem.seeds)
-    fit = objective.fit(runs, table)
+    alone = {name: rows[:1] for name, rows in runs.items()}
     result: dict[str, Any] = {
         "table": {name: row._asdict() for name, row in table.items()},
-        "fit": fit._asdict(),
-        "ratios": _ratios(runs, table),
+        "mean": _nearness(runs, table),
+        "first_seed": _nearness(alone, table),
         "values": values,
         "evaluations": found.evaluations,
         "seconds": found.seconds,
@@ -121,7 +121,7 @@ def _calibrate(arguments: argparse.Namespace) -> None:
         "noise_seeds": list(problem.seeds),
     }
     if arguments.json != "-":
-        _print_fit(result, objective.swapped(runs, table), dimensions)
+        _print_fit(result, dimensions)
     if arguments.output is not None:
         save(Path(arguments.output), arguments.table, base, settings, result)
         say(arguments, f"wrote {arguments.output}")
@@ -176,28 +176,34 @@ class _Progress:
         )
 
 
-def _ratios(runs: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+def _nearness(runs: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
+    """Fit, ratios to the table and orders that differ."""
     import numpy as np
 
-    from valve_control.calibration.objective import log_ratios
+    from valve_control.calibration import objective
 
     return {
-        name: {field: float(np.exp(value)) for field, value in zip(FIELDS, row, strict=True)}
-        for name, row in log_ratios(runs, table).items()
+        **objective.fit(runs, table)._asdict(),
+        "ratios": {
+            name: {field: float(np.exp(value)) for field, value in zip(FIELDS, row, strict=True)}
+            for name, row in objective.log_ratios(runs, table).items()
+        },
+        "swapped": [list(pair) for pair in objective.swapped(runs, table)],
     }
 
 
-def _print_fit(
-    result: Mapping[str, Any], swapped: Sequence[tuple[str, str, str]], dimensions: Sequence["Dimension"]
-) -> None:
-    print(f"\n{'index / table':14}" + "".join(f"{field:>9}" for field in FIELDS))
-    for name, row in result["ratios"].items():
-        print(f"{name:14}" + "".join(f"{value:9.3f}" for value in row.values()))
-    fit = result["fit"]
-    print(f"rms log error {fit['rms']:.4f}, worst {100.0 * fit['worst']:.1f} %, ", end="")
-    orders = ", ".join(f"{index}: {better} not below {worse}" for index, better, worse in swapped)
-    print(f"orders that differ: {orders or 'none'}")
-    print(f"{result['evaluations']} valves in {result['seconds']:.0f} s\n")
+def _print_fit(result: Mapping[str, Any], dimensions: Sequence["Dimension"]) -> None:
+    seeds = result["noise_seeds"]
+    cases = {f"mean of {len(seeds)} seeds": "mean", f"seed {seeds[0]} alone": "first_seed"}
+    for title, key in list(cases.items())[: len(seeds)]:
+        fit = result[key]
+        print(f"\n{title + ':':20}" + "".join(f"{field:>9}" for field in FIELDS) + "   index / table")
+        for name, row in fit["ratios"].items():
+            print(f"{name:20}" + "".join(f"{value:9.3f}" for value in row.values()))
+        orders = ", ".join(f"{index}: {better} not below {worse}" for index, better, worse in fit["swapped"])
+        print(f"rms log error {fit['rms']:.4f}, worst {100.0 * fit['worst']:.1f} %, ", end="")
+        print(f"orders that differ: {orders or 'none'}")
+    print(f"\n{result['evaluations']} valves in {result['seconds']:.0f} s\n")
     for d in dimensions:
         value = result["values"][d.name]
         edge = min(d.to_unit(value), 1.0 - d.to_unit(value)) < 0.005
@@ -208,12 +214,16 @@ def save(path: Path, table: str, base: "Settings", settings: "Settings", result:
     """Write what differs from the defaults as a ROS 2 parameter file. Raises OSError."""
     from valve_control.parameters import files
 
-    fit = result["fit"]
+    fits = " and ".join(
+        f"{100 * result[key]['rms']:.1f} % rms ({what})"
+        for key, what in (
+            ("mean", f"mean of noise seeds {result['noise_seeds']}"),
+            ("first_seed", "the first"),
+        )
+    )
     head = (
-        f"# Calibrated to {table}: rms log error {fit['rms']:.4f}, "
-        f"worst number {100 * fit['worst']:.1f} % off.\n"
-        f"# valve-control calibrate, search seed {result['search_seed']}, "
-        f"{result['evaluations']} valves, noise seeds {result['noise_seeds']}.\n"
+        f"# Calibrated to the table '{table}': log error {fits}.\n"
+        f"# valve-control calibrate, search seed {result['search_seed']}, {result['evaluations']} valves.\n"
     )
     sections: dict[str, Values] = {}
     for node, values in settings.items():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from valve_control.bags.errors import BagError
 from valve_control.cli import compensator
 from valve_control.cli.common import check_outputs, say
-from valve_control.cli.simulate import setup_options
+from valve_control.cli.simulate import SCENARIOS, setup_options
 from valve_control.parameters.table import NODES, ParameterError, Values, defaults, updated
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ def add_commands(commands: Any) -> None:
     identify = commands.add_parser(
         "identify",
         parents=[setup_options()],
+        conflict_handler="resolve",
         help="transfer functions of a valve, from a test in simulation or from a bag",
         description="Measure the frequency response from voltage to LVDT and fit transfer functions like (2) "
         "and (3) with confidence bounds. Without a bag: a test of the simulated valve without feedback, a "
@@ -34,6 +35,8 @@ def add_commands(commands: Any) -> None:
         "end_frequency, steps, cycles, step_time, sweep_time, amplitude, offset, in V of voltage) say "
         "otherwise.",
     )
+    identify.add_argument("--scenario", choices=SCENARIOS[:-1], help="motion (default: stepped_sine)")
+    identify.add_argument("--duration", type=float, metavar="S", help="length [s] (what the motion takes)")
     identify.add_argument(
         "bag", nargs="?", metavar="BAG", help="recorded stepped sine, sweep or other motion"
     )

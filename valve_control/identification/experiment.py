@@ -75,7 +75,7 @@ def simulated(controller: Values, valve: Values, command: Values, motion: Floats
             "choose a smaller amplitude"
         )
     run = offline.simulate(open_loop, valve, motion)
-    source = f"{command['scenario']}, {build.number(command, 'amplitude'):g} V, {len(motion) * period:.4g} s"
+    source = f"{command['scenario']}, up to {largest:.3g} V, {len(motion) * period:.4g} s"
     return Experiment(
         f"simulated valve ({source})", period, run.voltage, run.measurement, segments, u_max, ()
     )

@@ -29,6 +29,7 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 WEIGHTINGS = ("likelihood", "relative", "uniform")
 CONFIDENCE = 0.95
+VAGUE = 0.1  # relative uncertainty from which on a frequency tells nothing of a corner
 UNSTABLE = 3.0  # times the error of unstable poles that stable ones may have
 ROUNDS = 30  # of the start's iteration
 LEAST_DAMPING = 1e-3
@@ -169,10 +170,14 @@ def measured_corners(measured: Response, static_gain: float) -> Corners:
 
     The hold's half sample is taken off, so that they compare with those of a continuous model.
     """
-    value = measured.value / hold(measured.frequency, measured.period)
+    sure = measured.deviation < VAGUE * np.abs(measured.value)
+    if np.count_nonzero(sure) < 2:
+        return Corners(None, None)
+    frequencies = measured.frequency[sure]
+    value = measured.value[sure] / hold(frequencies, measured.period)
     turn = np.unwrap(np.angle(value * math.copysign(1.0, value[0].real)))
     # Far below the lowest frequency the phase is 0.
-    known = np.log(np.append(min(LOWEST, 0.1 * measured.frequency[0]), measured.frequency))
+    known = np.log(np.append(min(LOWEST, 0.1 * frequencies[0]), frequencies))
     turn = np.append(0.0, turn)
     size = np.log(np.abs(np.append(static_gain, value)))
 
@@ -181,9 +186,7 @@ def measured_corners(measured: Response, static_gain: float) -> Corners:
         made: Complexes = np.exp(np.interp(at, known, size) + 1j * np.interp(at, known, turn))
         return made
 
-    if len(measured.frequency) < 2:
-        return Corners(None, None)
-    return corners(evaluate, float(measured.frequency[-1]))
+    return corners(evaluate, float(frequencies[-1]))
 
 
 def hold(frequency: Floats, period: float) -> Complexes:
