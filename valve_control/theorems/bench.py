@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import scipy.integrate
 
 from valve_control.compiling import compile_function
 from valve_control.laws import reshaping, velocity
@@ -93,7 +94,7 @@ def observer_peak(k1: float, k2: float) -> float:
     slowest = s - abs(w.imag)
     t = np.linspace(0.0, 30.0 / slowest, 300_001)
     response = np.exp(-s * t) * (np.cos(w * t) + s * np.sin(w * t) / w).real
-    return float(np.trapezoid(np.abs(response), t))
+    return float(scipy.integrate.trapezoid(np.abs(response), t))
 
 
 def order(x: Array, y: Array) -> float:
