@@ -8,6 +8,8 @@ import pytest
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+# Matrices are small: BLAS threads that wait for each other take longer.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from valve_control.parameters.table import CONTROLLER, VALVE, defaults, updated
 from valve_control.simulation import offline

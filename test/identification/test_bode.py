@@ -78,13 +78,6 @@ def test_fractional_delay_is_that_of_the_continuous_state(part):
         assert abs(got[i] / value - 1.0) < 1e-6
 
 
-def test_exponential():
-    random = np.random.default_rng(1)
-    for size in (0.0, 0.01, 1.0, 5.0):
-        a = size * random.standard_normal((5, 5))
-        assert np.allclose(bode.exponential(a), scipy.linalg.expm(a), rtol=1e-11, atol=1e-11)
-
-
 def test_corners_of_the_paper():
     assert np.allclose(bode.model_corners(FOURTH_ORDER), (6.9, 6.2), atol=0.05)
     second = bode.model_corners(SECOND_ORDER)

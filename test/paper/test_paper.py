@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from valve_control.analysis.indices import PAPER_TABLE_1
-from valve_control.paper.figures import measured_corners, output_response
-from valve_control.paper.jobs import CONFIG, jobs, valve_gain, values_of
+from valve_control.identification.rational import measured_corners
+from valve_control.paper.figures import output_response
+from valve_control.paper.jobs import CONFIG, jobs, values_of, valve_gain
 from valve_control.paper.traces import heard, load, offline, save
 from valve_control.parameters import files
 from valve_control.parameters.table import VALVE, defaults, updated
@@ -57,8 +58,9 @@ def test_every_figure_as_png_svg_and_in_one_page(made):
 
 def test_output_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").write_text("")
+    folder = str(tmp_path / "file" / "x")
     done = subprocess.run(
-        [sys.executable, "-m", "valve_control.cli", "paper", "--offline", "--out", str(tmp_path / "file" / "x")],
+        [sys.executable, "-m", "valve_control.cli", "paper", "--offline", "--out", folder],
         capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "cannot be made" in done.stderr
@@ -84,7 +86,7 @@ def test_response_of_a_linear_valve_is_that_of_its_model(config):
     model = np.polyval(SECOND_ORDER.numerator, s) / np.polyval(SECOND_ORDER.denominator, s)
     expected = model / SECOND_ORDER.static_gain * np.exp(-s * 0.0005)
     assert np.allclose(found.value, expected, rtol=0.02, atol=2e-3)
-    level, phase = measured_corners(found)
+    level, phase = measured_corners(found, 1.0)
     assert level == pytest.approx(6.3, abs=0.15) and phase == pytest.approx(6.4, abs=0.15)
 
 

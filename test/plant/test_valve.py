@@ -134,7 +134,7 @@ def test_bristles_solve_their_implicit_equation(bristle, velocity, free, preslid
 
 
 def test_presliding_is_dahls_hysteresis():
-    """Quasi-static: from rest z = 1 - exp(-x/presliding); back over a distance s: z = 1 - 2·(1 - exp(-s/...))."""
+    """Quasi-static, d = presliding: from rest z = 1 - exp(-x/d); back by s: z = -1 + (1 + z0)·exp(-s/d)."""
     p = made(friction__coulomb=1.0, friction__presliding=0.2)
     bristle, x, v = 0.0, 0.0, 0.5
     found = []

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 
 from valve_control.laws import compensator
 from valve_control.plant.models import TransferFunction
@@ -55,7 +56,7 @@ def held_response(model: TransferFunction, frequency: Floats, period: float, del
     augmented[:n, n] = b
     whole = math.floor(delay / period + 1e-12)
     part = max(0.0, delay / period - whole)
-    hold = exponential(augmented * (period * scale))
+    hold = scipy.linalg.expm(augmented * (period * scale))
     z = np.exp(2j * np.pi * frequency * period)
     pencil = z[:, None, None] * np.eye(n) - hold[:n, :n]
     state = np.linalg.solve(pencil, np.broadcast_to(hold[:n, n : n + 1], (len(z), n, 1)))[:, :, 0]
@@ -63,25 +64,9 @@ def held_response(model: TransferFunction, frequency: Floats, period: float, del
         value: Complexes = (state @ c) * z ** (-whole)
         return value
     # Between two samples the state runs on for the rest of the period under the input of its beginning.
-    rest = exponential(augmented * (period * scale * (1.0 - part)))
+    rest = scipy.linalg.expm(augmented * (period * scale * (1.0 - part)))
     later: Complexes = (state @ (c @ rest[:n, :n]) + c @ rest[:n, n]) * z ** (-(whole + 1))
     return later
-
-
-def exponential(a: Floats) -> Floats:
-    """Exponential of a small matrix: Taylor series of a 2^k-th of it, squared k times.
-
-    A fit needs thousands; scipy.linalg.expm takes up to 8 ms for one where BLAS threads share a busy machine.
-    """
-    halvings = max(0, math.ceil(math.log2(max(1e-300, float(np.max(np.sum(np.abs(a), axis=1)))))) + 2)
-    part = a / 2.0**halvings
-    power = total = np.eye(len(a))
-    for i in range(1, 14):
-        power = power @ part / i
-        total = total + power
-    for _ in range(halvings):
-        total = total @ total
-    return total
 
 
 def _time_scaled(model: TransferFunction) -> tuple[TransferFunction, float]:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from valve_control.analysis.figures import COLOURS, Line, Plot
 from valve_control.identification import bode
+from valve_control.identification.rational import measured_corners
 from valve_control.identification.response import Response, find_segments, stepped
 from valve_control.paper.jobs import BANDWIDTH, CLOSED_AMPLITUDE, FEEDBACK, OPEN_AMPLITUDE, open_loops
 from valve_control.paper.traces import Trace
@@ -68,29 +69,8 @@ def _bode(
     ]
 
 
-def measured_corners(response: Response) -> tuple[float | None, float | None]:
-    """-3 dB and -90° [Hz] of a measured response, interpolated.
-
-    None where it does not get there, 0 where its first frequency is already beyond.
-    """
-    level, phase = _decibels(response.value), _degrees(response.value)
-    found: list[float | None] = []
-    for y, limit in ((level, -3.0), (phase, -90.0)):
-        below = np.flatnonzero(y < limit)
-        if len(below) == 0 or below[0] == 0:
-            found.append(None if len(below) == 0 else 0.0)
-            continue
-        i = int(below[0])
-        share = (limit - y[i - 1]) / (y[i] - y[i - 1])
-        x = np.log(response.frequency[i - 1 : i + 1])
-        found.append(float(np.exp(x[0] + share * (x[1] - x[0]))))
-    return found[0], found[1]
-
-
 def _hertz(frequency: float | None) -> str:
-    if frequency is None:
-        return "not reached"
-    return "below the first frequency" if frequency == 0.0 else f"{frequency:.1f} Hz"
+    return "not reached" if frequency is None else f"{frequency:.1f} Hz"
 
 
 def figure_1(runs: Mapping[str, Trace]) -> Figure:
@@ -129,7 +109,7 @@ def figure_3(runs: Mapping[str, Trace], gain: float) -> Figure:
     for name, label in labels.items():
         response = output_response(runs[f"response_{name}"])
         lines[label] = (response.frequency, response.value, False)
-        corner, phase = ("not reached" if f is None else f"{f:.1f} Hz" for f in measured_corners(response))
+        corner, phase = map(_hertz, measured_corners(response, 1.0))
         notes.append(f"{label}: -3 dB {corner}, -90° {phase} (nodes, calibrated valve)")
     for label, like, transfer in (
         ("(12) on (3)", "compensator_12", design.PRINTED_SECOND_ORDER),
