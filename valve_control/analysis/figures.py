@@ -109,7 +109,8 @@ def draw_plots(
             axis.set_yscale("log")
         if logarithmic_x:
             axis.set_xscale("log")
-    axes[0, 0].legend(fontsize="small", ncols=2)
+    if len(plots[0].lines) > 1:
+        axes[0, 0].legend(fontsize="small", ncols=2)
     axes[-1, 0].set_xlabel(x_title)
     figure.suptitle(title)
     figure.tight_layout()

@@ -110,7 +110,7 @@ def figure_3(runs: Mapping[str, Trace], gain: float) -> Figure:
         response = output_response(runs[f"response_{name}"])
         lines[label] = (response.frequency, response.value, False)
         corner, phase = map(_hertz, measured_corners(response, 1.0))
-        notes.append(f"{label}: -3 dB {corner}, -90° {phase} (nodes, calibrated valve)")
+        notes.append(f"{label}: -3 dB {corner}, -90° {phase} (calibrated valve)")
     for label, like, transfer in (
         ("(12) on (3)", "compensator_12", design.PRINTED_SECOND_ORDER),
         ("(13) on (3)", "compensator_13", design.PRINTED_FOURTH_ORDER),
@@ -141,10 +141,10 @@ def figure_4(runs: Mapping[str, Trace], gain: float) -> Figure:
     first = runs["sine_open_loop"]
     last = first.time >= 1.0
     positions, errors = [Line("command", first.time[last], first.command[last], "black")], []
-    for name, (label, _) in open_loops(gain).items():
+    for colour, (name, (label, _)) in zip(COLOURS, open_loops(gain).items(), strict=False):
         run = runs[f"sine_{name}"]
-        positions.append(Line(label, run.time[last], run.measurement[last]))
-        errors.append(Line(label, run.time[last], (run.measurement - run.command)[last]))
+        positions.append(Line(label, run.time[last], run.measurement[last], colour))
+        errors.append(Line(label, run.time[last], (run.measurement - run.command)[last], colour))
         rms = float(np.sqrt(np.mean((run.measurement - run.command)[last] ** 2)))
         notes.append(f"{label}: rms error {rms:.3f} V of a sine of {np.max(run.command):.1f} V")
     plots = [Plot("spool position [V]", positions), Plot("error [V]", errors)]
