@@ -68,10 +68,11 @@ def _compile(
             scope[name] = _compiled_module(value)
     rebuilt = types.FunctionType(function.__code__, scope, function.__name__)
     rebuilt.__module__ = function.__module__
-    # numba's cache tells functions apart by name and types, not by what their globals are.
-    rebuilt.__qualname__ = ".".join(
-        [function.__qualname__, *(f"{value.__module__}.{value.__name__}" for _, value in replace)]
-    )
+    rebuilt.__qualname__ = function.__qualname__
+    if replace:
+        # numba's cache tells functions apart by name and types, not by what their globals are.
+        names = ",".join(f"{value.__module__}.{value.__name__}" for _, value in replace)
+        rebuilt.__qualname__ += f"_{hashlib.sha256(names.encode()).hexdigest()[:12]}"
     return numba.njit(cache=True, error_model="numpy", forceinline=True)(rebuilt)  # type: ignore[no-any-return]
 
 

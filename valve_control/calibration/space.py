@@ -41,7 +41,8 @@ class Dimension(NamedTuple):
         return self.low + share * (self.high - self.low)
 
     def to_unit(self, value: float) -> float:
-        """Share of the range at which ``value`` lies."""
+        """Share of the range at which ``value`` lies, 0 or 1 for one outside of it."""
+        value = min(max(value, self.low), self.high)
         if self.logarithmic:
             return math.log(value / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
