@@ -92,6 +92,13 @@ def test_dead_time_comes_back(delay):
     assert np.allclose(fit.values[:-1], COEFFICIENTS, rtol=0.02)
 
 
+def test_dead_time_of_the_simulated_valve_comes_back():
+    """Readings between two samples must lie on the valve's own path, not on a straight line."""
+    fit = rational.fit(measure(valve={"lvdt.delay": 0.0007}), 4, delayed=True)
+    assert abs(fit.delay - 0.0007) < 1e-7
+    assert np.allclose(fit.values[:-1], COEFFICIENTS, rtol=1e-4)
+
+
 def test_hold_that_is_left_out_would_be_seen():
     """The same response taken for a continuous one: half a sample of delay goes into the coefficients."""
     f = np.geomspace(0.5, 100.0, 30)

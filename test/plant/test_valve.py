@@ -90,16 +90,20 @@ def test_saturation_drift_and_lvdt():
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.001, 0.0025, 0.01])
-def test_lvdt_delay_is_that_of_a_shifted_ramp(delay):
-    p = made(lvdt__delay=delay)
-    s = valve.initial(p)
+def test_lvdt_delay_is_that_of_a_shifted_response(delay):
+    """Against the same valve at an eighth of the period; a straight line between samples is off by 1e-4 V."""
+    p, fine = made(lvdt__delay=delay), made(sample_period=0.000125)
+    s, exact = valve.initial(p), valve.initial(fine)
     readings, positions = [], []
-    for _ in range(200):
-        readings.append(valve.read(p, s, 0.0))
-        positions.append(s.x.x0)
-        s = valve.step(p, s, 3.0)
-    t = np.arange(200) * p.period
-    assert np.allclose(readings[20:], np.interp(t - delay, t, positions)[20:], atol=1e-12)
+    for k in range(1600):
+        if k % 8 == 0:
+            readings.append(valve.read(p, s, 0.0))
+            s = valve.step(p, s, 3.0)
+        positions.append(exact.x.x0)
+        exact = valve.step(fine, exact, 3.0)
+    late = round(delay / fine.period)
+    shifted = np.concatenate([np.zeros(late), positions])[:1600:8]
+    assert np.allclose(readings, shifted, atol=1e-6)
 
 
 @pytest.mark.parametrize(

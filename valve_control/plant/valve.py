@@ -64,12 +64,15 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """State of valve and LVDT. ``history`` is a ring of past positions and is overwritten in place."""
+    """State of valve and LVDT. ``history`` is a ring and is overwritten in place.
+
+    Each row is a past position, and where a third of a period at its velocity leads to.
+    """
 
     x: Row  # position [V], velocity [V/s] and two inner states
     bristle: float  # -  deflection of the bristles over that of sliding, -1 to 1
     time: float  # s
-    history: npt.NDArray[np.float64]  # V
+    history: npt.NDArray[np.float64]  # V, (samples, 2)
     newest: int  # index into history
 
 
@@ -134,19 +137,27 @@ def design(
 def initial(p: Params) -> State:
     """Spool at rest in the centre, no voltage."""
     length = int(p.lvdt.delay) + 2
-    return State(Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0, np.zeros(length), 0)
+    return State(Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0, np.zeros((length, 2)), 0)
 
 
 def read(p: Params, s: State, noise: float) -> float:
-    """LVDT reading [V] at this sample; ``noise`` is a standard normal number."""
+    """LVDT reading [V] at this sample; ``noise`` is a standard normal number.
+
+    With a delay, the position between two samples is the cubic (in Bézier's form) through both positions with
+    both velocities; a straight line would be a low-pass of its own.
+    """
     position = s.x.x0
     if p.lvdt.delay > 0.0:
         whole = int(p.lvdt.delay)
         part = p.lvdt.delay - whole
         n = len(s.history)
-        later = float(s.history[(s.newest - whole) % n])
-        earlier = float(s.history[(s.newest - whole - 1) % n])
-        position = later + part * (earlier - later)
+        later = (s.newest - whole) % n
+        earlier = (s.newest - whole - 1) % n
+        p0, p1 = float(s.history[earlier, 0]), float(s.history[earlier, 1])
+        p3 = float(s.history[later, 0])
+        p2 = 2.0 * p3 - float(s.history[later, 1])
+        t = 1.0 - part
+        position = part * part * (part * p0 + 3.0 * t * p1) + t * t * (3.0 * part * p2 + t * p3)
     reading = position + p.lvdt.bias + p.lvdt.noise * noise
     if p.lvdt.resolution > 0.0:
         reading = p.lvdt.resolution * math.floor(reading / p.lvdt.resolution + 0.5)
@@ -213,5 +224,6 @@ def step(p: Params, s: State, voltage: float) -> State:
     newest = s.newest
     if p.lvdt.delay > 0.0:
         newest = (newest + 1) % len(s.history)
-        s.history[newest] = following.x0
+        s.history[newest, 0] = following.x0
+        s.history[newest, 1] = following.x0 + following.x1 * p.period / 3.0
     return State(following, bristle, s.time + p.period, s.history, newest)
