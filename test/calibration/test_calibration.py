@@ -95,6 +95,7 @@ def test_each_quantity_reaches_its_parameters(dimension):
         ("t.csv", "controller,e_X\narc,0.1\n", "column 'e_X'"),
         ("t.csv", "controller,e_M\narc,-0.1\n", "positive number"),
         ("t.csv", "controller,e_M\narc,\n", "has no number"),
+        ("t.csv", "controller,e_M\narc,0.1\narc,0.2\n", "two rows 'arc'"),
         ("t.yaml", "[1, 2]", "must hold one row"),
         ("t.yaml", "arc: {e_M: [1]}", "positive number"),
         ("t.yaml", "arc: {e_M: true}", "positive number"),
@@ -109,7 +110,7 @@ def test_tables_of_the_wrong_shape(tmp_path, name, text, said):
 
 
 def test_table_from_each_kind_of_file(tmp_path):
-    (tmp_path / "t.csv").write_text("controller,e_M,c_u\n# a comment\narc,0.1,0.4\npid,,0.5\n")
+    (tmp_path / "t.csv").write_text("\ufeffcontroller,e_M,c_u\n# a comment\narc,0.1,0.4\npid,,0.5\n")
     (tmp_path / "t.yaml").write_text("arc: {e_M: 0.1, c_u: 0.4}\npid: {c_u: 0.5}\n")
     (tmp_path / "t.json").write_text('{"arc": {"e_M": 0.1, "c_u": 0.4}, "pid": {"c_u": 0.5, "e_M": null}}')
     tables = [measured.read(str(tmp_path / f"t.{kind}")) for kind in ("csv", "yaml", "json")]
@@ -117,3 +118,17 @@ def test_table_from_each_kind_of_file(tmp_path):
     for table in tables:
         assert table["arc"].e_M == 0.1 and table["pid"].c_u == 0.5
         assert np.isnan(table["pid"].e_M) and np.isnan(table["arc"].e_rms)
+
+
+def test_one_quantity_alone(problem):
+    alone = [d for d in problem.dimensions if d.name == "gain_scale"]
+    base = changed(problem.base, problem.dimensions, TRUE)
+    one = problem._replace(base=base, dimensions=alone)
+    found = search.search(one, 1, 90, 4, 1, lambda *_: None)
+    assert values_at(alone, found.point)["gain_scale"] == pytest.approx(1.1, rel=0.01)
+    assert len(identifiability.profiles(one, found.point, 5, 1, lambda: None)[0].values) == 7
+
+
+def test_a_value_outside_of_its_range_counts_as_its_end():
+    dimension = next(d for d in DIMENSIONS if d.name == "friction.presliding")
+    assert dimension.to_unit(0.0) == 0.0 and dimension.to_unit(9.0) == 1.0

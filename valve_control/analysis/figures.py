@@ -1,11 +1,14 @@
 """Figures as PNG and SVG files."""
 
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from valve_control import outputs
 
 Array = npt.NDArray[np.float64]
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
@@ -116,6 +119,9 @@ def draw_plots(
     figure.tight_layout()
     try:
         for path in paths:
-            figure.savefig(path, dpi=110, metadata={"Date": None} if path.suffix == ".svg" else None)
+            stream = io.BytesIO()
+            kind = path.suffix[1:]
+            figure.savefig(stream, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
+            outputs.write(str(path), stream.getvalue())
     finally:
         plt.close(figure)

@@ -69,6 +69,12 @@ def _refined(problem: Problem, start: Array, evaluations: int) -> tuple[Array, f
 
     options = {"seed": 1, "maxfevals": evaluations, "verbose": -9, "tolflatfitness": 20}
     best, cost = start, cost_at(problem, start)
+    if len(start) < 2:  # no covariance to adapt
+        for point in np.linspace(0.0, 1.0, evaluations)[:, None] if len(start) else ():
+            value = cost_at(problem, point)
+            if value < cost:
+                best, cost = point, value
+        return best, cost
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         strategy = cma.CMAEvolutionStrategy(start, SIZE, options)

@@ -24,7 +24,7 @@ def read(path: str) -> dict[str, Indices]:
     if path == "paper":
         return dict(PAPER_TABLE_1)
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise ParameterError(
             f"table {path} cannot be read: {getattr(error, 'strerror', None) or error}"
@@ -45,7 +45,10 @@ def _from_csv(text: str) -> dict[str, dict[str, Any]]:
         cells = {str(key).strip(): value for key, value in row.items()}
         if None in row or None in row.values():
             raise ValueError(f"has a row whose number of cells is not that of the header: {row}")
-        rows[str(cells.pop("controller")).strip()] = cells
+        name = str(cells.pop("controller")).strip()
+        if name in rows:
+            raise ValueError(f"has two rows '{name}'")
+        rows[name] = cells
     return rows
 
 

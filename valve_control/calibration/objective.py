@@ -18,7 +18,7 @@ from valve_control.simulation import closed_loop, offline, scenarios
 Array = npt.NDArray[np.float64]
 Table = Mapping[str, Indices]  # by controller; NaN where nothing was measured
 WITHIN = 0.045  # log ratio beyond which a number is punished by itself
-ORDER, GAP = 0.005, 3.0  # cost of two controllers in the wrong order, and of the log ratio by which they are
+ORDER, GAP = 0.005, 8.0  # cost of two controllers in the wrong order, and of the log ratio by which they are
 FAILED = 10.0  # cost of a valve that cannot be run
 NO_TERMS = np.zeros((0, 0))
 

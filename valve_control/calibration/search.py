@@ -6,6 +6,7 @@ seed whatever the number of processes.
 """
 
 import contextlib
+import math
 import signal
 import time
 import warnings
@@ -114,9 +115,12 @@ def search(
             return costs
 
         if start is None:
-            judged(list(scipy.stats.qmc.Sobol(n, rng=np.random.default_rng(seed)).random_base2(SCATTERED)))
+            power = min(SCATTERED, int(math.log2(evaluations)))
+            judged(list(scipy.stats.qmc.Sobol(n, rng=np.random.default_rng(seed)).random_base2(power)))
         else:
             judged([start])
+        if n == 1:  # no covariance to adapt
+            judged(list(np.linspace(0.0, 1.0, max(2, evaluations - count))[:, None]))
         restart = 0
         while count < evaluations:
             options = {

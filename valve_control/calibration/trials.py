@@ -46,9 +46,9 @@ def trials(settings: Settings, controllers: Sequence[str]) -> list[Trial]:
             seed,
         )
     )
-    for name, keys in (("gain", ("gain_scale",)), ("friction", ("friction.coulomb",))):
+    for name, key in (("gain", "gain_scale"), ("friction", "friction.coulomb"), ("flow force", "flow_force")):
         for sign in (1.0, -1.0):
-            drifted = {key: build.number(valve, key) * (1.0 + sign * DRIFT) for key in keys}
+            drifted = {key: build.number(valve, key) * (1.0 + sign * DRIFT)}
             cases.append(
                 (f"{name} {100 * sign * DRIFT:+.0f} %", _with(settings, "valve_simulator", **drifted), seed)
             )

@@ -1,6 +1,7 @@
 """Calibrate a simulated valve to a measured table of indices."""
 
 import argparse
+import math
 import os
 import sys
 import time
@@ -83,7 +84,7 @@ def _calibrate(arguments: argparse.Namespace) -> None:
     check_outputs([arguments.json], [arguments.output])
     table = measured.read(arguments.table)
     base = settings_of(arguments)
-    dimensions = _chosen(arguments, table)
+    dimensions = _chosen(arguments, base, table)
     if arguments.ranges:
         for d in dimensions:
             say(arguments, f"{d.name:28}{d.low:10g} … {d.high:<10g}{d.unit:8}{d.reason}")
@@ -93,9 +94,7 @@ def _calibrate(arguments: argparse.Namespace) -> None:
     problem = search.Problem(base, table, dimensions, range(first, first + arguments.noise_seeds))
     start = None
     if arguments.from_present:
-        import numpy as np
-
-        start = np.clip([d.to_unit(space.present(base, d)) for d in dimensions], 0.0, 1.0)
+        start = _present(base, dimensions)
     found = search.search(
         problem,
         arguments.search_seed,
@@ -132,25 +131,56 @@ def _calibrate(arguments: argparse.Namespace) -> None:
     write_json(arguments, result)
 
 
-def _chosen(arguments: argparse.Namespace, table: Mapping[str, Any]) -> list["Dimension"]:
+def _chosen(arguments: argparse.Namespace, base: "Settings", table: Mapping[str, Any]) -> list["Dimension"]:
+    """The quantities that are free."""
     from valve_control.calibration.space import DIMENSIONS
 
     names = [d.name for d in DIMENSIONS]
     for name in arguments.fix:
         if name not in names:
             raise ParameterError(f"--fix {name}: there is no such quantity; there are {', '.join(names)}")
-    return [d for d in DIMENSIONS if d.name not in arguments.fix and _matters(d, table)]
+    chosen = [d for d in DIMENSIONS if d.name not in arguments.fix and _matters(d, base, table)]
+    if not chosen:
+        raise ParameterError("every quantity is fixed; leave out some --fix")
+    return chosen
 
 
-def _matters(dimension: "Dimension", table: Mapping[str, Any]) -> bool:
-    """Whether a controller of the table has the quantity."""
-    return any(t.node != "controller" or t.parameter.split(".")[0] in table for t in dimension.targets)
+def _matters(dimension: "Dimension", base: "Settings", table: Mapping[str, Any]) -> bool:
+    """Whether a controller of the table, or the command's shape, has the quantity."""
+    target = dimension.targets[0]
+    if target.node == "controller":
+        return any(t.parameter.split(".")[0] in table for t in dimension.targets)
+    scenario = base["command_source"]["scenario"]
+    if target.node == "command_source" and scenario != "point_to_point":
+        return scenario != "array" and target.parameter in ("amplitude", "offset")
+    return True
+
+
+def _present(base: "Settings", dimensions: Sequence["Dimension"]) -> Any:
+    """The given parameters as a point of the unit cube; says which of them lie outside of their range."""
+    import numpy as np
+
+    from valve_control.calibration.space import present
+
+    for d in dimensions:
+        value = present(base, d)
+        if not d.low <= value <= d.high:
+            near = min(max(value, d.low), d.high)
+            print(f"{d.name} is {value:g}, outside of its range; begins at {near:g}", file=sys.stderr)
+    return np.array([d.to_unit(present(base, d)) for d in dimensions])
 
 
 def _check_counts(arguments: argparse.Namespace) -> None:
     if not 0.001 <= arguments.step <= 1.0:
         raise ParameterError(f"--step is {arguments.step:g}; it must lie between 0.001 and 1")
-    lowest = {"evaluations": 1, "population": 4, "noise_seeds": 1, "processes": 1, "profile": 0}
+    lowest = {
+        "evaluations": 1,
+        "population": 4,
+        "noise_seeds": 1,
+        "processes": 1,
+        "profile": 0,
+        "search_seed": 0,
+    }
     for name, low in lowest.items():
         if getattr(arguments, name) < low:
             option = name.replace("_", "-")
@@ -192,6 +222,11 @@ def _nearness(runs: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, An
     }
 
 
+def _off(log_ratio: float) -> str:
+    """A log ratio as per cent."""
+    return f"{100.0 * math.expm1(log_ratio):.1f} %"
+
+
 def _print_fit(result: Mapping[str, Any], dimensions: Sequence["Dimension"]) -> None:
     seeds = result["noise_seeds"]
     cases = {f"mean of {len(seeds)} seeds": "mean", f"seed {seeds[0]} alone": "first_seed"}
@@ -201,7 +236,7 @@ def _print_fit(result: Mapping[str, Any], dimensions: Sequence["Dimension"]) -> 
         for name, row in fit["ratios"].items():
             print(f"{name:20}" + "".join(f"{value:9.3f}" for value in row.values()))
         orders = ", ".join(f"{index}: {better} not below {worse}" for index, better, worse in fit["swapped"])
-        print(f"rms log error {fit['rms']:.4f}, worst {100.0 * fit['worst']:.1f} %, ", end="")
+        print(f"rms log error {fit['rms']:.4f}, worst {_off(fit['worst'])}, ", end="")
         print(f"orders that differ: {orders or 'none'}")
     print(f"\n{result['evaluations']} valves in {result['seconds']:.0f} s\n")
     for d in dimensions:
@@ -275,7 +310,7 @@ def _identifiability(arguments: argparse.Namespace, problem: "Problem", point: A
             print(f"{d.name:28}{low:12.4g} … {high:<12.4g}{d.unit:8}{100.0 * share:5.0f} % of the range")
         print("\nwithout one effect, everything else chosen anew: rms log error, worst number")
         for absence in sorted(absences, key=lambda a: -a.fit.rms):
-            print(f"{absence.name:28}{absence.fit.rms:8.4f}{100.0 * absence.fit.worst:8.1f} %")
+            print(f"{absence.name:28}{absence.fit.rms:8.4f}{_off(absence.fit.worst):>10}")
     return {
         "limit": limit,
         "profiles": [{**p._asdict(), "interval": p.interval(limit)} for p in profiles],

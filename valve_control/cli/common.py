@@ -1,13 +1,12 @@
 """What the sub-commands share: parser, checks, outputs."""
 
 import argparse
-import json
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from valve_control import outputs
 from valve_control.parameters.table import ParameterError
 
 
@@ -21,16 +20,20 @@ class Parser(argparse.ArgumentParser):
 
 def check_outputs(printable: Sequence[str | None], files: Sequence[str | None] = ()) -> None:
     """Refuse outputs that cannot be written, before the work begins; ``printable`` may be -."""
-    for path in (*printable, *files):
-        if path is None or (path == "-" and path in printable):
+    taken: set[Path] = set()
+    for path, may_print in [*((p, True) for p in printable), *((p, False) for p in files)]:
+        if path is None or (path == "-" and may_print):
             continue
         if path == "-":
             raise ParameterError("only --json takes - for standard output; give a file")
-        folder = Path(path).resolve().parent
-        if not folder.is_dir():
-            raise ParameterError(f"{path} cannot be written: there is no folder {folder}")
-        if Path(path).is_dir():
+        whole = Path(path).resolve()
+        if not whole.parent.is_dir():
+            raise ParameterError(f"{path} cannot be written: there is no folder {whole.parent}")
+        if whole.is_dir():
             raise ParameterError(f"{path} cannot be written: it is a folder")
+        if whole in taken and not (whole.exists() and not whole.is_file()):
+            raise ParameterError(f"{path} is given for two outputs; each needs a file of its own")
+        taken.add(whole)
 
 
 def say(arguments: argparse.Namespace, text: str) -> None:
@@ -38,19 +41,12 @@ def say(arguments: argparse.Namespace, text: str) -> None:
 
 
 def write_json(arguments: argparse.Namespace, result: Any) -> None:
+    """Write or print ``result`` as --json asks for it."""
     if arguments.json is None:
         return
-    text = json.dumps(_finite(result), indent=2, ensure_ascii=False, allow_nan=False)
+    text = outputs.as_json(result)
     if arguments.json == "-":
-        print(text)
+        print(text, end="")
         return
-    Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    outputs.write(arguments.json, text)
     say(arguments, f"wrote {arguments.json}")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

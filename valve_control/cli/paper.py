@@ -36,18 +36,17 @@ def add_commands(commands: Any) -> None:
 def _paper(arguments: argparse.Namespace) -> int:
     from valve_control.paper import report
     from valve_control.paper.figures import figures
-    from valve_control.paper.jobs import jobs, valve_gain
-    from valve_control.parameters import files
-    from valve_control.parameters.table import VALVE, defaults, updated
+    from valve_control.paper.jobs import CONFIG, jobs, valve_gain, valve_of
+    from valve_control.parameters import build, files
 
-    config = arguments.config or str(files.config_folder() / "d3fxe_experiment.yaml")
-    valve = updated(VALVE, defaults(VALVE), files.load(config)["valve_simulator"])
+    config = arguments.config or str(files.config_folder() / CONFIG)
+    valve = valve_of(config)
+    all_jobs = jobs(valve)
     folder = Path(arguments.out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ParameterError(f"output folder {folder} cannot be made: {error.strerror}") from error
-    all_jobs = jobs(valve)
     runs = _offline(all_jobs, config) if arguments.offline else _through_nodes(all_jobs, folder, config)
     if runs is None:
         return 1
@@ -57,7 +56,7 @@ def _paper(arguments: argparse.Namespace) -> int:
         print(f"{row[0]:8}" + "".join(f"{cell:>9}" for cell in row[1:]))
     for text in report.verdicts(table):
         print(text)
-    made = figures(runs, valve_gain(valve))
+    made = figures(runs, valve_gain(valve), build.number(valve, "u_max"))
     for figure in made:
         for note in figure.notes:
             print(f"{figure.title.split(':')[0]}: {note}")

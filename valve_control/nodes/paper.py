@@ -7,9 +7,8 @@ from pathlib import Path
 from valve_control.nodes.cascade import parse_tool, run_tool, tool_options
 from valve_control.nodes.lockstep import check, heard_enough, run_lockstep
 from valve_control.paper import traces
-from valve_control.paper.jobs import CONFIG, jobs
+from valve_control.paper.jobs import CONFIG, jobs, valve_of
 from valve_control.parameters import files
-from valve_control.parameters.table import VALVE, defaults, updated
 
 TRIES = 3
 
@@ -25,7 +24,7 @@ def main() -> int:
 
     def work() -> int:
         config = str(Path(arguments.config).resolve())
-        valve = updated(VALVE, defaults(VALVE), files.load(config)["valve_simulator"])
+        valve = valve_of(config)
         results = []
         for job in jobs(valve):
             for _ in range(TRIES):

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from valve_control.analysis.figures import COLOURS, Line, Plot
 from valve_control.identification import bode
-from valve_control.identification.rational import measured_corners
+from valve_control.identification.rational import hold, measured_corners
 from valve_control.identification.response import Response, find_segments, stepped
 from valve_control.paper.jobs import BANDWIDTH, CLOSED_AMPLITUDE, FEEDBACK, OPEN_AMPLITUDE, open_loops
 from valve_control.paper.traces import Trace
@@ -32,16 +32,41 @@ class Figure(NamedTuple):
     notes: list[str]
 
 
-def output_response(trace: Trace) -> Response:
-    """Response from command to LVDT reading of a run with a stepped sine."""
-    segments = find_segments(trace.command, trace.period)
-    return stepped(trace.command, trace.measurement, segments, trace.period, SETTLE)
+class Measured(NamedTuple):
+    """Response where the amplifier did not saturate, and from where on it did."""
+
+    response: Response
+    saturated_from: float | None  # Hz
+
+    def curve(self) -> tuple[Floats, npt.NDArray[np.complex128], bool]:
+        """Frequency [Hz] and response as that of a continuous model: without the hold's half sample."""
+        f = self.response.frequency
+        return f, self.response.value / hold(f, self.response.period), False
+
+    def said(self, label: str) -> str:
+        """Gain at the lowest frequency, and the corners counted from there."""
+        first = float(np.abs(self.response.value[0]))
+        level, phase = map(_hertz, measured_corners(self.response, first))
+        text = (
+            f"{label}: {20.0 * np.log10(first):+.1f} dB at {self.response.frequency[0]:g} Hz, from there "
+            f"-3 dB {level}, -90° {phase}"
+        )
+        if self.saturated_from is not None:
+            text += f"; left out from {self.saturated_from:.1f} Hz on, where the amplifier saturates"
+        return "; ".join([text, *self.response.notes])
 
 
-def valve_response(trace: Trace) -> Response:
-    """Response from held voltage to LVDT reading."""
-    segments = find_segments(trace.voltage, trace.period)
-    return stepped(trace.voltage, trace.measurement, segments, trace.period, SETTLE)
+def measured(trace: Trace, driver: Floats, u_max: float) -> Measured:
+    """Response from ``driver`` [V], the command or the voltage, to the LVDT reading of a stepped sine."""
+    usable = []
+    saturated = None
+    for segment in find_segments(driver, trace.period):
+        if np.any(np.abs(trace.voltage[segment.first : segment.end]) >= u_max):
+            saturated = segment.frequency
+            break
+        usable.append(segment)
+    response = stepped(driver, trace.measurement, usable, trace.period, SETTLE)
+    return Measured(response, saturated)
 
 
 def _decibels(value: npt.NDArray[np.complex128]) -> Floats:
@@ -73,15 +98,17 @@ def _hertz(frequency: float | None) -> str:
     return "not reached" if frequency is None else f"{frequency:.1f} Hz"
 
 
-def figure_1(runs: Mapping[str, Trace]) -> Figure:
+def figure_1(runs: Mapping[str, Trace], u_max: float) -> Figure:
     """Response of the valve and both approximations."""
-    measured = valve_response(runs["response_open_loop"])
+    run = runs["response_open_loop"]
+    found = measured(run, run.voltage, u_max)
+    label = f"calibrated valve, {OPEN_AMPLITUDE:g} V"
     lines = {
-        "calibrated valve, 2 V": (measured.frequency, measured.value, False),
+        label: found.curve(),
         "second order (2)": (GRID, bode.response(SECOND_ORDER, GRID), True),
         "fourth order (3)": (GRID, bode.response(FOURTH_ORDER, GRID), True),
     }
-    notes = []
+    notes = [found.said(label)]
     for label, model in (("(2)", SECOND_ORDER), ("(3)", FOURTH_ORDER)):
         corner = bode.model_corners(model)
         notes.append(f"{label}: -3 dB at {_hertz(corner.minus_3db)}, -90° at {_hertz(corner.minus_90)}")
@@ -99,7 +126,7 @@ def _compensated(transfer: TransferFunction, frequency: Floats) -> npt.NDArray[n
     return bode.response(transfer, frequency) * bode.response(FOURTH_ORDER, frequency)
 
 
-def figure_3(runs: Mapping[str, Trace], gain: float) -> Figure:
+def figure_3(runs: Mapping[str, Trace], gain: float, u_max: float) -> Figure:
     """Responses with each compensator and under feedback."""
     labels = {name: label for name, (label, _) in open_loops(gain).items()}
     labels |= {name: name.upper() for name in FEEDBACK}
@@ -107,10 +134,10 @@ def figure_3(runs: Mapping[str, Trace], gain: float) -> Figure:
     notes = []
     colours = dict(zip(labels.values(), (*COLOURS, "black"), strict=True))
     for name, label in labels.items():
-        response = output_response(runs[f"response_{name}"])
-        lines[label] = (response.frequency, response.value, False)
-        corner, phase = map(_hertz, measured_corners(response, 1.0))
-        notes.append(f"{label}: -3 dB {corner}, -90° {phase} (calibrated valve)")
+        run = runs[f"response_{name}"]
+        found = measured(run, run.command, u_max)
+        lines[label] = found.curve()
+        notes.append(found.said(label))
     for label, like, transfer in (
         ("(12) on (3)", "compensator_12", design.PRINTED_SECOND_ORDER),
         ("(13) on (3)", "compensator_13", design.PRINTED_FOURTH_ORDER),
@@ -119,10 +146,15 @@ def figure_3(runs: Mapping[str, Trace], gain: float) -> Figure:
         colours[label] = colours[labels[like]]
         lines[label] = (GRID, _compensated(transfer, GRID), True)
         corner_of = bode.corners(partial(_compensated, transfer))
-        notes.append(f"{label}, linear: -3 dB {_hertz(corner_of[0])}, -90° {_hertz(corner_of[1])}")
+        gain_db = float(_decibels(_compensated(transfer, np.zeros(1)))[0])
+        notes.append(
+            f"{label}, linear: {gain_db:+.1f} dB at 0 Hz, from there -3 dB {_hertz(corner_of[0])}, "
+            f"-90° {_hertz(corner_of[1])}"
+        )
     notes.append(
-        f"Without feedback measured with {OPEN_AMPLITUDE:g} V, with feedback with {CLOSED_AMPLITUDE:g} V: "
-        "at high frequencies the acceleration that 10 V give is the limit, whatever the law."
+        f"Without feedback measured with {OPEN_AMPLITUDE:g} V, with feedback with {CLOSED_AMPLITUDE:g} V; "
+        "all curves without the hold's half sample. Friction takes gain and phase from small motions at low "
+        "frequencies, from PID (slow integrator) most of all; the dashed lines have none."
     )
     notes.append(
         "The paper says that (13), made from the more accurate model, performs better than (12). As printed "
@@ -186,6 +218,11 @@ def feedback_figures(runs: Mapping[str, Trace]) -> list[Figure]:
     ]
 
 
-def figures(runs: Mapping[str, Trace], gain: float) -> list[Figure]:
-    """All figures; ``gain`` [V/V]: static, of the valve."""
-    return [figure_1(runs), figure_3(runs, gain), figure_4(runs, gain), *feedback_figures(runs)]
+def figures(runs: Mapping[str, Trace], gain: float, u_max: float) -> list[Figure]:
+    """All figures; ``gain`` [V/V]: static, of the valve; ``u_max`` [V]: limit of the amplifier."""
+    return [
+        figure_1(runs, u_max),
+        figure_3(runs, gain, u_max),
+        figure_4(runs, gain),
+        *feedback_figures(runs),
+    ]

@@ -2,8 +2,8 @@
 
 from typing import Any, NamedTuple
 
-from valve_control.parameters.table import NODES, Values, defaults, updated
-from valve_control.plant.models import FOURTH_ORDER
+from valve_control.parameters import build, files
+from valve_control.parameters.table import NODES, VALVE, ParameterError, Values, defaults, updated
 from valve_control.simulation.scenarios import sine_steps
 
 CONFIG = "d3fxe_experiment.yaml"
@@ -11,10 +11,9 @@ FEEDBACK = ("pid", "arc", "oarc")  # rows of Table 1, in its order
 BANDWIDTH = 25.0  # Hz, of the paper's compensators
 SINE = 6.0  # Hz, Fig. 4
 OPEN_AMPLITUDE = 2.0  # V, well above friction, which no feedback overcomes
-# V; at 1 V the amplifier's 10 V, and with it the reshaping's limit of 12000 V/s² (6), end at 17 Hz.
-CLOSED_AMPLITUDE = 0.25
-FREQUENCIES = (2.0, 60.0)  # Hz, first and last of a response
-STEPS, CYCLES, STEP_TIME = 16, 4, 0.4  # frequencies, cycles and seconds of each
+CLOSED_AMPLITUDE = 0.25  # V, at which the amplifier does not saturate below 30 Hz
+FREQUENCIES = (1.0, 60.0)  # Hz, first and last of a response
+STEPS, CYCLES, STEP_TIME = 18, 3, 0.7  # frequencies, cycles and seconds of each
 
 
 class Job(NamedTuple):
@@ -25,10 +24,26 @@ class Job(NamedTuple):
     settings: dict[str, dict[str, Any]]  # by node, over CONFIG
 
 
+def valve_of(config: str) -> Values:
+    """The simulator's values of the parameter file ``config``. Raises ParameterError."""
+    given = files.load(config)["valve_simulator"]
+    if not given:
+        raise ParameterError(
+            f"{config} has no parameters of valve_simulator; give the file of a calibrated valve"
+        )
+    return updated(VALVE, defaults(VALVE), given)
+
+
 def valve_gain(valve: Values) -> float:
-    """Static gain [V/V] of the simulated valve (3) with gain and flow force, without friction."""
-    gain = float(str(valve["gain_scale"])) * FOURTH_ORDER.static_gain
-    return gain / (1.0 + gain * float(str(valve["flow_force"])))
+    """Static gain [V/V] of the valve with its flow force, without friction. Raises ParameterError."""
+    gain = build.valve_model(valve).static_gain
+    stiffness = 1.0 + gain * build.number(valve, "flow_force")
+    if stiffness <= 0.0:
+        raise ParameterError(
+            f"flow_force is {build.number(valve, 'flow_force'):g} V/V; with this valve's gain of "
+            f"{gain:.3g} V/V it must be above {-1.0 / gain:.3g} V/V, or the spool does not stay where it is"
+        )
+    return gain / stiffness
 
 
 def stepped_sine(amplitude: float) -> dict[str, Any]:

@@ -1,13 +1,13 @@
 """Table 1 and the figures as files and as one page."""
 
 import html
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from valve_control import outputs
 from valve_control.analysis import page
 from valve_control.analysis.figures import draw_plots
 from valve_control.analysis.indices import PAPER_TABLE_1, Indices, indices
@@ -94,7 +94,7 @@ def write(
     Raises OSError.
     """
     written = [folder / "table1.json"]
-    written[0].write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
+    outputs.write(str(written[0]), outputs.as_json(table))
     sections = {"Table 1": page.table(["", *Indices._fields], rows_of(table)) + page.notes(verdicts(table))}
     for figure in figures:
         paths = [folder / f"{figure.name}.png", folder / f"{figure.name}.svg"]
@@ -108,7 +108,7 @@ def write(
         )
     sections |= extra
     index = folder / "index.html"
-    index.write_text(page.page("The paper, reproduced", sections), encoding="utf-8")
+    outputs.write(str(index), page.page("The paper, reproduced", sections))
     return [*written, index]
 
 

@@ -1,13 +1,12 @@
 """Parameters from ROS 2 YAML files and from --set, for the command line."""
 
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from valve_control import outputs
 from valve_control.parameters.table import (
     NODES,
     Parameter,
@@ -80,17 +79,7 @@ def save_sections(path: Path, sections: Mapping[str, Values], head: str = "") ->
         trees[node] = {"ros__parameters": tree}
     dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
     text = head + yaml.dump(trees, Dumper=dumper, sort_keys=False, default_flow_style=None)
-    with tempfile.NamedTemporaryFile(
-        "w", dir=path.parent, prefix=f".{path.name}.", delete=False, encoding="utf-8"
-    ) as stream:
-        try:
-            stream.write(text)
-            stream.flush()
-            os.chmod(stream.name, 0o644)
-            os.replace(stream.name, path)
-        except OSError:
-            os.unlink(stream.name)
-            raise
+    outputs.write(str(path), text)
 
 
 def load(path: str) -> dict[str, Values]:

@@ -62,11 +62,11 @@ class Case(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Numbers of one run."""
+    """Numbers of one run; what a run that saturated never came to is NaN."""
 
     ratio: float  # -   largest V2 over its bound, after the first sample
     settled: float  # -   the same once the bound has forgotten V2(0), after SETTLED
-    time: float  # s   of that
+    time: float  # s   of the largest ratio
     excess: float  # -   largest growth of V2 beyond the inequality of one period, over ε
     loop_gain: float  # -   largest gain of the law's feedback, robust term included, times ΔT
     peak: float  # V   largest voltage asked for
@@ -89,6 +89,26 @@ class Cell(NamedTuple):
     saturated: Array
 
     @property
+    def checked(self) -> int:
+        """Runs with at least one checked step: they did not saturate at the very first sample."""
+        return int(np.sum(np.isfinite(self.ratio)))
+
+    @property
+    def checked_later(self) -> int:
+        """Runs that came beyond SETTLED."""
+        return int(np.sum(np.isfinite(self.settled)))
+
+    @property
+    def saturated_at_start(self) -> int:
+        """Runs that saturated at the first sample, of which nothing is known."""
+        return len(self.ratio) - self.checked
+
+    @property
+    def saturated_later(self) -> int:
+        """Checked runs that ended in saturation."""
+        return int(np.sum(self.saturated > 0.0)) - self.saturated_at_start
+
+    @property
     def breaches(self) -> int:
         """Runs in which V2 ever exceeded its bound."""
         return int(np.sum(self.ratio > 1.0))
@@ -100,12 +120,19 @@ class Cell(NamedTuple):
 
     @property
     def worst(self) -> float:
-        """Largest V2 over its bound."""
-        return float(np.max(self.ratio))
+        """Largest V2 over its bound; NaN if no run was checked."""
+        return largest(self.ratio)
 
     def quantile(self, share: float) -> float:
-        """Margin V2/bound that ``share`` of the runs stay below."""
-        return float(np.quantile(self.ratio, share))
+        """Margin V2/bound that ``share`` of the checked runs stay below; NaN if there is none."""
+        known = self.ratio[np.isfinite(self.ratio)]
+        return float(np.quantile(known, share)) if len(known) else math.nan
+
+
+def largest(values: Array) -> float:
+    """Largest finite entry; NaN if there is none."""
+    known = values[np.isfinite(values)]
+    return float(known.max()) if len(known) else math.nan
 
 
 class Scaling(NamedTuple):
@@ -132,7 +159,10 @@ class Study(NamedTuple):
     def scaling(self, law: str) -> Scaling:
         """Sampling error of ``law`` over ΔT, from the same valves at every ΔT that never saturated."""
         cells = sorted((c for c in self.cells if c.law == law), key=lambda c: c.period)
-        finest, *others = [c for c in cells if np.mean(c.saturated) < 0.25]
+        cells = [c for c in cells if np.mean(c.saturated) < 0.25]
+        if not cells:
+            return Scaling(law, np.empty(0), np.empty(0), math.nan)
+        finest, *others = cells
         sound = np.all([c.saturated == 0.0 for c in (finest, *others)], axis=0)
         periods = np.array([c.period for c in others])
         shift = np.array([np.median(np.abs(c.excess - finest.excess)[sound]) for c in others])
@@ -388,7 +418,8 @@ def run_valve(
     period = p.period
     part = period / substeps
     allowed = growth(p)
-    before = bound = ratio = settled = time = excess = loop_gain = peak = saturated = 0.0
+    before = bound = peak = saturated = 0.0
+    ratio = settled = time = excess = loop_gain = math.nan
     for k in range(samples):
         now = k * period
         position, rate, accel = bench.reference(motion, now)
@@ -400,19 +431,22 @@ def run_valve(
             bound = v2
         else:
             bound = guarantee.advance(p.guarantee, bound, allowed, True)
-            if v2 > ratio * bound:
+            if not v2 <= ratio * bound:
                 ratio, time = v2 / bound, now
-            if now > SETTLED:
-                settled = max(settled, v2 / bound)
+            if now > SETTLED and not v2 <= settled * bound:
+                settled = v2 / bound
             beyond = v2 - guarantee.advance(p.guarantee, before, allowed, True)
             beyond /= p.guarantee.gain * allowed
-            excess = beyond if k == 1 else max(excess, beyond)
+            if not beyond <= excess:
+                excess = beyond
         before = v2
         peak = max(peak, abs(terms.unsaturated_voltage))
         if voltage != terms.unsaturated_voltage:
             saturated = 1.0
             break
-        loop_gain = max(loop_gain, gain(terms, b0) * period)
+        gained = gain(terms, b0) * period
+        if not gained <= loop_gain:
+            loop_gain = gained
         towards = direction(p, terms)
         for i in range(substeps):
             force = b0 * voltage + b0dn + disturbance(push, levels, now + i * part, towards)

@@ -1,5 +1,6 @@
 """The studies as lines of text and as plain data for JSON."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,11 @@ def smallest(values: Array) -> float | None:
     return float(values.min()) if len(values) else None
 
 
+def percent(part: int, whole: int) -> float:
+    """Share of ``part`` in ``whole`` [%]; NaN of nothing."""
+    return 100.0 * part / whole if whole else math.nan
+
+
 def robust_data(study: robust.Study) -> dict[str, Any]:
     """Theorems 1 A and 2 A for JSON."""
     cells = []
@@ -25,24 +31,30 @@ def robust_data(study: robust.Study) -> dict[str, Any]:
             {
                 "law": c.law,
                 "period": c.period,
+                "saturated_at_start": c.saturated_at_start,
+                "checked": c.checked,
+                "checked_later": c.checked_later,
                 "above_bound": c.breaches,
                 "above_bound_later": c.later_breaches,
+                "above_bound_then_saturated": int(np.sum(c.saturated[above] > 0.0)),
                 "above_bound_by_disturbance": {
                     kind: int((above & (c.kinds == i)).sum()) for i, kind in enumerate(robust.KINDS)
                 },
-                "saturated": int(c.saturated.sum()),
+                "saturated_later": c.saturated_later,
                 "ratio": {f"{q:g}": c.quantile(q) for q in QUANTILES} | {"worst": c.worst},
-                "later_worst": float(c.settled.max()),
-                "excess_worst": float(c.excess.max()),
+                "later_worst": robust.largest(c.settled),
+                "excess_worst": robust.largest(c.excess),
                 "loop_gain": {
-                    "median": float(np.median(c.loop_gain)),
-                    "largest": float(c.loop_gain.max()),
+                    "median": float(np.median(c.loop_gain[np.isfinite(c.ratio)])) if c.checked else None,
+                    "largest": robust.largest(c.loop_gain),
                     "smallest_above_bound_later": smallest(c.loop_gain[c.settled > 1.0]),
                 },
                 "adaptation": {
                     "smallest_above_bound": smallest(c.adaptation[above]),
                     "fast_above_bound": int(np.sum(c.adaptation[above] > FAST)),
-                    "fast_saturated": int(np.sum(c.adaptation[c.saturated > 0.0] > FAST)),
+                    "fast_saturated_later": int(
+                        np.sum(c.adaptation[(c.saturated > 0.0) & np.isfinite(c.ratio)] > FAST)
+                    ),
                 },
             }
         )
@@ -61,15 +73,19 @@ def robust_lines(study: robust.Study) -> list[str]:
     lines = [
         f"Theorems 1 A, 2 A: V2 against its bound (25), (52); {study.valves} random valves, "
         f"{study.duration:g} s each; later: after {robust.SETTLED * 1e3:g} ms",
-        f"{'':29}{'ΔT':>8}{'above':>7}{'later':>7}{'satu-':>8}{'V2/bound':>10}{'':>20}{'later':>10}{'gain·ΔT':>9}",
-        f"{'':29}{'[µs]':>8}{'bound':>7}{'':>7}{'rated':>8}{'median':>10}{'99 %':>10}{'worst':>10}"
-        f"{'worst':>10}{'largest':>9}",
+        "at start: saturated at the first sample, nothing to check; the other columns are of the runs checked",
+        f"{'':27}{'ΔT':>6}{'at start':>9}{'above':>7}{'later':>7}{'satu-':>9}{'V2/bound':>10}{'':>16}"
+        f"{'later':>9}{'gain·ΔT':>9}",
+        f"{'':27}{'[µs]':>6}{'%':>9}{'%':>7}{'%':>7}{'rated %':>9}{'median':>10}{'99 %':>8}{'worst':>8}"
+        f"{'worst':>9}{'largest':>9}",
     ]
     for c in study.cells:
         lines.append(
-            f"{robust.LAWS[c.law].text:29}{c.period * 1e6:8.0f}{c.breaches:7d}{c.later_breaches:7d}"
-            f"{int(c.saturated.sum()):8d}{c.quantile(0.5):10.3f}{c.quantile(0.99):10.3f}{c.worst:10.3f}"
-            f"{c.settled.max():10.3f}{c.loop_gain.max():9.2f}"
+            f"{robust.LAWS[c.law].text:27}{c.period * 1e6:6.0f}"
+            f"{percent(c.saturated_at_start, study.valves):9.2f}{percent(c.breaches, c.checked):7.2f}"
+            f"{percent(c.later_breaches, c.checked_later):7.2f}{percent(c.saturated_later, c.checked):9.2f}"
+            f"{c.quantile(0.5):10.3f}{c.quantile(0.99):8.3f}{c.worst:8.3f}"
+            f"{robust.largest(c.settled):9.3f}{robust.largest(c.loop_gain):9.2f}".replace("nan", "  -")
         )
     for c in study.cells:
         above = c.ratio > 1.0
@@ -77,13 +93,14 @@ def robust_lines(study: robust.Study) -> list[str]:
             gain = smallest(c.loop_gain[c.settled > 1.0])
             lines.append(
                 f"{robust.LAWS[c.law].text} at {c.period * 1e6:.0f} µs: of {c.breaches} above the bound "
+                f"{int(np.sum(c.saturated[above] > 0.0))} end in saturation, "
                 f"{int(np.sum(c.adaptation[above] > FAST))} with Γ over {FAST:g} times the paper's"
                 + (f"; later ones from gain·ΔT = {gain:.2f} on" if gain is not None else "")
             )
     for law in dict.fromkeys(c.law for c in study.cells):
-        lines.append(
-            f"sampling error of one period goes as ΔT^{study.scaling(law).order:.2f}: {robust.LAWS[law].text}"
-        )
+        order = study.scaling(law).order
+        if np.isfinite(order):
+            lines.append(f"sampling error of one period goes as ΔT^{order:.2f}: {robust.LAWS[law].text}")
     return lines
 
 
