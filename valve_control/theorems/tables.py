@@ -73,10 +73,10 @@ def robust_lines(study: robust.Study) -> list[str]:
     lines = [
         f"Theorems 1 A, 2 A: V2 against its bound (25), (52); {study.valves} random valves, "
         f"{study.duration:g} s each; later: after {robust.SETTLED * 1e3:g} ms",
-        "at start: saturated at the first sample, nothing to check; the other columns are of the runs checked",
-        f"{'':27}{'ΔT':>6}{'at start':>9}{'above':>7}{'later':>7}{'satu-':>9}{'V2/bound':>10}{'':>16}"
+        "at start: saturated at the first sample, nothing to check; other columns: of the runs checked",
+        f"{'':27}{'ΔT':>6}{'at start':>9}{'above':>7}{'later':>7}{'satu-':>9}{'V2/bound':>10}{'':>18}"
         f"{'later':>9}{'gain·ΔT':>9}",
-        f"{'':27}{'[µs]':>6}{'%':>9}{'%':>7}{'%':>7}{'rated %':>9}{'median':>10}{'99 %':>8}{'worst':>8}"
+        f"{'':27}{'[µs]':>6}{'%':>9}{'%':>7}{'%':>7}{'rated %':>9}{'median':>10}{'99 %':>9}{'worst':>9}"
         f"{'worst':>9}{'largest':>9}",
     ]
     for c in study.cells:
@@ -84,7 +84,7 @@ def robust_lines(study: robust.Study) -> list[str]:
             f"{robust.LAWS[c.law].text:27}{c.period * 1e6:6.0f}"
             f"{percent(c.saturated_at_start, study.valves):9.2f}{percent(c.breaches, c.checked):7.2f}"
             f"{percent(c.later_breaches, c.checked_later):7.2f}{percent(c.saturated_later, c.checked):9.2f}"
-            f"{c.quantile(0.5):10.3f}{c.quantile(0.99):8.3f}{c.worst:8.3f}"
+            f"{c.quantile(0.5):10.3f}{c.quantile(0.99):9.3f}{c.worst:9.3f}"
             f"{robust.largest(c.settled):9.3f}{robust.largest(c.loop_gain):9.2f}".replace("nan", "  -")
         )
     for c in study.cells:
