@@ -52,8 +52,44 @@ def test_fourth_order_comes_back_within_3_per_cent_at_5_mv_of_noise(period):
 
 def test_fourth_order_comes_back_from_a_sweep():
     measured = measure(0.005, scenario="sweep", sweep_time=40.0)
-    assert measured.method == "H1" and np.min(measured.coherence) >= 0.5
+    assert measured.method == "local polynomials" and np.min(measured.coherence) >= 0.5
     assert np.max(np.abs(rational.fit(measured, 4).values / COEFFICIENTS - 1.0)) < 0.03
+    true = bode.held_response(FOURTH_ORDER, measured.frequency, measured.period)
+    assert 0.6 < np.mean(np.abs(true - measured.value) ** 2 / measured.deviation**2) / 2.0 < 1.5
+
+
+@pytest.mark.parametrize("length", [60.0, 20.0])
+def test_a_sweep_without_noise_gives_the_coefficients_within_a_thousandth(length):
+    fit = rational.fit(measure(scenario="sweep", sweep_time=length, frequency=0.5), 4)
+    assert np.max(np.abs(fit.values / COEFFICIENTS - 1.0)) < 1e-4
+
+
+def driven(motion, **valve):
+    done = experiment.simulated(
+        defaults(CONTROLLER),
+        updated(VALVE, defaults(VALVE), valve),
+        {**experiment.test_values({"scenario": "sine"}, 0.001), "scenario": "array"},
+        motion,
+    )
+    return experiment.estimate(done, 0.4, None)
+
+
+def test_a_record_may_begin_and_end_in_motion():
+    """Held random voltages, and a piece out of a sweep, neither from rest nor to rest."""
+    random = np.random.default_rng(1)
+    measured = driven(np.clip(2.0 * np.repeat(random.standard_normal(5000), 4), -8.0, 8.0))
+    fit = rational.fit(measured, 4)
+    assert np.max(np.abs(fit.values / COEFFICIENTS - 1.0)) < 1e-4
+    t = np.arange(45_000) * 0.001
+    sweep = 2.0 * np.sin(2.0 * np.pi * 0.5 * 11.0 * np.expm1(t / 11.0))
+    done = experiment.simulated(
+        defaults(CONTROLLER), defaults(VALVE), experiment.test_values({}, 0.001) | {"scenario": "array"}, sweep
+    )
+    cut = done._replace(voltage=done.voltage[2345:-4321], position=done.position[2345:-4321])
+    measured = experiment.estimate(cut, 0.4, None)
+    assert measured.frequency[-1] < 25.0
+    true = bode.held_response(FOURTH_ORDER, measured.frequency, 0.001)
+    assert np.max(np.abs(measured.value / true - 1.0)) < 0.01
 
 
 def test_bounds_cover_the_truth():

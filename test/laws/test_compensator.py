@@ -35,7 +35,9 @@ def test_bandwidths_of_the_printed_compensators(parts, expected):
 
 
 def test_bandwidth_of_the_second_order_pair():
-    assert np.allclose(bandwidth(design.PRINTED_SECOND_ORDER, SECOND_ORDER), (22.83, 18.67), rtol=0.0, atol=0.02)
+    assert np.allclose(
+        bandwidth(design.PRINTED_SECOND_ORDER, SECOND_ORDER), (22.83, 18.67), rtol=0.0, atol=0.02
+    )
 
 
 @pytest.mark.parametrize("model", [SECOND_ORDER, FOURTH_ORDER])

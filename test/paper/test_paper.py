@@ -10,7 +10,7 @@ import pytest
 from valve_control.analysis.indices import PAPER_TABLE_1
 from valve_control.identification.rational import measured_corners
 from valve_control.paper.figures import measured
-from valve_control.paper.jobs import CONFIG, jobs, values_of, valve_gain
+from valve_control.paper.jobs import CONFIG, jobs, values_of, valve_gain, valve_of
 from valve_control.paper.traces import heard, load, offline, save
 from valve_control.parameters import files
 from valve_control.parameters.table import VALVE, defaults, updated

@@ -30,15 +30,9 @@ def trials(settings: Settings, controllers: Sequence[str]) -> list[Trial]:
     seed = int(build.number(valve, "seed"))
     cases: list[tuple[str, Settings, int]] = [("as calibrated", settings, seed)]
     cases += [(f"noise seed {seed + i}", settings, seed + i) for i in (1, 2, 3)]
-    slow = 0.5 * build.number(command, "max_velocity")
-    smooth = 0.5 * build.number(command, "max_accel")
-    cases.append(
-        (
-            "half velocity and acceleration",
-            _with(settings, "command_source", max_velocity=slow, max_accel=smooth),
-            seed,
-        )
-    )
+    slower = {name: 0.5 * build.number(command, name) for name in ("max_velocity", "max_accel")}
+    slower["cycle"] = 2.0 * build.number(command, "cycle")  # the strokes take longer
+    cases.append(("half velocity and acceleration", _with(settings, "command_source", **slower), seed))
     cases.append(
         (
             "sine 2 Hz, 1 V",

@@ -25,9 +25,11 @@ LEAST_COHERENCE = 0.5
 RESOLUTION = 3.0  # standard deviations below which a response cannot be told from noise
 CERTAIN = 1e-6  # relative uncertainty that no response falls below
 BAND_RATIO = 1.06  # upper over lower end of a band of frequencies that is averaged over
-BAND_BINS = 8  # at least, in it
+BAND_BINS = 12  # at least, in it
+DEGREE = 2  # of the polynomials in it
 DISTORTED = 0.02  # of the amplitude, harmonics that are told
-SILENT = 1e-4  # of the largest amplitude, below which a voltage does not move
+APART = 0.1  # of a voltage's spectrum in a band, what must not look like a transient
+SILENT = 1e-3  # of the largest amplitude, below which a voltage does not move
 
 
 class Segment(NamedTuple):
@@ -46,7 +48,7 @@ class Response(NamedTuple):
     deviation: Floats  # V/V, standard deviation of real and imaginary part each
     coherence: Floats  # share of the reading's motion that is linear in the voltage
     period: float  # s
-    method: str  # stepped sine or H1
+    method: str  # stepped sine or local polynomials
     notes: tuple[str, ...]  # frequencies left out, and why
 
 
@@ -149,15 +151,17 @@ def _phasor(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> tuple
 
 
 def spectral(voltage: Floats, position: Floats, period: float, lowest: float, highest: float) -> Response:
-    """H1 estimate from ``lowest`` to ``highest`` [Hz], for a sweep or any other motion.
+    """Response from ``lowest`` to ``highest`` [Hz] by local polynomials [1], for a sweep or any other motion.
 
-    Cross and auto spectra of the whole record are averaged over neighbouring frequencies, not over pieces of
-    the record as scipy.signal.csd and welch do: a sweep passes a frequency in one piece alone, and what its
-    window cuts off costs a per cent. Increments are taken, so that a record from rest to rest begins and ends
-    with nothing and leaks nothing. Coherence gives the uncertainty [1]. Raises ParameterError if too little
-    is left.
+    Over a finite record the reading's spectrum is response·(voltage's spectrum) + transient, where the
+    transient comes of what the record does not show, before its beginning and after its end. Response and
+    transient are smooth, the voltage's spectrum is not: in each band of frequencies both are polynomials of
+    second degree, fitted by least squares, and the response counts at the band's middle. So a record may
+    begin and end in motion, and averaging over a band bends nothing. scipy.signal.csd and welch would cut a
+    sweep into pieces, of which one alone holds a frequency. Residuals give the uncertainty. Raises
+    ParameterError if too little is left.
 
-    [1] J. S. Bendat, A. G. Piersol, Random Data, table 9.6.
+    [1] R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 7.
     """
     if highest >= 0.5 / period:
         raise ParameterError(
@@ -170,11 +174,10 @@ def spectral(voltage: Floats, position: Floats, period: float, lowest: float, hi
             f"{lowest:g} Hz makes {lowest * length:.2g} cycles in {length:.3g} s; it needs {LEAST_CYCLES} "
             "(--band, or a longer test)"
         )
-    n = scipy.fft.next_fast_len(len(voltage), real=True)
-    frequency = np.fft.rfftfreq(n, period)
-    u, y = (np.fft.rfft(np.diff(signal), n) for signal in (voltage, position))
-    strength = np.abs(u) / np.maximum(frequency, frequency[1])
-    strongest = float(np.max(strength))
+    # Increments: a mean that is not 0 stays out. No padding: it would turn the transient's phase.
+    u, y = (np.asarray(scipy.fft.rfft(np.diff(signal)), dtype=np.complex128) for signal in (voltage, position))
+    frequency = np.fft.rfftfreq(len(voltage) - 1, period)
+    strongest = float(np.max(np.abs(u[1:]) / frequency[1:]))
     points = []
     silent = lost = 0
     first = int(np.searchsorted(frequency, lowest))
@@ -184,28 +187,49 @@ def spectral(voltage: Floats, position: Floats, period: float, lowest: float, hi
         first = end
         if end > len(frequency) or frequency[end - 1] > highest:
             break
-        power = np.abs(u[band]) ** 2
-        total = float(np.sum(power))
-        if np.max(strength[band]) <= SILENT * strongest:
+        moved = _without_smooth(u[band])
+        power = np.abs(moved) ** 2
+        told_apart = np.sum(power) > APART**2 * np.sum(np.abs(u[band]) ** 2)
+        if not told_apart or np.max(np.abs(moved) / frequency[band]) <= SILENT * strongest:
             silent += 1
             continue
-        cross, answer = complex(np.sum(np.conj(u[band]) * y[band])), float(np.sum(np.abs(y[band]) ** 2))
-        coherence = min(1.0, abs(cross) ** 2 / (total * max(answer, 1e-300)))
-        # Bins in which the voltage does not move add nothing.
-        count = max(1.0, total**2 / float(np.sum(power**2)) * len(voltage) / n)
-        if coherence < LEAST_COHERENCE:
+        middle = float(np.sum(power * frequency[band]) / np.sum(power))
+        lines = float(np.sum(power)) ** 2 / float(np.sum(power**2))
+        degree = DEGREE if lines >= 2 * (DEGREE + 1) else 0
+        value, deviation, coherence = _local(u[band], y[band], frequency[band] - middle, degree)
+        if coherence < LEAST_COHERENCE or abs(value) < RESOLUTION * deviation:
             lost += 1
             continue
-        value = cross / total
-        deviation = abs(value) * math.sqrt((1.0 - coherence) / (2.0 * coherence * count))
-        middle = float(np.sum(power * frequency[band]) / total)
         points.append((middle, value, max(deviation, CERTAIN * abs(value)), coherence))
     notes = []
     if silent:
         notes.append(f"{silent} bands of frequency are left out: the voltage does not move there")
     if lost:
-        notes.append(f"{lost} bands of frequency are left out: their coherence is below {LEAST_COHERENCE:g}")
-    return _response(points, period, "H1", notes)
+        notes.append(f"{lost} bands of frequency are left out: the position there is lost in noise")
+    return _response(points, period, "local polynomials", notes)
+
+
+def _without_smooth(spectrum: Complexes) -> Complexes:
+    """What of a band of a spectrum no transient looks like."""
+    smooth, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, len(spectrum)), DEGREE + 1))
+    rest: Complexes = spectrum - smooth @ (smooth.T @ spectrum)
+    return rest
+
+
+def _local(u: Complexes, y: Complexes, offset: Floats, degree: int) -> tuple[complex, float, float]:
+    """Response at ``offset`` [Hz] 0 of a band, its standard deviation (as in ``Response``) and coherence.
+
+    ``degree``: of the response's polynomial, 0 where the voltage moves at a few frequencies alone.
+    """
+    smooth = np.vander(offset / np.max(np.abs(offset)), DEGREE + 1, increasing=True)
+    columns = np.hstack([u[:, None] * smooth[:, : degree + 1], float(np.max(np.abs(u))) * smooth])
+    inverse = np.linalg.pinv(columns, rcond=1e-10)
+    found = inverse @ y
+    free = len(u) - columns.shape[1]
+    noise = float(np.sum(np.abs(y - columns @ found) ** 2)) / free
+    deviation = math.sqrt(0.5 * noise * float(np.sum(np.abs(inverse[0]) ** 2)))
+    motion = float(np.sum(np.abs(_without_smooth(y)) ** 2)) / (len(u) - DEGREE - 1)
+    return complex(found[0]), deviation, min(1.0, max(0.0, 1.0 - noise / max(motion, 1e-300)))
 
 
 def _response(
