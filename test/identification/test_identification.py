@@ -83,7 +83,10 @@ def test_a_record_may_begin_and_end_in_motion():
     t = np.arange(45_000) * 0.001
     sweep = 2.0 * np.sin(2.0 * np.pi * 0.5 * 11.0 * np.expm1(t / 11.0))
     done = experiment.simulated(
-        defaults(CONTROLLER), defaults(VALVE), experiment.test_values({}, 0.001) | {"scenario": "array"}, sweep
+        defaults(CONTROLLER),
+        defaults(VALVE),
+        experiment.test_values({}, 0.001) | {"scenario": "array"},
+        sweep,
     )
     cut = done._replace(voltage=done.voltage[2345:-4321], position=done.position[2345:-4321])
     measured = experiment.estimate(cut, 0.4, None)

@@ -175,7 +175,9 @@ def spectral(voltage: Floats, position: Floats, period: float, lowest: float, hi
             "(--band, or a longer test)"
         )
     # Increments: a mean that is not 0 stays out. No padding: it would turn the transient's phase.
-    u, y = (np.asarray(scipy.fft.rfft(np.diff(signal)), dtype=np.complex128) for signal in (voltage, position))
+    u, y = (
+        np.asarray(scipy.fft.rfft(np.diff(signal)), dtype=np.complex128) for signal in (voltage, position)
+    )
     frequency = np.fft.rfftfreq(len(voltage) - 1, period)
     strongest = float(np.max(np.abs(u[1:]) / frequency[1:]))
     points = []
