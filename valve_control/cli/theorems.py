@@ -8,11 +8,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from valve_control import outputs
 from valve_control.cli.common import check_outputs, say, write_json
 from valve_control.parameters.table import ParameterError
 
 if TYPE_CHECKING:
     from valve_control.theorems.bench import Progress
+
+ERRATA_FIGURES = ("theorems", "sample_period")
 
 
 def add_commands(commands: Any) -> None:
@@ -59,7 +62,6 @@ def _progress(title: str) -> Iterator["Progress"]:
 def _theorems(arguments: argparse.Namespace) -> None:
     from valve_control.theorems import adaptive, figures, robust, sampling, tables
 
-    check_outputs([arguments.json], [arguments.figure])
     for name in ("valves", "adaptive_valves", "processes"):
         if getattr(arguments, name) < 1:
             raise ParameterError(f"--{name.replace('_', '-')} must be at least 1")
@@ -68,6 +70,11 @@ def _theorems(arguments: argparse.Namespace) -> None:
     folder = None if arguments.errata_figures is None else Path(arguments.errata_figures)
     if folder is not None and not folder.is_dir():
         raise ParameterError(f"--errata-figures {folder}: there is no such folder")
+    drawn: dict[str, list[Path]] = {}
+    if folder is not None:
+        drawn = {name: [folder / f"{name}.{kind}" for kind in ("png", "svg")] for name in ERRATA_FIGURES}
+    check_outputs([arguments.json], [arguments.figure, *(str(p) for paths in drawn.values() for p in paths)])
+    outputs.check_figure(arguments.figure)
     seed, jobs = arguments.seed, arguments.processes
     with _progress("bound on V2") as progress:
         bound = robust.study(arguments.valves, seed, jobs=jobs, progress=progress)
@@ -80,13 +87,13 @@ def _theorems(arguments: argparse.Namespace) -> None:
             limits = sampling.sample_period_limit(jobs=jobs, progress=progress)
         result["sample_period"] = tables.sampling_data(limits)
         lines += ["", *tables.sampling_lines(limits)]
-        figures.draw_theorems([folder / f"theorems.{kind}" for kind in ("png", "svg")], bound, error)
-        figures.draw_sample_period([folder / f"sample_period.{kind}" for kind in ("png", "svg")], limits)
     if arguments.json != "-":
         print("\n".join(lines))
+    write_json(arguments, result)
     if arguments.figure is not None:
         figures.draw_theorems([Path(arguments.figure)], bound, error)
         say(arguments, f"wrote {arguments.figure}")
     if folder is not None:
+        figures.draw_theorems(drawn["theorems"], bound, error)
+        figures.draw_sample_period(drawn["sample_period"], limits)
         say(arguments, f"wrote theorems and sample_period as PNG and SVG to {folder}")
-    write_json(arguments, result)

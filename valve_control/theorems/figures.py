@@ -1,11 +1,13 @@
 """Figures of the studies, as PNG or SVG by the ending of the file."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from valve_control import outputs
 from valve_control.analysis.figures import COLOURS
 from valve_control.theorems import adaptive, robust, sampling
 from valve_control.theorems.tables import percent
@@ -30,8 +32,10 @@ def _save(figure: Any, paths: Sequence[Path]) -> None:
 
     try:
         for path in paths:
-            metadata = {"Date": None} if path.suffix == ".svg" else None
-            figure.savefig(path, dpi=100, metadata=metadata)
+            kind = path.suffix[1:].lower()
+            stream = io.BytesIO()
+            figure.savefig(stream, format=kind, dpi=100, metadata={"Date": None} if kind == "svg" else None)
+            outputs.write(str(path), stream.getvalue())
     finally:
         plt.close(figure)
 
