@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from valve_control.identification import bode, experiment, rational, response, theta
+from valve_control.identification import WEIGHTINGS, bode, experiment, rational, response, theta
 from valve_control.identification.response import Response, Segment
 from valve_control.parameters.table import CONTROLLER, VALVE, ParameterError, defaults, updated
 from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
@@ -114,7 +114,7 @@ def test_second_order_fit_of_3_lands_on_2():
     assert fit.model_error > 0.05
 
 
-@pytest.mark.parametrize("weighting", rational.WEIGHTINGS)
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
 @pytest.mark.parametrize("order", [2, 3])
 def test_every_weighting_returns_an_exact_model(weighting, order):
     model = SECOND_ORDER if order == 2 else TransferFunction((4e4, 3e6), (1.0, 120.0, 9000.0, 4e5))
@@ -159,9 +159,64 @@ def test_fits_of_anything_are_stable_or_refused(seed):
         assert np.all(np.roots(fit.model.denominator).real < 0.0)
 
 
-def test_unstable_valve_has_no_fit():
+def test_unstable_poles_have_no_fit():
     with pytest.raises(ParameterError, match="order 2 is unstable"):
         rational.fit(made(TransferFunction((1500.0,), (1.0, -20.0, 1600.0)), deviation=1e-6), 2)
+
+
+@pytest.mark.parametrize(
+    ("valve", "words"),
+    [
+        (
+            {"valve": "custom", "numerator": [1.0], "denominator": [1.0, -5.0, 100.0]},
+            "unstable .a pole at 2.5.*j rad/s",
+        ),
+        ({"valve": "custom", "numerator": [1.0], "denominator": [1.0, 0.0, 100.0]}, "unstable"),
+        ({"flow_force": -1.3}, "unstable"),
+        ({"drift.stiffness": -0.2}, "runs away"),
+    ],
+)
+def test_unstable_valve_is_not_tested(valve, words):
+    with pytest.raises(ParameterError, match=words):
+        measure(valve=valve)
+
+
+def test_recorded_unstable_valve_has_no_model():
+    """The valve of the first case above, as a bag would show it: the position runs away from its start."""
+    t = np.arange(20_000) * 0.001
+    voltage = np.sin(2.0 * np.pi * 0.5 * 8.0 * np.expm1(t / 8.0))
+    a, b = bode._companion(TransferFunction((1.0,), (1.0, -5.0, 100.0)))[:2]
+    state, position = np.zeros(2), []
+    for u in voltage:
+        position.append(state[0])
+        state = state + 0.001 * (a @ state + b * u)
+    unstable = experiment.Experiment("", 0.001, voltage, np.array(position), (), 10.0, ())
+    with pytest.raises(ParameterError, match="order 2 is unstable"):
+        rational.check_worth(rational.fit(experiment.estimate(unstable, 0.4, None), 2))
+
+
+def test_fit_that_says_nothing_is_refused():
+    fit = rational.fit(made(), 2)
+    rational.check_worth(fit)
+    with pytest.raises(ParameterError, match="order 2 misses the response by 60 %"):
+        rational.check_worth(fit._replace(error=0.6))
+    with pytest.raises(ParameterError, match="leaves the static gain open"):
+        rational.check_worth(fit._replace(gain_bound=0.6))
+
+
+def test_frequencies_must_span_a_range():
+    with pytest.raises(ParameterError, match="over 5:1"):
+        measure(frequency=5.0, end_frequency=20.0)
+    for noise in (0.0, 0.005):
+        with pytest.raises(ParameterError, match="over 5:1"):
+            measure(noise, scenario="sine", frequency=6.0)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+@pytest.mark.parametrize("presliding", [0.0, 0.01])
+def test_stuck_spool_is_told(noise, presliding):
+    with pytest.raises(ParameterError, match="hardly moves"):
+        measure(noise, valve={"friction.coulomb": 10.0, "friction.presliding": presliding})
 
 
 def test_order_needs_frequencies():

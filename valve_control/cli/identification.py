@@ -8,6 +8,7 @@ from valve_control.bags.errors import BagError
 from valve_control.cli import compensator
 from valve_control.cli.common import check_outputs, say
 from valve_control.cli.simulate import SCENARIOS, setup_options
+from valve_control.identification import WEIGHTINGS
 from valve_control.parameters.table import NODES, ParameterError, Values, defaults, updated
 
 if TYPE_CHECKING:
@@ -16,9 +17,7 @@ if TYPE_CHECKING:
     from valve_control.identification.response import Response
     from valve_control.identification.result import Identification
 
-WEIGHTINGS = ("likelihood", "relative", "uniform")
 SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
-VAGUE = 0.5  # of the static gain, a bound beyond which a fit says nothing
 BAG_ONLY = ("map", "of", "start", "end")
 
 
@@ -90,8 +89,8 @@ def _identify(arguments: argparse.Namespace) -> int:
 
     check_outputs([arguments.json], [arguments.output, arguments.csv, arguments.figure])
     files.check_figure(arguments.figure)
-    if not arguments.settle >= 0.0:
-        raise ParameterError(f"--settle is {arguments.settle:g}; it must not be negative")
+    if not 0.0 <= arguments.settle < float("inf"):
+        raise ParameterError(f"--settle is {arguments.settle:g} s; it must be finite and not negative")
     band = None
     if arguments.band is not None:
         low, high = arguments.band
@@ -175,6 +174,7 @@ def _found(arguments: argparse.Namespace, tested: "Experiment", measured: "Respo
     options = {"delayed": arguments.delay, "weighting": arguments.weighting}
     notes = [*tested.notes, *measured.notes]
     second = rational.fit(measured, 2, **options)
+    rational.check_worth(second)
     fits: list[Fit] = [second]
     if arguments.order is not None:
         order, zeros = arguments.order, arguments.zeros
@@ -184,7 +184,9 @@ def _found(arguments: argparse.Namespace, tested: "Experiment", measured: "Respo
                 f"--zeros is {zeros}; a valve of order {order} has at most {limit}, two fewer than poles"
             )
         if order > 2:
-            fits.append(rational.fit(measured, order, zeros, **options))
+            higher = rational.fit(measured, order, zeros, **options)
+            rational.check_worth(higher)
+            fits.append(higher)
     elif arguments.zeros is not None:
         raise ParameterError("--zeros needs --order")
     elif second.model_error == 0.0:
@@ -192,11 +194,7 @@ def _found(arguments: argparse.Namespace, tested: "Experiment", measured: "Respo
     else:
         try:
             fourth = rational.fit(measured, 4, **options)
-            if fourth.gain_bound > VAGUE * abs(fourth.model.static_gain):
-                raise ParameterError(
-                    f"order 4 leaves the static gain open, {fourth.model.static_gain:.3g} ± "
-                    f"{fourth.gain_bound:.2g} V/V"
-                )
+            rational.check_worth(fourth)
             fits.append(fourth)
         except ParameterError as error:
             notes.append(f"the second order stands alone: {error}")

@@ -23,6 +23,9 @@ LOOSE = 0.5  # of a sine's amplitude that jitter of a wall clock may leave
 MARGIN = 0.01  # s by which a schedule may be late
 FEEDBACK = ("arc", "oarc", "pid")
 LONGEST = 50_000_000  # samples
+STUCK = 0.005  # V/V, a response that no moving spool stays below
+SPAN = 5.0  # highest over lowest frequency that a model needs at least
+DIVERGED = 1e3  # times u_max, beyond which a position has run away
 
 
 class Experiment(NamedTuple):
@@ -47,6 +50,7 @@ def simulated(controller: Values, valve: Values, command: Values, motion: Floats
         controller,
         {"controller": "open_loop", "open_loop.static_gain": 1.0, "command_limit": 100.0},
     )
+    _check_stable(valve)
     period = build.number(valve, "sample_period")
     segments: tuple[Segment, ...] = ()
     if motion is None:
@@ -74,11 +78,30 @@ def simulated(controller: Values, valve: Values, command: Values, motion: Floats
             f"the test reaches {largest:g} V and would saturate at u_max, {u_max:g} V; "
             "choose a smaller amplitude"
         )
-    run = offline.simulate(open_loop, valve, motion)
+    with np.errstate(over="ignore", invalid="ignore"):
+        run = offline.simulate(open_loop, valve, motion)
+    if not np.all(np.abs(run.measurement) <= DIVERGED * u_max):
+        raise ParameterError(
+            "the position runs away, so the valve has no frequency response without feedback"
+        )
     source = f"{command['scenario']}, up to {largest:.3g} V, {len(motion) * period:.4g} s"
     return Experiment(
         f"simulated valve ({source})", period, run.voltage, run.measurement, segments, u_max, ()
     )
+
+
+def _check_stable(values: Values) -> None:
+    """Raise ParameterError for a valve that cannot be tested without feedback."""
+    model = build.valve_model(values)
+    # Flow force feeds the position back to the input.
+    feedback = build.number(values, "flow_force")
+    poles = np.roots(np.polyadd(model.denominator, feedback * np.asarray(model.numerator)))
+    worst = poles[np.argmax(poles.real)]
+    if worst.real >= -1e-9 * abs(worst):
+        raise ParameterError(
+            f"the valve is unstable (a pole at {worst:.3g} rad/s), so it has no frequency response without "
+            "feedback"
+        )
 
 
 def test_values(given: dict[str, object], period: float) -> Values:
@@ -86,9 +109,12 @@ def test_values(given: dict[str, object], period: float) -> Values:
     base: dict[str, object] = {**DEFAULTS, "end_frequency": min(100.0, ROOM / period)}
     values = {p.name: p.default for p in COMMAND}
     values = updated(COMMAND, values, {**base, "duration": 1e6, **given})
-    if "duration" in given:
-        return values
     start = build.number(values, "start")
+    if "duration" in given:
+        needed, duration = start + build.number(values, "sweep_time"), build.number(values, "duration")
+        if values["scenario"] == "sweep" and duration < needed:
+            raise ParameterError(f"duration is {duration:g} s; the sweep takes {needed:.4g} s (sweep_time)")
+        return values
     if values["scenario"] == "stepped_sine":
         length = scenarios.steps_of(build.shape(values))[-1].end
     elif values["scenario"] == "sweep":
@@ -198,6 +224,23 @@ def _scheduled(source: Node | None, voltage: Floats, time: Floats, period: float
 
 def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | None) -> Response:
     """Response of the valve in an experiment; ``band`` [Hz] limits it. Raises ParameterError."""
+    measured = _estimate(experiment, settle, band)
+    largest = float(np.max(np.abs(measured.value)))
+    if largest < STUCK:
+        raise ParameterError(
+            f"the spool hardly moves, by at most {largest:.2g} V per volt; is the amplitude too small for "
+            "its friction?"
+        )
+    lowest, highest = float(measured.frequency[0]), float(measured.frequency[-1])
+    if highest < SPAN * lowest:
+        raise ParameterError(
+            f"the response is known from {lowest:.4g} to {highest:.4g} Hz alone; a model needs them over "
+            f"{SPAN:g}:1 at least"
+        )
+    return measured
+
+
+def _estimate(experiment: Experiment, settle: float, band: tuple[float, float] | None) -> Response:
     held = _held(experiment.voltage)
     response.check_saturation(held[np.isfinite(held)], experiment.u_max)
     if not np.any(np.abs(held - held[0]) > STILL):

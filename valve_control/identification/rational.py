@@ -27,9 +27,10 @@ from valve_control.plant.models import TransferFunction
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
-WEIGHTINGS = ("likelihood", "relative", "uniform")
 CONFIDENCE = 0.95
-VAGUE = 0.1  # relative uncertainty from which on a frequency tells nothing of a corner
+VAGUE = 0.5  # of the static gain, a bound beyond which a fit says nothing
+MISSED = 0.5  # of the response, rms, likewise
+UNSURE = 0.1  # relative uncertainty from which on a frequency tells nothing of a corner
 UNSTABLE = 3.0  # times the error of unstable poles that stable ones may have
 ROUNDS = 30  # of the start's iteration
 LEAST_DAMPING = 1e-3
@@ -165,12 +166,27 @@ def fit(
     )
 
 
+def check_worth(made: Fit) -> None:
+    """Raise ParameterError for a fit that says nothing of the valve."""
+    gain = made.model.static_gain
+    if not made.error <= MISSED:
+        raise ParameterError(
+            f"order {made.order} misses the response by {100.0 * made.error:.2g} % rms and says nothing of "
+            "the valve (--order, --delay, --band or a better test)"
+        )
+    if not made.gain_bound <= VAGUE * abs(gain):
+        raise ParameterError(
+            f"order {made.order} leaves the static gain open, {gain:.3g} ± {made.gain_bound:.2g} V/V; "
+            "test at lower frequencies, longer, or with a larger amplitude"
+        )
+
+
 def measured_corners(measured: Response, static_gain: float) -> Corners:
     """-3 dB below ``static_gain`` [V/V] and -90° of the response itself, read between its frequencies.
 
     The hold's half sample is taken off, so that they compare with those of a continuous model.
     """
-    sure = measured.deviation < VAGUE * np.abs(measured.value)
+    sure = measured.deviation < UNSURE * np.abs(measured.value)
     if np.count_nonzero(sure) < 2:
         return Corners(None, None)
     frequencies = measured.frequency[sure]

@@ -178,7 +178,7 @@ def spectral(voltage: Floats, position: Floats, period: float, lowest: float, hi
     u, y = (
         np.asarray(scipy.fft.rfft(np.diff(signal)), dtype=np.complex128) for signal in (voltage, position)
     )
-    frequency = np.fft.rfftfreq(len(voltage) - 1, period)
+    frequency: Floats = np.fft.rfftfreq(len(voltage) - 1, period).astype(np.float64)
     strongest = float(np.max(np.abs(u[1:]) / frequency[1:]))
     points = []
     silent = lost = 0
