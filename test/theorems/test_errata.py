@@ -8,12 +8,16 @@ import math
 
 import numpy as np
 import pytest
+import scipy.linalg
 import sympy as sp
 
-from valve_control.laws import pid, projection
+from valve_control.laws import oarc, pid, projection, reshaping, velocity
 from valve_control.laws.projection import Theta
-from valve_control.parameters import design
+from valve_control.laws.signals import Start
+from valve_control.parameters import build, design, stability
+from valve_control.parameters.table import CONTROLLER, defaults, updated
 from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER
+from valve_control.theorems import bench
 
 TH = sp.symbols("theta1:5")
 TE = sp.symbols("thetahat1:5")
@@ -40,15 +44,59 @@ def test_4_has_theta2():
 
 
 def test_10_brings_the_rate_to_its_limit():
-    rate, limit, period = sp.symbols("rate limit period")
-    assert is_zero(rate + (limit - rate) / period * period - limit)  # (9)
+    """Where (9) would exceed the limit of the rate: just to it, with less acceleration than step 2 left."""
+    rng = np.random.default_rng(4)
+    p = reshaping.Params(314.0, 0.8, 250.0, 12000.0, 1e-3)
+    brought = set()
+    for _ in range(300):
+        s = reshaping.State(*rng.uniform([-10.0, -p.max_rate], [10.0, p.max_rate]))
+        command = rng.uniform(-10.0, 10.0)
+        wn = p.natural_frequency
+        eight = -2.0 * p.damping * wn * s.rate - wn * wn * (s.reference - command)
+        step_2 = min(max(eight, -p.max_accel), p.max_accel)
+        accel = reshaping.acceleration(p, s, command)
+        if abs(s.rate + step_2 * p.period) <= p.max_rate:
+            assert accel == pytest.approx(step_2)
+            continue
+        limit = math.copysign(p.max_rate, step_2)
+        assert reshaping.advance(p, s, accel).rate == pytest.approx(limit, rel=1e-12)
+        assert 0.0 <= accel / step_2 < 1.0
+        brought.add(limit)
+    assert brought == {-p.max_rate, p.max_rate}
 
 
 def test_6_and_7_forget_the_spring():
-    """On (2) the voltage left for motion at x = 5 V is 4.5 V, not 10 V."""
-    _, _, a0 = SECOND_ORDER.denominator
-    assert 10.0 - a0 / SECOND_ORDER.numerator[0] * 5.0 == pytest.approx(4.48, abs=0.01)
-    assert SECOND_ORDER.numerator[0] * 10.0 / SECOND_ORDER.denominator[1] == pytest.approx(255.6, abs=0.1)
+    """On (2) the voltage left for motion at x = 5 V is 4.5 V, not 10 V; with 10 V nothing reaches (7)."""
+    (b0,), (_, a1, a0) = SECOND_ORDER.numerator, SECOND_ORDER.denominator
+    u_max = 10.0
+    limits = reshaping.Params(314.0, 0.8, b0 * u_max / a1, b0 * u_max, 1e-4)  # (7), (6)
+    assert limits.max_rate == pytest.approx(255.6, abs=0.1)
+    base = build.pid_params(updated(CONTROLLER, defaults(CONTROLLER), {"pid.form": "reference"}))
+    p = base._replace(a1=a1, a0=a0, b0=b0, u_max=u_max, reshaping=limits)
+    rest = pid.initial(p, Start(5.0, 0.0, 5.0, 0.0, 0.0))._replace(integral=0.0)
+    _, _, holding = pid.step(p, rest, 5.0, 5.0, 0.0)
+    _, _, moving = pid.step(p, rest, 10.0, 5.0, 0.0)
+    assert moving.reference_accel == limits.max_accel
+    assert u_max - holding.unsaturated_voltage == pytest.approx(4.48, abs=0.01)
+    assert moving.unsaturated_voltage == pytest.approx(15.52, abs=0.01)
+
+    valve = bench.plant(Theta(a1, a0, b0, 0.0), limits.period)
+    x1, x2 = 5.0, 0.0
+    x1, x2 = (
+        valve.m11 * x1 + valve.m12 * x2 + valve.g1 * b0 * u_max,
+        valve.m21 * x1 + valve.m22 * x2 + valve.g2 * b0 * u_max,
+    )
+    assert x2 / limits.period == pytest.approx(4.48 * b0, rel=0.01)
+    x1 = x2 = fastest = 0.0
+    for _ in range(3000):
+        x1, x2 = (
+            valve.m11 * x1 + valve.m12 * x2 + valve.g1 * b0 * u_max,
+            valve.m21 * x1 + valve.m22 * x2 + valve.g2 * b0 * u_max,
+        )
+        fastest = max(fastest, x2)
+    assert 0.0 < fastest < 0.7 * limits.max_rate
+    printed = build.oarc_params(defaults(CONTROLLER)).theta_initial
+    assert printed.b0 * u_max / printed.a1 == pytest.approx(600.0)
 
 
 def test_12_is_not_made_for_2():
@@ -217,17 +265,67 @@ def test_49_lacks_ks2_z2_squared_and_the_slope_in_phi2(weight):
     assert not is_zero(v2_dot - form(printed, 1))
 
 
-def test_the_literal_weight_is_a_191_hz_loop():
-    """ρ = 1: u = -θ̂3·z1 on ẍ = θ3·u; damping from ks1 + ks2."""
-    s = sp.symbols("s")
-    b0, ks = 1200.0, 120.0
-    # ż1 = θ3·z2 - ks1·z1, ż2 = -θ3·z1 - ks2·z2 with true estimates
-    poles = np.roots([float(c) for c in sp.Poly((s + ks) * (s + ks) + b0 * b0, s).all_coeffs()])
-    frequency, damping = abs(poles[0]) / (2.0 * math.pi), -poles[0].real / abs(poles[0])
-    assert frequency == pytest.approx(191.9, abs=0.1)
-    assert damping == pytest.approx(0.0995, abs=1e-3)
-    scaled = np.roots([1.0, 2.0 * ks, ks * ks + b0 * b0 / 1.44e6])
-    assert abs(scaled[0]) / (2.0 * math.pi) == pytest.approx(19.1, abs=0.1)
+def poles(law, p, truth, moving):
+    """Poles [1/s] of the law's own step at a short ΔT, with the true velocity, on the valve ``truth``.
+
+    The step is linear in the entries ``moving`` of its state, so that differences of single steps are exact.
+    """
+    valve = bench.plant(truth, p.period)
+    rest = law.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
+
+    def advance(numbers):
+        x1, x2, *state = numbers.tolist()
+        s = stability.unflatten(rest, state)
+        if "velocity" in s._fields:
+            s = s._replace(velocity=velocity.State(x1, x2))
+        voltage, after, _ = law.step(p, s, 0.0, x1, 0.0)
+        force = truth.b0 * voltage
+        x1, x2 = (
+            valve.m11 * x1 + valve.m12 * x2 + valve.g1 * force,
+            valve.m21 * x1 + valve.m22 * x2 + valve.g2 * force,
+        )
+        return np.array([x1, x2, *stability.flatten(after)])
+
+    names = ["x1", "x2", *(n for n, field in rest._asdict().items() for _ in stability.flatten(field))]
+    entries = [i for i, name in enumerate(names) if name in ("x1", "x2", *moving)]
+    start = np.array([0.0, 0.0, *stability.flatten(rest)])
+    columns = [advance(start + np.eye(len(start))[i]) - advance(start) for i in entries]
+    return np.log(np.linalg.eigvals(np.array(columns).T[entries].astype(complex))) / p.period
+
+
+def oarc_poles(weight, theta3_min):
+    """Poles [1/s] of OARC with the paper's gains and the true θ, frozen; those of the K-filters too."""
+    p = build.oarc_params(updated(CONTROLLER, defaults(CONTROLLER), {"oarc.z2_weight": weight}))
+    period = 1e-7
+    k1, k2 = p.k1, p.k2
+    a0 = scipy.linalg.expm(np.array([[-k1, 1.0, 0.0], [-k2, 0.0, 1.0], [0.0, 0.0, 0.0]]) * period)
+    p = p._replace(
+        period=period,
+        u_max=1e12,
+        gamma=Theta(0.0, 0.0, 0.0, 0.0),
+        theta_min=p.theta_min._replace(b0=theta3_min),
+        filter=oarc.Filter(*a0[0, :2], *a0[1, :2], *a0[:2, 2]),
+    )
+    return poles(oarc, p, p.theta_initial, ("eta", "v0"))
+
+
+@pytest.mark.parametrize(
+    ("theta3_min", "frequency", "damping"), [(1200.0, 191.9, 0.0995), (900.0, 192.3, 0.1159)]
+)
+def test_the_literal_weight_is_a_191_hz_loop(theta3_min, frequency, damping):
+    """ρ = 1, θ3 = 1200: the poles of ż1 = θ3·z2 - (θ3/θ3min)·ks1·z1, ż2 = -θ3·z1 - ks2·z2."""
+    fastest = max(oarc_poles(1.0, theta3_min), key=abs)
+    assert abs(fastest) / (2.0 * math.pi) == pytest.approx(frequency, abs=0.1)
+    assert -fastest.real / abs(fastest) == pytest.approx(damping, abs=1e-3)
+
+
+def test_the_default_weight_leaves_the_decay_of_both_errors():
+    """ρ = θ3²: z1 and z2 decay with (θ3/θ3min)·ks1 and ks2; the other poles are the K-filters'."""
+    got = oarc_poles(1.44e6, 900.0)
+    slow = np.sort(got[np.abs(got.imag) < 10.0].real)
+    assert slow == pytest.approx([-160.0, -120.0], abs=0.1)
+    others = got[np.abs(got.imag) > 10.0]
+    assert np.abs(others) == pytest.approx([220.0] * 4, rel=1e-3)
 
 
 def test_no_break_frequency_gives_the_printed_gains():
@@ -240,7 +338,21 @@ def test_no_break_frequency_gives_the_printed_gains():
     assert round(ki_for_kp, 3) != 70.901
 
 
+def pid_poles(form, kp, ki, kd):
+    """Poles [1/s] of (56) with these gains on the valve of its own model terms."""
+    p = build.pid_params(updated(CONTROLLER, defaults(CONTROLLER), {"pid.form": form}))
+    p = p._replace(kp=kp, ki=ki, kd=kd, period=1e-6, u_max=1e12, velocity=bench.KEEPS_VELOCITY)
+    return poles(pid, p, Theta(p.a1, p.a0, p.b0, 0.0), ("integral",))
+
+
 def test_poles_of_54_with_the_printed_gains_are_not_at_7_hz():
-    kp, ki, kd = 3.837, 70.901, 0.093
-    poles = np.roots([1.0, kd * 1200.0, kp * 1200.0, ki * 1200.0])
-    assert np.sort(np.abs(poles)) / (2.0 * math.pi) == pytest.approx([6.15, 6.15, 9.07], abs=0.01)
+    got = np.sort(np.abs(pid_poles("paper", 3.837, 70.901, 0.093))) / (2.0 * math.pi)
+    assert got == pytest.approx([6.15, 6.15, 9.07], abs=0.01)
+
+
+def test_poles_of_55_are_at_7_hz_with_model_terms_of_the_reference():
+    gains = pid.place_poles(7.0, 20.0, 1200.0, 1200.0)
+    w = 2.0 * math.pi * 7.0
+    expected = [1.0, 3.0 * w, 3.0 * w**2, w**3]
+    assert np.poly(pid_poles("reference", *gains)) == pytest.approx(expected, rel=1e-3)
+    assert np.max(np.abs(pid_poles("paper", *gains))) / (2.0 * math.pi) > 9.0
