@@ -141,6 +141,8 @@ def test_stepped_sine_in_a_bag_with_and_without_parameters(run, tmp_path):
         (["--figure", "bode.pdf"], ".png or .svg"),
         (["--output", "no/folder/valve.yaml"], "no folder"),
         (["--set", "lvdt.noise=x"], "lvdt.noise"),
+        (["--set", "controller=arc"], "takes no --set controller"),
+        (["--set", "arc.k1=3"], "takes no --set arc.k1"),
         (["--map", "spool_position=/x"], "takes no --map"),
         (["no_bag"], "no bag"),
     ],
@@ -165,7 +167,12 @@ def test_bad_input_of_identify_is_one_sentence(run, tmp_path, arguments, words):
         (["--amplitude", "-1"], "--amplitude"),
         (["--sample-period", "1"], "sample_period"),
         (["--from", "none.yaml"], "none.yaml cannot be read"),
+        (["--numerator", "1e-300", "--denominator", "1", "50", "1500"], "no valve's"),
         (["--paper", "--keep-zeros"], "takes no --keep-zeros"),
+        (["--paper", "--amplitude", "0"], "takes no --amplitude"),
+        (["--paper", "--u-max", "0"], "takes no --u-max"),
+        (["--paper", "--bandwidth", "0"], "takes no --bandwidth"),
+        (["--paper", "--order", "0"], "takes no --order"),
     ],
 )
 def test_bad_input_of_compensator_is_one_sentence(run, tmp_path, arguments, words):

@@ -52,6 +52,18 @@ def test_warnings():
     assert any("lies to the right" in warning for warning in cancellation.make(right, 10.0).warnings)
 
 
+def test_bandwidth_that_sampling_takes_away_is_told():
+    light = TransferFunction((1e7,), (1.0, 1e3, 1e7))
+    made = cancellation.make(light, 190.0)
+    assert np.isclose(made.compensated.minus_3db, 190.0, rtol=0.01)
+    assert any("sampled every 1 ms, -3 dB comes at 170.67 Hz, not" in warning for warning in made.warnings)
+    assert made.sampling.up_to == 190.0 and made.sampling.gain_error > 0.1
+    faster = cancellation.make(light, 190.0, period=0.0002)
+    assert not any("sampled" in warning for warning in faster.warnings)
+    kept = cancellation.make(FOURTH_ORDER, 25.0, cancel_zeros=False, order=5)
+    assert not any("sampled" in warning for warning in kept.warnings)
+
+
 def test_largest_step_just_does_not_saturate():
     made = cancellation.make(FOURTH_ORDER, 25.0)
     again = cancellation.make(FOURTH_ORDER, 25.0, amplitude=0.999 * made.largest_step)
@@ -66,6 +78,9 @@ def test_largest_step_just_does_not_saturate():
         (TransferFunction((0.0,), (1.0, 2.0)), "must not be 0"),
         (TransferFunction((1.0, 0.0), (1.0, 2.0, 3.0)), "zero at 0 rad/s"),
         (TransferFunction((float("inf"),), (1.0, 2.0)), "not finite"),
+        (TransferFunction((1e-300,), (1.0, 50.0, 1500.0)), "static gain is 6.67e-304"),
+        (TransferFunction((1.0,), (1e-300, 50.0, 1500.0)), "too different sizes"),
+        (TransferFunction((1e-300, 1500.0), (1.0, 50.0, 1500.0)), "too different sizes"),
     ],
 )
 def test_models_that_cannot_be_compensated(model, words):

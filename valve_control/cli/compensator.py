@@ -231,7 +231,8 @@ def _dict(made: "Compensator") -> dict[str, Any]:
 def _paper(arguments: argparse.Namespace) -> int:
     from valve_control.identification import cancellation
 
-    wrong = [name for name in (*DESIGNED, "bandwidth", "sample_period", "u_max") if getattr(arguments, name)]
+    designed = (*DESIGNED, "bandwidth", "sample_period", "u_max")
+    wrong = [name for name in designed if not any(getattr(arguments, name) is left for left in (None, False))]
     if wrong:
         option = {"source": "from"}.get(wrong[0], wrong[0]).replace("_", "-")
         raise ParameterError(f"compensator --paper takes no --{option}")

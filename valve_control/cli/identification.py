@@ -136,6 +136,10 @@ def _simulated(arguments: argparse.Namespace) -> "Experiment":
     }
     for options in direct.values():
         options["sample_period"] = arguments.sample_period
+    for text in arguments.set:
+        name, by_node = parameter_files.parse_setting(text)
+        if not {"valve_simulator", "command_source"} & set(by_node):
+            raise ParameterError(f"identify tests the valve without feedback, so it takes no --set {name}")
     given = parameter_files.given(arguments.params_file, direct, arguments.set)
     settings: dict[str, Values] = {
         node: updated(NODES[node], defaults(NODES[node]), given[node])

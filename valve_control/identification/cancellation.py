@@ -18,7 +18,9 @@ Floats = npt.NDArray[np.float64]
 LIGHT = 0.3  # damping below which a cancellation needs an exact model
 WRONG = 0.1  # by which the valve's frequency may be off, for that warning
 LOUD = 20.0  # times the static gain, amplification of the command's noise that is warned of
-FAITHFUL = 0.2  # of Nyquist's frequency, up to which the sampled compensator is compared
+FAITHFUL = 0.2  # of Nyquist's frequency, up to which the sampled compensator is compared at least
+NEAR = 0.05  # of the wanted bandwidth, by which -3 dB may miss it
+LEAST, MOST = 1e-6, 1e9  # rad/s of a valve's poles and zeros, and V/V of its gain
 RESPONSE_TIME = 2.0  # s of the step response
 # (12) was made from this model, not from (2).
 PAPER_SECOND_ORDER = TransferFunction((1455.97,), (1.0, 54.05, 1561.22))
@@ -94,7 +96,7 @@ def make(
             lambda f: bode.held_response(model, f, period) * bode.sections_response(sections, f, period),
             0.999 * nyquist,
         ),
-        sampling=sampling(transfer_function, sections, period),
+        sampling=sampling(transfer_function, sections, period, bandwidth),
         largest_gain=float(gain[loudest]),
         largest_at=float(grid[loudest]),
         largest_step=u_max / _peak(sections, period),
@@ -116,11 +118,24 @@ def check(model: TransferFunction) -> None:
         raise design.DesignError(
             f"the model has {zeros} zeros and {poles} poles; a valve has more poles than zeros"
         )
+    gain = abs(model.numerator[-1] / model.denominator[-1]) if model.denominator[-1] else math.inf
+    if model.numerator[-1] and model.denominator[-1] and not LEAST <= gain <= MOST:
+        raise design.DesignError(f"the model's static gain is {gain:.3g} V/V, which is no valve's")
+    for part in model:
+        trimmed = np.trim_zeros(np.asarray(part, dtype=np.float64), "f")
+        with np.errstate(over="ignore"):
+            monic = np.abs(trimmed / trimmed[0])
+        # No root is larger than this (Fujiwara).
+        largest = np.max(2.0 * monic[1:] ** (1.0 / np.arange(1.0, len(monic))), initial=0.0)
+        if largest > 2.0 * MOST:
+            raise design.DesignError("the model has coefficients of too different sizes for a valve")
 
 
-def sampling(transfer_function: TransferFunction, sections: compensator.Params, period: float) -> Sampling:
-    """Largest errors of the bilinear transform up to a fifth of Nyquist's frequency."""
-    up_to = FAITHFUL * 0.5 / period
+def sampling(
+    transfer_function: TransferFunction, sections: compensator.Params, period: float, bandwidth: float
+) -> Sampling:
+    """Largest errors of the bilinear transform up to the ``bandwidth`` [Hz], or farther."""
+    up_to = max(FAITHFUL * 0.5 / period, bandwidth)
     frequency = np.linspace(up_to / 500.0, up_to, 500)
     ratio = bode.sections_response(sections, frequency, period) / bode.response(transfer_function, frequency)
     return Sampling(
@@ -162,11 +177,18 @@ def _warnings(
             f"Hz ({made.largest_gain / static:.3g} times the static gain)"
         )
     got = made.compensated.minus_3db
-    if got is None or abs(got / made.bandwidth - 1.0) > 0.05:
+    if not _near(got, made.bandwidth):
         there = "nowhere" if got is None else f"at {got:.2f} Hz"
         told.append(
             f"-3 dB comes {there}, not at the wanted {made.bandwidth:g} Hz: "
             "the zeros that stay change the response"
+        )
+    sampled = made.sampled.minus_3db
+    if not _near(sampled, made.bandwidth) and not _near(sampled, got):
+        there = "nowhere" if sampled is None else f"at {sampled:.2f} Hz"
+        told.append(
+            f"sampled every {1e3 * made.period:g} ms, -3 dB comes {there}, not at the wanted "
+            f"{made.bandwidth:g} Hz: sample faster or want less"
         )
     if amplitude is not None:
         if static * amplitude >= u_max:
@@ -184,6 +206,10 @@ def _warnings(
                 f"a step by {amplitude:g} V saturates; the largest that does not is {made.largest_step:.3g} V"
             )
     return told
+
+
+def _near(frequency: float | None, wanted: float | None) -> bool:
+    return frequency is not None and wanted is not None and abs(frequency / wanted - 1.0) <= NEAR
 
 
 def mismatch(root: Root) -> float:
