@@ -17,8 +17,8 @@ from valve_control.simulation import closed_loop, offline, scenarios
 
 Array = npt.NDArray[np.float64]
 Table = Mapping[str, Indices]  # by controller; NaN where nothing was measured
-WITHIN = 0.045  # log ratio beyond which a number is punished by itself
-ORDER, GAP = 0.005, 8.0  # cost of two controllers in the wrong order, and of the log ratio by which they are
+WITHIN, BEYOND = 0.045, 1.0  # log ratio beyond which a number counts by itself, and how much
+ORDER, GAP = 0.003, 1.0  # cost of two controllers in the wrong order, and of the log ratio by which they are
 FAILED = 10.0  # cost of a valve that cannot be run
 NO_TERMS = np.zeros((0, 0))
 
@@ -34,7 +34,7 @@ class Fit(NamedTuple):
     @property
     def cost(self) -> float:
         """What a search makes small: numbers beyond WITHIN and wrong orders count by themselves."""
-        return self.rms + max(0.0, self.worst - WITHIN) + ORDER * self.orderings + GAP * self.gap
+        return self.rms + BEYOND * max(0.0, self.worst - WITHIN) + ORDER * self.orderings + GAP * self.gap
 
 
 NOT_RUN = Fit(FAILED, FAILED, 0, 0.0)

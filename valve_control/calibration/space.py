@@ -71,15 +71,15 @@ def _law(name: str, low: float, high: float, unit: str, reason: str) -> Dimensio
 # The command's speed and acceleration, the gains, the reshaping and θ(0) are the paper's and stay.
 DIMENSIONS = (
     _valve("gain_scale", 0.8, 1.4, "-", "identified from small signals; a larger stroke may differ"),
-    _valve("flow_force", -0.3, 0.3, "V/V", "closing or opening, up to a quarter of the spring's"),
+    _valve("flow_force", -0.5, 0.5, "V/V", "closing or opening, up to 0.4 of the spring's"),
     _valve("disturbance.offset", -1.0, 1.0, "V", "centre of spring and amplifier: up to 10 % of u_max"),
     _valve("friction.coulomb", 0.1, 2.5, "V", "up to a quarter of u_max", True),
     _valve("friction.static_ratio", 1.0, 3.0, "-", "lubricated steel on steel"),
     _valve("friction.stribeck_velocity", 0.003, 10.0, "V/s", "below the command's 8 V/s", True),
     _valve("friction.presliding", 0.003, 0.6, "V", "micrometres up to 6 % of the stroke", True),
-    _valve("lvdt.noise", 0.001, 0.010, "V", "0.01 to 0.1 % of 10 V", True),
+    _valve("lvdt.noise", 0.001, 0.020, "V", "0.01 to 0.2 % of 10 V", True),
     _valve("lvdt.resolution", 0.0003, 0.010, "V", "16 to 11 bits of ±10 V", True),
-    _valve("lvdt.delay", 0.0, 0.001, "s", "demodulation of the LVDT"),
+    _valve("lvdt.delay", 0.0, 0.002, "s", "demodulation and low-pass of the LVDT"),
     _command("amplitude", 1.5, 4.5, "V", "Fig. 5's stroke is not printed"),
     _command("cycle", 2.0, 12.0, "s", "Fig. 5's time axis is not printed"),
     _command("offset", -0.3, 0.3, "V", "where the command begins; the valve begins at 0 V"),

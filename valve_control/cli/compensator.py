@@ -61,10 +61,11 @@ def add_commands(commands: Any) -> None:
 
 
 def _compensator(arguments: argparse.Namespace) -> int:
-    from valve_control.identification import cancellation, files, result
+    from valve_control import outputs
+    from valve_control.identification import cancellation, result
 
     check_outputs([arguments.json], [arguments.output, arguments.figure])
-    files.check_figure(arguments.figure)
+    outputs.check_figure(arguments.figure)
     if arguments.paper:
         return _paper(arguments)
     numbers = {
@@ -102,16 +103,16 @@ def _compensator(arguments: argparse.Namespace) -> int:
 def _tell(
     arguments: argparse.Namespace, text: str, about: Any, contents: list[tuple[str, str | bytes]]
 ) -> None:
+    from valve_control import outputs
     from valve_control.cli.common import say
-    from valve_control.identification import files
 
     if arguments.json == "-":
-        print(files.as_json(about), end="")
+        print(outputs.as_json(about), end="")
     else:
         print(text)
-        contents = contents + ([(arguments.json, files.as_json(about))] if arguments.json is not None else [])
+        contents = contents + ([(arguments.json, outputs.as_json(about))] if arguments.json is not None else [])
     for path, content in contents:
-        files.write(path, content)
+        outputs.write(path, content)
         say(arguments, f"wrote {path}")
 
 

@@ -85,10 +85,11 @@ def add_commands(commands: Any) -> None:
 
 
 def _identify(arguments: argparse.Namespace) -> int:
-    from valve_control.identification import experiment, files, result
+    from valve_control import outputs
+    from valve_control.identification import experiment, result
 
     check_outputs([arguments.json], [arguments.output, arguments.csv, arguments.figure])
-    files.check_figure(arguments.figure)
+    outputs.check_figure(arguments.figure)
     if not 0.0 <= arguments.settle < float("inf"):
         raise ParameterError(f"--settle is {arguments.settle:g} s; it must be finite and not negative")
     band = None
@@ -104,7 +105,7 @@ def _identify(arguments: argparse.Namespace) -> int:
         (arguments.output, lambda: result.yaml_text(found)),
         (arguments.csv, lambda: result.csv_text(measured)),
         (arguments.figure, lambda: result.bode_figure(found, arguments.figure)),
-        (arguments.json if arguments.json != "-" else None, lambda: files.as_json(result.as_dict(found))),
+        (arguments.json if arguments.json != "-" else None, lambda: outputs.as_json(result.as_dict(found))),
     ]
     made = [(path, make()) for path, make in outputs if path is not None]
     if arguments.output is not None:
@@ -112,10 +113,10 @@ def _identify(arguments: argparse.Namespace) -> int:
     if arguments.json != "-":
         print(result.text(found))
     for path, content in made:
-        files.write(path, content)
+        outputs.write(path, content)
         say(arguments, f"wrote {path}")
     if arguments.json == "-":
-        print(files.as_json(result.as_dict(found)), end="")
+        print(outputs.as_json(result.as_dict(found)), end="")
     return 0
 
 

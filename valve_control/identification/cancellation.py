@@ -305,8 +305,8 @@ def bode_figure(made: Compensator, path: str) -> bytes:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
+    from valve_control import outputs
     from valve_control.analysis.figures import COLOURS
-    from valve_control.identification import files
 
     f = np.geomspace(0.1, 0.45 / made.period, 800)
     valve, own = bode.response(made.model, f), bode.response(made.transfer_function, f)
@@ -335,4 +335,4 @@ def bode_figure(made: Compensator, path: str) -> bytes:
         axis.grid(True, which="both", alpha=0.3)
     figure.suptitle(f"pole-zero compensator for {made.bandwidth:g} Hz")
     figure.tight_layout()
-    return files.figure_bytes(figure, path)
+    return outputs.figure_bytes(figure, path)

@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
+from valve_control import outputs
 from valve_control.analysis.figures import COLOURS
-from valve_control.identification import bode, files, rational
+from valve_control.identification import bode, rational
 from valve_control.identification.bode import Corners, Root
 from valve_control.identification.rational import Fit
 from valve_control.identification.response import Response
@@ -309,4 +310,4 @@ def bode_figure(found: Identification, path: str) -> bytes:
         axis.grid(True, which="both", alpha=0.3)
     figure.suptitle(found.source)
     figure.tight_layout()
-    return files.figure_bytes(figure, path)
+    return outputs.figure_bytes(figure, path)
