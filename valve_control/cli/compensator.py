@@ -88,13 +88,13 @@ def _compensator(arguments: argparse.Namespace) -> int:
         arguments.amplitude,
     )
     parameters = _parameters(made)
-    outputs: list[tuple[str | None, Callable[[], str | bytes]]] = [
+    wanted: list[tuple[str | None, Callable[[], str | bytes]]] = [
         (arguments.output, lambda: result.parameter_file(parameters, _comments(made))),
         (arguments.figure, lambda: cancellation.bode_figure(made, arguments.figure)),
     ]
     if arguments.output is not None:
         result.check_parameters(parameters)
-    _tell(arguments, _text(made), _dict(made), [(path, make()) for path, make in outputs if path is not None])
+    _tell(arguments, _text(made), _dict(made), [(path, make()) for path, make in wanted if path is not None])
     for warning in made.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return 0
@@ -110,7 +110,8 @@ def _tell(
         print(outputs.as_json(about), end="")
     else:
         print(text)
-        contents = contents + ([(arguments.json, outputs.as_json(about))] if arguments.json is not None else [])
+        if arguments.json is not None:
+            contents = [*contents, (arguments.json, outputs.as_json(about))]
     for path, content in contents:
         outputs.write(path, content)
         say(arguments, f"wrote {path}")

@@ -101,13 +101,13 @@ def _identify(arguments: argparse.Namespace) -> int:
     tested = _recorded(arguments) if arguments.bag is not None else _simulated(arguments)
     measured = experiment.estimate(tested, arguments.settle, band)
     found = _found(arguments, tested, measured)
-    outputs: list[tuple[str | None, Callable[[], str | bytes]]] = [
+    wanted: list[tuple[str | None, Callable[[], str | bytes]]] = [
         (arguments.output, lambda: result.yaml_text(found)),
         (arguments.csv, lambda: result.csv_text(measured)),
         (arguments.figure, lambda: result.bode_figure(found, arguments.figure)),
         (arguments.json if arguments.json != "-" else None, lambda: outputs.as_json(result.as_dict(found))),
     ]
-    made = [(path, make()) for path, make in outputs if path is not None]
+    made = [(path, make()) for path, make in wanted if path is not None]
     if arguments.output is not None:
         result.check_parameters(result.parameters(found))
     if arguments.json != "-":
