@@ -260,7 +260,9 @@ def onset(campaign: Campaign, fault: Fault, start: float) -> float:
         numbers = np.array(campaign.listener.sequence["spool_position"])[-len(times) :]
         return first(times[:-1], np.diff(numbers) > 1) + PERIOD
     if fault.name == "lvdt_silent":
-        return first(times[:-1], np.diff(times) > 6.0 * PERIOD) + PERIOD
+        # It may begin before another reading has come.
+        _, times = campaign.after("spool_position", start - 0.1)
+        return first(times[:-1], np.diff(times) > 0.5 * fault.samples * PERIOD) + PERIOD
     if fault.name == "command_silent":
         _, sent = campaign.after("spool_command", start - 0.1)
         return first(sent[:-1], np.diff(sent) > 0.1)
