@@ -246,7 +246,8 @@ def first(stamps: Array, condition: npt.NDArray[np.bool_]) -> float:
 
 def onset(campaign: Campaign, fault: Fault, start: float) -> float:
     """When the fault began, read from the messages themselves [s]."""
-    readings, times = campaign.after("spool_position", start)
+    # A fault may begin before another reading has come.
+    readings, times = campaign.after("spool_position", start - 0.1)
     if fault.value == "not_finite" and fault.node == "valve_simulator":
         return first(times, ~np.isfinite(readings))
     if fault.name == "lvdt_out_of_range":
@@ -260,8 +261,6 @@ def onset(campaign: Campaign, fault: Fault, start: float) -> float:
         numbers = np.array(campaign.listener.sequence["spool_position"])[-len(times) :]
         return first(times[:-1], np.diff(numbers) > 1) + PERIOD
     if fault.name == "lvdt_silent":
-        # It may begin before another reading has come.
-        _, times = campaign.after("spool_position", start - 0.1)
         return first(times[:-1], np.diff(times) > 0.5 * fault.samples * PERIOD) + PERIOD
     if fault.name == "command_silent":
         _, sent = campaign.after("spool_command", start - 0.1)
