@@ -125,3 +125,20 @@ def draw_plots(
             outputs.write(str(path), stream.getvalue())
     finally:
         plt.close(figure)
+
+
+def bode_axes(title: str, gain_title: str) -> tuple[Any, Any, Any]:
+    """Figure and its axes for gain [dB] and phase [°] over frequency [Hz], one above the other."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (top, bottom) = plt.subplots(2, 1, figsize=(9.0, 8.0), sharex=True)
+    top.set_ylabel(gain_title)
+    bottom.set_ylabel("phase [°]")
+    bottom.set_xlabel("frequency [Hz]")
+    for axis in (top, bottom):
+        axis.grid(True, which="both", alpha=0.3)
+    figure.suptitle(title)
+    return figure, top, bottom

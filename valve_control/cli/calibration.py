@@ -6,9 +6,9 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from valve_control import outputs
 from valve_control.cli.common import check_outputs, say, write_json
 from valve_control.cli.simulate import settings_of, setup_options
 from valve_control.parameters.table import NODES, ParameterError, Values, defaults
@@ -122,7 +122,7 @@ def _calibrate(arguments: argparse.Namespace) -> None:
     if arguments.json != "-":
         _print_fit(result, dimensions)
     if arguments.output is not None:
-        save(Path(arguments.output), arguments.table, base, settings, result)
+        save(arguments.output, arguments.table, base, settings, result)
         say(arguments, f"wrote {arguments.output}")
     if arguments.trials:
         result["trials"] = _trials(arguments, settings, table)
@@ -245,7 +245,7 @@ def _print_fit(result: Mapping[str, Any], dimensions: Sequence["Dimension"]) -> 
         print(f"{d.name:28}{value:12.5g} {d.unit:8}" + (" at the end of its range" if edge else ""))
 
 
-def save(path: Path, table: str, base: "Settings", settings: "Settings", result: Mapping[str, Any]) -> None:
+def save(path: str, table: str, base: "Settings", settings: "Settings", result: Mapping[str, Any]) -> None:
     """Write what differs from the defaults as a ROS 2 parameter file. Raises OSError."""
     from valve_control.parameters import files
 
@@ -256,10 +256,10 @@ def save(path: Path, table: str, base: "Settings", settings: "Settings", result:
             ("first_seed", "the first"),
         )
     )
-    head = (
-        f"# Calibrated to the table '{table}': log error {fits}.\n"
-        f"# valve-control calibrate, search seed {result['search_seed']}, {result['evaluations']} valves.\n"
-    )
+    comments = [
+        f"Calibrated to the table '{table}': log error {fits}.",
+        f"valve-control calibrate, search seed {result['search_seed']}, {result['evaluations']} valves.",
+    ]
     sections: dict[str, Values] = {}
     for node, values in settings.items():
         standard = defaults(NODES[node])
@@ -270,7 +270,7 @@ def save(path: Path, table: str, base: "Settings", settings: "Settings", result:
         }
         if differing:
             sections[f"/**/{node}"] = differing
-    files.save_sections(path, sections, head)
+    outputs.write(path, files.as_yaml(sections, comments))
 
 
 def _trials(

@@ -300,13 +300,8 @@ def _errors(printed: tuple[float, ...], exact: tuple[float, ...]) -> tuple[float
 
 def bode_figure(made: Compensator, path: str) -> bytes:
     """Valve, compensator and both together, continuous and as sampled, for ``path``."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     from valve_control import outputs
-    from valve_control.analysis.figures import COLOURS
+    from valve_control.analysis.figures import COLOURS, bode_axes
 
     f = np.geomspace(0.1, 0.45 / made.period, 800)
     valve, own = bode.response(made.model, f), bode.response(made.transfer_function, f)
@@ -319,7 +314,7 @@ def bode_figure(made: Compensator, path: str) -> bytes:
         ("compensated valve", valve * own, COLOURS[1], "-"),
         ("compensated valve, sampled", held * sections, COLOURS[1], "--"),
     ]
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(9.0, 8.0), sharex=True)
+    figure, top, bottom = bode_axes(f"pole-zero compensator for {made.bandwidth:g} Hz", "gain [dB]")
     for label, value, colour, line in curves:
         top.semilogx(f, 20.0 * np.log10(np.abs(value)), color=colour, ls=line, label=label)
         bottom.semilogx(f, np.degrees(np.unwrap(np.angle(value))), color=colour, ls=line)
@@ -327,12 +322,6 @@ def bode_figure(made: Compensator, path: str) -> bytes:
     bottom.axhline(-90.0, color="grey", lw=0.8)
     top.set_ylim(-60.0, None)
     bottom.set_ylim(-500.0, None)
-    top.set_ylabel("gain [dB]")
-    bottom.set_ylabel("phase [°]")
-    bottom.set_xlabel("frequency [Hz]")
     top.legend(loc="lower left")
-    for axis in (top, bottom):
-        axis.grid(True, which="both", alpha=0.3)
-    figure.suptitle(f"pole-zero compensator for {made.bandwidth:g} Hz")
     figure.tight_layout()
     return outputs.figure_bytes(figure, path)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 import scipy.optimize
 import scipy.stats
 
-from valve_control.identification.bode import LOWEST, Corners, corners, held_response, model_corners, response
+from valve_control.identification.bode import LOWEST, Corners, corners, held_response, model_corners
 from valve_control.identification.response import Response
 from valve_control.parameters.table import ParameterError
 from valve_control.plant.models import TransferFunction
@@ -382,8 +382,3 @@ def _check(form: _Form, x: Floats, measured: Response) -> None:
             f"the fit of order {form.order} puts a pole at {widest:.4g} Hz, far above the measured "
             f"{measured.frequency[-1]:.4g} Hz; choose a lower order"
         )
-
-
-def model_response(made: Fit, frequency: Floats) -> Complexes:
-    """Continuous response of a fit at ``frequency`` [Hz]."""
-    return response(made.model, frequency, made.delay)

@@ -4,17 +4,16 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
 from valve_control import outputs
-from valve_control.analysis.figures import COLOURS
+from valve_control.analysis.figures import COLOURS, bode_axes
 from valve_control.identification import bode, rational
 from valve_control.identification.bode import Corners, Root
 from valve_control.identification.rational import Fit
 from valve_control.identification.response import Response
 from valve_control.identification.theta import Suggestion
 from valve_control.parameters import build
-from valve_control.parameters.files import load
+from valve_control.parameters.files import as_yaml, load
 from valve_control.parameters.table import NODES, ParameterError, Values, defaults, updated
 from valve_control.plant.models import TransferFunction
 
@@ -168,18 +167,7 @@ def yaml_text(found: Identification) -> str:
 
 def parameter_file(tree: dict[str, Values], comments: list[str]) -> str:
     """A ROS 2 parameter file with a section for each node of any namespace; "" is all nodes."""
-    content: dict[str, Any] = {}
-    for node, values in tree.items():
-        section: dict[str, Any] = {}
-        content[f"/**/{node}" if node else "/**"] = {"ros__parameters": section}
-        for name, value in values.items():
-            *groups, last = name.split(".")
-            branch = section
-            for group in groups:
-                branch = branch.setdefault(group, {})
-            branch[last] = list(value) if isinstance(value, list) else value
-    head = "".join(f"# {line}\n" for line in comments)
-    return head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
+    return as_yaml({f"/**/{node}" if node else "/**": values for node, values in tree.items()}, comments)
 
 
 def read_model(path: str) -> TransferFunction:
@@ -275,13 +263,8 @@ def csv_text(m: Response) -> str:
 
 def bode_figure(found: Identification, path: str) -> bytes:
     """Measured response with 95 % error bars, and the fits as held and sampled, for ``path``."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     m = found.measured
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(9.0, 8.0), sharex=True)
+    figure, top, bottom = bode_axes(found.source, "position over voltage [dB]")
     share = 1.96 * m.deviation / np.abs(m.value)
     size = 20.0 * np.log10(np.abs(m.value))
     bar = np.vstack([-20.0 * np.log10(np.maximum(1.0 - share, 0.05)), 20.0 * np.log10(1.0 + share)])
@@ -302,12 +285,6 @@ def bode_figure(found: Identification, path: str) -> bytes:
         label = f"order {made.order}, error {100 * made.error:.2g} %"
         top.semilogx(frequency, 20.0 * np.log10(np.abs(value)), color=colour, label=label)
         bottom.semilogx(frequency, np.degrees(np.unwrap(np.angle(value))), color=colour, label=label)
-    top.set_ylabel("position over voltage [dB]")
-    bottom.set_ylabel("phase [°]")
-    bottom.set_xlabel("frequency [Hz]")
     top.legend(loc="lower left")
-    for axis in (top, bottom):
-        axis.grid(True, which="both", alpha=0.3)
-    figure.suptitle(found.source)
     figure.tight_layout()
     return outputs.figure_bytes(figure, path)

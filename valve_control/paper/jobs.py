@@ -20,7 +20,6 @@ class Job(NamedTuple):
     """One run."""
 
     name: str  # of its files
-    label: str  # in figures
     settings: dict[str, dict[str, Any]]  # by node, over CONFIG
 
 
@@ -80,26 +79,18 @@ def open_loops(gain: float) -> dict[str, tuple[str, dict[str, Any]]]:
 
 def jobs(valve: Values) -> list[Job]:
     """All runs; ``valve``: the simulator's values of CONFIG."""
-    made = [Job(f"table1_{name}", name.upper(), {"controller": {"controller": name}}) for name in FEEDBACK]
+    made = [Job(f"table1_{name}", {"controller": {"controller": name}}) for name in FEEDBACK]
     sine = {
         "scenario": "sine", "frequency": SINE, "amplitude": OPEN_AMPLITUDE, "offset": 0.0, "start": 0.0,
         "duration": 2.0,
     }  # fmt: skip
-    laws = open_loops(valve_gain(valve))
-    for name, (label, law) in laws.items():
-        made.append(Job(f"sine_{name}", label, {"controller": law, "command_source": sine}))
-    for name, (label, law) in laws.items():
+    for name, (_, law) in open_loops(valve_gain(valve)).items():
+        made.append(Job(f"sine_{name}", {"controller": law, "command_source": sine}))
         source = stepped_sine(OPEN_AMPLITUDE)
-        made.append(Job(f"response_{name}", label, {"controller": law, "command_source": source}))
+        made.append(Job(f"response_{name}", {"controller": law, "command_source": source}))
     for name in FEEDBACK:
         source = stepped_sine(CLOSED_AMPLITUDE)
-        made.append(
-            Job(
-                f"response_{name}",
-                name.upper(),
-                {"controller": {"controller": name}, "command_source": source},
-            )
-        )
+        made.append(Job(f"response_{name}", {"controller": {"controller": name}, "command_source": source}))
     return made
 
 

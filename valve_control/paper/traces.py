@@ -19,8 +19,6 @@ class Trace(NamedTuple):
     command: Array  # V
     measurement: Array  # V
     voltage: Array  # V
-    position: Array  # V, true
-    reference: Array  # V, the law's reshaped command
     filled: int  # messages not heard, taken from the equal run offline
 
     @property
@@ -31,10 +29,7 @@ class Trace(NamedTuple):
 
 def offline(run: Run) -> Trace:
     """Trace of a run offline."""
-    return Trace(
-        "offline", run.period, run.command, run.measurement, run.voltage, run.position,
-        run.terms["reference"], 0,
-    )  # fmt: skip
+    return Trace("offline", run.period, run.command, run.measurement, run.voltage, 0)
 
 
 def heard(run: Run, measurement: Array, voltage: Array) -> Trace:

@@ -59,14 +59,11 @@ def from_yaml(parameter: Parameter, value: Any) -> Value:
 
 def save(path: Path, node: str, values: Values) -> None:
     """Write ``values`` of ``node`` (its full name) as a ROS 2 parameter file. Raises OSError."""
-    save_sections(path, {node: values})
+    outputs.write(str(path), as_yaml({node: values}))
 
 
-def save_sections(path: Path, sections: Mapping[str, Values], head: str = "") -> None:
-    """Write values by node as a ROS 2 parameter file that begins with the comment ``head``. Raises OSError.
-
-    The file is whole or as it was before.
-    """
+def as_yaml(sections: Mapping[str, Values], comments: Sequence[str] = ()) -> str:
+    """Values by node (its full name, or a pattern) as the text of a ROS 2 parameter file."""
     trees: dict[str, Any] = {}
     for node, values in sections.items():
         tree: dict[str, Any] = {}
@@ -78,8 +75,8 @@ def save_sections(path: Path, sections: Mapping[str, Values], head: str = "") ->
             branch[last] = value
         trees[node] = {"ros__parameters": tree}
     dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-    text = head + yaml.dump(trees, Dumper=dumper, sort_keys=False, default_flow_style=None)
-    outputs.write(str(path), text)
+    head = "".join(f"# {line}\n" for line in comments)
+    return head + yaml.dump(trees, Dumper=dumper, sort_keys=False, default_flow_style=None, width=110)
 
 
 def load(path: str) -> dict[str, Values]:
