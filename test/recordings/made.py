@@ -10,7 +10,7 @@ from valve_control.bags.writer import BagWriter
 from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, VALVE, defaults, updated
 from valve_control.plant import valve
-from valve_control.supervision.memory import remember
+from valve_control.supervision.journal import Journal
 from valve_control.supervision.supervisor import Supervisor
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -68,36 +68,42 @@ def string(text):
     return bytes(STORE.serialize_cdr(T[STRING](text), STRING))
 
 
-def state(labels, values):
+def array(values, labels=()):
     dim = [T["std_msgs/msg/MultiArrayDimension"](label, 1, 1) for label in labels]
     layout = T["std_msgs/msg/MultiArrayLayout"](dim, 0)
     return bytes(STORE.serialize_cdr(T[ARRAY](layout, np.array(values)), ARRAY))
 
 
 class Run:
-    """A controller on a valve; commands arrive ``ahead`` of a reading, or while it is being answered."""
+    """A controller on a valve, from ``begin`` [ns] on."""
 
-    def __init__(self, seed=1, namespace="", controller=None, simulator=None, memory_every=100):
+    def __init__(self, seed=1, namespace="", controller=None, simulator=None, memory_every=100, begin=BEGIN):
         self.memory_every = memory_every
+        self.remembered = -(10**9)
         self.random = np.random.default_rng(seed)
         self.namespace = namespace
         self.values = updated(CONTROLLER, defaults(CONTROLLER), controller or {})
         self.valve_values = updated(VALVE, defaults(VALVE), {"lvdt.noise": 0.004, **(simulator or {})})
+        self.time = self.clock = begin
         self.supervisor = Supervisor()
-        self.supervisor.apply(self.values, build.law_params(self.values))
+        self.journal = Journal(self.supervisor, lambda: self.clock)
+        self.journal.apply(self.values, build.law_params(self.values))
         self.plant = build.valve_params(self.valve_values)
         self.spool = valve.initial(self.plant)
-        self.time = BEGIN
         self.counts = {"spool_command": 0, "spool_position": 0, "valve_voltage": 0}
-        self.messages = []
+        self._messages = []
         self.voltages = []
         self.readings = []
+        self.said = 0
         self.say(f"{namespace}/controller", self.values, new=True)
         self.say(f"{namespace}/valve_simulator", self.valve_values, new=True)
 
     def say(self, node, values, new=False):
-        time = self.time + PERIOD // 2  # after the voltage of the sample before
-        self.messages.append(
+        self.said += 1
+        time = (
+            self.time + PERIOD // 2 + 40_000 * ((self.said - 3) % 5)
+        )  # after the voltage of the sample before
+        self._messages.append(
             Message("/parameter_events", EVENT, time, 0, event(node, values, new), time + 200_000)
         )
 
@@ -106,13 +112,16 @@ class Run:
         if not lost:
             log = time + int(self.random.integers(50_000, 400_000))
             name = f"{self.namespace}/{part}"
-            self.messages.append(Message(name, FLOAT, time, self.counts[part], number(value), log))
+            self._messages.append(Message(name, FLOAT, time, self.counts[part], number(value), log))
 
     def change(self, **values):
         """A live change of parameters between two samples."""
         new = {name.replace("__", "."): value for name, value in values.items()}
+        if updated(CONTROLLER, self.values, new) == self.values:
+            return
         self.values = updated(CONTROLLER, self.values, new)
-        self.supervisor.apply(self.values, build.law_params(self.values))
+        self.clock = self.time + PERIOD // 2 + 40_000 * ((self.said - 2) % 5) - 20_000
+        self.journal.apply(self.values, build.law_params(self.values))
         self.say(f"{self.namespace}/controller", new)
 
     def sample(self, command=None, late=False, lost=False, before=None):
@@ -122,42 +131,54 @@ class Run:
         it counts one sample later; ``before`` is called on the supervisor first.
         """
         self.time += PERIOD
+        self.clock = self.time - 250_000
         if before is not None:
-            before(self.supervisor)
+            before(self.journal)
         if command is not None and not late:
             self.put("spool_command", self.time - 300_000, command)
-            self.supervisor.command(command)
+            self.journal.command(command)
         reading = valve.read(self.plant, self.spool, float(self.random.standard_normal()))
         self.put("spool_position", self.time, reading)
         self.readings.append(reading)
         answered = self.time + int(self.random.integers(120_000, 250_000))
         if command is not None and late:
             self.put("spool_command", answered - 10_000, command)
+        self.clock = answered - 5_000
         if not lost:
-            voltage = self.supervisor.sample(reading, self.counts["spool_position"], 0.001)
-            self.put("valve_voltage", answered, voltage)
-            self.voltages.append(voltage)
+            self.answer(answered, lambda: self.journal.sample(reading, self.counts["spool_position"], 0.001))
             if self.supervisor.samples % 10 == 0:
-                labels, numbers = self.supervisor.labels(), self.supervisor.telemetry()
-                name = f"{self.namespace}/controller/state"
-                self.messages.append(
-                    Message(name, ARRAY, answered + 20_000, 0, state(labels, numbers), answered + 90_000)
-                )
-            if self.supervisor.samples % self.memory_every == 1:
-                name = f"{self.namespace}/controller/memory"
-                self.messages.append(
-                    Message(
-                        name,
-                        STRING,
-                        answered + 30_000,
-                        0,
-                        string(remember(self.supervisor)),
-                        answered + 99_000,
-                    )
-                )
+                self.tell("state", array(self.supervisor.telemetry(), self.supervisor.labels()))
+            if len(self.journal) >= 100:
+                self.flush()
         if command is not None and late:
-            self.supervisor.command(command)
+            self.journal.command(command)
         self.spool = valve.step(self.plant, self.spool, self.supervisor.voltage)
+
+    def answer(self, time, give):
+        """A voltage, which ``give`` makes, at ``time``."""
+        self.clock = time - 5_000
+        voltage = give()
+        self.put("valve_voltage", time, voltage)
+        self.voltages.append(voltage)
+
+    def tell(self, kind, data):
+        """A message of the controller on one of its own topics."""
+        name, type_ = f"{self.namespace}/controller/{kind}", STRING if kind == "memory" else ARRAY
+        self._messages.append(Message(name, type_, self.clock + 20_000, 0, data, self.clock + 90_000))
+
+    def flush(self):
+        """The journal's waiting rows, and an account where one is due."""
+        if len(self.journal):
+            self.tell("journal", array(self.journal.take()))
+            if self.supervisor.samples - self.remembered >= self.memory_every:
+                self.remembered = self.supervisor.samples
+                self.tell("memory", string(self.journal.account()))
+
+    @property
+    def messages(self):
+        """All messages so far."""
+        self.flush()
+        return self._messages
 
     def move(self, count, **options):
         for _ in range(count):

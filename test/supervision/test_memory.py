@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, defaults, updated
-from valve_control.supervision.memory import agrees, recall, remember
+from valve_control.supervision.memory import recall, remember, row_of
 from valve_control.supervision.supervisor import Supervisor
 
 LAWS = ["arc", "oarc", "pid", "compensator", "open_loop"]
@@ -80,15 +80,7 @@ def test_the_memory_of_another_law_or_version_is_refused():
     assert not recall(supervisor, json.dumps(changed))
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_agrees_but_for_the_clock(law):
-    first, second, third = (made(controller=law) for _ in range(3))
-    moves = [("sample", 0.01), ("command", 1.0), *[("sample", 0.02)] * 20]
-    for supervisor, more in ((first, []), (second, []), (third, [("sample", 0.02)])):
-        drive(supervisor, list(enumerate([*moves, *more], start=1)))
-    assert agrees(first, remember(second))
-    assert not agrees(first, remember(third))
-    for supervisor, silence in ((first, 0.1), (second, 0.2)):
-        supervisor.silence(silence)
-    assert remember(first) != remember(second) and agrees(first, remember(second))
-    assert not agrees(first, "no account") and not agrees(first, "[]")
+@pytest.mark.parametrize("text", ["", "{}", "[1, 2]", '{"row": "7"}', "null"])
+def test_an_account_says_its_row(text):
+    assert row_of(remember(made(), 7)) == 7
+    assert row_of(text) is None

@@ -138,13 +138,13 @@ def _told(bag: "Bag") -> Callable[[int], None]:
     return told
 
 
-def _load(arguments: argparse.Namespace, path: str) -> "Recording":
+def _load(arguments: argparse.Namespace, path: str, journals: bool = False) -> "Recording":
     from valve_control.recordings import recording
 
     start, end = getattr(arguments, "start", None), getattr(arguments, "end", None)
     if start is not None and end is not None and end <= start:
         raise ParameterError(f"--to {end:g} lies not after --from {start:g}")
-    return recording.load(path, arguments.map, start, end, _told)
+    return recording.load(path, arguments.map, start, end, _told, journals)
 
 
 def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveStudy":
@@ -203,7 +203,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     _refuse_of_other_modes(arguments)
     if arguments.mode == "live":
         return _replay_live(arguments)
-    loaded = _load(arguments, arguments.bag)
+    loaded = _load(arguments, arguments.bag, journals=arguments.mode == "shadow")
     valve = _one_valve(arguments, loaded)
     valve = valve._replace(left_out=[*loaded.problems, *valve.left_out])
     if arguments.mode == "shadow":

@@ -104,11 +104,12 @@ class ParameterSet:
             self._prepared = (values, self._build(values))
         built = self._prepared[1]
         changed = [name for name in values if values[name] != self.values[name]]
+        if not changed:
+            return
         self.values = values
         self._apply(values, built)
         text = ", ".join(f"{name} = {as_text(values[name])}" for name in changed)
-        if text:
-            self._node.get_logger().info(f"now {text}")
+        self._node.get_logger().info(f"now {text}")
 
 
 class Unwatched(CallbackGroup):

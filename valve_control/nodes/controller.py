@@ -23,7 +23,7 @@ from valve_control.nodes.loop import run, stopping
 from valve_control.parameters import build, files, stability
 from valve_control.parameters.table import CONTROLLER, Values
 from valve_control.simulation.closed_loop import LAWS
-from valve_control.supervision.memory import remember
+from valve_control.supervision.journal import Journal
 from valve_control.supervision.supervisor import Mode, Supervisor
 
 LEVELS = {
@@ -33,10 +33,12 @@ LEVELS = {
 }
 STALL = 0.01  # s; this loop wakes on time unless its process stood still
 REMIND = 0.1  # s between two voltages of 0 V while the LVDT is silent
+JOURNAL_PERIOD = 0.1  # s between two parts of the journal
 WATCH_GRAPH = 0.1  # s between two looks at who publishes
 LOCKSTEP_LIMIT = 5.0  # s to wait for a command in lockstep
 LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 POLL = 2e-5  # s
+NOT_YET = -(10**9)  # samples: an account is due
 WINDOW = 1000  # samples of the timing statistics
 NEVER = math.inf
 
@@ -47,6 +49,7 @@ class Controller(Managed):
     def __init__(self, **options: Any) -> None:
         super().__init__("controller", **options)
         self._supervisor = Supervisor()
+        self._journal = Journal(self._supervisor)
         self._said: tuple[Mode, str] | None = None
         self._readings: PolledSubscription | None = None
         self._lockstep = False
@@ -57,8 +60,9 @@ class Controller(Managed):
         self._unpaired = False  # lockstep without anybody who commands
         self._message = Float64()
         self._state_message = Float64MultiArray()
-        self._remembered = -(10**9)  # samples at the last account; the first comes at once
-        self._eventful = False  # whether more than samples and commands has changed what is remembered
+        self._rows = Float64MultiArray()
+        self._remembered = NOT_YET  # samples at the last account
+        self._readers = 0  # of the journal
         self._last_command = NEVER  # wall time of the last one
         self._commanded = False  # whether there has been an upper level
         self._arrivals: deque[float] = deque(maxlen=WINDOW)
@@ -85,10 +89,10 @@ class Controller(Managed):
     def _apply(self, values: Values, built: tuple[Any, realtime.Request]) -> None:
         params, wanted = built
         self._values = values
-        self._supervisor.apply(values, params)
-        self._eventful = True
+        self._journal.apply(values, params)
         self._params = params
         self._period = build.number(values, "sample_period")
+        self._rows_at_once = max(1, round(JOURNAL_PERIOD / self._period))
         self._remember_every = round(build.number(values, "memory_period") / self._period)
         self._decimation = int(build.number(values, "state_decimation"))
         if values["lockstep"] != self._lockstep:
@@ -115,6 +119,7 @@ class Controller(Managed):
         self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
         self._states = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
         self._memories = self.create_publisher(String, "~/memory", SAMPLES)
+        self._journals = self.create_publisher(Float64MultiArray, "~/journal", SAMPLES)
         self._commands = PolledSubscription(self, Float64, "spool_command", SAMPLES)
         self._readings = PolledSubscription(self, Float64, "spool_position", SAMPLES)
 
@@ -126,6 +131,7 @@ class Controller(Managed):
         self.destroy_publisher(self._voltages)
         self.destroy_publisher(self._states)
         self.destroy_publisher(self._memories)
+        self.destroy_publisher(self._journals)
         self._readings = None
 
     def begin(self) -> None:
@@ -134,8 +140,7 @@ class Controller(Managed):
         for topic in (self._readings, self._commands):
             for _ in topic.take():
                 pass
-        self._supervisor.start()
-        self._eventful = True
+        self._journal.start()
         self._said = None
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._lockstep else self._seen + REMIND
@@ -147,7 +152,8 @@ class Controller(Managed):
     def end(self) -> None:
         """0 V, once."""
         self._publish(0.0)
-        self._supervisor.start()
+        self._journal.start()
+        self._write_journal(now=True)
         self._watch_at = NEVER
         self.get_logger().info("inactive, 0 V")
 
@@ -178,11 +184,10 @@ class Controller(Managed):
         if now >= self._watch_at and not worked:
             self._catching_up = now - self._watch_at > STALL
             self._take_commands(0)
-            voltage = self._supervisor.silence(self._elapsed(now), self._catching_up)
+            voltage = self._journal.silence(self._elapsed(now), self._catching_up)
             if self._supervisor.begun:
                 self._publish(voltage)
-                self._eventful = True
-                self._give_account()
+            self._write_journal()
             self._watch_at = now + REMIND
             worked = True
         if self._supervisor.changed:
@@ -199,11 +204,10 @@ class Controller(Managed):
         elif self._catching_up and (not self._arrivals or began - self._arrivals[-1] >= 0.5 * self._period):
             self._catching_up = False
         if self._catching_up:
-            self._eventful = True
-            self._publish(self._supervisor.silence(self._elapsed(began), stalled=True))
+            self._publish(self._journal.silence(self._elapsed(began), stalled=True, reading=reading))
         else:
             elapsed = self._elapsed(began)
-            self._publish(self._supervisor.sample(reading, number, 0.0 if self._lockstep else elapsed))
+            self._publish(self._journal.sample(reading, number, 0.0 if self._lockstep else elapsed))
         ended = time.monotonic()
         self._latencies.append(time.time_ns() - info["source_timestamp"])
         self._arrivals.append(began)
@@ -215,16 +219,21 @@ class Controller(Managed):
         if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
             self._state_message.data = self._supervisor.telemetry()
             self._states.publish(self._state_message)
-        self._give_account()
+        self._write_journal()
 
-    def _give_account(self) -> None:
-        """Publish what is remembered, now and then and after events that a recording would not show."""
+    def _write_journal(self, now: bool = False) -> None:
+        """Publish its rows, some at once, and now and then an account of all that is remembered by then."""
+        if len(self._journal) < self._rows_at_once and not now:
+            return
+        rows = self._journal.take()
+        if self._remember_every == 0:
+            return
+        self._rows.data = rows
+        self._journals.publish(self._rows)
         samples = self._supervisor.samples
-        due = self._eventful or self._supervisor.changed or samples - self._remembered >= self._remember_every
-        if due and self._remember_every > 0:
+        if samples - self._remembered >= self._remember_every:
             self._remembered = samples
-            self._eventful = False
-            self._memories.publish(String(data=remember(self._supervisor)))
+            self._memories.publish(String(data=self._journal.account()))
 
     def _elapsed(self, now: float) -> float:
         """Seconds since the last call."""
@@ -241,7 +250,7 @@ class Controller(Managed):
             self._take_paired_command(number)
             return
         for message, _ in self._commands.take():
-            self._supervisor.command(message.data)
+            self._journal.command(message.data)
             self._last_command = time.monotonic()
 
     def _take_paired_command(self, number: int) -> None:
@@ -257,7 +266,7 @@ class Controller(Managed):
                 time.sleep(POLL)
                 continue
             message, info = taken
-            self._supervisor.command(message.data)
+            self._journal.command(message.data)
             self._last_command = time.monotonic()
             ahead = info["publication_sequence_number"] - number
             if self._pairing is None:
@@ -275,14 +284,17 @@ class Controller(Managed):
     def _watch_graph(self) -> None:
         if self._readings is None:
             return
-        for topic, name in (("spool_command", "command_publishers"), ("spool_position", "lvdt_publishers")):
+        readers = self._journals.get_subscription_count()
+        if readers > self._readers:
+            self._remembered = NOT_YET
+        self._readers = readers
+        for topic in ("spool_command", "spool_position"):
             count = self.count_publishers(topic)
-            self._supervisor.observe(name, f"{count} publishers on {topic}" if count > 1 else "")
-            if name == "command_publishers":
+            self._journal.publishers(topic, count)
+            if topic == "spool_command":
                 self._commanded = self._commanded or count > 0
                 if count == 0 and self._commanded and not self._lockstep:
-                    self._supervisor.command_gone()
-                    self._eventful = True
+                    self._journal.command_gone()
 
     def _check_stability(self) -> None:
         """Warn about unstable gains; after they came into use, since it takes longer than a period."""
@@ -295,8 +307,7 @@ class Controller(Managed):
     # Services
 
     def _on_reset(self, request: Any, response: Any) -> Any:
-        self._supervisor.reset()
-        self._eventful = True
+        self._journal.reset()
         response.success = True
         response.message = "estimates and filters are at their start"
         self.get_logger().info(response.message)

@@ -26,7 +26,7 @@ from valve_control.parameters.table import RECORDER, ParameterError, Values
 
 CASCADE = (
     r"(.*/)?(spool_command|spool_position|valve_voltage)",
-    r".*/controller/(state|memory)",
+    r".*/controller/(state|memory|journal)",
     "/diagnostics",
     "/clock",
 )

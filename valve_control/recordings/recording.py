@@ -9,11 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.bags.bag import Bag, Series
-from valve_control.bags.cdr import Decoder
+from valve_control.bags.cdr import Decoder, jazzy
 from valve_control.bags.errors import BagError
 from valve_control.recordings import parameters
 from valve_control.recordings.cleaning import Samples, clean, seconds
-from valve_control.recordings.mapping import ValveTopics, find_valves
+from valve_control.recordings.mapping import STATE_TYPE, ValveTopics, find_valves
+from valve_control.supervision.journal import Block, block
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -62,7 +63,8 @@ class Valve(NamedTuple):
     timed: dict[str, Samples]  # likewise, with NaN
     recorded: dict[str, Samples]  # likewise, with NaN and all publishers
     state: State | None
-    memories: list[tuple[int, str]]  # what the controller remembered, with source times [ns]
+    journal: list[Block]  # what the controller took in, if it was asked for
+    accounts: list[tuple[int, str]]  # what it remembered, with source times [ns], likewise
     controller: parameters.Node | None
     simulator: parameters.Node | None
     problems: list[str]
@@ -96,11 +98,12 @@ def load(
     start: float | None = None,
     end: float | None = None,
     told: Callable[[Bag], Callable[[int], None]] | None = None,
+    journals: bool = False,
 ) -> Recording:
     """Read a bag, or its part from ``start`` to ``end`` [s] after its beginning.
 
-    ``told`` makes, from the opened bag, what hears the bytes done. Raises BagError if nothing can be
-    analysed.
+    ``told`` makes, from the opened bag, what hears the bytes done; ``journals`` are those of the controllers,
+    which only a shadow replay needs. Raises BagError if nothing can be analysed.
     """
     bag = Bag(path)
     topics = find_valves(bag, maps)
@@ -114,16 +117,18 @@ def load(
     labels = {name: _labels(bag, name) for name in states}
     for name in states:
         wanted[name] = [f"data[{label}]" for label in STATE_FIELDS]
-    raw = {parameters.TOPIC, *(_memory_topic(name) for name in states)} & set(bag.topics)
+    noted = {_beside(name, kind) for name in states for kind in ("memory", "journal") if journals}
+    noted &= set(bag.topics)
+    raw = {parameters.TOPIC} & set(bag.topics)
     begin = bag.begin
     first = begin if start is None else begin + nanoseconds(start, "--from")
     last = None if end is None else begin + nanoseconds(end, "--to")
     hears = told(bag) if told else None
     if start is None:
-        series = bag.read(wanted, raw=raw, sparse=states, end=last, told=hears)
+        series = bag.read(wanted, raw=raw | noted, sparse=states, end=last, told=hears)
     else:
         # What is known of the nodes counts from the bag's beginning, whatever part is asked for.
-        series = bag.read(wanted, sparse=states, start=first, end=last, told=hears)
+        series = bag.read(wanted, raw=noted, sparse=states, start=first, end=last, told=hears)
         series |= bag.read({}, raw=raw, end=last)
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
     if start is not None:
@@ -154,9 +159,33 @@ def nanoseconds(time: float, option: str) -> int:
     return round(time * 1e9)
 
 
-def _memory_topic(state: str) -> str:
-    """Topic on which the controller with this topic of its state says what it remembers."""
-    return f"{state.removesuffix('/state')}/memory"
+def _beside(state: str, kind: str) -> str:
+    """Topic ``kind`` of the controller with this topic of its state."""
+    return f"{state.removesuffix('/state')}/{kind}"
+
+
+def _journal(notes: Series | None, problems: list[str]) -> list[Block]:
+    if notes is None:
+        return []
+    kind = jazzy().get_msgdef(STATE_TYPE)
+    blocks = []
+    unreadable = 0
+    for raw in notes.raw:
+        try:
+            message: Any = kind.deserialize_cdr_le(raw[4:], 0, kind.cls, jazzy())[0]
+            blocks.append(block(message.data))
+        except (struct.error, ValueError, IndexError):
+            unreadable += 1
+    if unreadable:
+        problems.append(f"{unreadable} messages on ~/journal are no journal and are left out")
+    return [part for part in blocks if len(part.rows)]
+
+
+def _accounts(notes: Series | None) -> list[tuple[int, str]]:
+    if notes is None:
+        return []
+    texts = [raw[8:].rstrip(b"\0").decode(errors="replace") for raw in notes.raw]
+    return sorted(zip(notes.publish_time.tolist(), texts, strict=True))
 
 
 def _labels(bag: Bag, topic: str) -> list[str]:
@@ -182,11 +211,6 @@ def _valve(
         got = series[topics.state]
         named = {label: got.values[f"data[{label}]"] for label in STATE_FIELDS}
         state = State(got.publish_time, labels, named)
-    memories: list[tuple[int, str]] = []
-    told = series.get(_memory_topic(topics.state))
-    if told is not None:
-        texts = [raw[8:].rstrip(b"\0").decode(errors="replace") for raw in told.raw]
-        memories = sorted(zip(told.publish_time.tolist(), texts, strict=True))
     for part in ("spool_command", "spool_position", "valve_voltage"):
         if part not in signals:
             problems.append(f"{topics.name} has no {part}; what needs it is left out")
@@ -206,7 +230,8 @@ def _valve(
         cleaned.timed,
         cleaned.recorded,
         state,
-        memories,
+        _journal(series.get(_beside(topics.state, "journal")), problems),
+        _accounts(series.get(_beside(topics.state, "memory"))),
         kinds.get("controller"),
         kinds.get("valve_simulator"),
         problems,

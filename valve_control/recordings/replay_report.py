@@ -46,7 +46,6 @@ def shadow_dict(result: Shadow, bag: str, valve: str) -> dict[str, Any]:
         "difference_rms_V": rms(difference) if len(difference) else None,
         "recorded": _effort(result.recorded),
         "shadow": _effort(result.voltage),
-        "inferred": result.inferred,
         "left_out": result.left_out,
     }
 
@@ -72,7 +71,6 @@ def shadow_text(result: Shadow) -> str:
         )
     else:
         lines.append("the bag has no voltage to compare with")
-    lines += [f"inferred: {text}" for text in result.inferred]
     return "\n".join([*lines, *(f"note: {text}" for text in result.left_out)])
 
 
@@ -111,7 +109,7 @@ def shadow_page(result: Shadow, bag: str) -> str:
     sections = {
         "Voltage": table(["", "u_rms [V]", "c_u", "max [V]"], rows)
         + f"<p>{shadow_text(result).splitlines()[4]}</p>"
-        + notes([*result.inferred, *result.left_out]),
+        + notes(result.left_out),
         "Signals": figure(plots, "time [s]"),
     }
     return page(f"{bag}: shadow replay with {result.controller}", sections)

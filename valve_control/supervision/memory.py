@@ -20,13 +20,12 @@ PLAIN = (
 RECORDS: dict[str, Any] = {
     "_homing": Homing, "_offset": fade.State, "_command_offset": fade.State, "_velocity": velocity.State,
 }  # fmt: skip
-CLOCK = ("_now", "_command_time", "_gone_since", "_homing", "_expiry")  # what only real time tells
 STATES = ("_state", "_former")  # of the law, each with the law's name
 
 
-def remember(supervisor: Supervisor) -> str:
-    """What ``supervisor`` remembers after a sample, as JSON."""
-    memory: dict[str, Any] = {name: getattr(supervisor, name) for name in (*PLAIN, *RECORDS)}
+def remember(supervisor: Supervisor, row: int = 0) -> str:
+    """What ``supervisor`` remembers before ``row`` of its journal, as JSON."""
+    memory: dict[str, Any] = {"row": row} | {name: getattr(supervisor, name) for name in (*PLAIN, *RECORDS)}
     memory["law"] = supervisor.name
     memory["monitor"] = supervisor.monitor_memory()
     for name in STATES:
@@ -35,16 +34,13 @@ def remember(supervisor: Supervisor) -> str:
     return json.dumps(memory)
 
 
-def agrees(supervisor: Supervisor, text: str) -> bool:
-    """Whether ``supervisor`` remembers what ``text`` says, but for its clock."""
+def row_of(text: str) -> int | None:
+    """Row of the journal before which the account ``text`` was given, None if it is no account."""
     try:
-        said = json.loads(text)
-    except ValueError:
-        return False
-    own = json.loads(remember(supervisor))
-    if not isinstance(said, dict) or said.keys() != own.keys():
-        return False
-    return all(json.dumps(said[name]) == json.dumps(own[name]) for name in own if name not in CLOCK)
+        row = json.loads(text)["row"]
+    except (ValueError, KeyError, TypeError):
+        return None
+    return row if isinstance(row, int) else None
 
 
 def recall(supervisor: Supervisor, text: str) -> bool:

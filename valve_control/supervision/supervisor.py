@@ -180,26 +180,10 @@ class Supervisor:
         if self._state is not None:
             self._take_over(None, following=True)
 
-    def snapshot(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Everything that it remembers, for ``restore``."""
-        own = dict(self.__dict__)
-        for name in ("counts", "conditions", "_expiry"):
-            own[name] = dict(own[name])
-        return own, dict(vars(self._monitor)) if self._monitor is not None else {}
-
-    def restore(self, snapshot: tuple[dict[str, Any], dict[str, Any]]) -> None:
-        """Go back to where it was at the ``snapshot``, which can be used again."""
-        own, watched = snapshot
-        self.__dict__.update(own)
-        for name in ("counts", "conditions", "_expiry"):
-            setattr(self, name, dict(own[name]))
-        if self._monitor is not None:
-            vars(self._monitor).update(watched)
-
     @property
-    def last_inputs(self) -> tuple[int | None, float | None]:
-        """Number of the last reading, and the command [V] in force."""
-        return self._sequence, self._command
+    def command_in_force(self) -> float | None:
+        """The command [V], None before the first."""
+        return self._command
 
     def monitor_memory(self) -> dict[str, Any]:
         """What the watch over the LVDT remembers."""
