@@ -94,15 +94,12 @@ class Run:
         self._messages = []
         self.voltages = []
         self.readings = []
-        self.said = 0
         self.say(f"{namespace}/controller", self.values, new=True)
         self.say(f"{namespace}/valve_simulator", self.valve_values, new=True)
+        self.flush()
 
     def say(self, node, values, new=False):
-        self.said += 1
-        time = (
-            self.time + PERIOD // 2 + 40_000 * ((self.said - 3) % 5)
-        )  # after the voltage of the sample before
+        time = self.clock + 20_000
         self._messages.append(
             Message("/parameter_events", EVENT, time, 0, event(node, values, new), time + 200_000)
         )
@@ -120,8 +117,9 @@ class Run:
         if updated(CONTROLLER, self.values, new) == self.values:
             return
         self.values = updated(CONTROLLER, self.values, new)
-        self.clock = self.time + PERIOD // 2 + 40_000 * ((self.said - 2) % 5) - 20_000
+        self.clock = max(self.time + PERIOD // 2 - 20_000, self.clock + 40_000)
         self.journal.apply(self.values, build.law_params(self.values))
+        self.flush()
         self.say(f"{self.namespace}/controller", new)
 
     def sample(self, command=None, late=False, lost=False, before=None):
@@ -130,7 +128,7 @@ class Run:
         ``command`` is sent before the reading, or, ``late``, after the controller took its commands, so that
         it counts one sample later; ``before`` is called on the supervisor first.
         """
-        self.time += PERIOD
+        self.time += PERIOD * max(1, -(-(self.clock + 300_000 - self.time) // PERIOD))
         self.clock = self.time - 250_000
         if before is not None:
             before(self.journal)
@@ -170,7 +168,8 @@ class Run:
         """The journal's waiting rows, and an account where one is due."""
         if len(self.journal):
             self.tell("journal", array(self.journal.take()))
-            if self.supervisor.samples - self.remembered >= self.memory_every:
+            due = self.supervisor.samples - self.remembered >= self.memory_every
+            if due or self.journal.owes_account:
                 self.remembered = self.supervisor.samples
                 self.tell("memory", string(self.journal.account()))
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, defaults, updated
-from valve_control.supervision.memory import recall, remember, row_of
+from valve_control.supervision.memory import heading, recall, remember
 from valve_control.supervision.supervisor import Supervisor
 
 LAWS = ["arc", "oarc", "pid", "compensator", "open_loop"]
@@ -80,7 +80,8 @@ def test_the_memory_of_another_law_or_version_is_refused():
     assert not recall(supervisor, json.dumps(changed))
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1, 2]", '{"row": "7"}', "null"])
-def test_an_account_says_its_row(text):
-    assert row_of(remember(made(), 7)) == 7
-    assert row_of(text) is None
+@pytest.mark.parametrize("text", ["", "{}", "[1, 2]", '{"row": "7", "values": {}}', '{"row": 7}', "null"])
+def test_an_account_says_its_row_and_parameters(text):
+    row, values = heading(remember(made(arc__k1=70.0), 7))
+    assert row == 7 and values == updated(CONTROLLER, defaults(CONTROLLER), {"arc.k1": 70.0})
+    assert heading(text) is None

@@ -111,6 +111,8 @@ class Controller(Managed):
             self._realtime = wanted
             realtime.obtain(wanted, self.get_logger().warning)
         self._unchecked = True
+        if self._readings is not None:
+            self._write_journal(now=True)
 
     # Life
 
@@ -141,6 +143,7 @@ class Controller(Managed):
             for _ in topic.take():
                 pass
         self._journal.start()
+        self._write_journal(now=True)
         self._said = None
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._lockstep else self._seen + REMIND
@@ -231,7 +234,7 @@ class Controller(Managed):
         self._rows.data = rows
         self._journals.publish(self._rows)
         samples = self._supervisor.samples
-        if samples - self._remembered >= self._remember_every:
+        if self._journal.owes_account or samples - self._remembered >= self._remember_every:
             self._remembered = samples
             self._memories.publish(String(data=self._journal.account()))
 
@@ -287,6 +290,7 @@ class Controller(Managed):
         readers = self._journals.get_subscription_count()
         if readers > self._readers:
             self._remembered = NOT_YET
+            self._write_journal(now=True)
         self._readers = readers
         for topic in ("spool_command", "spool_position"):
             count = self.count_publishers(topic)

@@ -18,10 +18,9 @@ from valve_control.bags.errors import BagError
 from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, ParameterError, Values, defaults, updated
 from valve_control.recordings.cleaning import Samples, seconds
-from valve_control.recordings.parameters import Change
 from valve_control.recordings.recording import Valve
 from valve_control.supervision.journal import COLUMNS, Block, Event, observe
-from valve_control.supervision.memory import recall, remember, row_of
+from valve_control.supervision.memory import heading, recall, remember
 from valve_control.supervision.supervisor import Supervisor
 
 Floats = npt.NDArray[np.float64]
@@ -29,7 +28,6 @@ Integers = npt.NDArray[np.int64]
 Row = tuple[int, float, float, float, float]  # time [ns], command, reading, recorded and shadow voltage [V]
 EVENT, COMMAND, READING, NUMBER, ELAPSED, VOLTAGE = range(1, len(COLUMNS))
 TAKING = 60_000  # ns from taking commands to publishing the voltage, about
-PUBLISHED = 50_000_000  # ns after which new parameters have been published
 END = np.iinfo(np.int64).max  # ns
 REPORT = 10_000  # samples between two words of progress
 
@@ -66,53 +64,32 @@ def replay(valve: Valve, overrides: Mapping[str, Any], told: Callable[[int], Non
     for part in ("spool_position", "spool_command"):
         if part not in valve.recorded or len(valve.recorded[part].time) == 0:
             raise BagError(f"{valve.name} has no {part}, so no controller can be replayed on it")
-    return (_ByJournal if valve.journal else _ByTimes)(valve, overrides).run(told)
+    return (_ByJournal if valve.journal and valve.accounts else _ByTimes)(valve, overrides).run(told)
 
 
 class _Replay:
     """A supervisor with the parameters of each moment."""
 
     def __init__(self, valve: Valve, overrides: Mapping[str, Any]) -> None:
-        self._left_out: list[str] = []
         self._valve = valve
         self._overrides = dict(overrides)
-        self._commands = valve.recorded["spool_command"]
         self._voltages = valve.recorded.get("valve_voltage")
-        self._values = self._initial_values()
-        self._supervisor = self._at_rest()
-        node = valve.controller
-        self._changes = list(node.changes) if node is not None else []
-        known = node is not None and node.missing == 0 and not self._left_out
-        self._faithful = known and not overrides
-        if not known:
-            self._left_out.append(
-                "not all of the recorded controller's parameters are known: defaults stand for the others"
-            )
-        self._law = self._supervisor.name
-
-    def _initial_values(self) -> Values:
-        node = self._valve.controller
-        values = defaults(CONTROLLER)
-        if node is not None:
-            values, refused = node.table_values(node.initial)
-            self._left_out += refused
-        elif "sample_period" not in self._overrides:
-            values["sample_period"] = self._valve.period
-        return updated(CONTROLLER, values, self._overrides)
-
-    def _at_rest(self) -> Supervisor:
-        supervisor = Supervisor()
-        supervisor.apply(self._values, build.law_params(self._values))
-        return supervisor
+        self._left_out: list[str] = []
+        self._faithful = not overrides
+        self._supervisor = Supervisor()
+        self._values = updated(CONTROLLER, defaults(CONTROLLER), overrides)
+        self._supervisor.apply(self._values, build.law_params(self._values))
+        self._law = ""
 
     def run(self, told: Callable[[int], None] | None) -> Shadow:
         rows: list[Row] = []
         for row in self._rows():
+            self._law = self._law or self._supervisor.name
             rows.append(row)
             if told is not None and len(rows) % REPORT == 0:
                 told(REPORT)
         if not rows:
-            raise BagError(f"{self._valve.name}: nothing can be replayed: {'; '.join(self._left_out)}")
+            raise BagError(f"{self._valve.name}: the bag has no voltage that can be replayed")
         stamp = np.array([row[0] for row in rows], dtype=np.int64)
         command, measurement, recorded, voltage = (np.array(c) for c in list(zip(*rows, strict=True))[1:])
         time = seconds(stamp, int(stamp[0]))
@@ -124,83 +101,78 @@ class _Replay:
     def _rows(self) -> Iterator[Row]:
         raise NotImplementedError
 
-    def _apply_changes(self, until: int) -> int:
-        """Take the changes before ``until`` [ns] into use; returns how many there were."""
-        due: list[Change] = []
-        while self._changes and self._changes[0].time < until:
-            due.append(self._changes.pop(0))
-        names = {parameter.name for parameter in CONTROLLER}
-        for change in due:
-            wanted = {
-                name: value
-                for name, value in change.values.items()
-                if name in names and name not in self._overrides
-            }
-            try:
-                values = updated(CONTROLLER, self._values, wanted)
-                self._supervisor.apply(values, build.law_params(values))
-            except ParameterError as error:
-                self._left_out.append(f"recorded change not used: {error}")
-                continue
-            self._values = values
-        return len(due)
+    def _use(self, recorded: Mapping[str, Any]) -> None:
+        """Take recorded parameters into use, but for those that are given."""
+        names = {parameter.name for parameter in CONTROLLER} - self._overrides.keys()
+        try:
+            values = updated(
+                CONTROLLER, self._values, {name: v for name, v in recorded.items() if name in names}
+            )
+            if values == self._values:
+                return
+            self._supervisor.apply(values, build.law_params(values))
+        except ParameterError as error:
+            self._left_out.append(f"recorded parameters not used: {error}")
+            return
+        self._values = values
 
 
 class _ByJournal(_Replay):
-    """What the controller's journal says that it took in, in that order."""
+    """What the controller's journal says that it took in, in that order, from its first account on."""
 
     def _rows(self) -> Iterator[Row]:
         blocks = self._valve.journal
-        self._applied = np.concatenate([b.time[b.rows[:, EVENT] == Event.PARAMETERS] for b in blocks])
-        self._known = False  # whether the supervisor is where the recorded one was
-        self._newest = np.nan  # V, command taken
-        self._begun = 0  # ns, when the process did
-        self._gap = END  # ns, after the last row that comes before some that are missing
-        self._unlike = self._lost_changes = compared = 0
-        gaps = _ends(blocks)
+        self._known = False  # whether the supervisor is where the recorded one was, or as good
+        self._changed = False  # whether parameters came into use that the next account tells
+        self._newest = math.nan  # V, command taken
+        self._unlike = compared = 0
         before: Block | None = None
         for i, block in enumerate(blocks):
-            self._gap = gaps[i]
             self._enter(block, before)
-            after = blocks[i + 1] if i + 1 < len(blocks) else None
-            end = END if after is None else int(after.time[0])
-            times = block.time.tolist()
-            for time, row, recorded in zip(
-                times, block.rows.tolist(), self._recorded(block, end), strict=True
-            ):
-                voltage = self._step(time, row) if self._known or not self._faithful else None
+            end = int(blocks[i + 1].time[0]) if i + 1 < len(blocks) else END
+            times, recorded = block.time.tolist(), self._recorded(block, end)
+            for time, row, given in zip(times, block.rows.tolist(), recorded, strict=True):
+                voltage = self._step(row) if self._known else None
                 if voltage is not None:
-                    compared += not math.isnan(recorded)
-                    yield time, self._newest, row[READING], recorded, voltage
+                    compared += not math.isnan(given)
+                    yield time, self._newest, row[READING], given, voltage
             before = block
         self._say(compared)
 
     def _enter(self, block: Block, before: Block | None) -> None:
-        """Begin anew where the controller did, and after a gap with its account of what it remembers."""
-        begin, earliest = int(block.time[0]), 0 if before is None else int(before.time[-1])
-        if block.first == 0:
-            self._apply_changes(self._next_change(begin))
-            self._supervisor, self._begun = self._at_rest(), begin
-            self._known, self._newest = True, math.nan
-        elif _apart(before, block):
-            self._known = False
-        if not self._faithful:
+        """Go on; after a gap or with new parameters, from the controller's account of what it remembers."""
+        told = self._account(block, before)
+        if (
+            before is None
+            or block.first != before.first + len(before.rows)
+            or (self._changed and told is None)
+        ):
+            self._known = self._known and not self._faithful
+        self._changed = False
+        if told is None:
             return
-        accounts, moment = self._valve.accounts, itemgetter(0)
-        first = bisect_left(accounts, earliest, key=moment)
-        for _, text in accounts[first : bisect_right(accounts, int(block.time[-1]), key=moment)]:
-            if row_of(text) != block.first:
-                continue
-            if self._known and remember(self._supervisor, block.first) == text:
-                continue
+        text, values = told
+        self._use(values)
+        if not self._faithful:
+            self._known = True
+        elif not self._known or remember(self._supervisor, block.first) != text:
             self._unlike += self._known
-            self._apply_changes(begin)
-            if recall(self._supervisor, text):
-                self._known = True
-                command = self._supervisor.command_in_force
-                self._newest = math.nan if command is None else command
+            self._known = recall(self._supervisor, text)
+            command = self._supervisor.command_in_force
+            self._newest = math.nan if command is None else command
 
-    def _step(self, time: int, row: list[float]) -> float | None:
+    def _account(self, block: Block, before: Block | None) -> tuple[str, Values] | None:
+        """What the controller remembered before ``block``, and its parameters; None if it did not say."""
+        accounts, moment = self._valve.accounts, itemgetter(0)
+        first = bisect_left(accounts, 0 if before is None else int(before.time[-1]), key=moment)
+        last = bisect_right(accounts, int(block.time[-1]), key=moment)
+        for _, text in accounts[first:last]:
+            told = heading(text)
+            if told is not None and told[0] == block.first:
+                return text, told[1]
+        return None
+
+    def _step(self, row: list[float]) -> float | None:
         """Give the supervisor what ``row`` tells; the voltage [V], None if the row has none."""
         supervisor, event = self._supervisor, Event(int(row[EVENT]))
         if event is Event.COMMAND or not math.isnan(row[COMMAND]):
@@ -213,8 +185,7 @@ class _ByJournal(_Replay):
                 voltage = supervisor.silence(row[ELAPSED], event is Event.STALL)
                 return voltage if supervisor.begun else None
             case Event.PARAMETERS:
-                if time != self._begun:
-                    self._change(time)
+                self._changed = True
             case Event.START:
                 supervisor.start()
             case Event.RESET:
@@ -224,16 +195,6 @@ class _ByJournal(_Replay):
             case Event.COMMAND_PUBLISHERS | Event.LVDT_PUBLISHERS:
                 observe(supervisor, event, int(row[NUMBER]))
         return None
-
-    def _change(self, time: int) -> None:
-        """Parameters that came into use at ``time`` [ns] and were published between then and the next."""
-        until = self._next_change(time)
-        self._lost_changes += not self._apply_changes(until) and until - time > PUBLISHED
-
-    def _next_change(self, time: int) -> int:
-        """When [ns] the next parameters after ``time`` came into use, or may have, since rows are missing."""
-        after = int(np.searchsorted(self._applied, time, side="right"))
-        return min(int(self._applied[after]) if after < len(self._applied) else END, self._gap)
 
     def _recorded(self, block: Block, end: int) -> list[float]:
         """The voltage on the topic [V] after each row and before the next, which comes at ``end`` [ns]."""
@@ -254,10 +215,6 @@ class _ByJournal(_Replay):
                 f"{given - compared} of {given} recorded voltages are not compared: they come before the "
                 "first account or after the last part of the controller's journal in the bag, or in its gaps"
             )
-        if self._lost_changes:
-            self._left_out.append(
-                f"parameters changed {self._lost_changes} times, and the bag does not hold to what"
-            )
         if self._unlike:
             self._left_out.append(
                 f"{self._unlike} times the controller remembered something else than the shadow, which "
@@ -268,27 +225,27 @@ class _ByJournal(_Replay):
             self._left_out.append(f"{lost} readings did not reach the controller")
 
 
-def _apart(before: Block | None, after: Block | None) -> bool:
-    """Whether rows are missing between two blocks, or one of these."""
-    return before is None or after is None or after.first != before.first + len(before.rows)
-
-
-def _ends(blocks: list[Block]) -> list[int]:
-    """For each block the time [ns] after the last row that follows it without a gap."""
-    ends: list[int] = []
-    for before, after in zip(reversed(blocks), [None, *reversed(blocks[1:])], strict=True):
-        ends.append(int(before.time[-1]) + 1 if _apart(before, after) else ends[-1])
-    return ends[::-1]
-
-
 class _ByTimes(_Replay):
     """Each reading in turn, under the newest command sent before it was answered, as far as times tell."""
 
     def _rows(self) -> Iterator[Row]:
+        node = self._valve.controller
+        changes = list(node.changes) if node is not None else []
+        if node is not None:
+            values, refused = node.table_values(node.initial)
+            self._left_out += refused
+            self._use(values)
+        elif "sample_period" not in self._overrides:
+            self._use({"sample_period": self._valve.period})
+        if node is None or node.missing or self._left_out:
+            self._faithful = False
+            self._left_out.append(
+                "not all of the recorded controller's parameters are known: defaults stand for the others"
+            )
         self._left_out.append(
             "the bag has no ~/journal of a controller: what it took in is known to a sample or so, from times"
         )
-        readings, commands = self._valve.recorded["spool_position"], self._commands
+        readings, commands = (self._valve.recorded[part] for part in ("spool_position", "spool_command"))
         answered, recorded = self._answers(readings)
         taken, last = 0, int(readings.time[0])
         newest = math.nan
@@ -300,7 +257,8 @@ class _ByTimes(_Replay):
             recorded,
         )
         for time, reading, number, count, voltage in zip(*(c.tolist() for c in columns), strict=True):
-            self._apply_changes(time)
+            while changes and changes[0].time < time:
+                self._use(changes.pop(0).values)
             for command in commands.value[taken:count].tolist():
                 self._supervisor.command(command)
                 newest = command

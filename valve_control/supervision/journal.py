@@ -29,7 +29,7 @@ class Event(IntEnum):
     SILENCE = 1  # of the LVDT
     STALL = 2  # a reading left unanswered, since it came while the process stood still
     COMMAND = 3  # nothing but the command, NaN included
-    PARAMETERS = 4  # new ones are in use
+    PARAMETERS = 4  # new ones are in use, which the account before the next row tells
     START = 5  # from rest
     RESET = 6
     COMMAND_GONE = 7  # the upper level left
@@ -54,6 +54,7 @@ class Journal:
         self._count = 0  # rows since the beginning
         self._command = math.nan  # taken, and not in a row yet
         self._publishers = dict.fromkeys(OBSERVED, 0)
+        self.owes_account = True  # of parameters that came into use
 
     def __len__(self) -> int:
         """Rows that wait to be taken."""
@@ -86,6 +87,7 @@ class Journal:
         """New parameters. See Supervisor.apply."""
         self._supervisor.apply(values, params)
         self._note(Event.PARAMETERS)
+        self.owes_account = True
 
     def start(self) -> None:
         """Begin at rest."""
@@ -124,6 +126,7 @@ class Journal:
 
     def account(self) -> str:
         """All that the supervisor remembers before the next row; after ``take``."""
+        self.owes_account = False
         return remember(self._supervisor, self._count)
 
     def _note(

@@ -8,6 +8,7 @@ import typing
 from typing import Any
 
 from valve_control.laws import velocity
+from valve_control.parameters.table import Values
 from valve_control.simulation.closed_loop import LAWS
 from valve_control.supervision import fade
 from valve_control.supervision.supervisor import Homing, Supervisor
@@ -24,8 +25,9 @@ STATES = ("_state", "_former")  # of the law, each with the law's name
 
 
 def remember(supervisor: Supervisor, row: int = 0) -> str:
-    """What ``supervisor`` remembers before ``row`` of its journal, as JSON."""
-    memory: dict[str, Any] = {"row": row} | {name: getattr(supervisor, name) for name in (*PLAIN, *RECORDS)}
+    """What ``supervisor`` remembers before ``row`` of its journal, and its parameters, as JSON."""
+    memory: dict[str, Any] = {"row": row, "values": dict(sorted(supervisor.values.items()))}
+    memory |= {name: getattr(supervisor, name) for name in (*PLAIN, *RECORDS)}
     memory["law"] = supervisor.name
     memory["monitor"] = supervisor.monitor_memory()
     for name in STATES:
@@ -34,13 +36,14 @@ def remember(supervisor: Supervisor, row: int = 0) -> str:
     return json.dumps(memory)
 
 
-def row_of(text: str) -> int | None:
-    """Row of the journal before which the account ``text`` was given, None if it is no account."""
+def heading(text: str) -> tuple[int, Values] | None:
+    """Row and parameters of the account ``text``, None if it is no account."""
     try:
-        row = json.loads(text)["row"]
+        memory = json.loads(text)
+        row, values = memory["row"], memory["values"]
     except (ValueError, KeyError, TypeError):
         return None
-    return row if isinstance(row, int) else None
+    return (row, values) if isinstance(row, int) and isinstance(values, dict) else None
 
 
 def recall(supervisor: Supervisor, text: str) -> bool:

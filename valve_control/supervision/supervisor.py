@@ -86,7 +86,7 @@ class Supervisor:
         self._form: tuple[Any, ...] = ()
         self._law: Any = None
         self._params: Any = None
-        self._values: Values = {}
+        self.values: Values = {}  # in use
         self._monitor: lvdt.Monitor | None = None
         self._kept: tuple[str, tuple[float, ...] | None] = ("", None)  # law and its estimates before start
         self._state: Any = None
@@ -132,7 +132,7 @@ class Supervisor:
         """Take checked ``values`` and the law's ``params`` built from them into use, between two samples."""
         former = self._params
         name = build.word(values, "controller")
-        self._values = values
+        self.values = values
         self._params = params
         self._period = build.number(values, "sample_period")
         self._u_max = build.number(values, "u_max")
@@ -341,7 +341,7 @@ class Supervisor:
 
     def present_values(self) -> Values:
         """The parameters in use, with the present estimates as the initial ones of the running law."""
-        values = dict(self._values)
+        values = dict(self.values)
         theta = self.theta or (self._kept[1] if self._kept[0] == self.name else None)
         if theta is not None:
             values[f"{self.name}.theta_initial"] = list(theta)
@@ -362,8 +362,8 @@ class Supervisor:
         self._velocity = velocity.State(reading, 0.0)
         self._welcome(reading)
         wanted = 0.0 if self._command is None else self._command
-        if self._values["lockstep"] or max(abs(reading), abs(wanted)) <= build.number(
-            self._values, "lvdt.tolerance"
+        if self.values["lockstep"] or max(abs(reading), abs(wanted)) <= build.number(
+            self.values, "lvdt.tolerance"
         ):
             start = Start(reading, self.voltage, reading, 0.0, 0.0)
             self._state = self._law.initial(self._params, start)
