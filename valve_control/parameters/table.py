@@ -208,7 +208,7 @@ CONTROLLER: Table = (
         1.0,
         "s",
         "time between two accounts of all that the controller remembers, on ~/memory, with which a recording "
-        "can be replayed from its middle; one comes after every event too; 0.0: none",
+        "can be replayed from its middle; 0.0: none, and no ~/journal",
         0.0,
         3600.0,
     ),
