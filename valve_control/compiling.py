@@ -43,15 +43,20 @@ def _numba() -> Any:
 
 
 def compile_function(
-    function: Callable[..., Any], replace: Mapping[str, Callable[..., Any]] | None = None
+    function: Callable[..., Any],
+    replace: Mapping[str, Callable[..., Any]] | None = None,
+    nogil: bool = False,
 ) -> Callable[..., Any]:
-    """Compiled twin of ``function``; globals named in ``replace`` are taken from there."""
-    return _compile(function, tuple(sorted((replace or {}).items(), key=lambda item: item[0])))
+    """Compiled twin of ``function``; globals named in ``replace`` are taken from there.
+
+    ``nogil``: other Python threads run while it does.
+    """
+    return _compile(function, tuple(sorted((replace or {}).items(), key=lambda item: item[0])), nogil)
 
 
 @functools.cache
 def _compile(
-    function: Callable[..., Any], replace: tuple[tuple[str, Callable[..., Any]], ...]
+    function: Callable[..., Any], replace: tuple[tuple[str, Callable[..., Any]], ...], nogil: bool
 ) -> Callable[..., Any]:
     numba = _numba()
     assert isinstance(function, types.FunctionType)
@@ -73,7 +78,8 @@ def _compile(
         # numba's cache tells functions apart by name and types, not by what their globals are.
         names = ",".join(f"{value.__module__}.{value.__name__}" for _, value in replace)
         rebuilt.__qualname__ += f"_{hashlib.sha256(names.encode()).hexdigest()[:12]}"
-    return numba.njit(cache=True, error_model="numpy", forceinline=True)(rebuilt)  # type: ignore[no-any-return]
+    make = numba.njit(cache=True, error_model="numpy", forceinline=True, nogil=nogil)
+    return make(rebuilt)  # type: ignore[no-any-return]
 
 
 @functools.cache

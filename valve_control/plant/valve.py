@@ -140,28 +140,44 @@ def initial(p: Params) -> State:
     return State(Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0, np.zeros((length, 2)), 0)
 
 
-def read(p: Params, s: State, noise: float) -> float:
-    """LVDT reading [V] at this sample; ``noise`` is a standard normal number.
+def remember(history: npt.NDArray[np.float64], newest: int, x: Row, period: float) -> None:
+    """Put the position and velocity of ``x`` in row ``newest`` of ``history`` (as of ``State``)."""
+    history[newest, 0] = x.x0
+    history[newest, 1] = x.x0 + x.x1 * period / 3.0
 
-    With a delay, the position between two samples is the cubic (in Bézier's form) through both positions with
-    both velocities; a straight line would be a low-pass of its own.
+
+def delayed(delay: float, history: npt.NDArray[np.float64], newest: int) -> float:
+    """Position [V] ``delay`` periods before the ``newest`` row of ``history`` (as of ``State``).
+
+    Between two samples it is the cubic (in Bézier's form) through both positions with both velocities; a
+    straight line would be a low-pass of its own.
     """
+    whole = int(delay)
+    part = delay - whole
+    n = len(history)
+    later = (newest - whole) % n
+    earlier = (newest - whole - 1) % n
+    p0, p1 = float(history[earlier, 0]), float(history[earlier, 1])
+    p3 = float(history[later, 0])
+    p2 = 2.0 * p3 - float(history[later, 1])
+    t = 1.0 - part
+    return part * part * (part * p0 + 3.0 * t * p1) + t * t * (3.0 * part * p2 + t * p3)
+
+
+def reading(lvdt: Lvdt, position: float, noise: float) -> float:
+    """What the LVDT shows [V] of ``position`` [V]; ``noise`` is a standard normal number."""
+    shown = position + lvdt.bias + lvdt.noise * noise
+    if lvdt.resolution > 0.0:
+        shown = lvdt.resolution * math.floor(shown / lvdt.resolution + 0.5)
+    return shown
+
+
+def read(p: Params, s: State, noise: float) -> float:
+    """LVDT reading [V] at this sample; ``noise`` is a standard normal number."""
     position = s.x.x0
     if p.lvdt.delay > 0.0:
-        whole = int(p.lvdt.delay)
-        part = p.lvdt.delay - whole
-        n = len(s.history)
-        later = (s.newest - whole) % n
-        earlier = (s.newest - whole - 1) % n
-        p0, p1 = float(s.history[earlier, 0]), float(s.history[earlier, 1])
-        p3 = float(s.history[later, 0])
-        p2 = 2.0 * p3 - float(s.history[later, 1])
-        t = 1.0 - part
-        position = part * part * (part * p0 + 3.0 * t * p1) + t * t * (3.0 * part * p2 + t * p3)
-    reading = position + p.lvdt.bias + p.lvdt.noise * noise
-    if p.lvdt.resolution > 0.0:
-        reading = p.lvdt.resolution * math.floor(reading / p.lvdt.resolution + 0.5)
-    return reading
+        position = delayed(p.lvdt.delay, s.history, s.newest)
+    return reading(p.lvdt, position, noise)
 
 
 def dot(row: Row, x: Row) -> float:
@@ -169,13 +185,20 @@ def dot(row: Row, x: Row) -> float:
     return row.x0 * x.x0 + row.x1 * x.x1 + row.x2 * x.x2 + row.x3 * x.x3
 
 
+def friction_level(d: Disturbance, velocity: float) -> float:
+    """Level of friction [V]: Coulomb's with Stribeck's addition at the present ``velocity`` [V/s]."""
+    if d.static_ratio > 1.0:
+        ratio = velocity / d.stribeck_velocity
+        return d.coulomb * (1.0 + (d.static_ratio - 1.0) * math.exp(-ratio * ratio))
+    return d.coulomb
+
+
 def friction(
-    d: Disturbance, bristle: float, velocity: float, free_velocity: float, mobility: float, period: float
+    d: Disturbance, level: float, bristle: float, free_velocity: float, mobility: float, period: float
 ) -> tuple[float, float]:
     """Friction voltage over the next ``period`` [s] and the bristles' deflection after it, both implicit.
 
-    The level is Coulomb's with Stribeck's addition at the present ``velocity`` [V/s]. The rest acts on the
-    velocity that it leads to, v = ``free_velocity`` - ``mobility``·friction (``mobility`` in V/s per V), for
+    ``level`` [V]: of ``friction_level``. The rest acts on the velocity that it leads to, v = ``free_velocity`` - ``mobility``·friction (``mobility`` in V/s per V), for
     which both shapes have a closed solution: the spool sticks without chatter at any period, and friction
     never exceeds its level.
 
@@ -184,10 +207,6 @@ def friction(
     motions show hysteresis (Dahl 1968; LuGre of Canudas de Wit et al. 1995 with stiffness 1/presliding and
     without bristle damping).
     """
-    level = d.coulomb
-    if d.static_ratio > 1.0:
-        ratio = velocity / d.stribeck_velocity
-        level = d.coulomb * (1.0 + (d.static_ratio - 1.0) * math.exp(-ratio * ratio))
     if d.presliding > 0.0:
         # Backward Euler: z⁺·(1 + a·|v|) = z + a·v. The difference that moves the spool gives the sign of v.
         a = period / d.presliding
@@ -203,16 +222,19 @@ def friction(
     return max(-level, min(level, linear)), 0.0
 
 
-def step(p: Params, s: State, voltage: float) -> State:
-    """Valve one period later, with ``voltage`` [V] held over it."""
+def move(
+    p: Params, x: Row, bristle: float, time: float, level: float, voltage: float
+) -> tuple[Row, float]:
+    """Linear states and bristles one period later, with ``voltage`` [V] held over it from ``time`` [s] on.
+
+    ``level`` [V]: of friction, at the velocity of ``x``.
+    """
     d = p.disturbance
-    x = s.x
-    force = saturate(voltage, p.u_max) + d.offset - (d.flow_force + d.stiffness_drift * s.time) * x.x0
-    gain = p.gain_scale * (1.0 + d.gain_drift * s.time)
+    force = saturate(voltage, p.u_max) + d.offset - (d.flow_force + d.stiffness_drift * time) * x.x0
+    gain = p.gain_scale * (1.0 + d.gain_drift * time)
     v_free = dot(p.row1, x) + p.input.x1 * gain * force
-    bristle = s.bristle
     if d.coulomb > 0.0:
-        rubbing, bristle = friction(d, bristle, x.x1, v_free, p.input.x1 * gain, p.period)
+        rubbing, bristle = friction(d, level, bristle, v_free, p.input.x1 * gain, p.period)
         force -= rubbing
     u = gain * force
     following = Row(
@@ -221,9 +243,17 @@ def step(p: Params, s: State, voltage: float) -> State:
         dot(p.row2, x) + p.input.x2 * u,
         dot(p.row3, x) + p.input.x3 * u,
     )
+    return following, bristle
+
+
+def step(p: Params, s: State, voltage: float) -> State:
+    """Valve one period later, with ``voltage`` [V] held over it."""
+    level = 0.0
+    if p.disturbance.coulomb > 0.0:
+        level = friction_level(p.disturbance, s.x.x1)
+    following, bristle = move(p, s.x, s.bristle, s.time, level, voltage)
     newest = s.newest
     if p.lvdt.delay > 0.0:
         newest = (newest + 1) % len(s.history)
-        s.history[newest, 0] = following.x0
-        s.history[newest, 1] = following.x0 + following.x1 * p.period / 3.0
+        remember(s.history, newest, following, p.period)
     return State(following, bristle, s.time + p.period, s.history, newest)

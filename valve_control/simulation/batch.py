@@ -1,0 +1,329 @@
+"""Many valves at once, each with its own law, plant and noise: indices in bounded memory, or traces.
+
+Valves go through one compiled loop in blocks of eight, which the compiler turns into SIMD: within a sample
+every valve waits for its own divisions and square roots, eight of them wait together. Blocks are shared out
+to threads. Every valve has numpy's generator of its own seed, as in ``offline.simulate``, so that its run has
+the same bits there and here, whatever the block and the number of threads.
+"""
+
+import os
+import types
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any, NamedTuple, get_type_hints
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.compiling import compile_function
+from valve_control.laws.signals import Start
+from valve_control.plant import valve
+from valve_control.simulation import closed_loop
+
+Array = npt.NDArray[np.float64]
+Records = npt.NDArray[np.void]  # one row a valve, fields as in the NamedTuple, all float64
+LANES = 8  # valves of a block, as in lanes.py
+SPAN = 8192  # samples of noise made at a time: memory of a thread does not grow with the run's length
+
+
+class Motion(NamedTuple):
+    """State of a spool."""
+
+    x: valve.Row  # position [V], velocity [V/s] and two inner states
+    bristle: float  # -  deflection of the bristles over that of sliding
+    time: float  # s
+
+
+class Tally(NamedTuple):
+    """Sums from which the indices come."""
+
+    e_max: float  # V
+    e_final: float  # V   largest of the last two seconds
+    e_squares: float  # V²
+    true_max: float  # V   of the true position
+    true_squares: float  # V²
+    u_squares: float  # V²
+    change_squares: float  # V²  of the voltage from sample to sample
+    saturated: float  # -   samples at ±u_max
+    voltage: float  # V   of the sample before
+
+
+class Work(NamedTuple):
+    """What changes from sample to sample; the first five are handed over between the loops of a sample."""
+
+    noise: float  # -  standard normal
+    position: float  # V  that the LVDT sees, after its delay
+    command: float  # V
+    measurement: float  # V
+    true_position: float  # V
+    level: float  # V  of friction
+    tally: Tally
+    motion: Motion
+    law: Any
+
+
+class Lane(NamedTuple):
+    """Everything about one valve."""
+
+    work: Work
+    law: Any
+    valve: valve.Params
+
+
+class Results(NamedTuple):
+    """One entry per valve; NaN where a run did not stay finite."""
+
+    e_M: Array  # V  (I2)
+    e_F: Array  # V  (I3)
+    e_rms: Array  # V  (I1)
+    u_rms: Array  # V  (I4)
+    c_u: Array  # -  (I5)
+    true_e_M: Array  # V  of the true position
+    true_e_rms: Array  # V
+    saturated: Array  # -  share of the samples at ±u_max
+    finite: npt.NDArray[np.bool_]
+
+
+class Batch(NamedTuple):
+    """What is run: one law on as many valves as there are seeds."""
+
+    controller: str
+    law_params: Records | tuple[Any, ...]  # one a valve, or one for all
+    valve_params: Records | valve.Params
+    seeds: Sequence[int] | npt.NDArray[np.int64]
+    commands: Array  # V  one for all (n), or one a valve (N×n)
+
+
+def law_step(p: Any, s: Any, command: float, measurement: float, offset: float) -> Any:
+    """Stands for the step of the law; replaced before the loop runs."""
+    raise NotImplementedError
+
+
+def law_initial(p: Any, start: Start) -> Any:
+    """Stands for the beginning of the law."""
+    raise NotImplementedError
+
+
+def load(like: Any, block: Array, lane: int) -> Any:
+    """Stands for ``lanes.load``."""
+    raise NotImplementedError
+
+
+def store(value: Any, block: Array, lane: int) -> None:
+    """Stands for ``lanes.store``."""
+    raise NotImplementedError
+
+
+def begin(like: Lane, block: Array, noise: Array) -> None:
+    """Put the valves of ``block``, whose parameters are there, at rest and the laws at their readings."""
+    for j in range(LANES):
+        lane = load(like, block, j)
+        first = valve.reading(lane.valve.lvdt, 0.0, noise[j, 0])
+        law = law_initial(lane.law, Start(first, 0.0, first, 0.0, 0.0))
+        motion = Motion(valve.Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
+        tally = Tally(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        store(Work(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, tally, motion, law), block, j)
+
+
+def sample(lane: Lane, changed: float, final: float) -> Work:
+    """One sample of one valve: read, step, count, move.
+
+    ``changed``: 0.0 at the first sample, else 1.0; ``final``: 1.0 within the last two seconds, else 0.0.
+    """
+    w, p = lane.work, lane.valve
+    measurement = valve.reading(p.lvdt, w.position, w.noise)
+    voltage, law, _ = law_step(lane.law, w.law, w.command, measurement, 0.0)
+    error = abs(measurement - w.command)
+    true_error = abs(w.motion.x.x0 - w.command)
+    change = changed * (voltage - w.tally.voltage)
+    t = w.tally
+    tally = Tally(
+        max(t.e_max, error),
+        max(t.e_final, final * error),
+        t.e_squares + error * error,
+        max(t.true_max, true_error),
+        t.true_squares + true_error * true_error,
+        t.u_squares + voltage * voltage,
+        t.change_squares + change * change,
+        t.saturated + (1.0 if abs(voltage) >= p.u_max else 0.0),
+        voltage,
+    )
+    x, bristle = valve.move(p, w.motion.x, w.motion.bristle, w.motion.time, w.level, voltage)
+    motion = Motion(x, bristle, w.motion.time + p.period)
+    return Work(w.noise, w.position, w.command, measurement, w.motion.x.x0, w.level, tally, motion, law)
+
+
+def run_block(
+    like: Lane,
+    block: Array,
+    noise: Array,
+    commands: Array,
+    history: Array,
+    first: int,
+    last_begin: int,
+    traces: Array,
+) -> None:
+    """Samples ``first`` and following of one block, as many as ``commands`` (LANES×n) has.
+
+    ``history`` (LANES×m×2): rings as in ``valve.State``, for delayed LVDTs; ``last_begin``: sample at which the last
+    two seconds begin; ``traces`` (LANES×n×3, or LANES×0×3 for none) takes position, measurement, voltage [V].
+    """
+    record = traces.shape[1] > 0
+    length = history.shape[1]
+    for i in range(commands.shape[1]):
+        k = first + i
+        for j in range(LANES):
+            lane = load(like, block, j)
+            position = lane.work.motion.x.x0
+            if lane.valve.lvdt.delay > 0.0:
+                valve.remember(history[j], k % length, lane.work.motion.x, lane.valve.period)
+                position = valve.delayed(lane.valve.lvdt.delay, history[j], k % length)
+            level = 0.0
+            if lane.valve.disturbance.coulomb > 0.0:
+                level = valve.friction_level(lane.valve.disturbance, lane.work.motion.x.x1)
+            block[j] = noise[j, i]
+            block[LANES + j] = position
+            block[2 * LANES + j] = commands[j, i]
+            block[5 * LANES + j] = level
+        changed = 1.0 if k > 0 else 0.0
+        final = 1.0 if k >= last_begin else 0.0
+        for j in range(LANES):
+            store(sample(load(like, block, j), changed, final), block, j)
+        if record:
+            for j in range(LANES):
+                lane = load(like, block, j)
+                traces[j, i, 0] = lane.work.true_position
+                traces[j, i, 1] = lane.work.measurement
+                traces[j, i, 2] = lane.work.tally.voltage
+
+
+@cache
+def _compiled(law: types.ModuleType) -> tuple[Callable[..., None], Callable[..., None]]:
+    from valve_control.simulation import lanes
+
+    access = {"load": lanes.load, "store": lanes.store}
+    counted = compile_function(sample, {"law_step": compile_function(law.step)})
+    start = compile_function(begin, {**access, "law_initial": compile_function(law.initial)}, nogil=True)
+    return start, compile_function(run_block, {**access, "sample": counted}, nogil=True)
+
+
+def template(kind: type) -> Any:
+    """A NamedTuple of type ``kind`` with 0.0 in every field, nested ones too."""
+    if kind is float:
+        return 0.0
+    return kind(*(template(part) for part in get_type_hints(kind).values()))
+
+
+def _dtype_of(value: Any) -> Any:
+    if not isinstance(value, tuple):
+        return np.float64
+    names: tuple[str, ...] = value._fields  # type: ignore[attr-defined]
+    return np.dtype([(name, _dtype_of(part)) for name, part in zip(names, value, strict=True)])
+
+
+def records(params: Sequence[tuple[Any, ...]]) -> Records:
+    """Record array, one row per NamedTuple; columns can be changed as ``rows["gamma"]["a1"] *= 2.0``."""
+    made: Records = np.array(params, dtype=_dtype_of(params[0]))
+    return made
+
+
+def _rows(params: Records | tuple[Any, ...], count: int) -> Array:
+    """Numbers of ``params``, one row per valve."""
+    rows = params if isinstance(params, np.ndarray) else records([params])
+    flat = np.ascontiguousarray(rows).view(np.float64).reshape(len(rows), -1)
+    return np.broadcast_to(flat, (count, flat.shape[1]))
+
+
+class Job(NamedTuple):
+    """A batch made ready."""
+
+    like: Lane
+    law: types.ModuleType
+    law_rows: Array
+    valve_rows: Array
+    seeds: npt.NDArray[np.int64]
+    commands: Array  # V  N×n
+    period: float  # s
+
+
+def _ready(batch: Batch) -> Job:
+    law = closed_loop.LAWS[batch.controller]
+    seeds = np.asarray(batch.seeds, dtype=np.int64)
+    count = len(seeds)
+    law_rows, valve_rows = _rows(batch.law_params, count), _rows(batch.valve_params, count)
+    commands = np.broadcast_to(batch.commands, (count, np.shape(batch.commands)[-1]))
+    like = Lane(
+        Work(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, template(Tally), template(Motion), template(law.State)),
+        template(law.Params),
+        template(valve.Params),
+    )
+    plants = valve_rows.view(records([like.valve]).dtype)[:, 0]
+    periods = np.unique(plants["period"])
+    if len(periods) != 1:
+        raise ValueError(f"the valves of a batch have one sample period, not {len(periods)}")
+    return Job(like, law, law_rows, valve_rows, seeds, commands, float(periods[0]))
+
+
+def _run_lanes(job: Job, start: int, traces: Array | None) -> Array:
+    """Tallies of the valves from ``start`` on, at most LANES of them; a last block is filled up."""
+    chosen = np.minimum(np.arange(start, start + LANES), len(job.seeds) - 1)
+    begin_block, run = _compiled(job.law)
+    rows = np.concatenate([job.law_rows[chosen], job.valve_rows[chosen]], axis=1)
+    width = records([job.like.work]).dtype.itemsize // 8
+    block = np.zeros((width + rows.shape[1], LANES))
+    block[width:] = rows.T
+    delays = job.valve_rows[chosen, -1]
+    history = np.zeros((LANES, int(np.max(delays)) + 2, 2))
+    samples = job.commands.shape[1]
+    random = [np.random.Generator(np.random.PCG64(int(seed))) for seed in job.seeds[chosen]]
+    noise = np.empty((LANES, min(samples, SPAN)))
+    commands = np.empty_like(noise)
+    last_begin = samples - max(1, min(samples, round(2.0 / job.period) + 1))
+    none = np.zeros((LANES, 0, 3))
+    for first in range(0, samples, SPAN):
+        n = min(SPAN, samples - first)
+        for j, generator in enumerate(random):
+            generator.standard_normal(out=noise[j, :n])
+        commands[:, :n] = job.commands[chosen, first : first + n]
+        if first == 0:
+            begin_block(job.like, block.ravel(), noise)
+        part = none if traces is None else np.empty((LANES, n, 3))
+        run(job.like, block.ravel(), noise, commands[:, :n], history, first, last_begin, part)
+        if traces is not None:
+            traces[start : start + LANES, first : first + n] = part[: len(traces) - start]
+    at = Work._fields.index("tally")
+    return block[at : at + len(Tally._fields)].T[: len(job.seeds) - start]
+
+
+def _results(tallies: Array, samples: int) -> Results:
+    """Indices from sums."""
+    t = Tally(*tallies.T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        finite = np.isfinite(t.e_squares + t.true_squares + t.u_squares)
+        u_rms = np.sqrt(t.u_squares / samples)
+        change = np.sqrt(t.change_squares / max(1, samples - 1))
+        numbers = (
+            t.e_max,
+            t.e_final,
+            np.sqrt(t.e_squares / samples),
+            u_rms,
+            np.where(u_rms == 0.0, 0.0, change / u_rms),
+            t.true_max,
+            np.sqrt(t.true_squares / samples),
+            t.saturated / samples,
+        )
+    return Results(*(np.where(finite, column, np.nan) for column in numbers), finite)
+
+
+def simulate(batch: Batch, threads: int | None = None, traces: Array | None = None) -> Results:
+    """Run every valve of ``batch`` on ``threads`` (all cores).
+
+    ``traces`` (N×n×3) takes position, measurement and voltage [V] of each valve; without it memory does not
+    grow with the length of a run. Raises ValueError for parameters that do not fit together.
+    """
+    job = _ready(batch)
+    starts = range(0, len(job.seeds), LANES)
+    with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
+        tallies = np.concatenate(list(pool.map(lambda start: _run_lanes(job, start, traces), starts)))
+    return _results(tallies, job.commands.shape[1])
