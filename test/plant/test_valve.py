@@ -129,12 +129,19 @@ def test_model_that_cannot_be_a_valve(numerator, denominator, text):
 def test_bristles_solve_their_implicit_equation(bristle, velocity, free, presliding, period):
     d = made(friction__coulomb=1.2, friction__static_ratio=1.3, friction__presliding=presliding).disturbance
     mobility = 1.1
-    rubbing, following = valve.friction(d, bristle, velocity, free, mobility, period)
+    level = valve.friction_level(d, velocity)
+    rubbing, following = valve.friction(d, level, bristle, free, mobility, period)
     v = free - mobility * rubbing
     assert math.isclose(
         following, bristle + period / presliding * (v - abs(v) * following), rel_tol=1e-9, abs_tol=1e-9
     )
     assert abs(following) <= 1.0 and abs(rubbing) <= 1.2 * 1.3 * (1.0 + 1e-12)
+
+
+def test_level_of_friction_has_the_bits_of_stribecks_formula_at_any_velocity():
+    d = made(friction__coulomb=1.2, friction__static_ratio=10.0, friction__stribeck_velocity=0.1).disturbance
+    for v in np.linspace(-2.0, 2.0, 4001):
+        assert valve.friction_level(d, v) == 1.2 * (1.0 + 9.0 * math.exp(-((v / 0.1) * (v / 0.1))))
 
 
 def test_presliding_is_dahls_hysteresis():
@@ -145,7 +152,7 @@ def test_presliding_is_dahls_hysteresis():
     for k in range(4000):
         v = 0.5 if k < 2000 else -0.5
         # a spool that a strong hand moves: friction cannot change its velocity
-        _, bristle = valve.friction(p.disturbance, bristle, v, v, 1e-12, p.period)
+        _, bristle = valve.friction(p.disturbance, 1.0, bristle, v, 1e-12, p.period)
         x += v * p.period
         found.append((x, bristle))
     there, back = found[799], found[2399]

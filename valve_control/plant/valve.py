@@ -186,8 +186,11 @@ def dot(row: Row, x: Row) -> float:
 
 
 def friction_level(d: Disturbance, velocity: float) -> float:
-    """Level of friction [V]: Coulomb's with Stribeck's addition at the present ``velocity`` [V/s]."""
-    if d.static_ratio > 1.0:
+    """Level of friction [V]: Coulomb's with Stribeck's addition at the present ``velocity`` [V/s].
+
+    From eight Stribeck velocities on the addition is below the last bit of Coulomb's part, and not computed.
+    """
+    if d.static_ratio > 1.0 and abs(velocity) < 8.0 * d.stribeck_velocity:
         ratio = velocity / d.stribeck_velocity
         return d.coulomb * (1.0 + (d.static_ratio - 1.0) * math.exp(-ratio * ratio))
     return d.coulomb
@@ -198,9 +201,9 @@ def friction(
 ) -> tuple[float, float]:
     """Friction voltage over the next ``period`` [s] and the bristles' deflection after it, both implicit.
 
-    ``level`` [V]: of ``friction_level``. The rest acts on the velocity that it leads to, v = ``free_velocity`` - ``mobility``·friction (``mobility`` in V/s per V), for
-    which both shapes have a closed solution: the spool sticks without chatter at any period, and friction
-    never exceeds its level.
+    ``level`` [V]: of ``friction_level``. The rest acts on the velocity that it leads to,
+    v = ``free_velocity`` - ``mobility``·friction (``mobility`` in V/s per V), for which both shapes have a
+    closed solution: the spool sticks without chatter at any period, and friction never exceeds its level.
 
     presliding = 0: level·clip(v/velocity_scale, -1, 1). Else level·z, where the bristles' deflection obeys
     dz/dt = (v - |v|·z)/presliding: below its level friction is a spring of level/presliding, so small
@@ -222,9 +225,7 @@ def friction(
     return max(-level, min(level, linear)), 0.0
 
 
-def move(
-    p: Params, x: Row, bristle: float, time: float, level: float, voltage: float
-) -> tuple[Row, float]:
+def move(p: Params, x: Row, bristle: float, time: float, level: float, voltage: float) -> tuple[Row, float]:
     """Linear states and bristles one period later, with ``voltage`` [V] held over it from ``time`` [s] on.
 
     ``level`` [V]: of friction, at the velocity of ``x``.

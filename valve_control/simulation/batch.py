@@ -169,6 +169,8 @@ def run_block(
     ``history`` (LANES×m×2): rings as in ``valve.State``, for delayed LVDTs; ``last_begin``: sample at which the last
     two seconds begin; ``traces`` (LANES×n×3, or LANES×0×3 for none) takes position, measurement, voltage [V].
     """
+    if first == 0:
+        begin(like, block, noise)
     record = traces.shape[1] > 0
     length = history.shape[1]
     for i in range(commands.shape[1]):
@@ -199,13 +201,13 @@ def run_block(
 
 
 @cache
-def _compiled(law: types.ModuleType) -> tuple[Callable[..., None], Callable[..., None]]:
+def _compiled(law: types.ModuleType) -> Callable[..., None]:
     from valve_control.simulation import lanes
 
     access = {"load": lanes.load, "store": lanes.store}
+    start = compile_function(begin, {**access, "law_initial": compile_function(law.initial)})
     counted = compile_function(sample, {"law_step": compile_function(law.step)})
-    start = compile_function(begin, {**access, "law_initial": compile_function(law.initial)}, nogil=True)
-    return start, compile_function(run_block, {**access, "sample": counted}, nogil=True)
+    return compile_function(run_block, {**access, "begin": start, "sample": counted}, nogil=True)
 
 
 def template(kind: type) -> Any:
@@ -231,6 +233,8 @@ def records(params: Sequence[tuple[Any, ...]]) -> Records:
 def _rows(params: Records | tuple[Any, ...], count: int) -> Array:
     """Numbers of ``params``, one row per valve."""
     rows = params if isinstance(params, np.ndarray) else records([params])
+    if len(rows) not in (1, count):
+        raise ValueError(f"a batch of {count} valves needs parameters of 1 or {count}, not of {len(rows)}")
     flat = np.ascontiguousarray(rows).view(np.float64).reshape(len(rows), -1)
     return np.broadcast_to(flat, (count, flat.shape[1]))
 
@@ -252,7 +256,10 @@ def _ready(batch: Batch) -> Job:
     seeds = np.asarray(batch.seeds, dtype=np.int64)
     count = len(seeds)
     law_rows, valve_rows = _rows(batch.law_params, count), _rows(batch.valve_params, count)
-    commands = np.broadcast_to(batch.commands, (count, np.shape(batch.commands)[-1]))
+    commands = np.asarray(batch.commands, dtype=np.float64)
+    if commands.shape[:-1] not in ((), (count,)) or commands.size == 0:
+        raise ValueError(f"commands of {count} valves have shape (n) or ({count}, n), not {commands.shape}")
+    commands = np.broadcast_to(commands, (count, commands.shape[-1]))
     like = Lane(
         Work(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, template(Tally), template(Motion), template(law.State)),
         template(law.Params),
@@ -268,7 +275,7 @@ def _ready(batch: Batch) -> Job:
 def _run_lanes(job: Job, start: int, traces: Array | None) -> Array:
     """Tallies of the valves from ``start`` on, at most LANES of them; a last block is filled up."""
     chosen = np.minimum(np.arange(start, start + LANES), len(job.seeds) - 1)
-    begin_block, run = _compiled(job.law)
+    run = _compiled(job.law)
     rows = np.concatenate([job.law_rows[chosen], job.valve_rows[chosen]], axis=1)
     width = records([job.like.work]).dtype.itemsize // 8
     block = np.zeros((width + rows.shape[1], LANES))
@@ -286,8 +293,6 @@ def _run_lanes(job: Job, start: int, traces: Array | None) -> Array:
         for j, generator in enumerate(random):
             generator.standard_normal(out=noise[j, :n])
         commands[:, :n] = job.commands[chosen, first : first + n]
-        if first == 0:
-            begin_block(job.like, block.ravel(), noise)
         part = none if traces is None else np.empty((LANES, n, 3))
         run(job.like, block.ravel(), noise, commands[:, :n], history, first, last_begin, part)
         if traces is not None:
@@ -313,7 +318,7 @@ def _results(tallies: Array, samples: int) -> Results:
             np.sqrt(t.true_squares / samples),
             t.saturated / samples,
         )
-    return Results(*(np.where(finite, column, np.nan) for column in numbers), finite)
+    return Results._make([*(np.where(finite, column, np.nan) for column in numbers), finite])
 
 
 def simulate(batch: Batch, threads: int | None = None, traces: Array | None = None) -> Results:

@@ -42,7 +42,7 @@ def _store(
     return at
 
 
-@intrinsic  # type: ignore[misc, untyped-decorator]
+@intrinsic  # type: ignore[untyped-decorator]
 def load(typing: Any, like: Any, array: Any, lane: Any) -> Any:
     """The value of ``lane``, of the type of ``like``."""
 
@@ -53,7 +53,7 @@ def load(typing: Any, like: Any, array: Any, lane: Any) -> Any:
     return like(like, array, types.intp), generate
 
 
-@intrinsic  # type: ignore[misc, untyped-decorator]
+@intrinsic  # type: ignore[untyped-decorator]
 def store(typing: Any, value: Any, array: Any, lane: Any) -> Any:
     """Put ``value`` into ``lane``."""
 

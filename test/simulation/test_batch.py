@@ -1,0 +1,151 @@
+"""Batches: the bits of offline runs, whatever the block, the threads and the other valves."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from valve_control.analysis.indices import rms
+from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER, VALVE, defaults, updated
+from valve_control.simulation import batch, offline
+
+REAL = {
+    "lvdt.noise": 0.0056,
+    "lvdt.resolution": 0.0037,
+    "friction.coulomb": 1.16,
+    "friction.static_ratio": 1.25,
+    "friction.stribeck_velocity": 0.017,
+    "friction.presliding": 0.0033,
+    "flow_force": 0.116,
+    "gain_scale": 1.213,
+}
+STRONG = {"arc.robust_term": "quadratic", "oarc.robust_term": "quadratic"}
+PLANTS = [
+    {},
+    REAL,
+    {**REAL, "lvdt.delay": 0.0015, "drift.gain": 0.02},
+    {**REAL, "friction.presliding": 0.0, "lvdt.bias": 0.1, "lvdt.resolution": 0.0},
+    {"valve": "second_order", "lvdt.noise": 0.01, "lvdt.delay": 0.004, "drift.stiffness": 0.1},
+]
+SEEDS = [1, 2, 3, 4, 5, 1, 2, 3, 4, 5, 6]  # more than one block
+
+
+def settings(i, controller):
+    """Controller's and valve's values of valve ``i``."""
+    changes = {
+        "controller": controller,
+        "arc.k1": 90.0 + i,
+        "oarc.ks1": 80.0 + i,
+        **(STRONG if i % 2 else {}),
+    }
+    return (
+        updated(CONTROLLER, defaults(CONTROLLER), changes),
+        updated(VALVE, defaults(VALVE), {**PLANTS[i % len(PLANTS)], "seed": SEEDS[i]}),
+    )
+
+
+def several(controller, samples):
+    """Eleven different valves, each with its own command."""
+    chosen = [settings(i, controller) for i in range(len(SEEDS))]
+    shape = np.sin(np.arange(samples) * 0.02) + 0.2 * np.random.default_rng(2).standard_normal(samples)
+    return chosen, batch.Batch(
+        controller,
+        batch.records([build.law_params(c) for c, _ in chosen]),
+        batch.records([build.valve_params(v) for _, v in chosen]),
+        SEEDS,
+        np.clip(np.outer(0.5 + 0.7 * np.arange(len(SEEDS)), shape), -10.0, 10.0),
+    )
+
+
+@pytest.mark.parametrize("controller", ["arc", "oarc", "pid"])
+def test_every_valve_has_the_bits_and_indices_of_its_offline_run(controller, monkeypatch):
+    monkeypatch.setattr(batch, "SPAN", 1000)
+    chosen, many = several(controller, 2500)
+    traces = np.zeros((len(SEEDS), 2500, 3))
+    results = batch.simulate(many, 2, traces)
+    for i, (controller_values, valve_values) in enumerate(chosen):
+        run = offline.simulate(controller_values, valve_values, many.commands[i])
+        assert np.array_equal(traces[i, :, 0], run.position), i
+        assert np.array_equal(traces[i, :, 1], run.measurement), i
+        assert np.array_equal(traces[i, :, 2], run.voltage), i
+        for name, value in run.indices._asdict().items():
+            assert getattr(results, name)[i] == pytest.approx(value, rel=1e-12), (i, name)
+        assert results.true_e_M[i] == run.true_error["e_M"]
+        assert results.true_e_rms[i] == pytest.approx(run.true_error["e_rms"], rel=1e-12)
+        assert results.saturated[i] == np.mean(np.abs(run.voltage) == 10.0)
+        assert results.finite[i] == np.all(np.isfinite(run.measurement))
+    assert np.any(results.saturated > 0.0)
+
+
+def test_neither_threads_nor_neighbours_change_a_valve():
+    _, many = several("oarc", 700)
+    one, three = batch.simulate(many, 1), batch.simulate(many, 3)
+    for a, b in zip(one, three, strict=True):
+        assert np.array_equal(a, b, equal_nan=True)
+    alone = batch.simulate(
+        many._replace(
+            law_params=many.law_params[7:8],
+            valve_params=many.valve_params[7:8],
+            seeds=[SEEDS[7]],
+            commands=many.commands[7],
+        )
+    )
+    for a, b in zip(one, alone, strict=True):
+        assert np.array_equal(a[7:8], b, equal_nan=True)
+
+
+def test_a_column_of_records_is_changed_at_once():
+    _, many = several("arc", 300)
+    before = batch.simulate(many)
+    many.law_params["gamma"]["a1"] *= 50.0
+    after = batch.simulate(many)
+    assert np.all(before.e_rms != after.e_rms)
+
+
+def test_an_unstable_valve_is_told_and_spoils_no_other():
+    _, many = several("arc", 1500)
+    before = batch.simulate(many)
+    many.valve_params["row0"]["x0"][3] = 1e3  # a linear part that explodes
+    after = batch.simulate(many)
+    assert not after.finite[3] and np.isnan(after.e_rms[3])
+    others = np.arange(len(SEEDS)) != 3
+    assert np.array_equal(before.e_rms[others], after.e_rms[others])
+    assert np.all(after.finite[others])
+
+
+def test_memory_does_not_grow_with_the_run():
+    def peak(samples):
+        chosen, many = several("arc", 2)
+        longer = many._replace(commands=np.zeros(samples))
+        tracemalloc.start()
+        batch.simulate(longer, 1)
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    peak(10)
+    assert peak(120_000) < 1.2 * peak(30_000)
+
+
+def test_indices_are_those_of_the_last_two_seconds():
+    _, many = several("arc", 3500)
+    traces = np.zeros((len(SEEDS), 3500, 3))
+    results = batch.simulate(many, traces=traces)
+    error = np.abs(traces[:, :, 1] - many.commands)
+    assert np.array_equal(results.e_F, error[:, -2001:].max(axis=1))
+    assert np.array_equal(results.e_M, error.max(axis=1))
+    assert results.u_rms[4] == pytest.approx(rms(traces[4, :, 2]), rel=1e-12)
+
+
+def test_valves_of_one_batch_have_one_sample_period():
+    _, many = several("arc", 10)
+    many.valve_params["period"][2] = 0.002
+    with pytest.raises(ValueError, match="one sample period"):
+        batch.simulate(many)
+
+
+def test_counts_that_do_not_agree_are_refused():
+    _, many = several("arc", 10)
+    with pytest.raises(ValueError, match="11 valves"):
+        batch.simulate(many._replace(law_params=many.law_params[:4]))
