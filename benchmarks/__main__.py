@@ -6,22 +6,33 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks import bags
+from benchmarks import bags, batch
 
 
 def main() -> int:
     """Run them."""
     options = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
     options.add_argument("--seconds", type=float, default=300.0, help="length of the bags (300)")
+    options.add_argument("--only", choices=("batch",), help="batches alone, without bags")
     options.add_argument("--out", default="out", metavar="FOLDER", help="output folder (out)")
     arguments = options.parse_args()
     out = Path(arguments.out)
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="valve_control-bench-") as folder:
-        results = {"bags": bags.run(Path(folder), arguments.seconds)}
+        try:
+            batches = batch.run(Path(folder))
+        except batch.BenchmarkError as error:
+            print(f"benchmarks: {error}", file=sys.stderr)
+            return 1
+        results = {
+            **batches["figures"],
+            "machine": batches.pop("machine"),
+            "batch": batches,
+            "bags": {} if arguments.only == "batch" else bags.run(Path(folder), arguments.seconds),
+        }
     (out / "bench.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
     print(f"\nwrote {out / 'bench.json'}")
-    missed = [
+    missed = batch.missed(batches) + [
         name
         for name, entry in results["bags"].items()
         if entry["ratio"] < entry["wanted_ratio"]
