@@ -243,6 +243,7 @@ class Job(NamedTuple):
     """A batch made ready."""
 
     like: Lane
+    width: int  # numbers of a lane
     law: types.ModuleType
     law_rows: Array
     valve_rows: Array
@@ -269,7 +270,8 @@ def _ready(batch: Batch) -> Job:
     periods = np.unique(plants["period"])
     if len(periods) != 1:
         raise ValueError(f"the valves of a batch have one sample period, not {len(periods)}")
-    return Job(like, law, law_rows, valve_rows, seeds, commands, float(periods[0]))
+    width = records([like]).dtype.itemsize // 8
+    return Job(like, width, law, law_rows, valve_rows, seeds, commands, float(periods[0]))
 
 
 def _run_lanes(job: Job, start: int, traces: Array | None) -> Array:
@@ -277,9 +279,8 @@ def _run_lanes(job: Job, start: int, traces: Array | None) -> Array:
     chosen = np.minimum(np.arange(start, start + LANES), len(job.seeds) - 1)
     run = _compiled(job.law)
     rows = np.concatenate([job.law_rows[chosen], job.valve_rows[chosen]], axis=1)
-    width = records([job.like.work]).dtype.itemsize // 8
-    block = np.zeros((width + rows.shape[1], LANES))
-    block[width:] = rows.T
+    block = np.zeros((job.width, LANES))
+    block[job.width - rows.shape[1] :] = rows.T
     delays = job.valve_rows[chosen, -1]
     history = np.zeros((LANES, int(np.max(delays)) + 2, 2))
     samples = job.commands.shape[1]
