@@ -59,8 +59,7 @@ def several(controller, samples):
 
 
 @pytest.mark.parametrize("controller", ["arc", "oarc", "pid"])
-def test_every_valve_has_the_bits_and_indices_of_its_offline_run(controller, monkeypatch):
-    monkeypatch.setattr(batch, "SPAN", 1000)
+def test_every_valve_has_the_bits_and_indices_of_its_offline_run(controller):
     chosen, many = several(controller, 2500)
     traces = np.zeros((len(SEEDS), 2500, 3))
     results = batch.simulate(many, 2, traces)
@@ -125,7 +124,7 @@ def test_memory_does_not_grow_with_the_run():
         return most
 
     peak(10)
-    assert peak(120_000) < 1.2 * peak(30_000)
+    assert peak(120_000) < peak(30_000) + 1.1 * 8 * 90_000  # the command itself
 
 
 def test_indices_are_those_of_the_last_two_seconds():
@@ -149,3 +148,15 @@ def test_counts_that_do_not_agree_are_refused():
     _, many = several("arc", 10)
     with pytest.raises(ValueError, match="11 valves"):
         batch.simulate(many._replace(law_params=many.law_params[:4]))
+
+
+def test_noise_has_numpys_bits():
+    from valve_control.compiling import compile_function
+    from valve_control.simulation import normal
+
+    seeds = range(20)
+    numbers = np.empty((len(seeds), 100_000))  # the tail beyond 3.65 comes 500 times
+    words = np.array([normal.state_of(seed) for seed in seeds], dtype=np.uint64)
+    compile_function(normal.fill)(words, numbers)
+    for row, seed in zip(numbers, seeds, strict=True):
+        assert np.array_equal(row, np.random.default_rng(seed).standard_normal(len(row)))

@@ -2,8 +2,8 @@
 
 Valves go through one compiled loop in blocks of eight, which the compiler turns into SIMD: within a sample
 every valve waits for its own divisions and square roots, eight of them wait together. Blocks are shared out
-to threads. Every valve has numpy's generator of its own seed, as in ``offline.simulate``, so that its run has
-the same bits there and here, whatever the block and the number of threads.
+to threads. Every valve has the noise of its own seed, with the bits of numpy's generator as in
+``offline.simulate``, so that its run is the same there and here, whatever block and number of threads.
 """
 
 import os
@@ -22,9 +22,11 @@ from valve_control.plant import valve
 from valve_control.simulation import closed_loop
 
 Array = npt.NDArray[np.float64]
+Words = npt.NDArray[np.uint64]
+Valves = npt.NDArray[np.int64]
 Records = npt.NDArray[np.void]  # one row a valve, fields as in the NamedTuple, all float64
 LANES = 8  # valves of a block, as in lanes.py
-SPAN = 8192  # samples of noise made at a time: memory of a thread does not grow with the run's length
+SPAN = 256  # samples of noise made at a time: they stay in the nearest cache
 
 
 class Motion(NamedTuple):
@@ -115,6 +117,11 @@ def store(value: Any, block: Array, lane: int) -> None:
     raise NotImplementedError
 
 
+def fill(words: Words, noise: Array) -> None:
+    """Stands for ``normal.fill``."""
+    raise NotImplementedError
+
+
 def begin(like: Lane, block: Array, noise: Array) -> None:
     """Put the valves of ``block``, whose parameters are there, at rest and the laws at their readings."""
     for j in range(LANES):
@@ -157,24 +164,30 @@ def sample(lane: Lane, changed: float, final: float) -> Work:
 def run_block(
     like: Lane,
     block: Array,
+    words: Words,
     noise: Array,
     commands: Array,
+    stride: int,
+    valves: Valves,
     history: Array,
-    first: int,
     last_begin: int,
     traces: Array,
 ) -> None:
-    """Samples ``first`` and following of one block, as many as ``commands`` (LANES×n) has.
+    """Run the ``valves`` of one block, whose parameters are in ``block``.
 
-    ``history`` (LANES×m×2): rings as in ``valve.State``, for delayed LVDTs; ``last_begin``: sample at which the last
-    two seconds begin; ``traces`` (LANES×n×3, or LANES×0×3 for none) takes position, measurement, voltage [V].
+    ``words`` (LANES×4): generators, which fill ``noise`` (LANES×SPAN) again and again; ``commands`` [V]:
+    those of valve i begin at i·``stride``; ``history`` (LANES×m×2): rings as in ``valve.State`` for delayed LVDTs;
+    ``last_begin``: sample at which the last two seconds begin; ``traces`` (N×n×3, or 0×n×3 for none) takes
+    position, measurement and voltage [V].
     """
-    if first == 0:
-        begin(like, block, noise)
-    record = traces.shape[1] > 0
+    record = traces.shape[0] > 0
     length = history.shape[1]
-    for i in range(commands.shape[1]):
-        k = first + i
+    for k in range(traces.shape[1]):
+        i = k % SPAN
+        if i == 0:
+            fill(words, noise)
+        if k == 0:
+            begin(like, block, noise)
         for j in range(LANES):
             lane = load(like, block, j)
             position = lane.work.motion.x.x0
@@ -186,7 +199,7 @@ def run_block(
                 level = valve.friction_level(lane.valve.disturbance, lane.work.motion.x.x1)
             block[j] = noise[j, i]
             block[LANES + j] = position
-            block[2 * LANES + j] = commands[j, i]
+            block[2 * LANES + j] = commands[valves[j] * stride + k]
             block[5 * LANES + j] = level
         changed = 1.0 if k > 0 else 0.0
         final = 1.0 if k >= last_begin else 0.0
@@ -195,19 +208,23 @@ def run_block(
         if record:
             for j in range(LANES):
                 lane = load(like, block, j)
-                traces[j, i, 0] = lane.work.true_position
-                traces[j, i, 1] = lane.work.measurement
-                traces[j, i, 2] = lane.work.tally.voltage
+                traces[valves[j], k, 0] = lane.work.true_position
+                traces[valves[j], k, 1] = lane.work.measurement
+                traces[valves[j], k, 2] = lane.work.tally.voltage
 
 
 @cache
 def _compiled(law: types.ModuleType) -> Callable[..., None]:
-    from valve_control.simulation import lanes
+    from valve_control.simulation import lanes, normal
 
     access = {"load": lanes.load, "store": lanes.store}
     start = compile_function(begin, {**access, "law_initial": compile_function(law.initial)})
     counted = compile_function(sample, {"law_step": compile_function(law.step)})
-    return compile_function(run_block, {**access, "begin": start, "sample": counted}, nogil=True)
+    return compile_function(
+        run_block,
+        {**access, "begin": start, "fill": compile_function(normal.fill), "sample": counted},
+        nogil=True,
+    )
 
 
 def template(kind: type) -> Any:
@@ -248,7 +265,9 @@ class Job(NamedTuple):
     law_rows: Array
     valve_rows: Array
     seeds: npt.NDArray[np.int64]
-    commands: Array  # V  N×n
+    commands: Array  # V  one after the other
+    stride: int  # between the commands of one valve and the next
+    samples: int
     period: float  # s
 
 
@@ -260,7 +279,8 @@ def _ready(batch: Batch) -> Job:
     commands = np.asarray(batch.commands, dtype=np.float64)
     if commands.shape[:-1] not in ((), (count,)) or commands.size == 0:
         raise ValueError(f"commands of {count} valves have shape (n) or ({count}, n), not {commands.shape}")
-    commands = np.broadcast_to(commands, (count, commands.shape[-1]))
+    samples = commands.shape[-1]
+    stride = 0 if commands.ndim == 1 else samples
     like = Lane(
         Work(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, template(Tally), template(Motion), template(law.State)),
         template(law.Params),
@@ -271,33 +291,41 @@ def _ready(batch: Batch) -> Job:
     if len(periods) != 1:
         raise ValueError(f"the valves of a batch have one sample period, not {len(periods)}")
     width = records([like]).dtype.itemsize // 8
-    return Job(like, width, law, law_rows, valve_rows, seeds, commands, float(periods[0]))
+    return Job(
+        like,
+        width,
+        law,
+        law_rows,
+        valve_rows,
+        seeds,
+        commands.ravel(),
+        stride,
+        samples,
+        float(periods[0]),
+    )
 
 
-def _run_lanes(job: Job, start: int, traces: Array | None) -> Array:
-    """Tallies of the valves from ``start`` on, at most LANES of them; a last block is filled up."""
-    chosen = np.minimum(np.arange(start, start + LANES), len(job.seeds) - 1)
-    run = _compiled(job.law)
-    rows = np.concatenate([job.law_rows[chosen], job.valve_rows[chosen]], axis=1)
+def _run_lanes(job: Job, start: int, traces: Array) -> Array:
+    """Tallies of the valves from ``start`` on, at most LANES; the last one fills up a last block."""
+    from valve_control.simulation.normal import state_of
+
+    valves = np.minimum(np.arange(start, start + LANES), len(job.seeds) - 1)
+    rows = np.concatenate([job.law_rows[valves], job.valve_rows[valves]], axis=1)
     block = np.zeros((job.width, LANES))
     block[job.width - rows.shape[1] :] = rows.T
-    delays = job.valve_rows[chosen, -1]
-    history = np.zeros((LANES, int(np.max(delays)) + 2, 2))
-    samples = job.commands.shape[1]
-    random = [np.random.Generator(np.random.PCG64(int(seed))) for seed in job.seeds[chosen]]
-    noise = np.empty((LANES, min(samples, SPAN)))
-    commands = np.empty_like(noise)
-    last_begin = samples - max(1, min(samples, round(2.0 / job.period) + 1))
-    none = np.zeros((LANES, 0, 3))
-    for first in range(0, samples, SPAN):
-        n = min(SPAN, samples - first)
-        for j, generator in enumerate(random):
-            generator.standard_normal(out=noise[j, :n])
-        commands[:, :n] = job.commands[chosen, first : first + n]
-        part = none if traces is None else np.empty((LANES, n, 3))
-        run(job.like, block.ravel(), noise, commands[:, :n], history, first, last_begin, part)
-        if traces is not None:
-            traces[start : start + LANES, first : first + n] = part[: len(traces) - start]
+    delays = job.valve_rows[valves, -1]
+    _compiled(job.law)(
+        job.like,
+        block.ravel(),
+        np.array([state_of(int(seed)) for seed in job.seeds[valves]], dtype=np.uint64),
+        np.empty((LANES, SPAN)),
+        job.commands,
+        job.stride,
+        valves,
+        np.zeros((LANES, int(np.max(delays)) + 2, 2)),
+        job.samples - max(1, min(job.samples, round(2.0 / job.period) + 1)),
+        traces,
+    )
     at = Work._fields.index("tally")
     return block[at : at + len(Tally._fields)].T[: len(job.seeds) - start]
 
@@ -330,6 +358,7 @@ def simulate(batch: Batch, threads: int | None = None, traces: Array | None = No
     """
     job = _ready(batch)
     starts = range(0, len(job.seeds), LANES)
+    kept = np.empty((0, job.samples, 3)) if traces is None else traces
     with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
-        tallies = np.concatenate(list(pool.map(lambda start: _run_lanes(job, start, traces), starts)))
-    return _results(tallies, job.commands.shape[1])
+        tallies = np.concatenate(list(pool.map(lambda start: _run_lanes(job, start, kept), starts)))
+    return _results(tallies, job.samples)
