@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from valve_control import __version__
 from valve_control.bags.errors import BagError
-from valve_control.cli import calibration, identification, paper, recordings, simulate, theorems
+from valve_control.cli import calibration, identification, paper, recordings, simulate, study, theorems
 from valve_control.cli.common import Parser
 from valve_control.parameters.table import ParameterError
 
@@ -28,6 +28,8 @@ EXAMPLES = """examples:
   valve-control identify --set lvdt.noise=0.005 --output valve.yaml --figure bode.png
   valve-control compensator --from valve.yaml --bandwidth 25 --output compensator.yaml
   valve-control theorems --figure theorems.png
+  valve-control study --controller oarc --valves 10000 --figure study.png
+  valve-control study --controller oarc --replay 4711 --figure worst.png
   valve-control parameters arc
 """
 
@@ -48,6 +50,7 @@ def parser() -> argparse.ArgumentParser:
     calibration.add_commands(commands)
     paper.add_commands(commands)
     theorems.add_commands(commands)
+    study.add_commands(commands)
     return top
 
 

@@ -1,0 +1,241 @@
+"""Robustness study: one law on many valves, from a box of plants, drifts, noises, periods and delays.
+
+Valve number i is point i of a scrambled Sobol sequence and has its own seed, so that it is the same in a
+study of any length and can be run again alone. Results are kept in chunks, each a file that is either whole
+or absent: a study that was stopped goes on where it was.
+"""
+
+import json
+import os
+import tempfile
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.stats
+
+from valve_control.parameters import build
+from valve_control.parameters.table import NODES, ParameterError, Values, updated
+from valve_control.plant.models import TransferFunction
+from valve_control.simulation import batch, offline
+
+Array = npt.NDArray[np.float64]
+Settings = Mapping[str, Values]  # by node
+Told = Callable[[int], None]  # valves done
+CHUNK = 1024  # valves of a file
+UNSTABLE = 1.0  # V  error of the last two seconds beyond which a loop counts as unstable
+PERCENTS = (1, 5, 25, 50, 75, 95, 99)
+
+
+class Quantity(NamedTuple):
+    """What differs from valve to valve."""
+
+    name: str  # of the valve's parameter; gain and speed are factors of the model
+    low: float
+    high: float
+    unit: str
+
+
+BOX = (
+    Quantity("gain", 0.8, 1.25, "-"),
+    Quantity("speed", 0.8, 1.25, "-"),
+    Quantity("flow_force", -0.3, 0.3, "V/V"),
+    Quantity("disturbance.offset", -1.0, 1.0, "V"),
+    Quantity("friction.coulomb", 0.0, 2.0, "V"),
+    Quantity("friction.static_ratio", 1.0, 2.0, "-"),
+    Quantity("drift.gain", -0.01, 0.02, "1/s"),
+    Quantity("drift.stiffness", -0.02, 0.02, "V/V/s"),
+    Quantity("lvdt.noise", 0.0, 0.010, "V"),
+    Quantity("lvdt.delay", 0.0, 0.002, "s"),
+)
+PERIODS = (0.0005, 0.001, 0.002)  # s
+
+
+class Study(NamedTuple):
+    """What is studied."""
+
+    settings: Settings
+    valves: int
+    seed: int  # of the Sobol sequence; valve i has noise seed seed + i
+    box: Sequence[Quantity] = BOX
+    periods: Sequence[float] = PERIODS  # s
+
+
+class Found(NamedTuple):
+    """Results by number."""
+
+    points: Array  # N×quantities
+    period: Array  # s
+    results: batch.Results
+
+    @property
+    def unstable(self) -> npt.NDArray[np.bool_]:
+        """Which loops did not stay finite or do not follow at the end."""
+        return ~(self.results.finite & (self.results.e_F <= UNSTABLE))
+
+
+def draw(study: Study, first: int, count: int) -> tuple[Array, Array]:
+    """Values of the quantities (count×quantities) and sample periods [s] of the valves from ``first`` on."""
+    sobol = scipy.stats.qmc.Sobol(len(study.box) + 1, rng=np.random.default_rng(study.seed))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # chunks are powers of two, a last part need not be
+        unit = sobol.fast_forward(first).random(count) if first else sobol.random(count)
+    low = np.array([q.low for q in study.box])
+    high = np.array([q.high for q in study.box])
+    choice = np.minimum((unit[:, -1] * len(study.periods)).astype(int), len(study.periods) - 1)
+    return low + unit[:, :-1] * (high - low), np.asarray(study.periods, dtype=float)[choice]
+
+
+def faster(model: TransferFunction, gain: float, speed: float) -> TransferFunction:
+    """``model`` with its gain times ``gain`` and all its poles and zeros times ``speed``."""
+    n, m = len(model.denominator), len(model.numerator)
+    return TransferFunction(
+        tuple(gain * c * speed ** (n - m + i) for i, c in enumerate(model.numerator)),
+        tuple(c * speed**i for i, c in enumerate(model.denominator)),
+    )
+
+
+def valve_of(study: Study, number: int, point: Array, period: float) -> Values:
+    """Parameters of valve ``number``. Raises ParameterError."""
+    named = {q.name: float(value) for q, value in zip(study.box, point, strict=True)}
+    base = study.settings["valve_simulator"]
+    gain, speed = named.pop("gain", 1.0), named.pop("speed", 1.0)
+    model = faster(build.valve_model(base), gain, speed)
+    changes: dict[str, Any] = {
+        **named,
+        "sample_period": period,
+        "gain_scale": 1.0,
+        "valve": "custom",
+        "numerator": list(model.numerator),
+        "denominator": list(model.denominator),
+        "seed": study.seed + number,
+    }
+    return updated(NODES["valve_simulator"], base, changes)
+
+
+def sampled(study: Study, node: str, period: float) -> Values:
+    """Parameters of ``node`` with a sample period [s]. Raises ParameterError."""
+    return updated(NODES[node], study.settings[node], {"sample_period": period})
+
+
+def settings_of_number(study: Study, number: int) -> dict[str, Values]:
+    """All parameters of valve ``number``, to run it again. Raises ParameterError."""
+    points, periods = draw(study, number, 1)
+    period = float(periods[0])
+    return {
+        "controller": sampled(study, "controller", period),
+        "valve_simulator": valve_of(study, number, points[0], period),
+        "command_source": sampled(study, "command_source", period),
+    }
+
+
+def run_chunk(study: Study, first: int, count: int, threads: int | None = None) -> Found:
+    """Run the valves from ``first`` on. Raises ParameterError."""
+    points, periods = draw(study, first, count)
+    every = np.full((count, len(batch.Results._fields)), np.nan)
+    for period in np.unique(periods):
+        chosen = np.flatnonzero(periods == period)
+        valves = [valve_of(study, first + int(i), points[i], float(period)) for i in chosen]
+        controller = sampled(study, "controller", float(period))
+        command = offline.commands(sampled(study, "command_source", float(period)))
+        limit = build.number(controller, "command_limit")
+        made = batch.simulate(
+            batch.Batch(
+                build.word(controller, "controller"),
+                build.law_params(controller),
+                batch.records([build.valve_params(values) for values in valves]),
+                study.seed + first + chosen,
+                np.clip(command, -limit, limit),
+            ),
+            threads,
+        )
+        every[chosen] = np.stack(made, axis=1)
+    return Found(points, periods, _results(every))
+
+
+def _results(rows: Any) -> batch.Results:
+    return batch.Results._make([*rows.T[:-1], rows.T[-1] == 1.0])
+
+
+def _described(study: Study) -> dict[str, Any]:
+    """What must not change between the parts of a study."""
+    return {
+        "settings": {node: dict(values) for node, values in study.settings.items()},
+        "seed": study.seed,
+        "box": [list(q) for q in study.box],
+        "periods": list(study.periods),
+    }
+
+
+def _write(path: Path, write: Callable[[Any], None]) -> None:
+    """Write a file that is whole or absent."""
+    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".part-", delete=False) as stream:
+        write(stream)
+        stream.flush()
+        os.fsync(stream.fileno())
+    os.replace(stream.name, path)
+
+
+def open_folder(study: Study, folder: Path) -> None:
+    """Make ``folder`` that of ``study``, or check that it is. Raises ParameterError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(_described(study), indent=2, sort_keys=True)
+    path = folder / "study.json"
+    if not path.exists():
+        _write(path, lambda stream: stream.write(text.encode()))
+    elif json.loads(path.read_text(encoding="utf-8")) != json.loads(text):
+        raise ParameterError(f"{folder} holds a study with other parameters; choose another folder")
+
+
+def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> Found:
+    """Run what ``folder`` lacks of the study, chunk by chunk; all results. Raises ParameterError."""
+    open_folder(study, folder)
+    parts: list[tuple[Array, Array, Array]] = []
+    for first in range(0, study.valves, CHUNK):
+        path = folder / f"valves_{first:08d}.npz"
+        if not path.exists():
+            found = run_chunk(study, first, CHUNK, threads)
+            rows = np.stack(found.results, axis=1)
+            _write(path, partial(np.savez, points=found.points, period=found.period, rows=rows))
+        with np.load(path) as kept:
+            parts.append((kept["points"], kept["period"], kept["rows"]))
+        told(min(study.valves, first + CHUNK))
+    points, period, rows = (np.concatenate(part)[: study.valves] for part in zip(*parts, strict=True))
+    return Found(points, period, _results(rows))
+
+
+def worst(found: Found, index: str, count: int) -> list[int]:
+    """Numbers of the worst valves by ``index``; those that did not stay finite come first."""
+    values = np.where(found.results.finite, getattr(found.results, index), np.inf)
+    return [int(i) for i in np.argsort(-values, kind="stable")[:count]]
+
+
+def summary(found: Found, count: int = 10) -> dict[str, Any]:
+    """Distributions, share unstable, and the worst valves."""
+    finite = found.results.finite
+    names = [name for name in batch.Results._fields if name != "finite"]
+    unstable = found.unstable
+    return {
+        "valves": len(finite),
+        "unstable": float(np.mean(unstable)),
+        "unstable_by_period": {
+            f"{period:g}": float(np.mean(unstable[found.period == period]))
+            for period in np.unique(found.period)
+        },
+        "percentiles": {
+            name: dict(
+                zip(
+                    map(str, PERCENTS),
+                    np.percentile(getattr(found.results, name)[finite], PERCENTS).tolist(),
+                    strict=True,
+                )
+            )
+            for name in names
+            if np.any(finite)
+        },
+        "worst": {name: worst(found, name, count) for name in ("e_rms", "e_M", "e_F")},
+    }
