@@ -31,6 +31,13 @@ def add_commands(commands: Any) -> None:
     group.add_argument("--folder", default="out/study", help="where results are kept (out/study)")
     group.add_argument("--study-seed", type=int, default=1, metavar="N", help="seed of the draw (1)")
     group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
+    group.add_argument(
+        "--limit",
+        type=float,
+        default=0.15,
+        metavar="V",
+        help="a loop with a larger error in the last two seconds counts as unstable (0.15)",
+    )
     group.add_argument("--replay", type=int, metavar="N", help="run valve number N again, alone")
     group.add_argument("--box", action="store_true", help="list the box and leave")
     output = study.add_argument_group("what comes out")
@@ -62,7 +69,7 @@ def _study(arguments: argparse.Namespace) -> None:
     except KeyboardInterrupt:
         print(f"stopped; the same command goes on from {arguments.folder}", file=sys.stderr)
         sys.exit(130)
-    result = study.summary(found)
+    result = study.summary(found, arguments.limit)
     if arguments.json != "-":
         _print(result)
     if arguments.figure is not None:

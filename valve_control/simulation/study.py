@@ -27,7 +27,7 @@ Array = npt.NDArray[np.float64]
 Settings = Mapping[str, Values]  # by node
 Told = Callable[[int], None]  # valves done
 CHUNK = 1024  # valves of a file
-UNSTABLE = 1.0  # V  error of the last two seconds beyond which a loop counts as unstable
+LIMIT = 0.15  # V  e_F beyond which a loop counts as unstable: few lie between 0.1 V and the limit cycles
 PERCENTS = (1, 5, 25, 50, 75, 95, 99)
 
 
@@ -72,10 +72,9 @@ class Found(NamedTuple):
     period: Array  # s
     results: batch.Results
 
-    @property
-    def unstable(self) -> npt.NDArray[np.bool_]:
-        """Which loops did not stay finite or do not follow at the end."""
-        return ~(self.results.finite & (self.results.e_F <= UNSTABLE))
+    def unstable(self, limit: float) -> npt.NDArray[np.bool_]:
+        """Which loops did not stay finite, or err by more than ``limit`` [V] in the last two seconds."""
+        return ~(self.results.finite & (self.results.e_F <= limit))
 
 
 def draw(study: Study, first: int, count: int) -> tuple[Array, Array]:
@@ -214,13 +213,14 @@ def worst(found: Found, index: str, count: int) -> list[int]:
     return [int(i) for i in np.argsort(-values, kind="stable")[:count]]
 
 
-def summary(found: Found, count: int = 10) -> dict[str, Any]:
-    """Distributions, share unstable, and the worst valves."""
+def summary(found: Found, limit: float = LIMIT, count: int = 10) -> dict[str, Any]:
+    """Distributions, share unstable by ``limit`` [V], and the worst valves."""
     finite = found.results.finite
     names = [name for name in batch.Results._fields if name != "finite"]
-    unstable = found.unstable
+    unstable = found.unstable(limit)
     return {
         "valves": len(finite),
+        "limit": limit,
         "unstable": float(np.mean(unstable)),
         "unstable_by_period": {
             f"{period:g}": float(np.mean(unstable[found.period == period]))
