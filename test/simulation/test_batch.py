@@ -154,9 +154,8 @@ def test_noise_has_numpys_bits():
     from valve_control.compiling import compile_function
     from valve_control.simulation import normal
 
-    seeds = range(20)
+    seeds = np.array([*range(17), 2**32 - 1, 2**32 + 5, 2**63 - 1])
     numbers = np.empty((len(seeds), 100_000))  # the tail beyond 3.65 comes 500 times
-    words = np.array([normal.state_of(seed) for seed in seeds], dtype=np.uint64)
-    compile_function(normal.fill)(words, numbers)
+    compile_function(normal.fill)(normal.states_of(seeds), numbers)
     for row, seed in zip(numbers, seeds, strict=True):
         assert np.array_equal(row, np.random.default_rng(seed).standard_normal(len(row)))

@@ -264,7 +264,8 @@ class Job(NamedTuple):
     law: types.ModuleType
     law_rows: Array
     valve_rows: Array
-    seeds: npt.NDArray[np.int64]
+    seeds: Valves
+    words: Words  # N×4  generators
     commands: Array  # V  one after the other
     stride: int  # between the commands of one valve and the next
     samples: int
@@ -272,9 +273,13 @@ class Job(NamedTuple):
 
 
 def _ready(batch: Batch) -> Job:
+    from valve_control.simulation.normal import states_of
+
     law = closed_loop.LAWS[batch.controller]
     seeds = np.asarray(batch.seeds, dtype=np.int64)
     count = len(seeds)
+    if np.any(seeds < 0):
+        raise ValueError(f"a seed is at least 0, not {np.min(seeds)}")
     law_rows, valve_rows = _rows(batch.law_params, count), _rows(batch.valve_params, count)
     commands = np.asarray(batch.commands, dtype=np.float64)
     if commands.shape[:-1] not in ((), (count,)) or commands.size == 0:
@@ -298,6 +303,7 @@ def _ready(batch: Batch) -> Job:
         law_rows,
         valve_rows,
         seeds,
+        states_of(seeds),
         commands.ravel(),
         stride,
         samples,
@@ -307,8 +313,6 @@ def _ready(batch: Batch) -> Job:
 
 def _run_lanes(job: Job, start: int, traces: Array) -> Array:
     """Tallies of the valves from ``start`` on, at most LANES; the last one fills up a last block."""
-    from valve_control.simulation.normal import state_of
-
     valves = np.minimum(np.arange(start, start + LANES), len(job.seeds) - 1)
     rows = np.concatenate([job.law_rows[valves], job.valve_rows[valves]], axis=1)
     block = np.zeros((job.width, LANES))
@@ -317,7 +321,7 @@ def _run_lanes(job: Job, start: int, traces: Array) -> Array:
     _compiled(job.law)(
         job.like,
         block.ravel(),
-        np.array([state_of(int(seed)) for seed in job.seeds[valves]], dtype=np.uint64),
+        job.words[valves],
         np.empty((LANES, SPAN)),
         job.commands,
         job.stride,

@@ -16,14 +16,48 @@ from numba.extending import intrinsic
 from numba.np.random._constants import fi_double, ki_double, wi_double, ziggurat_nor_inv_r, ziggurat_nor_r
 
 Words = npt.NDArray[np.uint64]
+Halves = npt.NDArray[np.uint32]
 MULTIPLIER = 0x2360ED051FC65DA44385DF649FCCF645
-BELOW = 2**64 - 1
+BELOW, WHOLE = 2**64 - 1, 2**128 - 1
 
 
-def state_of(seed: int) -> list[int]:
-    """The four words, low before high, of state and increment of numpy's PCG64 for ``seed``."""
-    inner = np.random.PCG64(seed).state["state"]
-    return [word for name in ("state", "inc") for word in (inner[name] & BELOW, inner[name] >> 64)]
+def _hashed(value: Halves, constant: int, factor: int) -> tuple[Halves, int]:
+    following = constant * factor & 0xFFFFFFFF
+    value = (value ^ np.uint32(constant)) * np.uint32(following)
+    return value ^ (value >> np.uint32(16)), following
+
+
+def states_of(seeds: npt.NDArray[np.int64]) -> Words:
+    """Words (N×4), low before high, of state and increment of numpy's PCG64 for each of ``seeds``.
+
+    numpy's SeedSequence (O'Neill 2015) for all seeds at once: a tenth of the time of making the generators.
+    """
+    given = np.asarray(seeds).astype(np.uint64)
+    zero = np.zeros(len(given), dtype=np.uint32)
+    entropy = [given.astype(np.uint32), (given >> np.uint64(32)).astype(np.uint32), zero, zero]
+    constant = 0x43B0D7E5
+    pool: list[Halves] = []
+    for part in entropy:
+        value, constant = _hashed(part, constant, 0x931E8875)
+        pool.append(value)
+    for i in range(4):
+        for j in range(4):
+            if i != j:
+                value, constant = _hashed(pool[i], constant, 0x931E8875)
+                value = np.uint32(0xCA01F9DD) * pool[j] - np.uint32(0x4973F715) * value
+                pool[j] = value ^ (value >> np.uint32(16))
+    constant = 0x8B51F9DD
+    made = []
+    for i in range(8):
+        value, constant = _hashed(pool[i % 4], constant, 0x58F38DED)
+        made.append(value.astype(np.uint64))
+    wide = [(made[2 * i] | (made[2 * i + 1] << np.uint64(32))).tolist() for i in range(4)]
+    words = np.empty((len(given), 4), dtype=np.uint64)
+    for k, (high, low, sequence_high, sequence_low) in enumerate(zip(*wide, strict=True)):
+        increment = ((sequence_high << 64 | sequence_low) << 1 | 1) & WHOLE
+        state = ((increment + (high << 64 | low)) * MULTIPLIER + increment) & WHOLE
+        words[k] = (state & BELOW, state >> 64, increment & BELOW, increment >> 64)
+    return words
 
 
 @intrinsic  # type: ignore[untyped-decorator]
