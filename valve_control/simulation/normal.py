@@ -2,7 +2,10 @@
 
 numpy's generator, PCG64 (O'Neill 2014: 128-bit LCG, output XSL-RR), and its ziggurat (Marsaglia and Tsang
 2000) in numba: inlined they take less than half of the time, and a thread that fills its own noise waits for
-no other. Imports numba, whose copies of numpy's tables it uses.
+no other. Imports numba.
+
+The compiled loop has numpy's bits only as long as numpy keeps its streams (NEP 19 lets Generator change);
+test_batch compares the two.
 """
 
 import math
@@ -13,7 +16,8 @@ import numpy.typing as npt
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
-from numba.np.random._constants import fi_double, ki_double, wi_double, ziggurat_nor_inv_r, ziggurat_nor_r
+
+from valve_control.simulation.ziggurat import DENSITY, INSIDE, INVERSE_TAIL, TAIL, WIDTH
 
 Words = npt.NDArray[np.uint64]
 Halves = npt.NDArray[np.uint32]
@@ -92,19 +96,19 @@ def normal(words: Words) -> float:
         r = next_word(words)
         i = r & np.uint64(0xFF)
         size = (r >> np.uint64(9)) & np.uint64(0x000FFFFFFFFFFFFF)
-        x = float(size * wi_double[i])
+        x = float(size * WIDTH[i])
         if (r >> np.uint64(8)) & np.uint64(1):
             x = -x
-        if size < ki_double[i]:
+        if size < INSIDE[i]:
             return x
         if i == 0:
             while True:
-                beyond = -ziggurat_nor_inv_r * math.log1p(-unit(words))
+                beyond = -INVERSE_TAIL * math.log1p(-unit(words))
                 height = -math.log1p(-unit(words))
                 if height + height > beyond * beyond:
-                    far = float(ziggurat_nor_r + beyond)
+                    far = float(TAIL + beyond)
                     return -far if (size >> np.uint64(8)) & np.uint64(1) else far
-        elif (fi_double[i - 1] - fi_double[i]) * unit(words) + fi_double[i] < math.exp(-0.5 * x * x):
+        elif (DENSITY[i - 1] - DENSITY[i]) * unit(words) + DENSITY[i] < math.exp(-0.5 * x * x):
             return x
 
 
