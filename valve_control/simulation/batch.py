@@ -52,7 +52,7 @@ class Tally(NamedTuple):
 
 
 class Work(NamedTuple):
-    """What changes from sample to sample; the first five are handed over between the loops of a sample."""
+    """What changes from sample to sample; the first six are handed over between the loops of a sample."""
 
     noise: float  # -  standard normal
     position: float  # V  that the LVDT sees, after its delay
@@ -63,6 +63,12 @@ class Work(NamedTuple):
     tally: Tally
     motion: Motion
     law: Any
+
+
+# Where they stand in a block.
+NOISE, POSITION, COMMAND, LEVEL = (
+    LANES * Work._fields.index(name) for name in ("noise", "position", "command", "level")
+)
 
 
 class Lane(NamedTuple):
@@ -88,13 +94,17 @@ class Results(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """What is run: one law on as many valves as there are seeds."""
+    """What is run: one law on as many valves, N, as there are seeds.
+
+    ``commands`` [V] of n samples: shape (n), the same for all valves, or (N, n), one row a valve. They go to
+    the law as they are; ``offline.simulate`` clips them to command_limit before.
+    """
 
     controller: str
-    law_params: Records | tuple[Any, ...]  # one a valve, or one for all
+    law_params: Records | tuple[Any, ...]  # N rows, or one for all valves
     valve_params: Records | valve.Params
-    seeds: Sequence[int] | npt.NDArray[np.int64]
-    commands: Array  # V  one for all (n), or one a valve (N×n)
+    seeds: Sequence[int] | npt.NDArray[np.int64]  # of the LVDTs' noise
+    commands: Array
 
 
 def law_step(p: Any, s: Any, command: float, measurement: float, offset: float) -> Any:
@@ -176,9 +186,9 @@ def run_block(
     """Run the ``valves`` of one block, whose parameters are in ``block``.
 
     ``words`` (LANES×4): generators, which fill ``noise`` (LANES×SPAN) again and again; ``commands`` [V]:
-    those of valve i begin at i·``stride``; ``history`` (LANES×m×2): rings as in ``valve.State`` for delayed LVDTs;
-    ``last_begin``: sample at which the last two seconds begin; ``traces`` (N×n×3, or 0×n×3 for none) takes
-    position, measurement and voltage [V].
+    those of valve i begin at i·``stride``; ``history`` (LANES×m×2): rings as in ``valve.State``, for delayed
+    LVDTs; ``last_begin``: sample at which the last two seconds begin; ``traces`` (N×n×3, or 0×n×3 for none)
+    takes position, measurement and voltage [V], and has as many samples as the run.
     """
     record = traces.shape[0] > 0
     length = history.shape[1]
@@ -197,10 +207,10 @@ def run_block(
             level = 0.0
             if lane.valve.disturbance.coulomb > 0.0:
                 level = valve.friction_level(lane.valve.disturbance, lane.work.motion.x.x1)
-            block[j] = noise[j, i]
-            block[LANES + j] = position
-            block[2 * LANES + j] = commands[valves[j] * stride + k]
-            block[5 * LANES + j] = level
+            block[NOISE + j] = noise[j, i]
+            block[POSITION + j] = position
+            block[COMMAND + j] = commands[valves[j] * stride + k]
+            block[LEVEL + j] = level
         changed = 1.0 if k > 0 else 0.0
         final = 1.0 if k >= last_begin else 0.0
         for j in range(LANES):
@@ -247,9 +257,14 @@ def records(params: Sequence[tuple[Any, ...]]) -> Records:
     return made
 
 
-def _rows(params: Records | tuple[Any, ...], count: int) -> Array:
-    """Numbers of ``params``, one row per valve."""
+def _rows(name: str, params: Records | tuple[Any, ...], like: Any, count: int) -> Array:
+    """Numbers of ``params``, one row per valve, of the fields of ``like``."""
     rows = params if isinstance(params, np.ndarray) else records([params])
+    kind = type(like)
+    if rows.dtype != _dtype_of(like) or rows.ndim != 1:
+        raise ValueError(
+            f"{name} must be {kind.__module__}.{kind.__name__}, or one row of batch.records a valve"
+        )
     if len(rows) not in (1, count):
         raise ValueError(f"a batch of {count} valves needs parameters of 1 or {count}, not of {len(rows)}")
     flat = np.ascontiguousarray(rows).view(np.float64).reshape(len(rows), -1)
@@ -266,36 +281,52 @@ class Job(NamedTuple):
     valve_rows: Array
     seeds: Valves
     words: Words  # N×4  generators
+    delays: Array  # periods, of the LVDTs
     commands: Array  # V  one after the other
     stride: int  # between the commands of one valve and the next
     samples: int
     period: float  # s
 
 
+def _commands(batch: Batch, count: int) -> Array:
+    commands = np.asarray(batch.commands, dtype=np.float64)
+    if commands.ndim not in (1, 2) or commands.shape[:-1] not in ((), (count,)) or commands.size == 0:
+        raise ValueError(f"commands of {count} valves have shape (n) or ({count}, n), not {commands.shape}")
+    if not np.all(np.isfinite(commands)):
+        raise ValueError("commands must be finite")
+    return commands
+
+
 def _ready(batch: Batch) -> Job:
     from valve_control.simulation.normal import states_of
 
+    if batch.controller not in closed_loop.LAWS:
+        raise ValueError(
+            f"there is no controller '{batch.controller}'; there are {', '.join(closed_loop.LAWS)}"
+        )
     law = closed_loop.LAWS[batch.controller]
     seeds = np.asarray(batch.seeds, dtype=np.int64)
+    if seeds.ndim != 1 or len(seeds) == 0 or np.any(seeds < 0):
+        raise ValueError("seeds must be whole numbers, none below 0, one for each of at least one valve")
     count = len(seeds)
-    if np.any(seeds < 0):
-        raise ValueError(f"a seed is at least 0, not {np.min(seeds)}")
-    law_rows, valve_rows = _rows(batch.law_params, count), _rows(batch.valve_params, count)
-    commands = np.asarray(batch.commands, dtype=np.float64)
-    if commands.shape[:-1] not in ((), (count,)) or commands.size == 0:
-        raise ValueError(f"commands of {count} valves have shape (n) or ({count}, n), not {commands.shape}")
+    commands = _commands(batch, count)
     samples = commands.shape[-1]
-    stride = 0 if commands.ndim == 1 else samples
     like = Lane(
         Work(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, template(Tally), template(Motion), template(law.State)),
         template(law.Params),
         template(valve.Params),
     )
-    plants = valve_rows.view(records([like.valve]).dtype)[:, 0]
+    law_rows = _rows("law_params", batch.law_params, like.law, count)
+    valve_rows = _rows("valve_params", batch.valve_params, like.valve, count)
+    laws = law_rows.view(_dtype_of(like.law))[:, 0]
+    plants = valve_rows.view(_dtype_of(like.valve))[:, 0]
     periods = np.unique(plants["period"])
     if len(periods) != 1:
         raise ValueError(f"the valves of a batch have one sample period, not {len(periods)}")
-    width = records([like]).dtype.itemsize // 8
+    for name in {"period", "u_max"} & set(like.law._fields):
+        if np.any(laws[name] != plants[name]):
+            raise ValueError(f"{name} differs between law and valve")
+    width = _dtype_of(like).itemsize // 8
     return Job(
         like,
         width,
@@ -304,8 +335,9 @@ def _ready(batch: Batch) -> Job:
         valve_rows,
         seeds,
         states_of(seeds),
+        plants["lvdt"]["delay"],
         commands.ravel(),
-        stride,
+        0 if commands.ndim == 1 else samples,
         samples,
         float(periods[0]),
     )
@@ -317,7 +349,6 @@ def _run_lanes(job: Job, start: int, traces: Array) -> Array:
     rows = np.concatenate([job.law_rows[valves], job.valve_rows[valves]], axis=1)
     block = np.zeros((job.width, LANES))
     block[job.width - rows.shape[1] :] = rows.T
-    delays = job.valve_rows[valves, -1]
     _compiled(job.law)(
         job.like,
         block.ravel(),
@@ -326,7 +357,7 @@ def _run_lanes(job: Job, start: int, traces: Array) -> Array:
         job.commands,
         job.stride,
         valves,
-        np.zeros((LANES, int(np.max(delays)) + 2, 2)),
+        np.zeros((LANES, int(np.max(job.delays[valves])) + 2, 2)),
         job.samples - max(1, min(job.samples, round(2.0 / job.period) + 1)),
         traces,
     )
@@ -358,11 +389,23 @@ def simulate(batch: Batch, threads: int | None = None, traces: Array | None = No
     """Run every valve of ``batch`` on ``threads`` (all cores).
 
     ``traces`` (N×n×3) takes position, measurement and voltage [V] of each valve; without it memory does not
-    grow with the length of a run. Raises ValueError for parameters that do not fit together.
+    grow with the length of a run. Ctrl-C ends it as soon as the blocks that are running are through. Raises
+    ValueError for a batch that does not fit together.
     """
     job = _ready(batch)
-    starts = range(0, len(job.seeds), LANES)
-    kept = np.empty((0, job.samples, 3)) if traces is None else traces
-    with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
-        tallies = np.concatenate(list(pool.map(lambda start: _run_lanes(job, start, kept), starts)))
+    if threads is not None and threads < 1:
+        raise ValueError(f"threads is {threads}; it must be at least 1")
+    shape = (len(job.seeds), job.samples, 3)
+    if traces is None:
+        traces = np.empty((0, job.samples, 3))
+    elif traces.shape != shape or traces.dtype != np.float64 or not traces.flags.c_contiguous:
+        raise ValueError(f"traces must be a C-contiguous array of float64 with shape {shape}")
+    # One sample in this thread, because Ctrl-C reaches no other: the first time it compiles for a while.
+    _run_lanes(job, 0, np.empty((0, 1, 3)))
+    pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
+    try:
+        starts = range(0, len(job.seeds), LANES)
+        tallies = np.concatenate(list(pool.map(lambda start: _run_lanes(job, start, traces), starts)))
+    finally:
+        pool.shutdown(cancel_futures=True)
     return _results(tallies, job.samples)

@@ -84,6 +84,16 @@ def read_commands(path: str) -> Array:
     return numbers
 
 
+def check_agreement(controller_values: Values, valve_values: Values) -> None:
+    """Raise ParameterError unless controller and valve agree on sample period and limit of the voltage."""
+    for name in ("sample_period", "u_max"):
+        if controller_values[name] != valve_values[name]:
+            raise ParameterError(
+                f"{name} is {controller_values[name]} for the controller and {valve_values[name]} "
+                "for the valve; they must agree"
+            )
+
+
 def simulate(
     controller_values: Values,
     valve_values: Values,
@@ -95,12 +105,7 @@ def simulate(
 
     ``noise_start``: how many LVDT readings the simulator had already made when the controller joined.
     """
-    for name in ("sample_period", "u_max"):
-        if controller_values[name] != valve_values[name]:
-            raise ParameterError(
-                f"{name} is {controller_values[name]} for the controller and {valve_values[name]} "
-                "for the valve; they must agree"
-            )
+    check_agreement(controller_values, valve_values)
     name = build.word(controller_values, "controller")
     law = closed_loop.LAWS[name]
     law_params = build.law_params(controller_values)
