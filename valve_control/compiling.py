@@ -19,6 +19,17 @@ PACKAGE = "valve_control"
 
 
 @functools.cache
+def sources_digest() -> str:
+    """Sixteen hexadecimal digits that change with any of the package's sources."""
+    digest = hashlib.sha256()
+    root = Path(__file__).resolve().parent
+    for source in sorted(root.rglob("*.py")):
+        digest.update(str(source.relative_to(root)).encode())
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
 def _numba() -> Any:
     """numba, with a cache folder that changes with the package's sources.
 
@@ -27,13 +38,8 @@ def _numba() -> Any:
     """
     import numba
 
-    digest = hashlib.sha256()
-    root = Path(__file__).resolve().parent
-    for source in sorted(root.rglob("*.py")):
-        digest.update(str(source.relative_to(root)).encode())
-        digest.update(source.read_bytes())
     home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    folder = home / PACKAGE / digest.hexdigest()[:16]
+    folder = home / PACKAGE / sources_digest()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

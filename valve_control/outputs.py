@@ -33,7 +33,7 @@ def write(path: str, content: str | bytes) -> None:
                 stream.flush()
                 os.chmod(stream.name, 0o644)
                 os.replace(stream.name, target)
-            except OSError:
+            except BaseException:  # Ctrl-C too
                 os.unlink(stream.name)
                 raise
     except OSError as error:

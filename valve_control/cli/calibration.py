@@ -4,12 +4,11 @@ import argparse
 import math
 import os
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
-from valve_control.cli.common import check_outputs, say, write_json
+from valve_control.cli.common import Progress, check_outputs, say, write_json
 from valve_control.cli.simulate import settings_of, setup_options
 from valve_control.parameters.table import NODES, ParameterError, Values, defaults
 
@@ -95,13 +94,14 @@ def _calibrate(arguments: argparse.Namespace) -> None:
     start = None
     if arguments.from_present:
         start = _present(base, dimensions)
+    progress = Progress(arguments.evaluations, "valves")
     found = search.search(
         problem,
         arguments.search_seed,
         arguments.evaluations,
         arguments.population,
         arguments.processes,
-        _Progress(arguments.evaluations),
+        lambda done, best: progress(done, f", best cost {best:.4f}"),
         start,
         arguments.step,
     )
@@ -185,25 +185,6 @@ def _check_counts(arguments: argparse.Namespace) -> None:
         if getattr(arguments, name) < low:
             option = name.replace("_", "-")
             raise ParameterError(f"--{option} is {getattr(arguments, name)}; it must be at least {low}")
-
-
-class _Progress:
-    """A line of progress every few seconds, with the time left."""
-
-    def __init__(self, evaluations: int) -> None:
-        self._evaluations = evaluations
-        self._began = self._said = time.monotonic()
-
-    def __call__(self, evaluations: int, best: float) -> None:
-        now = time.monotonic()
-        if now - self._said < 5.0:
-            return
-        self._said = now
-        left = (now - self._began) * max(0.0, self._evaluations / evaluations - 1.0)
-        print(
-            f"{evaluations} of {self._evaluations} valves, best cost {best:.4f}, {left:.0f} s left",
-            file=sys.stderr,
-        )
 
 
 def _nearness(runs: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:

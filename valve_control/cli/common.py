@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -34,6 +35,26 @@ def check_outputs(printable: Sequence[str | None], files: Sequence[str | None] =
         if whole in taken and not (whole.exists() and not whole.is_file()):
             raise ParameterError(f"{path} is given for two outputs; each needs a file of its own")
         taken.add(whole)
+
+
+class Progress:
+    """A line of progress on standard error every few seconds, with the time left."""
+
+    def __init__(self, total: int, things: str) -> None:
+        self._total = total
+        self._things = things
+        self._first = -1
+        self._began = self._said = 0.0
+
+    def __call__(self, done: int, more: str = "") -> None:
+        """Say that ``done`` are done, and ``more``; what is done at the first call cost no time."""
+        now = time.monotonic()
+        if self._first < 0:
+            self._first, self._began, self._said = done, now, now
+        elif now - self._said >= 5.0 and done > self._first:
+            self._said = now
+            left = (now - self._began) * max(0, self._total - done) / (done - self._first)
+            print(f"{done} of {self._total} {self._things}{more}, {left:.0f} s left", file=sys.stderr)
 
 
 def say(arguments: argparse.Namespace, text: str) -> None:

@@ -1,19 +1,21 @@
 """Robustness study: distributions of the indices over many valves, and its worst cases again."""
 
 import argparse
+import math
 import os
 import sys
-import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from valve_control import outputs
 from valve_control.analysis.tables import HEADER, index_row
-from valve_control.cli.common import check_outputs, say, write_json
+from valve_control.cli.common import Progress, check_outputs, say, write_json
 from valve_control.cli.simulate import CONTROLLERS, settings_of, setup_options
-from valve_control.parameters.table import ParameterError
+from valve_control.parameters.table import NODES, ParameterError, updated
 
 if TYPE_CHECKING:
-    from valve_control.simulation.study import Found
+    from valve_control.simulation.study import Found, Study
 
 
 def add_commands(commands: Any) -> None:
@@ -28,9 +30,15 @@ def add_commands(commands: Any) -> None:
     study.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
     group = study.add_argument_group("study")
     group.add_argument("--valves", type=int, default=100_000, metavar="N", help="how many (100000)")
-    group.add_argument("--folder", default="out/study", help="where results are kept (out/study)")
+    group.add_argument(
+        "--fix",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="quantity of the box that stays as it is; again for more",
+    )
+    group.add_argument("--box", action="store_true", help="list the box and leave")
     group.add_argument("--study-seed", type=int, default=1, metavar="N", help="seed of the draw (1)")
-    group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
     group.add_argument(
         "--limit",
         type=float,
@@ -39,69 +47,126 @@ def add_commands(commands: Any) -> None:
         help="a loop with a larger error in the last two seconds counts as unstable (0.15)",
     )
     group.add_argument("--replay", type=int, metavar="N", help="run valve number N again, alone")
-    group.add_argument("--box", action="store_true", help="list the box and leave")
+    group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
+    group.add_argument("--folder", help="where results are kept (out/study-…, a folder for each study)")
     output = study.add_argument_group("what comes out")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    output.add_argument("--figure", metavar="FILE", help="distributions as PNG; with --replay the run")
+    output.add_argument("--figure", metavar="FILE", help="distributions as PNG or SVG; with --replay the run")
+    output.add_argument("--output", metavar="FILE", help="with --replay: that valve as ROS 2 parameter file")
     study.set_defaults(run=_study)
 
 
-def _study(arguments: argparse.Namespace) -> None:
+def _study(arguments: argparse.Namespace) -> int:
     from valve_control.simulation import study
 
-    check_outputs([arguments.json], [arguments.figure])
-    for name in ("valves", "threads"):
-        if getattr(arguments, name) < 1:
-            raise ParameterError(f"--{name} is {getattr(arguments, name)}; it must be at least 1")
-    settings = settings_of(arguments)
-    periods = study.PERIODS if arguments.sample_period is None else (arguments.sample_period,)
-    chosen = study.Study(settings, arguments.valves, arguments.study_seed, study.BOX, periods)
+    _check(arguments)
+    chosen = _chosen(arguments)
     if arguments.box:
-        for q in study.BOX:
+        for q in chosen.box:
             say(arguments, f"{q.name:24}{q.low:10g} … {q.high:<10g}{q.unit}")
-        say(arguments, f"{'sample_period':24}{', '.join(f'{p:g}' for p in periods):>24} s")
-        return
+        say(arguments, f"{'sample_period':24}{', '.join(f'{p:g}' for p in chosen.periods):>24} s")
+        return 0
     if arguments.replay is not None:
         _replay(arguments, chosen)
-        return
+        return 0
+    folder = Path("out", study.folder_name(chosen)) if arguments.folder is None else Path(arguments.folder)
+    progress = Progress(chosen.valves, "valves")
+    done = -1
+
+    def told(valves: int) -> None:
+        nonlocal done
+        if done < 0 < valves:
+            print(f"{valves} of {chosen.valves} valves are in {folder} already", file=sys.stderr)
+        done = valves
+        progress(valves)
+
     try:
-        found = study.run(chosen, Path(arguments.folder), _Progress(arguments.valves), arguments.threads)
+        found = study.run(chosen, folder, told, arguments.threads)
     except KeyboardInterrupt:
-        print(f"stopped; the same command goes on from {arguments.folder}", file=sys.stderr)
-        sys.exit(130)
-    result = study.summary(found, arguments.limit)
+        print(
+            f"stopped; {max(0, done)} of {chosen.valves} valves are in {folder}; the same command goes on",
+            file=sys.stderr,
+        )
+        return 130
+    result = {
+        "folder": str(folder),
+        "controller": chosen.settings["controller"]["controller"],
+        **study.summary(found, arguments.limit),
+    }
     if arguments.json != "-":
         _print(result)
+        print(f"all results are in {folder}")
     if arguments.figure is not None:
         _draw(Path(arguments.figure), found)
         say(arguments, f"wrote {arguments.figure}")
     write_json(arguments, result)
+    return 0
 
 
-class _Progress:
-    """A line of progress every few seconds, with the time left."""
+def _check(arguments: argparse.Namespace) -> None:
+    check_outputs([arguments.json], [arguments.figure, arguments.output])
+    outputs.check_figure(arguments.figure)
+    for name in ("valves", "threads"):
+        if getattr(arguments, name) < 1:
+            raise ParameterError(f"--{name} is {getattr(arguments, name)}; it must be at least 1")
+    if not 0.0 < arguments.limit < math.inf:
+        raise ParameterError(f"--limit is {arguments.limit:g} V; it must be above 0 V, and finite")
+    if arguments.output is not None and arguments.replay is None:
+        raise ParameterError("--output writes the parameters of one valve; say which with --replay")
+    if arguments.seed is not None:
+        raise ParameterError("--seed says nothing here: each valve has a seed of its own; see --study-seed")
 
-    def __init__(self, valves: int) -> None:
-        self._valves = valves
-        self._began = self._said = time.monotonic()
-        self._kept = -1  # valves that were there from the start
 
-    def __call__(self, valves: int) -> None:
-        now = time.monotonic()
-        if self._kept < 0 or now - self._began < 1.0:
-            self._kept = valves
-        if now - self._said < 5.0 or valves == self._kept:
-            return
-        self._said = now
-        left = (now - self._began) * (self._valves - valves) / (valves - self._kept)
-        print(f"{valves} of {self._valves} valves, {left:.0f} s left", file=sys.stderr)
+def _chosen(arguments: argparse.Namespace) -> "Study":
+    """The study that the options ask for. Raises ParameterError."""
+    from valve_control.parameters import build, files
+    from valve_control.simulation import offline, study
+
+    names = [q.name for q in study.BOX]
+    for name in arguments.fix:
+        if name not in names:
+            raise ParameterError(f"--fix {name}: there is no such quantity; there are {', '.join(names)}")
+    box = [q for q in study.BOX if q.name not in arguments.fix]
+    settings = settings_of(arguments)
+    given = {files.parse_setting(text)[0] for text in arguments.set}
+    if "seed" in given:
+        raise ParameterError(
+            "--set seed says nothing here: each valve has a seed of its own; see --study-seed"
+        )
+    for q in box:
+        if q.name in given:
+            raise ParameterError(
+                f"the study varies {q.name} from {q.low:g} to {q.high:g} {q.unit}; leave --set {q.name} out, "
+                f"or keep its value with --fix {q.name}"
+            )
+    for path in arguments.params_file:
+        overridden = [q.name for q in box if q.name in files.load(path)["valve_simulator"]]
+        if overridden:
+            print(
+                f"note: the study varies {', '.join(overridden)}, whatever {path} says; --fix NAME keeps one",
+                file=sys.stderr,
+            )
+    periods: Sequence[float] = study.PERIODS
+    if arguments.sample_period is not None or "sample_period" in given:
+        periods = (build.number(settings["controller"], "sample_period"),)
+    source = settings["command_source"]
+    if source["scenario"] == "array":
+        if len(periods) > 1:
+            raise ParameterError("a command array has one number per sample period; give --sample-period too")
+        if arguments.duration is None:  # the whole array
+            length = len(offline.read_commands(build.word(source, "command_file")))
+            settings["command_source"] = updated(
+                NODES["command_source"], source, {"duration": length * periods[0]}
+            )
+    return study.Study(settings, arguments.valves, arguments.study_seed, box, periods)
 
 
 def _print(result: dict[str, Any]) -> None:
     percents = list(next(iter(result["percentiles"].values()), {}))
-    print(f"{'percentile':12}" + "".join(f"{p:>9}" for p in percents))
+    print(f"{'percentile':16}" + "".join(f"{p:>9}" for p in percents))
     for name, row in result["percentiles"].items():
-        print(f"{name:12}" + "".join(f"{row[p]:9.4f}" for p in percents))
+        label = name if name in ("c_u", "saturated") else f"{name} [V]"
+        print(f"{label:16}" + "".join(f"{row[p]:9.4f}" for p in percents))
     shares = [f"{p} s: {100.0 * s:.3f} %" for p, s in result["unstable_by_period"].items()]
     print(f"unstable: {100.0 * result['unstable']:.3f} % of {result['valves']} valves ({', '.join(shares)})")
     print(f"worst by e_rms (--replay N): {', '.join(map(str, result['worst']['e_rms']))}")
@@ -123,7 +188,8 @@ def _draw(path: Path, found: "Found") -> None:
     draw_plots([path], plots, "at most [V]", f"{len(found.period)} valves, by sample period", True)
 
 
-def _replay(arguments: argparse.Namespace, chosen: Any) -> None:
+def _replay(arguments: argparse.Namespace, chosen: "Study") -> None:
+    from valve_control.parameters import files
     from valve_control.simulation import offline, study
 
     if arguments.replay < 0:
@@ -131,17 +197,23 @@ def _replay(arguments: argparse.Namespace, chosen: Any) -> None:
     settings = study.settings_of_number(chosen, arguments.replay)
     command = offline.commands(settings["command_source"])
     run = offline.simulate(settings["controller"], settings["valve_simulator"], command)
-    names = ["numerator", "denominator", "sample_period", "seed", *(q.name for q in study.BOX[2:])]
+    varied = [q.name for q in chosen.box if q.name in settings["valve_simulator"]]
+    names = ["numerator", "denominator", "sample_period", "seed", *varied]
     drawn = {name: settings["valve_simulator"][name] for name in names}
     if arguments.json != "-":
         print(HEADER)
         print(index_row(run.controller, run.indices))
         for name, value in drawn.items():
             print(f"{name} = {value}")
+    title = f"valve {arguments.replay}"
+    if arguments.output is not None:
+        comment = f"{title} of a study with seed {chosen.seed}"
+        outputs.write(arguments.output, files.as_yaml(settings, [comment]))
+        say(arguments, f"wrote {arguments.output}")
     if arguments.figure is not None:
         from valve_control.analysis.figures import Trace, draw_traces
 
         trace = Trace(run.time, run.command, run.measurement, run.voltage)
-        draw_traces(Path(arguments.figure), {f"valve {arguments.replay}": {run.controller: trace}}, "study")
+        draw_traces(Path(arguments.figure), {title: {run.controller: trace}}, "study")
         say(arguments, f"wrote {arguments.figure}")
     write_json(arguments, {"number": arguments.replay, "indices": run.indices._asdict(), "valve": drawn})

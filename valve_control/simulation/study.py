@@ -2,15 +2,15 @@
 
 Valve number i is point i of a scrambled Sobol sequence and has its own seed, so that it is the same in a
 study of any length and can be run again alone. Results are kept in chunks, each a file that is either whole
-or absent: a study that was stopped goes on where it was.
+or absent: a study that was stopped goes on where it was, unless the package has changed since.
 """
 
+import hashlib
+import io
 import json
-import os
-import tempfile
 import warnings
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,15 +18,20 @@ import numpy as np
 import numpy.typing as npt
 import scipy.stats
 
+from valve_control import outputs
+from valve_control.compiling import sources_digest
 from valve_control.parameters import build
-from valve_control.parameters.table import NODES, ParameterError, Values, updated
+from valve_control.parameters.table import NODES, ParameterError, Values, lookup, updated
 from valve_control.plant.models import TransferFunction
 from valve_control.simulation import batch, offline
 
 Array = npt.NDArray[np.float64]
 Settings = Mapping[str, Values]  # by node
 Told = Callable[[int], None]  # valves done
-CHUNK = 1024  # valves of a file
+CHUNK = 1024  # most valves of a file
+STEPS = 100_000_000  # most samples of a file, all valves together: some seconds of work
+MOST_VALVES = 2**30  # points of scipy's Sobol sequence
+MOST_SEED = int(lookup(NODES["valve_simulator"], "seed").high)
 LIMIT = 0.15  # V  e_F beyond which a loop counts as unstable: few lie between 0.1 V and the limit cycles
 PERCENTS = (1, 5, 25, 50, 75, 95, 99)
 
@@ -77,8 +82,23 @@ class Found(NamedTuple):
         return ~(self.results.finite & (self.results.e_F <= limit))
 
 
+def check_numbers(study: Study, first: int, count: int) -> None:
+    """Raise ParameterError unless the study has ``count`` valves from number ``first`` on."""
+    if not 0 <= study.seed <= MOST_SEED:
+        raise ParameterError(f"the seed of a study is {study.seed}; it must lie between 0 and {MOST_SEED}")
+    if first < 0 or count < 1:
+        raise ParameterError(f"{count} valves from number {first} on cannot be run; numbers begin at 0")
+    last, most = first + count - 1, min(MOST_VALVES - 1, MOST_SEED - study.seed)
+    if last > most:
+        raise ParameterError(f"there is no valve {last}; with the seed {study.seed} the last one is {most}")
+
+
 def draw(study: Study, first: int, count: int) -> tuple[Array, Array]:
-    """Values of the quantities (count×quantities) and sample periods [s] of the valves from ``first`` on."""
+    """Values of the quantities (count×quantities) and sample periods [s] of the valves from ``first`` on.
+
+    Scrambled Sobol sequence (Sobol 1967, Owen 1998). Raises ParameterError for numbers that it has not.
+    """
+    check_numbers(study, first, count)
     sobol = scipy.stats.qmc.Sobol(len(study.box) + 1, rng=np.random.default_rng(study.seed))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # chunks are powers of two, a last part need not be
@@ -140,6 +160,7 @@ def run_chunk(study: Study, first: int, count: int, threads: int | None = None) 
         chosen = np.flatnonzero(periods == period)
         valves = [valve_of(study, first + int(i), points[i], float(period)) for i in chosen]
         controller = sampled(study, "controller", float(period))
+        offline.check_agreement(controller, valves[0])
         command = offline.commands(sampled(study, "command_source", float(period)))
         limit = build.number(controller, "command_limit")
         made = batch.simulate(
@@ -160,51 +181,95 @@ def _results(rows: Any) -> batch.Results:
     return batch.Results._make([*rows.T[:-1], rows.T[-1] == 1.0])
 
 
-def _described(study: Study) -> dict[str, Any]:
-    """What must not change between the parts of a study."""
+def described(study: Study) -> dict[str, Any]:
+    """What must not change between the parts of a study. Raises ParameterError for a command file."""
+    source = study.settings["command_source"]
+    array = b""
+    if source["scenario"] == "array":
+        array = offline.read_commands(build.word(source, "command_file")).tobytes()
     return {
         "settings": {node: dict(values) for node, values in study.settings.items()},
         "seed": study.seed,
         "box": [list(q) for q in study.box],
         "periods": list(study.periods),
+        "command_array": hashlib.sha256(array).hexdigest() if array else "",
+        "sources": sources_digest(),
     }
 
 
-def _write(path: Path, write: Callable[[Any], None]) -> None:
-    """Write a file that is whole or absent."""
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".part-", delete=False) as stream:
-        write(stream)
-        stream.flush()
-        os.fsync(stream.fileno())
-    os.replace(stream.name, path)
+def folder_name(study: Study) -> str:
+    """A name that belongs to this study, whatever its length. Raises ParameterError."""
+    text = json.dumps(described(study), sort_keys=True)
+    controller = build.word(study.settings["controller"], "controller")
+    return f"study-{controller}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def open_folder(study: Study, folder: Path) -> None:
-    """Make ``folder`` that of ``study``, or check that it is. Raises ParameterError."""
+    """Make ``folder`` that of ``study``, or check that it is. Raises ParameterError and OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(_described(study), indent=2, sort_keys=True)
+    text = json.dumps(described(study), indent=2, sort_keys=True)
     path = folder / "study.json"
     if not path.exists():
-        _write(path, lambda stream: stream.write(text.encode()))
-    elif json.loads(path.read_text(encoding="utf-8")) != json.loads(text):
-        raise ParameterError(f"{folder} holds a study with other parameters; choose another folder")
+        outputs.write(str(path), text)
+        return
+    try:
+        same = json.loads(path.read_text(encoding="utf-8")) == json.loads(text)
+    except ValueError as error:
+        raise ParameterError(f"{path} is damaged; choose another folder") from error
+    if not same:
+        raise ParameterError(
+            f"{folder} holds a study with other parameters, or of another version of this package; "
+            "choose another folder"
+        )
+
+
+def chunk_of(study: Study) -> int:
+    """Valves of a file: a power of two, as a Sobol sequence wants it."""
+    samples = build.number(study.settings["command_source"], "duration") / min(study.periods)
+    valves = max(batch.LANES, int(STEPS / samples))
+    return min(CHUNK, 1 << (valves.bit_length() - 1))
 
 
 def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> Found:
-    """Run what ``folder`` lacks of the study, chunk by chunk; all results. Raises ParameterError."""
+    """Run what ``folder`` lacks of the study, chunk by chunk; all results.
+
+    ``told`` is called once before the work, and after each chunk. Ctrl-C loses the chunk that is running, no
+    more. Raises ParameterError, and OSError if the folder cannot be written.
+    """
+    check_numbers(study, 0, study.valves)
     open_folder(study, folder)
-    parts: list[tuple[Array, Array, Array]] = []
-    for first in range(0, study.valves, CHUNK):
-        path = folder / f"valves_{first:08d}.npz"
-        if not path.exists():
-            found = run_chunk(study, first, CHUNK, threads)
-            rows = np.stack(found.results, axis=1)
-            _write(path, partial(np.savez, points=found.points, period=found.period, rows=rows))
-        with np.load(path) as kept:
-            parts.append((kept["points"], kept["period"], kept["rows"]))
-        told(min(study.valves, first + CHUNK))
+    chunk = chunk_of(study)
+    paths = {first: folder / f"valves_{first:08d}.npz" for first in range(0, study.valves, chunk)}
+    missing = [first for first, path in paths.items() if not path.exists()]
+    left = sum(min(chunk, study.valves - first) for first in missing)
+    told(study.valves - left)
+    for first in missing:
+        found = run_chunk(study, first, chunk, threads)
+        stream = io.BytesIO()
+        rows = np.stack(found.results, axis=1)
+        np.savez(stream, points=found.points, period=found.period, rows=rows)
+        outputs.write(str(paths[first]), stream.getvalue())
+        left -= min(chunk, study.valves - first)
+        told(study.valves - left)
+    parts = [_kept(path, (chunk, len(study.box))) for path in paths.values()]
     points, period, rows = (np.concatenate(part)[: study.valves] for part in zip(*parts, strict=True))
     return Found(points, period, _results(rows))
+
+
+def _kept(path: Path, shape: tuple[int, int]) -> tuple[Array, Array, Array]:
+    """Points (of ``shape``), periods [s] and results of one file. Raises ParameterError."""
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            points, period, rows = kept["points"], kept["period"], kept["rows"]
+        if (points.shape, len(period), rows.shape) != (
+            shape,
+            shape[0],
+            (shape[0], len(batch.Results._fields)),
+        ):
+            raise ValueError("shape")
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise ParameterError(f"{path} is damaged; delete it, and the same command makes it again") from error
+    return points, period, rows
 
 
 def worst(found: Found, index: str, count: int) -> list[int]:
