@@ -1,12 +1,13 @@
 """``python -m benchmarks``: all benchmarks; exit status 1 if a wanted ratio is missed."""
 
 import argparse
-import json
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from benchmarks import bags, batch
+from valve_control import outputs
 
 
 def main() -> int:
@@ -19,20 +20,19 @@ def main() -> int:
     out = Path(arguments.out)
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="valve_control-bench-") as folder:
+        results: dict[str, Any] = {"machine": batch.machine(), "bags": {}}
+        missed = []
         try:
             batches = batch.run(Path(folder))
+            results = {**batches["figures"], **results, "batch": batches}
+            missed += batch.missed(batches)
         except batch.BenchmarkError as error:
-            print(f"benchmarks: {error}", file=sys.stderr)
-            return 1
-        results = {
-            **batches["figures"],
-            "machine": batches.pop("machine"),
-            "batch": batches,
-            "bags": {} if arguments.only == "batch" else bags.run(Path(folder), arguments.seconds),
-        }
-    (out / "bench.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+            missed.append(f"batches: {error}")
+        if arguments.only != "batch":
+            results["bags"] = bags.run(Path(folder), arguments.seconds)
+    outputs.write(str(out / "bench.json"), outputs.as_json(results))
     print(f"\nwrote {out / 'bench.json'}")
-    missed = batch.missed(batches) + [
+    missed += [
         name
         for name, entry in results["bags"].items()
         if entry["ratio"] < entry["wanted_ratio"]

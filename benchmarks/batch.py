@@ -8,13 +8,14 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from valve_control.laws.signals import Start
 from valve_control.parameters import build
+from valve_control.parameters.stability import flatten, unflatten
 from valve_control.parameters.table import NODES, Values, defaults, updated
 from valve_control.plant import valve
 from valve_control.simulation import batch, closed_loop, offline
@@ -137,49 +138,33 @@ def run_in_c(library: ctypes.CDLL, chosen: batch.Batch) -> Array:
     return indices
 
 
-def leaves(state: Any) -> list[float]:
-    """Numbers of a nested NamedTuple."""
-    if isinstance(state, tuple):
-        return [number for part in state for number in leaves(part)]
-    return [float(state)]
-
-
-def like(state: Any, numbers: list[float]) -> Any:
-    """Inverse of ``leaves``; takes its numbers from the front."""
-    if isinstance(state, tuple):
-        return type(state)(*(like(part, numbers) for part in state))
-    return numbers.pop(0)
-
-
-class Motion(NamedTuple):
-    """State of the valve in python-control."""
-
-    x: valve.Row
-    bristle: float
-    time: float
-
-
 def run_in_python_control(controller: str, commands: Array, noise: Array) -> Array:
-    """Measurements [V] of the same closed loop: two blocks, connected and run by python-control."""
-    import control
+    """Measurements [V] of the same closed loop: two blocks, connected and run by python-control.
+
+    Raises BenchmarkError without python-control.
+    """
+    try:
+        import control
+    except ModuleNotFoundError as error:
+        raise BenchmarkError("vs_python_control needs python-control (pip install control)") from error
 
     controller_values, valve_values = settings(controller)
     law = closed_loop.LAWS[controller]
     p, plant = build.law_params(controller_values), build.valve_params(valve_values)
     first = valve.reading(plant.lvdt, 0.0, noise[0])
     start = law.initial(p, Start(first, 0.0, first, 0.0, 0.0))
-    still = Motion(valve.Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
+    still = batch.Motion(valve.Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
     none = np.zeros(1)
 
     def law_next(t: float, x: Array, u: Array, _: Any) -> list[float]:
-        return leaves(law.step(p, like(start, x.tolist()), float(u[0]), float(u[1]), 0.0)[1])
+        return flatten(law.step(p, unflatten(start, x.tolist()), float(u[0]), float(u[1]), 0.0)[1])
 
     def law_output(t: float, x: Array, u: Array, _: Any) -> float:
-        voltage: float = law.step(p, like(start, x.tolist()), float(u[0]), float(u[1]), 0.0)[0]
+        voltage: float = law.step(p, unflatten(start, x.tolist()), float(u[0]), float(u[1]), 0.0)[0]
         return voltage
 
     def valve_next(t: float, x: Array, u: Array, _: Any) -> list[float]:
-        s = like(still, x.tolist())
+        s = unflatten(still, x.tolist())
         after = valve.step(plant, valve.State(s.x, s.bristle, s.time, none, 0), float(u[0]))
         return [*after.x, after.bristle, after.time]
 
@@ -187,7 +172,7 @@ def run_in_python_control(controller: str, commands: Array, noise: Array) -> Arr
         return valve.reading(plant.lvdt, float(x[0]), float(u[1]))
 
     period = plant.period
-    names = [f"s{i}" for i in range(len(leaves(start)))]
+    names = [f"s{i}" for i in range(len(flatten(start)))]
     block = control.nlsys(
         law_next, law_output, inputs=["command", "reading"], outputs=["voltage"], states=names, dt=period,
         name="law",
@@ -201,7 +186,7 @@ def run_in_python_control(controller: str, commands: Array, noise: Array) -> Arr
         loop,
         np.arange(len(commands)) * period,
         np.stack([commands, noise[: len(commands)]]),
-        leaves(start) + [0.0] * 6,
+        flatten(start) + [0.0] * 6,
     )
     readings: Array = np.ravel(response.outputs)
     return readings
@@ -246,7 +231,7 @@ def machine() -> dict[str, Any]:
 
 def run(folder: Path, valves: int = 256, seconds: float = 6.0, rounds: int = 9) -> dict[str, Any]:
     """Measure; a table, and the figures for JSON. Raises BenchmarkError."""
-    results: dict[str, Any] = {"valves": valves, "seconds": seconds, "machine": machine()}
+    results: dict[str, Any] = {"valves": valves, "seconds": seconds}
     libraries = {
         "vs_c": c_library(folder, ["-O3"]),
         "vs_c_native": c_library(folder, ["-O3", "-march=native", "-ffp-contract=off"]),
