@@ -82,7 +82,7 @@ def _compile(
     rebuilt.__qualname__ = function.__qualname__
     if replace:
         # numba's cache tells functions apart by name and types, not by what their globals are.
-        names = ",".join(f"{value.__module__}.{value.__name__}" for _, value in replace)
+        names = ",".join(f"{value.__module__}.{value.__qualname__}" for _, value in replace)
         rebuilt.__qualname__ += f"_{hashlib.sha256(names.encode()).hexdigest()[:12]}"
     make = numba.njit(cache=True, error_model="numpy", forceinline=True, nogil=nogil)
     return make(rebuilt)  # type: ignore[no-any-return]

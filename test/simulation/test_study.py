@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from valve_control.cli import main
+from valve_control.cli import main, parser
 from valve_control.parameters.table import NODES, ParameterError, defaults, updated
 from valve_control.simulation import offline, study
 
@@ -69,6 +69,10 @@ def test_worst_come_first_and_what_is_not_finite_before_them():
     assert study.summary(found)["valves"] == 20
 
 
+def test_command_has_the_limit_of_the_study():
+    assert parser().parse_args(["study"]).limit == study.LIMIT
+
+
 def test_scaled_model_has_its_poles_and_gain_scaled():
     from valve_control.plant.models import MODELS
 
@@ -125,7 +129,7 @@ def test_command_prints_replays_and_draws(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     options = ["--set", "duration=0.3", "--study-seed", "3"]
     assert main(["study", *options, "--valves", "12", "--figure", "study.svg", "--json", "study.json"]) == 0
-    assert "unstable: " in capsys.readouterr().out and (tmp_path / "study.svg").stat().st_size > 1000
+    assert "(unstable): " in capsys.readouterr().out and (tmp_path / "study.svg").stat().st_size > 1000
     result = json.loads((tmp_path / "study.json").read_text())
     assert result["valves"] == 12 and len(list((tmp_path / result["folder"]).glob("valves_*.npz"))) == 2
     assert main(["study", *options, "--valves", "16"]) == 0
@@ -156,6 +160,7 @@ def test_command_prints_replays_and_draws(tmp_path, capsys, monkeypatch):
         (["--command", "c.csv"], "give --sample-period too"),
         (["--set", "u_max=5.0", "--folder", "taken"], "cannot be written"),
         (["--sample-period", "0.05"], "reshaping.natural_frequency"),
+        (["--duration", "100"], "--fix drift.gain"),
     ],
 )
 def test_bad_input_is_one_sentence(options, text, tmp_path, capsys, monkeypatch):

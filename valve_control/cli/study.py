@@ -88,7 +88,7 @@ def _study(arguments: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return 130
-    result = {
+    result: dict[str, Any] = {
         "folder": str(folder),
         "controller": chosen.settings["controller"]["controller"],
         **study.summary(found, arguments.limit),
@@ -97,7 +97,7 @@ def _study(arguments: argparse.Namespace) -> int:
         _print(result)
         print(f"all results are in {folder}")
     if arguments.figure is not None:
-        _draw(Path(arguments.figure), found)
+        _draw(Path(arguments.figure), found, result["controller"])
         say(arguments, f"wrote {arguments.figure}")
     write_json(arguments, result)
     return 0
@@ -135,8 +135,9 @@ def _chosen(arguments: argparse.Namespace) -> "Study":
         )
     for q in box:
         if q.name in given:
+            unit = "" if q.unit == "-" else f" {q.unit}"
             raise ParameterError(
-                f"the study varies {q.name} from {q.low:g} to {q.high:g} {q.unit}; leave --set {q.name} out, "
+                f"the study varies {q.name} from {q.low:g} to {q.high:g}{unit}; leave --set {q.name} out, "
                 f"or keep its value with --fix {q.name}"
             )
     for path in arguments.params_file:
@@ -158,7 +159,22 @@ def _chosen(arguments: argparse.Namespace) -> "Study":
             settings["command_source"] = updated(
                 NODES["command_source"], source, {"duration": length * periods[0]}
             )
-    return study.Study(settings, arguments.valves, arguments.study_seed, box, periods)
+    chosen = study.Study(settings, arguments.valves, arguments.study_seed, box, periods)
+    _check_drift(chosen)
+    return chosen
+
+
+def _check_drift(chosen: "Study") -> None:
+    """Raise ParameterError if a valve may lose its whole gain within the run."""
+    from valve_control.parameters import build
+
+    duration = build.number(chosen.settings["command_source"], "duration")
+    for q in chosen.box:
+        if q.name == "drift.gain" and 1.0 + q.low * duration <= 0.0:
+            raise ParameterError(
+                f"with a drift.gain of {q.low:g} {q.unit} nothing is left of a valve's gain after "
+                f"{-1.0 / q.low:g} s, and the duration is {duration:g} s; keep the gain with --fix drift.gain"
+            )
 
 
 def _print(result: dict[str, Any]) -> None:
@@ -167,12 +183,17 @@ def _print(result: dict[str, Any]) -> None:
     for name, row in result["percentiles"].items():
         label = name if name in ("c_u", "saturated") else f"{name} [V]"
         print(f"{label:16}" + "".join(f"{row[p]:9.4f}" for p in percents))
+    # What has no integral action is off target with any disturbance, and need not be unstable.
+    sign = "no sign of instability" if result["controller"] in ("compensator", "open_loop") else "unstable"
     shares = [f"{p} s: {100.0 * s:.3f} %" for p, s in result["unstable_by_period"].items()]
-    print(f"unstable: {100.0 * result['unstable']:.3f} % of {result['valves']} valves ({', '.join(shares)})")
+    print(
+        f"e_F above {result['limit']:g} V ({sign}): {100.0 * result['unstable']:.3f} % of "
+        f"{result['valves']} valves ({', '.join(shares)})"
+    )
     print(f"worst by e_rms (--replay N): {', '.join(map(str, result['worst']['e_rms']))}")
 
 
-def _draw(path: Path, found: "Found") -> None:
+def _draw(path: Path, found: "Found", controller: str) -> None:
     import numpy as np
 
     from valve_control.analysis.figures import COLOURS, Line, Plot, draw_plots
@@ -185,7 +206,9 @@ def _draw(path: Path, found: "Found") -> None:
             share = 100.0 * (np.arange(len(values)) + 1.0) / max(1, len(values))
             lines.append(Line(f"{1e3 * period:g} ms", values, share, COLOURS[i % len(COLOURS)]))
         plots.append(Plot(f"{name}: valves [%]", lines))
-    draw_plots([path], plots, "at most [V]", f"{len(found.period)} valves, by sample period", True)
+    draw_plots(
+        [path], plots, "at most [V]", f"{controller}: {len(found.period)} valves, by sample period", True
+    )
 
 
 def _replay(arguments: argparse.Namespace, chosen: "Study") -> None:

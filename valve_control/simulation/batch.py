@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 Words = npt.NDArray[np.uint64]
 Valves = npt.NDArray[np.int64]
 Records = npt.NDArray[np.void]  # one row a valve, fields as in the NamedTuple, all float64
-LANES = 8  # valves of a block, as in lanes.py
+LANES = 8  # valves of a block: the doubles of one AVX-512 register
 SPAN = 256  # samples of noise made at a time: they stay in the nearest cache
 
 

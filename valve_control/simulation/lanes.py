@@ -10,7 +10,7 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-LANES = 8
+from valve_control.simulation.batch import LANES
 
 
 def _address(context: Any, builder: Any, array_type: Any, array: Any, lane: Any, number: int) -> Any:

@@ -181,7 +181,7 @@ def _results(rows: Any) -> batch.Results:
     return batch.Results._make([*rows.T[:-1], rows.T[-1] == 1.0])
 
 
-def described(study: Study) -> dict[str, Any]:
+def _described(study: Study) -> dict[str, Any]:
     """What must not change between the parts of a study. Raises ParameterError for a command file."""
     source = study.settings["command_source"]
     array = b""
@@ -199,7 +199,7 @@ def described(study: Study) -> dict[str, Any]:
 
 def folder_name(study: Study) -> str:
     """A name that belongs to this study, whatever its length. Raises ParameterError."""
-    text = json.dumps(described(study), sort_keys=True)
+    text = json.dumps(_described(study), sort_keys=True)
     controller = build.word(study.settings["controller"], "controller")
     return f"study-{controller}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
@@ -207,7 +207,7 @@ def folder_name(study: Study) -> str:
 def open_folder(study: Study, folder: Path) -> None:
     """Make ``folder`` that of ``study``, or check that it is. Raises ParameterError and OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(described(study), indent=2, sort_keys=True)
+    text = json.dumps(_described(study), indent=2, sort_keys=True)
     path = folder / "study.json"
     if not path.exists():
         outputs.write(str(path), text)
