@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from valve_control.analysis.indices import rms
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, VALVE, defaults, updated
+from valve_control.parameters import build, files
+from valve_control.parameters.table import CONTROLLER, NODES, VALVE, defaults, updated
 from valve_control.simulation import batch, offline
 
+SOURCE = NODES["command_source"]
 REAL = {
     "lvdt.noise": 0.0056,
     "lvdt.resolution": 0.0037,
@@ -97,6 +98,25 @@ def test_friction_and_delay_have_the_bits_of_offline_runs(presliding, model):
         run = offline.simulate(controller, plant, command)
         for i, signal in enumerate((run.position, run.measurement, run.voltage)):
             assert np.array_equal(found[:, i], signal), plant["lvdt.delay"]
+
+
+@pytest.mark.parametrize("controller", ["arc", "oarc"])
+def test_calibrated_valve_has_the_bits_of_its_offline_run(config, controller):
+    """With what the paper's valve has: presliding, Stribeck, a delay below one period, quantised noise."""
+    given = files.load(str(config / "d3fxe_experiment.yaml"))
+    law = updated(CONTROLLER, defaults(CONTROLLER), {**given["controller"], "controller": controller})
+    plant = updated(VALVE, defaults(VALVE), given["valve_simulator"])
+    assert plant["friction.presliding"] > 0.0 and plant["lvdt.delay"] > 0.0
+    source = updated(SOURCE, defaults(SOURCE), given["command_source"])
+    command = offline.commands(source)
+    run = offline.simulate(law, plant, command)
+    traces = np.zeros((1, len(command), 3))
+    seeds = [int(plant["seed"])]
+    one = batch.Batch(controller, build.law_params(law), build.valve_params(plant), seeds, run.command)
+    results = batch.simulate(one, traces=traces)
+    for i, signal in enumerate((run.position, run.measurement, run.voltage)):
+        assert np.array_equal(traces[0, :, i], signal)
+    assert results.e_M[0] == run.indices.e_M and results.e_F[0] == run.indices.e_F
 
 
 def test_one_array_of_commands_for_all_is_the_same_as_a_row_for_each():

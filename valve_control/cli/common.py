@@ -51,9 +51,9 @@ class Progress:
         now = time.monotonic()
         if self._first < 0:
             self._first, self._began, self._said = done, now, now
-        elif now - self._said >= 5.0 and done > self._first:
+        elif now - self._said >= 5.0 and self._first < done < self._total:
             self._said = now
-            left = (now - self._began) * max(0, self._total - done) / (done - self._first)
+            left = (now - self._began) * (self._total - done) / (done - self._first)
             print(f"{done} of {self._total} {self._things}{more}, {left:.0f} s left", file=sys.stderr)
 
 
