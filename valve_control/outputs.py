@@ -1,5 +1,6 @@
 """Files that are written whole or not at all."""
 
+import contextlib
 import io
 import json
 import math
@@ -34,7 +35,8 @@ def write(path: str, content: str | bytes) -> None:
                 os.chmod(stream.name, 0o644)
                 os.replace(stream.name, target)
             except BaseException:  # Ctrl-C too
-                os.unlink(stream.name)
+                with contextlib.suppress(FileNotFoundError):  # it is in its place already
+                    os.unlink(stream.name)
                 raise
     except OSError as error:
         error.filename = path

@@ -213,6 +213,7 @@ def test_counts_that_do_not_agree_are_refused():
         ({"controller": "other"}, "no controller 'other'"),
         ({"seeds": []}, "at least one valve"),
         ({"seeds": [-1] * 11}, "none below 0"),
+        ({"seeds": [1.5] * 11}, "whole numbers"),
         ({"commands": np.full(50, np.nan)}, "finite"),
         ({"law_params": np.zeros(11)}, "law_params must be valve_control.laws.arc.Params"),
         ({"controller": "oarc"}, "law_params must be valve_control.laws.oarc.Params"),

@@ -305,9 +305,10 @@ def _ready(batch: Batch) -> Job:
             f"there is no controller '{batch.controller}'; there are {', '.join(closed_loop.LAWS)}"
         )
     law = closed_loop.LAWS[batch.controller]
-    seeds = np.asarray(batch.seeds, dtype=np.int64)
-    if seeds.ndim != 1 or len(seeds) == 0 or np.any(seeds < 0):
+    seeds = np.asarray(batch.seeds)
+    if seeds.ndim != 1 or len(seeds) == 0 or seeds.dtype.kind not in "iu" or np.any(seeds < 0):
         raise ValueError("seeds must be whole numbers, none below 0, one for each of at least one valve")
+    seeds = seeds.astype(np.int64)
     count = len(seeds)
     commands = _commands(batch, count)
     samples = commands.shape[-1]
