@@ -166,8 +166,9 @@ class Run:
 
     def flush(self):
         """The journal's waiting rows, and an account where one is due."""
-        if len(self.journal):
-            self.tell("journal", array(self.journal.take()))
+        rows = self.journal.take()
+        if rows:
+            self.tell("journal", array(rows))
             due = self.supervisor.samples - self.remembered >= self.memory_every
             if due or self.journal.owes_account:
                 self.remembered = self.supervisor.samples

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, defaults, updated
-from valve_control.supervision.memory import heading, recall, remember
+from valve_control.supervision.memory import account, recall, remember
 from valve_control.supervision.supervisor import Supervisor
 
 LAWS = ["arc", "oarc", "pid", "compensator", "open_loop"]
@@ -80,8 +80,13 @@ def test_the_memory_of_another_law_or_version_is_refused():
     assert not recall(supervisor, json.dumps(changed))
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1, 2]", '{"row": "7", "values": {}}', '{"row": 7}', "null"])
-def test_an_account_says_its_row_and_parameters(text):
-    row, values = heading(remember(made(arc__k1=70.0), 7))
-    assert row == 7 and values == updated(CONTROLLER, defaults(CONTROLLER), {"arc.k1": 70.0})
-    assert heading(text) is None
+@pytest.mark.parametrize(
+    "text", ["", "{}", "[1, 2]", '{"run": 1, "row": "7", "values": {}}', '{"row": 7}', "null"]
+)
+def test_an_account_says_its_row_its_parameters_and_the_command(text):
+    supervisor = made(arc__k1=70.0)
+    supervisor.command(1.25)
+    told = account(remember(supervisor, 5, 7))
+    assert (told.run, told.row, told.command) == (5, 7, 1.25)
+    assert told.values == updated(CONTROLLER, defaults(CONTROLLER), {"arc.k1": 70.0})
+    assert account(text) is None

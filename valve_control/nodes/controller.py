@@ -33,12 +33,12 @@ LEVELS = {
 }
 STALL = 0.01  # s; this loop wakes on time unless its process stood still
 REMIND = 0.1  # s between two voltages of 0 V while the LVDT is silent
-JOURNAL_PERIOD = 0.1  # s between two parts of the journal
-WATCH_GRAPH = 0.1  # s between two looks at who publishes
+MOST_ROWS = 500  # of the journal at once
+WATCH_GRAPH = 0.1  # s between two looks at who publishes and reads, and between two parts of the journal
+GREETING = 20  # parts of the journal with an account, since who comes does not hear everything at once
 LOCKSTEP_LIMIT = 5.0  # s to wait for a command in lockstep
 LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 POLL = 2e-5  # s
-NOT_YET = -(10**9)  # samples: an account is due
 WINDOW = 1000  # samples of the timing statistics
 NEVER = math.inf
 
@@ -61,8 +61,9 @@ class Controller(Managed):
         self._message = Float64()
         self._state_message = Float64MultiArray()
         self._rows = Float64MultiArray()
-        self._remembered = NOT_YET  # samples at the last account
-        self._readers = 0  # of the journal
+        self._accounted = -NEVER  # s, last account
+        self._readers = 0  # of journal and accounts
+        self._greeting = 0  # parts of the journal that still bring an account
         self._last_command = NEVER  # wall time of the last one
         self._commanded = False  # whether there has been an upper level
         self._arrivals: deque[float] = deque(maxlen=WINDOW)
@@ -92,8 +93,7 @@ class Controller(Managed):
         self._journal.apply(values, params)
         self._params = params
         self._period = build.number(values, "sample_period")
-        self._rows_at_once = max(1, round(JOURNAL_PERIOD / self._period))
-        self._remember_every = round(build.number(values, "memory_period") / self._period)
+        self._memory_period = build.number(values, "memory_period")
         self._decimation = int(build.number(values, "state_decimation"))
         if values["lockstep"] != self._lockstep:
             self._lockstep = values["lockstep"] is True
@@ -111,8 +111,7 @@ class Controller(Managed):
             self._realtime = wanted
             realtime.obtain(wanted, self.get_logger().warning)
         self._unchecked = True
-        if self._readings is not None:
-            self._write_journal(now=True)
+        self._publish_journal()
 
     # Life
 
@@ -122,6 +121,7 @@ class Controller(Managed):
         self._states = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
         self._memories = self.create_publisher(String, "~/memory", SAMPLES)
         self._journals = self.create_publisher(Float64MultiArray, "~/journal", SAMPLES)
+        self._readers = self._greeting = 0
         self._commands = PolledSubscription(self, Float64, "spool_command", SAMPLES)
         self._readings = PolledSubscription(self, Float64, "spool_position", SAMPLES)
 
@@ -143,7 +143,7 @@ class Controller(Managed):
             for _ in topic.take():
                 pass
         self._journal.start()
-        self._write_journal(now=True)
+        self._publish_journal()
         self._said = None
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._lockstep else self._seen + REMIND
@@ -154,16 +154,16 @@ class Controller(Managed):
 
     def end(self) -> None:
         """0 V, once."""
-        self._publish(0.0)
-        self._journal.start()
-        self._write_journal(now=True)
+        self._publish(self._journal.stop())
+        self._publish_journal()
         self._watch_at = NEVER
         self.get_logger().info("inactive, 0 V")
 
     def deliver(self) -> None:
         """See the last 0 V arrive; not in ``end``, where other valves of the process would have to wait."""
         if self._readings is not None:
-            self._voltages.wait_for_all_acked(Duration(seconds=LAST_WORD))
+            for publisher in (self._voltages, self._journals):
+                publisher.wait_for_all_acked(Duration(seconds=LAST_WORD))
 
     # Work
 
@@ -188,9 +188,8 @@ class Controller(Managed):
             self._catching_up = now - self._watch_at > STALL
             self._take_commands(0)
             voltage = self._journal.silence(self._elapsed(now), self._catching_up)
-            if self._supervisor.begun:
+            if not math.isnan(voltage):
                 self._publish(voltage)
-            self._write_journal()
             self._watch_at = now + REMIND
             worked = True
         if self._supervisor.changed:
@@ -207,7 +206,7 @@ class Controller(Managed):
         elif self._catching_up and (not self._arrivals or began - self._arrivals[-1] >= 0.5 * self._period):
             self._catching_up = False
         if self._catching_up:
-            self._publish(self._journal.silence(self._elapsed(began), stalled=True, reading=reading))
+            self._publish(self._journal.skip(reading, number, self._elapsed(began)))
         else:
             elapsed = self._elapsed(began)
             self._publish(self._journal.sample(reading, number, 0.0 if self._lockstep else elapsed))
@@ -222,20 +221,22 @@ class Controller(Managed):
         if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
             self._state_message.data = self._supervisor.telemetry()
             self._states.publish(self._state_message)
-        self._write_journal()
+        if len(self._journal) >= MOST_ROWS:
+            self._publish_journal()
 
-    def _write_journal(self, now: bool = False) -> None:
-        """Publish its rows, some at once, and now and then an account of all that is remembered by then."""
-        if len(self._journal) < self._rows_at_once and not now:
+    def _publish_journal(self) -> None:
+        """Its waiting rows, and now and then an account of all that is remembered before the next row."""
+        if self._readings is None:
             return
         rows = self._journal.take()
-        if self._remember_every == 0:
+        if self._memory_period == 0.0:
             return
-        self._rows.data = rows
-        self._journals.publish(self._rows)
-        samples = self._supervisor.samples
-        if self._journal.owes_account or samples - self._remembered >= self._remember_every:
-            self._remembered = samples
+        if rows:
+            self._rows.data = rows
+            self._journals.publish(self._rows)
+        now = time.monotonic()
+        if self._journal.owes_account or now - self._accounted >= self._memory_period:
+            self._accounted = now
             self._memories.publish(String(data=self._journal.account()))
 
     def _elapsed(self, now: float) -> float:
@@ -287,11 +288,14 @@ class Controller(Managed):
     def _watch_graph(self) -> None:
         if self._readings is None:
             return
-        readers = self._journals.get_subscription_count()
+        readers = self._journals.get_subscription_count() + self._memories.get_subscription_count()
         if readers > self._readers:
-            self._remembered = NOT_YET
-            self._write_journal(now=True)
+            self._greeting = GREETING
         self._readers = readers
+        if self._greeting > 0:
+            self._greeting -= 1
+            self._accounted = -NEVER
+        self._publish_journal()
         for topic in ("spool_command", "spool_position"):
             count = self.count_publishers(topic)
             self._journal.publishers(topic, count)

@@ -36,6 +36,17 @@ class ValveTopics(NamedTuple):
     namespace: str
     sources: dict[str, Source]  # by part
     state: str  # topic of the controller's state, "" if none
+    journal: str  # of its journal, likewise
+
+    @property
+    def memory(self) -> str:
+        """Topic of the controller's accounts of what it remembers, beside its journal."""
+        return f"{self.journal.removesuffix('/journal')}/memory"
+
+    @property
+    def plain(self) -> bool:
+        """Whether all parts are played by the topics that a controller has."""
+        return all(str(source) == f"{self.namespace}/{part}.data" for part, source in self.sources.items())
 
 
 def parse_map(text: str) -> tuple[str, str, Source]:
@@ -96,7 +107,7 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
             "plays their parts with --map spool_position=/topic.field"
         )
     return {
-        valve: ValveTopics(valve, _namespace(valve), parts, _state(bag, _namespace(valve)))
+        valve: ValveTopics(valve, _namespace(valve), parts, *_own_topics(bag, _namespace(valve)))
         for valve, parts in sorted(sources.items())
     }
 
@@ -110,11 +121,19 @@ def _name(namespace: str) -> str:
     return f"/{plain}" if plain == ONLY else plain or ONLY
 
 
-def _state(bag: Bag, namespace: str) -> str:
-    for name, topic in bag.topics.items():
-        if topic.type == STATE_TYPE and re.fullmatch(rf"{re.escape(namespace)}/[^/]+/state", name):
-            return name
-    return ""
+def _own_topics(bag: Bag, namespace: str) -> list[str]:
+    """State and journal of the controller in ``namespace``, "" for what is not there."""
+    return [
+        next(
+            (
+                name
+                for name, topic in bag.topics.items()
+                if topic.type == STATE_TYPE and re.fullmatch(rf"{re.escape(namespace)}/[^/]+/{kind}", name)
+            ),
+            "",
+        )
+        for kind in ("state", "journal")
+    ]
 
 
 def _wrong_field(bag: Bag, source: Source) -> str:

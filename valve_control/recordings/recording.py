@@ -15,6 +15,7 @@ from valve_control.recordings import parameters
 from valve_control.recordings.cleaning import Samples, clean, seconds
 from valve_control.recordings.mapping import STATE_TYPE, ValveTopics, find_valves
 from valve_control.supervision.journal import Block, block
+from valve_control.supervision.memory import Account, account
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -64,7 +65,8 @@ class Valve(NamedTuple):
     recorded: dict[str, Samples]  # likewise, with NaN and all publishers
     state: State | None
     journal: list[Block]  # what the controller took in, if it was asked for
-    accounts: list[tuple[int, str]]  # what it remembered, with source times [ns], likewise
+    accounts: dict[tuple[int, int], Account]  # what it remembered, by journal and row, likewise
+    since: int  # ns, the beginning of the part that was asked for; journal and accounts begin with the bag
     controller: parameters.Node | None
     simulator: parameters.Node | None
     problems: list[str]
@@ -117,24 +119,27 @@ def load(
     labels = {name: _labels(bag, name) for name in states}
     for name in states:
         wanted[name] = [f"data[{label}]" for label in STATE_FIELDS]
-    noted = {_beside(name, kind) for name in states for kind in ("memory", "journal") if journals}
-    noted &= set(bag.topics)
-    raw = {parameters.TOPIC} & set(bag.topics)
+    raw = {parameters.TOPIC}
+    if journals:
+        raw |= {topic for valve in topics.values() for topic in (valve.journal, valve.memory)}
+    raw &= set(bag.topics)
     begin = bag.begin
     first = begin if start is None else begin + nanoseconds(start, "--from")
+    since = 0 if start is None else first
     last = None if end is None else begin + nanoseconds(end, "--to")
     hears = told(bag) if told else None
     if start is None:
-        series = bag.read(wanted, raw=raw | noted, sparse=states, end=last, told=hears)
+        series = bag.read(wanted, raw=raw, sparse=states, end=last, told=hears)
     else:
         # What is known of the nodes counts from the bag's beginning, whatever part is asked for.
-        series = bag.read(wanted, raw=noted, sparse=states, start=first, end=last, told=hears)
+        series = bag.read(wanted, sparse=states, start=first, end=last, told=hears)
         series |= bag.read({}, raw=raw, end=last)
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
     if start is not None:
         nodes = {name: node.from_time(first) for name, node in nodes.items()}
     valves = {
-        name: _valve(valve, series, labels.get(valve.state, []), nodes) for name, valve in topics.items()
+        name: _valve(valve, series, labels.get(valve.state, []), nodes, since)
+        for name, valve in topics.items()
     }
     if not any(len(s.time) for valve in valves.values() for s in valve.signals.values()):
         part = "" if start is None and end is None else " in this part of its time"
@@ -159,11 +164,6 @@ def nanoseconds(time: float, option: str) -> int:
     return round(time * 1e9)
 
 
-def _beside(state: str, kind: str) -> str:
-    """Topic ``kind`` of the controller with this topic of its state."""
-    return f"{state.removesuffix('/state')}/{kind}"
-
-
 def _journal(notes: Series | None, problems: list[str]) -> list[Block]:
     if notes is None:
         return []
@@ -181,11 +181,12 @@ def _journal(notes: Series | None, problems: list[str]) -> list[Block]:
     return [part for part in blocks if len(part.rows)]
 
 
-def _accounts(notes: Series | None) -> list[tuple[int, str]]:
+def _accounts(notes: Series | None) -> dict[tuple[int, int], Account]:
     if notes is None:
-        return []
-    texts = [raw[8:].rstrip(b"\0").decode(errors="replace") for raw in notes.raw]
-    return sorted(zip(notes.publish_time.tolist(), texts, strict=True))
+        return {}
+    texts = (raw[8:].rstrip(b"\0").decode(errors="replace") for raw in notes.raw)
+    found = filter(None, map(account, texts))
+    return {(told.run, told.row): told for told in found}
 
 
 def _labels(bag: Bag, topic: str) -> list[str]:
@@ -197,7 +198,11 @@ def _labels(bag: Bag, topic: str) -> list[str]:
 
 
 def _valve(
-    topics: ValveTopics, series: dict[str, Series], labels: list[str], nodes: dict[str, parameters.Node]
+    topics: ValveTopics,
+    series: dict[str, Series],
+    labels: list[str],
+    nodes: dict[str, parameters.Node],
+    since: int,
 ) -> Valve:
     problems: list[str] = []
     cleaned = clean(topics.sources, series, problems)
@@ -216,10 +221,12 @@ def _valve(
             problems.append(f"{topics.name} has no {part}; what needs it is left out")
     if topics.state == "":
         problems.append(f"{topics.name} has no ~/state of its controller: no estimates and no V2")
-    if "controller" not in kinds:
+    journal = _journal(series.get(topics.journal), problems)
+    accounts = _accounts(series.get(topics.memory))
+    if "controller" not in kinds and not accounts:
         problems.append(f"{topics.name}: the bag has no parameters of its controller")
     for node in kinds.values():
-        if node.missing:
+        if node.missing and not (accounts and node.kind == "controller"):
             problems.append(
                 f"the bag does not have {node.missing} parameters of {node.name} from its beginning"
             )
@@ -230,8 +237,9 @@ def _valve(
         cleaned.timed,
         cleaned.recorded,
         state,
-        _journal(series.get(_beside(topics.state, "journal")), problems),
-        _accounts(series.get(_beside(topics.state, "memory"))),
+        journal,
+        accounts,
+        since,
         kinds.get("controller"),
         kinds.get("valve_simulator"),
         problems,

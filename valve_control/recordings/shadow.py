@@ -6,9 +6,9 @@ Without a journal, commands are taken by the times at which they were sent.
 """
 
 import math
-from bisect import bisect_left, bisect_right
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from operator import itemgetter
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,11 +16,11 @@ import numpy.typing as npt
 
 from valve_control.bags.errors import BagError
 from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, ParameterError, Values, defaults, updated
+from valve_control.parameters.table import CONTROLLER, ParameterError, defaults, updated
 from valve_control.recordings.cleaning import Samples, seconds
 from valve_control.recordings.recording import Valve
 from valve_control.supervision.journal import COLUMNS, Block, Event, observe
-from valve_control.supervision.memory import heading, recall, remember
+from valve_control.supervision.memory import recall, remember
 from valve_control.supervision.supervisor import Supervisor
 
 Floats = npt.NDArray[np.float64]
@@ -61,10 +61,12 @@ def replay(valve: Valve, overrides: Mapping[str, Any], told: Callable[[int], Non
 
     Raises BagError without readings or commands, ParameterError for parameters that do not fit together.
     """
+    if valve.journal and valve.accounts and valve.topics.plain:
+        return _ByJournal(valve, overrides).run(told)
     for part in ("spool_position", "spool_command"):
         if part not in valve.recorded or len(valve.recorded[part].time) == 0:
             raise BagError(f"{valve.name} has no {part}, so no controller can be replayed on it")
-    return (_ByJournal if valve.journal and valve.accounts else _ByTimes)(valve, overrides).run(told)
+    return _ByTimes(valve, overrides).run(told)
 
 
 class _Replay:
@@ -77,44 +79,58 @@ class _Replay:
         self._left_out: list[str] = []
         self._faithful = not overrides
         self._supervisor = Supervisor()
-        self._values = updated(CONTROLLER, defaults(CONTROLLER), overrides)
+        self._values = defaults(CONTROLLER)
         self._supervisor.apply(self._values, build.law_params(self._values))
-        self._law = ""
 
     def run(self, told: Callable[[int], None] | None) -> Shadow:
         rows: list[Row] = []
+        law, lockstep = "", False
         for row in self._rows():
-            self._law = self._law or self._supervisor.name
+            if not rows:
+                law, lockstep = self._supervisor.name, self._values["lockstep"] is True
             rows.append(row)
             if told is not None and len(rows) % REPORT == 0:
                 told(REPORT)
         if not rows:
-            raise BagError(f"{self._valve.name}: the bag has no voltage that can be replayed")
+            raise BagError(f"{self._valve.name}: nothing to replay; {self._why_nothing()}")
         stamp = np.array([row[0] for row in rows], dtype=np.int64)
         command, measurement, recorded, voltage = (np.array(c) for c in list(zip(*rows, strict=True))[1:])
         time = seconds(stamp, int(stamp[0]))
-        if self._values["lockstep"] is True:
+        if lockstep:
             time = np.arange(len(rows), dtype=np.float64) * build.number(self._values, "sample_period")
         faithful = self._faithful and bool(np.any(np.isfinite(recorded)))
-        return Shadow(time, self._law, measurement, command, recorded, voltage, faithful, self._left_out)
+        return Shadow(time, law, measurement, command, recorded, voltage, faithful, self._left_out)
 
     def _rows(self) -> Iterator[Row]:
         raise NotImplementedError
 
+    def _why_nothing(self) -> str:
+        return "the bag has no reading in this part"
+
+    def _row(self, time: int, reading: float, recorded: float, voltage: float) -> Row:
+        command = self._supervisor.command_in_force
+        return time, math.nan if command is None else command, reading, recorded, voltage
+
     def _use(self, recorded: Mapping[str, Any]) -> None:
-        """Take recorded parameters into use, but for those that are given."""
-        names = {parameter.name for parameter in CONTROLLER} - self._overrides.keys()
+        """Take recorded parameters into use, under those that are given. Raises ParameterError for these."""
+        known = {parameter.name for parameter in CONTROLLER}
+        wanted = {name: value for name, value in recorded.items() if name in known}
         try:
-            values = updated(
-                CONTROLLER, self._values, {name: v for name, v in recorded.items() if name in names}
-            )
-            if values == self._values:
-                return
-            self._supervisor.apply(values, build.law_params(values))
+            values = updated(CONTROLLER, self._values, wanted | self._overrides)
+            params = build.law_params(values)
         except ParameterError as error:
-            self._left_out.append(f"recorded parameters not used: {error}")
+            if self._overrides:
+                raise
+            self._faithful = False
+            self._say(f"recorded parameters not used: {error}")
             return
-        self._values = values
+        if values != self._values:
+            self._supervisor.apply(values, params)
+            self._values = values
+
+    def _say(self, text: str) -> None:
+        if text not in self._left_out:
+            self._left_out.append(text)
 
 
 class _ByJournal(_Replay):
@@ -122,72 +138,92 @@ class _ByJournal(_Replay):
 
     def _rows(self) -> Iterator[Row]:
         blocks = self._valve.journal
+        if any(later.time[0] < before.time[-1] for before, later in pairwise(blocks)):
+            blocks = sorted(blocks, key=lambda block: (block.run, block.first))
         self._known = False  # whether the supervisor is where the recorded one was, or as good
         self._changed = False  # whether parameters came into use that the next account tells
-        self._newest = math.nan  # V, command taken
-        self._unlike = compared = 0
+        self._apart: float | None = 0.0  # s without rows before the next reading, None if none are missing
+        self._mismatches = self._refused = unseen = gaps = 0
+        answered: list[float] = []
         before: Block | None = None
-        for i, block in enumerate(blocks):
+        last: float | None = None  # number of the last reading
+        for block in self._from_account(blocks):
+            if not block.follows(before):
+                gaps += before is not None and block.run == before.run
+                last = None
             self._enter(block, before)
-            end = int(blocks[i + 1].time[0]) if i + 1 < len(blocks) else END
-            times, recorded = block.time.tolist(), self._recorded(block, end)
-            for time, row, given in zip(times, block.rows.tolist(), recorded, strict=True):
+            for time, row in zip(block.time.tolist(), block.rows.tolist(), strict=True):
                 voltage = self._step(row) if self._known else None
-                if voltage is not None:
-                    compared += not math.isnan(given)
-                    yield time, self._newest, row[READING], given, voltage
+                number = row[NUMBER]
+                if time < self._valve.since:
+                    continue
+                if row[EVENT] in (Event.READING, Event.STALL) and not math.isnan(number):
+                    unseen += int(number - last - 1) if last is not None and number > last else 0
+                    last = number
+                if voltage is not None and not math.isnan(row[VOLTAGE]):
+                    answered.append(row[VOLTAGE])
+                    yield self._row(time, row[READING], row[VOLTAGE], voltage)
             before = block
-        self._say(compared)
+        if gaps:
+            self._say(f"parts of the controller's journal are missing in {gaps} places")
+        if self._mismatches:
+            self._say(
+                f"{self._mismatches} times the controller remembered something else than the shadow, which "
+                "went on from its account"
+            )
+        if self._refused:
+            self._say(f"{self._refused} accounts of what the controller remembers are of another version")
+        if unseen:
+            self._say(f"{unseen} readings did not reach the controller")
+        self._compare(answered)
+
+    def _from_account(self, blocks: list[Block]) -> list[Block]:
+        """The blocks from the last one on that an account precedes and that lies before the wanted part."""
+        begins = [i for i, b in enumerate(blocks) if (b.run, b.first) in self._valve.accounts]
+        early = [i for i in begins if blocks[i].time[0] <= self._valve.since]
+        return blocks[(early or begins or [0])[-1 if early else 0] :]
 
     def _enter(self, block: Block, before: Block | None) -> None:
         """Go on; after a gap or with new parameters, from the controller's account of what it remembers."""
-        told = self._account(block, before)
-        if (
-            before is None
-            or block.first != before.first + len(before.rows)
-            or (self._changed and told is None)
-        ):
+        told = self._valve.accounts.get((block.run, block.first))
+        if not block.follows(before):
+            self._apart = 0.0 if before is None else max(0.0, float(block.time[0] - before.time[-1]) * 1e-9)
+            self._known = self._known and not self._faithful
+        elif self._changed and told is None:
             self._known = self._known and not self._faithful
         self._changed = False
         if told is None:
             return
-        text, values = told
-        self._use(values)
+        self._use(told.values)
         if not self._faithful:
+            if not self._known and told.command is not None:
+                self._supervisor.command(told.command)
             self._known = True
-        elif not self._known or remember(self._supervisor, block.first) != text:
-            self._unlike += self._known
-            self._known = recall(self._supervisor, text)
-            command = self._supervisor.command_in_force
-            self._newest = math.nan if command is None else command
-
-    def _account(self, block: Block, before: Block | None) -> tuple[str, Values] | None:
-        """What the controller remembered before ``block``, and its parameters; None if it did not say."""
-        accounts, moment = self._valve.accounts, itemgetter(0)
-        first = bisect_left(accounts, 0 if before is None else int(before.time[-1]), key=moment)
-        last = bisect_right(accounts, int(block.time[-1]), key=moment)
-        for _, text in accounts[first:last]:
-            told = heading(text)
-            if told is not None and told[0] == block.first:
-                return text, told[1]
-        return None
+        elif not self._known or remember(self._supervisor, told.run, told.row) != told.text:
+            self._mismatches += self._known
+            self._known = recall(self._supervisor, told.text)
+            self._refused += not self._known
 
     def _step(self, row: list[float]) -> float | None:
         """Give the supervisor what ``row`` tells; the voltage [V], None if the row has none."""
         supervisor, event = self._supervisor, Event(int(row[EVENT]))
         if event is Event.COMMAND or not math.isnan(row[COMMAND]):
-            self._newest = row[COMMAND]
             supervisor.command(row[COMMAND])
         match event:
             case Event.READING:
-                return supervisor.sample(row[READING], int(row[NUMBER]), row[ELAPSED])
+                number, elapsed = int(row[NUMBER]), row[ELAPSED]
+                apart, self._apart = self._apart, None
+                if apart is not None and not self._faithful:
+                    # It is the bag that lacks rows: no reading was lost, and the spool has moved meanwhile.
+                    return supervisor.sample(row[READING], None, elapsed + apart)
+                return supervisor.sample(row[READING], number, elapsed)
             case Event.SILENCE | Event.STALL:
-                voltage = supervisor.silence(row[ELAPSED], event is Event.STALL)
-                return voltage if supervisor.begun else None
+                return supervisor.silence(row[ELAPSED], event is Event.STALL)
+            case Event.START | Event.STOP:
+                supervisor.start()
+                return supervisor.voltage
             case Event.PARAMETERS:
                 self._changed = True
-            case Event.START:
-                supervisor.start()
             case Event.RESET:
                 supervisor.reset()
             case Event.COMMAND_GONE:
@@ -196,33 +232,22 @@ class _ByJournal(_Replay):
                 observe(supervisor, event, int(row[NUMBER]))
         return None
 
-    def _recorded(self, block: Block, end: int) -> list[float]:
-        """The voltage on the topic [V] after each row and before the next, which comes at ``end`` [ns]."""
-        given = self._voltages
-        if given is None or len(given.time) == 0:
-            return [math.nan] * len(block.rows)
-        if not given.has_source_time:
-            return list(block.rows[:, VOLTAGE])
-        first = np.searchsorted(given.time, block.time)
-        at = np.minimum(first, len(given.time) - 1)
-        own = (first == at) & (given.time[at] < np.append(block.time[1:], end))
-        return list(np.where(own, given.value[at], np.nan))
+    def _compare(self, answered: list[float]) -> None:
+        """Whether what was heard on the topic is what the journal says."""
+        if self._voltages is None:
+            return
+        heard = self._voltages.value.tolist()
+        others = (Counter(heard) - Counter(answered)).total()
+        if others:
+            self._say(
+                f"{others} of {len(heard)} messages on {self._voltages.topic} are not in the part of the "
+                "journal that is replayed: it begins with an account and ends up to 0.1 s before the bag"
+            )
 
-    def _say(self, compared: int) -> None:
-        given = 0 if self._voltages is None else len(self._voltages.time)
-        if self._faithful and given > compared:
-            self._left_out.append(
-                f"{given - compared} of {given} recorded voltages are not compared: they come before the "
-                "first account or after the last part of the controller's journal in the bag, or in its gaps"
-            )
-        if self._unlike:
-            self._left_out.append(
-                f"{self._unlike} times the controller remembered something else than the shadow, which "
-                "went on from its account"
-            )
-        lost = self._supervisor.counts["lvdt_lost"]
-        if lost:
-            self._left_out.append(f"{lost} readings did not reach the controller")
+    def _why_nothing(self) -> str:
+        if self._refused:
+            return "its accounts of what the controller remembers are of another version of valve_control"
+        return "this part of the controller's journal has no account on ~/memory to begin with"
 
 
 class _ByTimes(_Replay):
@@ -239,16 +264,16 @@ class _ByTimes(_Replay):
             self._use({"sample_period": self._valve.period})
         if node is None or node.missing or self._left_out:
             self._faithful = False
-            self._left_out.append(
+            self._say(
                 "not all of the recorded controller's parameters are known: defaults stand for the others"
             )
-        self._left_out.append(
-            "the bag has no ~/journal of a controller: what it took in is known to a sample or so, from times"
+        without = (
+            "without a controller's ~/journal and ~/memory" if self._valve.topics.plain else "with --map"
         )
+        self._say(f"{without} what a controller took in is known to a sample or so, from times")
         readings, commands = (self._valve.recorded[part] for part in ("spool_position", "spool_command"))
         answered, recorded = self._answers(readings)
         taken, last = 0, int(readings.time[0])
-        newest = math.nan
         columns = (
             readings.time,
             readings.value,
@@ -261,11 +286,11 @@ class _ByTimes(_Replay):
                 self._use(changes.pop(0).values)
             for command in commands.value[taken:count].tolist():
                 self._supervisor.command(command)
-                newest = command
             taken = max(taken, count)
             elapsed = 0.0 if self._values["lockstep"] is True else (time - last) * 1e-9
             last = time
-            yield time, newest, reading, voltage, self._supervisor.sample(reading, number or None, elapsed)
+            answer = self._supervisor.sample(reading, number or None, elapsed)
+            yield self._row(time, reading, voltage, answer)
 
     def _answers(self, readings: Samples) -> tuple[Integers, Floats]:
         """When each reading was answered [ns], and by what [V]: itself and NaN where it was not."""

@@ -19,7 +19,7 @@ from valve_control.supervision.memory import remember
 from valve_control.supervision.supervisor import Supervisor
 
 COLUMNS = ("time", "event", "command", "reading", "number", "elapsed", "voltage")
-HEAD = 3  # numbers before the rows: number of the first row, seconds and nanoseconds of the time 0
+HEAD = 5  # numbers before the rows: which journal, number of the first row, time 0; times in s and ns
 
 
 class Event(IntEnum):
@@ -27,14 +27,15 @@ class Event(IntEnum):
 
     READING = 0  # answered with a voltage
     SILENCE = 1  # of the LVDT
-    STALL = 2  # a reading left unanswered, since it came while the process stood still
+    STALL = 2  # this process stood still; the reading, if there was one, was not used
     COMMAND = 3  # nothing but the command, NaN included
     PARAMETERS = 4  # new ones are in use, which the account before the next row tells
     START = 5  # from rest
-    RESET = 6
-    COMMAND_GONE = 7  # the upper level left
-    COMMAND_PUBLISHERS = 8  # `number` of them
-    LVDT_PUBLISHERS = 9
+    STOP = 6  # with 0 V
+    RESET = 7
+    COMMAND_GONE = 8  # the upper level left
+    COMMAND_PUBLISHERS = 9  # `number` of them, 0 for one or none
+    LVDT_PUBLISHERS = 10
 
 
 OBSERVED = {
@@ -50,6 +51,7 @@ class Journal:
         self._supervisor = supervisor
         self._clock = clock
         self._rows = array("d")
+        self._run = clock()  # ns, by which this journal is known from others
         self._base = 0  # ns
         self._count = 0  # rows since the beginning
         self._command = math.nan  # taken, and not in a row yet
@@ -77,10 +79,17 @@ class Journal:
         self._note(Event.READING, reading, number, elapsed, voltage)
         return voltage
 
-    def silence(self, elapsed: float, stalled: bool = False, reading: float = math.nan) -> float:
-        """No reading was answered; returns the voltage [V]. See Supervisor.silence."""
+    def silence(self, elapsed: float, stalled: bool = False) -> float:
+        """The LVDT is silent; returns the voltage [V], NaN if there has been no reading yet."""
         voltage = self._supervisor.silence(elapsed, stalled)
-        self._note(Event.STALL if stalled else Event.SILENCE, reading, elapsed=elapsed, voltage=voltage)
+        voltage = voltage if self._supervisor.begun else math.nan
+        self._note(Event.STALL if stalled else Event.SILENCE, elapsed=elapsed, voltage=voltage)
+        return voltage
+
+    def skip(self, reading: float, number: int, elapsed: float) -> float:
+        """A reading that came while this process stood still; returns the voltage [V]."""
+        voltage = self._supervisor.silence(elapsed, stalled=True)
+        self._note(Event.STALL, reading, number, elapsed, voltage)
         return voltage
 
     def apply(self, values: Values, params: Any) -> None:
@@ -92,7 +101,15 @@ class Journal:
     def start(self) -> None:
         """Begin at rest."""
         self._supervisor.start()
+        self._publishers = dict.fromkeys(OBSERVED, 0)
         self._note(Event.START)
+
+    def stop(self) -> float:
+        """To rest; returns 0 V."""
+        self._supervisor.start()
+        self._publishers = dict.fromkeys(OBSERVED, 0)
+        self._note(Event.STOP, voltage=0.0)
+        return 0.0
 
     def reset(self) -> None:
         """Estimates and filters to their start."""
@@ -100,9 +117,10 @@ class Journal:
         self._note(Event.RESET)
 
     def command_gone(self) -> None:
-        """The upper level has left."""
-        self._supervisor.command_gone()
-        self._note(Event.COMMAND_GONE)
+        """The upper level has left; once more is nothing new."""
+        if not self._supervisor.command_left:
+            self._supervisor.command_gone()
+            self._note(Event.COMMAND_GONE)
 
     def publishers(self, topic: str, count: int) -> None:
         """How many publishers there are on ``topic``, spool_command or spool_position."""
@@ -116,18 +134,20 @@ class Journal:
     # What is kept
 
     def take(self) -> array:  # type: ignore[type-arg]  # not subscriptable at run time
-        """The rows since the last call, after HEAD numbers that say where they begin."""
+        """The rows since the last call, after HEAD numbers; nothing if there are none."""
         if not math.isnan(self._command):
             self._note(Event.COMMAND)
-        taken = array("d", (self._count - len(self), *divmod(self._base, 10**9)))
-        taken.extend(self._rows)
-        del self._rows[:]
+        taken = array("d")
+        if self._rows:
+            taken.extend((*divmod(self._run, 10**9), self._count - len(self), *divmod(self._base, 10**9)))
+            taken.extend(self._rows)
+            del self._rows[:]
         return taken
 
     def account(self) -> str:
         """All that the supervisor remembers before the next row; after ``take``."""
         self.owes_account = False
-        return remember(self._supervisor, self._count)
+        return remember(self._supervisor, self._run, self._count)
 
     def _note(
         self,
@@ -147,25 +167,35 @@ class Journal:
 
 def observe(supervisor: Supervisor, event: Event, count: int) -> None:
     """Tell ``supervisor`` that there are ``count`` publishers, 0 for one or none."""
-    topic, name = next((topic, name) for topic, (kind, name) in OBSERVED.items() if kind is event)
-    supervisor.observe(name, f"{count} publishers on {topic}" if count else "")
+    for topic, (kind, name) in OBSERVED.items():
+        if kind is event:
+            supervisor.observe(name, f"{count} publishers on {topic}" if count else "")
 
 
 class Block(NamedTuple):
     """Rows of a journal that follow each other."""
 
-    first: int  # number of the first
+    run: int  # which journal
+    first: int  # number of the first row
     time: npt.NDArray[np.int64]  # ns
     rows: npt.NDArray[np.float64]  # n x len(COLUMNS)
+
+    def follows(self, before: "Block | None") -> bool:
+        """Whether no row is missing between ``before`` and this one."""
+        return before is not None and (self.run, self.first) == (before.run, before.first + len(before.rows))
 
 
 def block(data: Sequence[float] | npt.NDArray[np.float64]) -> Block:
     """What ``take`` gave. Raises ValueError if it is none."""
     numbers = np.asarray(data, dtype=np.float64)
-    if len(numbers) < HEAD or (len(numbers) - HEAD) % len(COLUMNS) or not np.isfinite(numbers[:HEAD]).all():
+    head, rows = numbers[:HEAD], numbers[HEAD:]
+    if len(rows) == 0 or len(rows) % len(COLUMNS) or not np.isfinite(head).all():
         raise ValueError("no rows of a journal")
-    first, seconds, nanoseconds = map(int, numbers[:HEAD])
-    rows = numbers[HEAD:].reshape(-1, len(COLUMNS))
-    if not np.isin(rows[:, 1], list(Event)).all() or not np.isfinite(rows[:, 0]).all():
+    rows = rows.reshape(-1, len(COLUMNS))
+    time, event, _, _, number, elapsed, _ = rows.T
+    numbered = np.isin(event, (Event.READING, Event.COMMAND_PUBLISHERS, Event.LVDT_PUBLISHERS))
+    sound = np.isin(event, list(Event)) & (np.isfinite(number) | ~numbered)
+    if not (sound & np.isfinite(time) & np.isfinite(elapsed)).all():
         raise ValueError("rows of another journal")
-    return Block(first, seconds * 10**9 + nanoseconds + rows[:, 0].astype(np.int64), rows)
+    run, base = (int(head[i]) * 10**9 + int(head[i + 1]) for i in (0, 3))
+    return Block(run, int(head[2]), base + time.astype(np.int64), rows)

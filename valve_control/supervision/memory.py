@@ -5,7 +5,7 @@ JSON writes floats with the digits that give the same bits again.
 
 import json
 import typing
-from typing import Any
+from typing import Any, NamedTuple
 
 from valve_control.laws import velocity
 from valve_control.parameters.table import Values
@@ -24,9 +24,19 @@ RECORDS: dict[str, Any] = {
 STATES = ("_state", "_former")  # of the law, each with the law's name
 
 
-def remember(supervisor: Supervisor, row: int = 0) -> str:
-    """What ``supervisor`` remembers before ``row`` of its journal, and its parameters, as JSON."""
-    memory: dict[str, Any] = {"row": row, "values": dict(sorted(supervisor.values.items()))}
+class Account(NamedTuple):
+    """What a controller said of itself."""
+
+    run: int  # its journal
+    row: int  # the next one
+    values: Values  # its parameters
+    command: float | None  # V, in force
+    text: str  # everything
+
+
+def remember(supervisor: Supervisor, run: int = 0, row: int = 0) -> str:
+    """What ``supervisor`` remembers before ``row`` of the journal ``run``, and its parameters, as JSON."""
+    memory: dict[str, Any] = {"run": run, "row": row, "values": dict(sorted(supervisor.values.items()))}
     memory |= {name: getattr(supervisor, name) for name in (*PLAIN, *RECORDS)}
     memory["law"] = supervisor.name
     memory["monitor"] = supervisor.monitor_memory()
@@ -36,14 +46,15 @@ def remember(supervisor: Supervisor, row: int = 0) -> str:
     return json.dumps(memory)
 
 
-def heading(text: str) -> tuple[int, Values] | None:
-    """Row and parameters of the account ``text``, None if it is no account."""
+def account(text: str) -> Account | None:
+    """``text`` as an account, None if it is none."""
     try:
         memory = json.loads(text)
-        row, values = memory["row"], memory["values"]
+        told = Account(memory["run"], memory["row"], memory["values"], memory["_command"], text)
     except (ValueError, KeyError, TypeError):
         return None
-    return (row, values) if isinstance(row, int) and isinstance(values, dict) else None
+    sound = isinstance(told.run, int) and isinstance(told.row, int) and isinstance(told.values, dict)
+    return told if sound and isinstance(told.command, (float, type(None))) else None
 
 
 def recall(supervisor: Supervisor, text: str) -> bool:
@@ -64,7 +75,7 @@ def recall(supervisor: Supervisor, text: str) -> bool:
             entry = memory[name]
             found[name] = None if entry is None else _built(LAWS[entry[0]].State, entry[1])
         watched = dict(memory["monitor"])
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError):
         return False
     for name, value in found.items():
         setattr(supervisor, name, value)

@@ -185,6 +185,11 @@ class Supervisor:
         """The command [V], None before the first."""
         return self._command
 
+    @property
+    def command_left(self) -> bool:
+        """Whether the upper level has left, and no command has come since."""
+        return self._gone_since is not None
+
     def monitor_memory(self) -> dict[str, Any]:
         """What the watch over the LVDT remembers."""
         return (
