@@ -51,6 +51,7 @@ CENTRED = 0.2  # V from neutral
 ALLOWANCE = 0.015  # s
 SETTLE = 0.3  # s for the spool to come to rest
 OBSERVE = 2.0  # s of undisturbed motion; it and its beginning show the steps that the command itself gives
+CENTRES = "spring centres"  # what the simulator says without a voltage
 BACK = 4.0  # s within which everything is in order again
 STEP_FACTOR = 2.0  # on the largest step of undisturbed motion; noise makes each maximum a little different
 FADE = 0.05  # V, what the fade of a takeover adds
@@ -288,7 +289,7 @@ def reaction(campaign: Campaign, fault: Fault, began: float) -> float:
         safe = first(sent, voltages == 0.0)
         return math.inf if safe < after_gap + 0.5 else first(sent, sent > after_gap) - began
     if fault.follows == "centred":
-        return campaign.reported("spring centres", began, "valve_simulator") - began
+        return campaign.reported(CENTRES, began, "valve_simulator") - began
     if fault.follows == "neutral":
         off = np.flatnonzero(np.abs(readings[times < began + fault.limit]) > CENTRED)
         last = float(times[off[-1]]) if len(off) else began
@@ -317,7 +318,9 @@ def run_fault(
         # What the middleware has to send again comes late; its stamp is that of the event.
         late = time.monotonic() + BACK
         campaign.until(
-            lambda: math.isfinite(reaction(campaign, fault, start)) or time.monotonic() > late,
+            lambda: (
+                campaign.reported(CENTRES, start, "valve_simulator") < math.inf or time.monotonic() > late
+            ),
             "a word",
             2.0 * BACK,
         )

@@ -40,8 +40,8 @@ class ValveTopics(NamedTuple):
 
     @property
     def memory(self) -> str:
-        """Topic of the controller's accounts of what it remembers, beside its journal."""
-        return f"{self.journal.removesuffix('/journal')}/memory"
+        """Topic of the controller's accounts of what it remembers, beside its journal; "" without one."""
+        return f"{self.journal.removesuffix('/journal')}/memory" if self.journal else ""
 
     @property
     def plain(self) -> bool:

@@ -181,15 +181,17 @@ class _ByJournal(_Replay):
         """The blocks from the last one on that an account precedes and that lies before the wanted part."""
         begins = [i for i, b in enumerate(blocks) if (b.run, b.first) in self._valve.accounts]
         early = [i for i in begins if blocks[i].time[0] <= self._valve.since]
-        return blocks[(early or begins or [0])[-1 if early else 0] :]
+        if early:
+            return blocks[early[-1] :]
+        return blocks[begins[0] :] if begins else blocks
 
     def _enter(self, block: Block, before: Block | None) -> None:
         """Go on; after a gap or with new parameters, from the controller's account of what it remembers."""
         told = self._valve.accounts.get((block.run, block.first))
-        if not block.follows(before):
+        follows = block.follows(before)
+        if not follows:
             self._apart = 0.0 if before is None else max(0.0, float(block.time[0] - before.time[-1]) * 1e-9)
-            self._known = self._known and not self._faithful
-        elif self._changed and told is None:
+        if not follows or (self._changed and told is None):
             self._known = self._known and not self._faithful
         self._changed = False
         if told is None:

@@ -100,14 +100,12 @@ class Journal:
 
     def start(self) -> None:
         """Begin at rest."""
-        self._supervisor.start()
-        self._publishers = dict.fromkeys(OBSERVED, 0)
+        self._rest()
         self._note(Event.START)
 
     def stop(self) -> float:
         """To rest; returns 0 V."""
-        self._supervisor.start()
-        self._publishers = dict.fromkeys(OBSERVED, 0)
+        self._rest()
         self._note(Event.STOP, voltage=0.0)
         return 0.0
 
@@ -148,6 +146,10 @@ class Journal:
         """All that the supervisor remembers before the next row; after ``take``."""
         self.owes_account = False
         return remember(self._supervisor, self._run, self._count)
+
+    def _rest(self) -> None:
+        self._supervisor.start()
+        self._publishers = dict.fromkeys(OBSERVED, 0)  # they are reported anew
 
     def _note(
         self,
