@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from valve_control.parameters import stability
-from valve_control.parameters.table import COMMAND, defaults, updated
+from valve_control.parameters.table import COMMAND, NODES, ParameterError, defaults, updated
 from valve_control.simulation import offline
 
 LAWS = ["arc", "oarc", "pid", "compensator", "open_loop"]
@@ -169,3 +169,10 @@ def test_voltage_is_finite_and_within_the_limit(simulate, controller, seed):
     command = np.random.default_rng(seed).uniform(-10.0, 10.0, 2000)
     run = simulate(controller, command, valve={**REAL, "lvdt.bias": 5.0, "gain_scale": 3.0})
     assert np.all(np.isfinite(run.voltage)) and np.max(np.abs(run.voltage)) <= 10.0
+
+
+def test_noise_that_would_begin_before_the_first_reading_is_refused():
+    """The compiled loop reads as many numbers as there are commands."""
+    values = [defaults(NODES[node]) for node in ("controller", "valve_simulator")]
+    with pytest.raises(ParameterError, match="noise_start is -1"):
+        offline.simulate(*values, np.zeros(10), noise_start=-1)

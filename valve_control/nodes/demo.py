@@ -128,7 +128,7 @@ def measure(listener: Listener, period: float, duration: float) -> Measured:
         lost,
         (len(inside) - 1) / span,
         voltage_number - 1,
-        reading_number - voltage_number,
+        max(0, reading_number - voltage_number),  # 0 V while the LVDT is silent answers no reading
         float(np.max(np.diff(command_times[command_times < command_times[0] + duration]))),
     )
 

@@ -106,6 +106,8 @@ def simulate(
     ``noise_start``: how many LVDT readings the simulator had already made when the controller joined.
     """
     check_agreement(controller_values, valve_values)
+    if noise_start < 0:
+        raise ParameterError(f"noise_start is {noise_start}; it must be 0 or more")
     name = build.word(controller_values, "controller")
     law = closed_loop.LAWS[name]
     law_params = build.law_params(controller_values)
