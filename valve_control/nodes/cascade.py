@@ -19,10 +19,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
-from std_msgs.msg import Float64
 from tqdm import tqdm
 
-from valve_control.nodes.adapter import PolledSubscription
+from valve_control.nodes.adapter import NumberSubscription
 from valve_control.parameters import build, files
 from valve_control.parameters.table import NODES, ParameterError, Values, defaults, updated
 
@@ -81,7 +80,7 @@ class Listener(Node):
 
     def __init__(self, name: str, topics: Sequence[str] = TOPICS) -> None:
         super().__init__(name)
-        self._topics: dict[str, PolledSubscription] = {}
+        self._topics: dict[str, NumberSubscription] = {}
         self.values: dict[str, array[float]] = {}
         self.stamps: dict[str, array[int]] = {}
         self.sequence: dict[str, array[int]] = {}
@@ -93,13 +92,13 @@ class Listener(Node):
         self.values[topic] = array("d")
         self.stamps[topic] = array("q")
         self.sequence[topic] = array("q")
-        self._topics[topic] = PolledSubscription(self, Float64, topic, EVERYTHING)
+        self._topics[topic] = NumberSubscription(self, topic, EVERYTHING)
 
     def fetch(self) -> None:
         """Take what has arrived since the last call."""
         for topic, subscription in self._topics.items():
-            for message, info in subscription.take():
-                self.values[topic].append(message.data)
+            for number, info in subscription.take():
+                self.values[topic].append(number)
                 self.stamps[topic].append(info["source_timestamp"])
                 self.sequence[topic].append(info["publication_sequence_number"])
 

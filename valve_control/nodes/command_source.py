@@ -9,7 +9,7 @@ from typing import Any
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 
-from valve_control.nodes.adapter import SAMPLES, ParameterSet, PolledSubscription
+from valve_control.nodes.adapter import SAMPLES, NumberSubscription, ParameterSet, PolledSubscription, encoded
 from valve_control.nodes.loop import Worker, run
 from valve_control.parameters import build
 from valve_control.parameters.table import COMMAND, Values
@@ -27,7 +27,7 @@ class CommandSource(Worker):
 
     def __init__(self) -> None:
         super().__init__("command_source")
-        self._readings: PolledSubscription | None = None
+        self._readings: NumberSubscription | None = None
         self._shaped_by: list[Any] = []
         self._commands: list[float] = []
         self._fault = "none"
@@ -35,7 +35,6 @@ class CommandSource(Worker):
         self._second: Any = None
         self._next = 0.0
         self._sent = 0
-        self._message = Float64()
         self._publisher = self.create_publisher(Float64, "spool_command", SAMPLES)
         ParameterSet(self, COMMAND, self._build, self._apply)
 
@@ -67,7 +66,7 @@ class CommandSource(Worker):
         self._done = False
         self._trigger = build.word(values, "trigger")
         if self._trigger != "timer" and self._readings is None:
-            self._readings = PolledSubscription(self, Float64, "spool_position", SAMPLES)
+            self._readings = NumberSubscription(self, "spool_position", SAMPLES)
         elif self._trigger == "timer" and self._readings is not None:
             self._readings.destroy()
             self._readings = None
@@ -137,14 +136,14 @@ class CommandSource(Worker):
             if not self._done:
                 self._done = True
                 self.get_logger().info("done, holds the last command")
-        self._message.data = self._commands[index]
+        command = float(self._commands[index])
         if self._fault == "not_finite":
-            self._message.data = math.nan
+            command = math.nan
         elif self._fault == "out_of_range":
-            self._message.data = BEYOND
+            command = BEYOND
         self._sent += 1
         if self._fault != "silent":
-            self._publisher.publish(self._message)
+            self._publisher.publish(encoded(command))
         if self._fault_left > 0:
             self._fault_left -= 1
             if self._fault_left == 0:

@@ -17,7 +17,14 @@ from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiA
 from std_srvs.srv import Trigger
 
 from valve_control.nodes import realtime
-from valve_control.nodes.adapter import SAMPLES, ParameterSet, PolledSubscription, diagnostics
+from valve_control.nodes.adapter import (
+    SAMPLES,
+    NumberSubscription,
+    ParameterSet,
+    PolledSubscription,
+    diagnostics,
+    encoded,
+)
 from valve_control.nodes.lifecycle import Managed
 from valve_control.nodes.loop import run, stopping
 from valve_control.parameters import build, files, stability
@@ -51,14 +58,13 @@ class Controller(Managed):
         self._supervisor = Supervisor()
         self._journal = Journal(self._supervisor)
         self._said: tuple[Mode, str] | None = None
-        self._readings: PolledSubscription | None = None
+        self._readings: NumberSubscription | None = None
         self._lockstep = False
         self._watch_at = NEVER
         self._catching_up = False
         self._seen = 0.0  # s, last reading or silence
         self._pairing: int | None = None
         self._unpaired = False  # lockstep without anybody who commands
-        self._message = Float64()
         self._state_message = Float64MultiArray()
         self._rows = Float64MultiArray()
         self._accounted = -NEVER  # s, last account
@@ -122,8 +128,8 @@ class Controller(Managed):
         self._memories = self.create_publisher(String, "~/memory", SAMPLES)
         self._journals = self.create_publisher(Float64MultiArray, "~/journal", SAMPLES)
         self._readers = self._greeting = 0
-        self._commands = PolledSubscription(self, Float64, "spool_command", SAMPLES)
-        self._readings = PolledSubscription(self, Float64, "spool_position", SAMPLES)
+        self._commands = NumberSubscription(self, "spool_command", SAMPLES)
+        self._readings = NumberSubscription(self, "spool_position", SAMPLES)
 
     def close(self) -> None:
         """Topics left."""
@@ -180,8 +186,8 @@ class Controller(Managed):
         if not self.working or self._readings is None:
             return False
         worked = False
-        for message, info in self._readings.take():
-            self._answer(message.data, info)
+        for reading, info in self._readings.take():
+            self._answer(reading, info)
             worked = True
         now = time.monotonic()
         if now >= self._watch_at and not worked:
@@ -245,16 +251,15 @@ class Controller(Managed):
         return elapsed
 
     def _publish(self, voltage: float) -> None:
-        self._message.data = voltage
-        self._voltages.publish(self._message)
+        self._voltages.publish(encoded(voltage))
 
     def _take_commands(self, number: int) -> None:
         """Hand on the commands that count for reading ``number``."""
         if self._lockstep and number > 0:
             self._take_paired_command(number)
             return
-        for message, _ in self._commands.take():
-            self._journal.command(message.data)
+        for command, _ in self._commands.take():
+            self._journal.command(command)
             self._last_command = time.monotonic()
 
     def _take_paired_command(self, number: int) -> None:
@@ -269,8 +274,8 @@ class Controller(Managed):
                     return
                 time.sleep(POLL)
                 continue
-            message, info = taken
-            self._journal.command(message.data)
+            command, info = taken
+            self._journal.command(command)
             self._last_command = time.monotonic()
             ahead = info["publication_sequence_number"] - number
             if self._pairing is None:

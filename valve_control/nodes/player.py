@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from valve_control.bags.bag import Bag
 from valve_control.bags.errors import BagError
-from valve_control.nodes.adapter import SAMPLES, PolledSubscription
+from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
 from valve_control.nodes.definitions import message_class
 from valve_control.recordings.mapping import find_valves
 from valve_control.recordings.recording import Valve, align, chosen, load
@@ -134,7 +134,7 @@ def _in_lockstep(node: Node, valve: Valve, quiet: bool) -> Played:
     signals = align(valve)
     command = node.create_publisher(Float64, f"{valve.topics.namespace}/spool_command", SAMPLES)
     position = node.create_publisher(Float64, f"{valve.topics.namespace}/spool_position", SAMPLES)
-    voltages = PolledSubscription(node, Float64, f"{valve.topics.namespace}/valve_voltage", SAMPLES)
+    voltages = NumberSubscription(node, f"{valve.topics.namespace}/valve_voltage", SAMPLES)
     _meet({command.topic_name: command, position.topic_name: position})
     for _ in voltages.take():
         pass
@@ -146,14 +146,14 @@ def _in_lockstep(node: Node, valve: Valve, quiet: bool) -> Played:
         ascii=not sys.stderr.isatty(),
     ):  # fmt: skip
         if np.isfinite(wanted):
-            command.publish(Float64(data=wanted))
-        position.publish(Float64(data=reading))
+            command.publish(encoded(wanted))
+        position.publish(encoded(reading))
         limit = time.monotonic() + ANSWER
         while (taken := voltages.one()) is None:
             if time.monotonic() > limit:
                 raise BagError(f"no voltage for reading {len(answers) + 1} within {ANSWER:g} s")
             time.sleep(POLL)
-        answers.append(taken[0].data)
+        answers.append(taken[0])
     elapsed = time.monotonic() - began
     recorded = signals.voltage
     known = np.isfinite(recorded)

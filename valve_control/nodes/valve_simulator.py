@@ -15,7 +15,14 @@ from std_msgs.msg import Float64
 
 from valve_control.laws.signals import saturate
 from valve_control.nodes import realtime
-from valve_control.nodes.adapter import SAMPLES, ParameterSet, PolledSubscription, diagnostics
+from valve_control.nodes.adapter import (
+    SAMPLES,
+    NumberSubscription,
+    ParameterSet,
+    PolledSubscription,
+    diagnostics,
+    encoded,
+)
 from valve_control.nodes.lifecycle import Managed
 from valve_control.nodes.loop import run
 from valve_control.parameters import build
@@ -48,7 +55,7 @@ class ValveSimulator(Managed):
         self._params: Any = None
         self._state: Any = None
         self._period = 0.0
-        self._voltages: PolledSubscription | None = None
+        self._voltages: NumberSubscription | None = None
         self._next = NEVER
         self._voltage = 0.0
         self._heard = False  # whether a voltage has ever come
@@ -63,7 +70,6 @@ class ValveSimulator(Managed):
         self._counts = dict.fromkeys(
             ("late_voltages", "voltage_refused", "voltage_timeouts", "samples_skipped", "resent"), 0
         )
-        self._message = Float64()
         self._clock_message = ClockMessage()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         ParameterSet(self, VALVE, self._build, self._apply)
@@ -126,7 +132,7 @@ class ValveSimulator(Managed):
 
     def open(self) -> None:
         """Topics."""
-        self._voltages = PolledSubscription(self, Float64, "valve_voltage", SAMPLES)
+        self._voltages = NumberSubscription(self, "valve_voltage", SAMPLES)
         self._positions = self.create_publisher(Float64, "spool_position", SAMPLES)
         self._clock_publisher: Any = None
 
@@ -244,8 +250,7 @@ class ValveSimulator(Managed):
                 self.set_parameters([Parameter(f"fault.{part}", value="none") for part in ("lvdt", "valve")])
 
     def _publish(self, reading: float) -> None:
-        self._message.data = reading
-        self._positions.publish(self._message)
+        self._positions.publish(encoded(reading))
 
     def _take_voltage(self) -> None:
         """Take the voltage of the sample before; wait for it if the controller answered until now."""
@@ -272,16 +277,16 @@ class ValveSimulator(Managed):
     def _poll_voltage(self) -> bool:
         assert self._voltages is not None
         arrived = False
-        for message, _ in self._voltages.take():
+        for voltage, _ in self._voltages.take():
             arrived = True
-            if math.isfinite(message.data):
-                self._voltage = saturate(message.data, self._params.u_max)
+            if math.isfinite(voltage):
+                self._voltage = saturate(voltage, self._params.u_max)
                 self._heard = True
                 self._centring = False
             else:
                 self._counts["voltage_refused"] += 1
                 self.get_logger().warning(
-                    f"voltage {message.data} refused, the last one holds", throttle_duration_sec=1.0
+                    f"voltage {voltage} refused, the last one holds", throttle_duration_sec=1.0
                 )
         return arrived
 

@@ -1,0 +1,52 @@
+"""The floor of the loop's latency: a process that answers each LVDT reading with itself, and does nothing else.
+
+``plain`` waits in a wait set of its own on one subscription; ``executor`` is the node that a tutorial shows.
+"""
+
+import gc
+import signal
+import sys
+
+import rclpy
+from rclpy._rclpy_pybind11 import WaitSet
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from std_msgs.msg import Float64
+
+from valve_control.nodes.adapter import SAMPLES, PolledSubscription
+
+
+def plain(node: Node) -> None:
+    """Wait, take, publish."""
+    publisher = node.create_publisher(Float64, "valve_voltage", SAMPLES)
+    readings = PolledSubscription(node, Float64, "spool_position", SAMPLES)
+    wait_set = WaitSet(1, 0, 0, 0, 0, 0, rclpy.get_default_context().handle)
+    gc.collect()
+    gc.freeze()
+    while rclpy.ok():
+        wait_set.clear_entities()
+        wait_set.add_subscription(readings.handle)
+        wait_set.wait(100_000_000)
+        for message, _ in readings.take():
+            publisher.publish(message)
+
+
+def executor(node: Node) -> None:
+    """A callback and ``rclpy.spin``."""
+    publisher = node.create_publisher(Float64, "valve_voltage", SAMPLES)
+    node.create_subscription(Float64, "spool_position", publisher.publish, SAMPLES)
+    rclpy.spin(node)
+
+
+def main() -> None:
+    """``python -m benchmarks.echo plain --ros-args ...``"""
+    rclpy.init(args=sys.argv)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        {"plain": plain, "executor": executor}[sys.argv[1]](Node("echo"))
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+
+
+if __name__ == "__main__":
+    main()
