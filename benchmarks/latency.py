@@ -30,7 +30,7 @@ from valve_control.simulation import offline
 
 Floats = npt.NDArray[np.float64]
 AHEAD = 0.3  # of a period by which a command comes before the reading
-CANDIDATES = ("plain", "executor", "arc", "oarc")
+CANDIDATES = tuple(os.environ.get("CANDS", "plain,executor,arc,oarc").split(","))
 WANTED = {"latency_vs_echo_p50": 1.15, "latency_vs_echo_p99": 1.3}  # at most
 LAST = 0.5  # s to wait for the last voltages
 COUNTS = (1, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 24, 28, 32)
@@ -215,7 +215,7 @@ if __name__ == "__main__":
 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     rclpy.init()
-    folder = Path(tempfile.mkdtemp())
+    folder = Path(os.environ.get("FOLDER") or tempfile.mkdtemp())
     if sys.argv[1] == "lat":
         print(json.dumps(latencies(folder, int(sys.argv[2])), indent=1))
     else:

@@ -48,6 +48,7 @@ LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 POLL = 2e-5  # s
 WINDOW = 1000  # samples of the timing statistics
 NEVER = math.inf
+REHEARSE = os.environ.get("REHEARSE") == "1"
 
 
 class Controller(Managed):
@@ -62,6 +63,7 @@ class Controller(Managed):
         self._lockstep = False
         self._watch_at = NEVER
         self._catching_up = False
+        self._rehearse_at = NEVER
         self._seen = 0.0  # s, last reading or silence
         self._pairing: int | None = None
         self._unpaired = False  # lockstep without anybody who commands
@@ -164,6 +166,7 @@ class Controller(Managed):
         self._publish_journal()
         self._watch_at = NEVER
         self.get_logger().info("inactive, 0 V")
+        print("STEP", np.percentile(self._durations, [50, 90, 99]) * 1e6, flush=True)
 
     def deliver(self) -> None:
         """See the last 0 V arrive; not in ``end``, where other valves of the process would have to wait."""
@@ -179,7 +182,7 @@ class Controller(Managed):
 
     def due(self) -> float:
         """When the LVDT has been silent for too long."""
-        return self._watch_at if self.working else NEVER
+        return min(self._watch_at, self._rehearse_at) if self.working else NEVER
 
     def work(self) -> bool:
         """Answer each waiting reading; without one in time, switch off."""
@@ -190,6 +193,11 @@ class Controller(Managed):
             self._answer(reading, info)
             worked = True
         now = time.monotonic()
+        if now >= self._rehearse_at and not worked:
+            self._rehearse_at = NEVER
+            if REHEARSE:
+                self._take_commands(0)
+                self._supervisor.rehearse()
         if now >= self._watch_at and not worked:
             self._catching_up = now - self._watch_at > STALL
             self._take_commands(0)
@@ -223,6 +231,7 @@ class Controller(Managed):
         if ended - began > self._period:
             self._overruns += 1
         if not self._lockstep:
+            self._rehearse_at = began + 0.7 * self._period
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
             self._state_message.data = self._supervisor.telemetry()

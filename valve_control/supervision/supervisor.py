@@ -427,6 +427,11 @@ class Supervisor:
         self._let_fade()
         return self.voltage
 
+    def rehearse(self) -> None:
+        """Bring the code of a sample into the caches."""
+        if self._state is not None:
+            self._law.step(self._params, self._state, self._effective, self._measurement, self._offset.value)
+
     def _leave_the_finite(self) -> None:
         self.counts["law_not_finite"] += 1
         self._switch_off("law_not_finite", f"{self.name} left the finite numbers")
