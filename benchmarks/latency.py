@@ -137,8 +137,12 @@ def recorded(controller: str, period: float) -> offline.Run:
 @contextmanager
 def candidate(kind: str, folder: Path, period: float) -> Iterator[Any]:
     """A process that answers readings in the namespace ``kind``."""
-    space = ["-r", f"__ns:=/{kind}"]
-    if kind in ("arc", "oarc"):
+    kind, _, settings = kind.partition("_x_")
+    for pair in filter(None, settings.split("_a_")):
+        name, _, value = pair.partition("_")
+        os.environ[name] = value.replace("p", ".")
+    space = ["-r", f"__ns:=/{kind + ('_x_' + settings if settings else '')}"]
+    if kind in ("arc", "oarc", "pid"):
         given = [*space, "-p", f"controller:={kind}", "-p", f"sample_period:={period!r}"]
         with process("controller", given, folder / f"{kind}.log") as child:
             yield child
@@ -161,7 +165,7 @@ def latencies(folder: Path, turns: int, period: float = 0.001) -> dict[str, Any]
     found: dict[str, list[Answers]] = {kind: [] for kind in CANDIDATES}
     with ExitStack() as stack:
         children = [stack.enter_context(candidate(kind, folder, period)) for kind in CANDIDATES]
-        probes = {kind: Probe(f"probe_{kind}", [kind], kind in ("arc", "oarc")) for kind in CANDIDATES}
+        probes = {kind: Probe(f"probe_{kind}", [kind], kind[:3] in ("arc", "oar", "pid")) for kind in CANDIDATES}
         for kind, probe in probes.items():
             wait_until(probe.connected, kind, children)
         for turn in tqdm(range(-1, turns), desc="latency", unit="turn", ascii=True):

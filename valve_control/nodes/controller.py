@@ -31,6 +31,7 @@ from valve_control.parameters import build, files, stability
 from valve_control.parameters.table import CONTROLLER, Values
 from valve_control.simulation.closed_loop import LAWS
 from valve_control.supervision.journal import Journal
+from valve_control.supervision.rehearsal import Rehearsal
 from valve_control.supervision.supervisor import Mode, Supervisor
 
 LEVELS = {
@@ -48,16 +49,20 @@ LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 POLL = 2e-5  # s
 WINDOW = 1000  # samples of the timing statistics
 NEVER = math.inf
-REHEARSE = os.environ.get("REHEARSE") == "1"
+REHEARSAL = 0.65  # of a period after a reading
 
 
 class Controller(Managed):
-    """Reads `spool_position` and `spool_command`, publishes `valve_voltage` and `~/state`."""
+    """Reads `spool_position` and `spool_command`, publishes `valve_voltage` and `~/state`.
 
-    def __init__(self, **options: Any) -> None:
+    ``rehearses``: whether it goes through a sample before each reading; of use to a process with one valve.
+    """
+
+    def __init__(self, rehearses: bool = True, **options: Any) -> None:
         super().__init__("controller", **options)
         self._supervisor = Supervisor()
         self._journal = Journal(self._supervisor)
+        self._rehearsal = Rehearsal() if rehearses else None
         self._said: tuple[Mode, str] | None = None
         self._readings: NumberSubscription | None = None
         self._lockstep = False
@@ -99,6 +104,8 @@ class Controller(Managed):
         params, wanted = built
         self._values = values
         self._journal.apply(values, params)
+        if self._rehearsal is not None:
+            self._rehearsal.apply(values, params)
         self._params = params
         self._period = build.number(values, "sample_period")
         self._memory_period = build.number(values, "memory_period")
@@ -109,7 +116,7 @@ class Controller(Managed):
         # Half a period more than the last reading that may still come in time.
         self._hold = 1.5 + build.number(values, "lvdt.hold_samples")
         if self._lockstep:
-            self._watch_at = NEVER
+            self._watch_at = self._rehearse_at = NEVER
         labels = self._supervisor.labels()
         if [entry.label for entry in self._state_message.layout.dim] != list(labels):
             self._state_message.layout = MultiArrayLayout(
@@ -155,6 +162,7 @@ class Controller(Managed):
         self._said = None
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._lockstep else self._seen + REMIND
+        self._rehearse_at = NEVER
         self._catching_up = False
         self._pairing, self._unpaired = None, False
         rate = 1.0 / self._period
@@ -166,7 +174,6 @@ class Controller(Managed):
         self._publish_journal()
         self._watch_at = NEVER
         self.get_logger().info("inactive, 0 V")
-        print("STEP", np.percentile(self._durations, [50, 90, 99]) * 1e6, flush=True)
 
     def deliver(self) -> None:
         """See the last 0 V arrive; not in ``end``, where other valves of the process would have to wait."""
@@ -194,10 +201,7 @@ class Controller(Managed):
             worked = True
         now = time.monotonic()
         if now >= self._rehearse_at and not worked:
-            self._rehearse_at = NEVER
-            if REHEARSE:
-                self._take_commands(0)
-                self._supervisor.rehearse()
+            self._rehearse()
         if now >= self._watch_at and not worked:
             self._catching_up = now - self._watch_at > STALL
             self._take_commands(0)
@@ -223,7 +227,7 @@ class Controller(Managed):
             self._publish(self._journal.skip(reading, number, self._elapsed(began)))
         else:
             elapsed = self._elapsed(began)
-            self._publish(self._journal.sample(reading, number, 0.0 if self._lockstep else elapsed))
+            self._journal.sample(reading, number, 0.0 if self._lockstep else elapsed, self._publish)
         ended = time.monotonic()
         self._latencies.append(time.time_ns() - info["source_timestamp"])
         self._arrivals.append(began)
@@ -231,13 +235,21 @@ class Controller(Managed):
         if ended - began > self._period:
             self._overruns += 1
         if not self._lockstep:
-            self._rehearse_at = began + 0.7 * self._period
+            if self._rehearsal is not None:
+                self._rehearse_at = began + REHEARSAL * self._period
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
             self._state_message.data = self._supervisor.telemetry()
             self._states.publish(self._state_message)
         if len(self._journal) >= MOST_ROWS:
             self._publish_journal()
+
+    def _rehearse(self) -> None:
+        """Take what has come of commands, and have the code of a sample at hand when the reading comes."""
+        assert self._rehearsal is not None
+        self._rehearse_at = NEVER
+        self._take_commands(0)
+        self._rehearsal.play(self._supervisor)
 
     def _publish_journal(self) -> None:
         """Its waiting rows, and now and then an account of all that is remembered before the next row."""

@@ -11,7 +11,7 @@ from valve_control.nodes.valve_simulator import ValveSimulator
 from valve_control.parameters import build
 from valve_control.parameters.table import MANIFOLD, ParameterError, Values
 
-KINDS = {"controller": Controller, "valve_simulator": ValveSimulator}
+KINDS: dict[str, Any] = {"controller": Controller, "valve_simulator": ValveSimulator}
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*$")
 
 
@@ -51,11 +51,14 @@ class Manifold(Worker):
         kind = build.word(self._values, "node")
         space = self.get_namespace().rstrip("/")
         made = []
-        for name in names(self._values):
+        valves = names(self._values)
+        # What one valve's samples bring into the caches serves the others too.
+        own = {"rehearses": len(valves) == 1} if kind == "controller" else {}
+        for name in valves:
             # Remapping of the manifold's own name and namespace is not meant for the nodes in it.
             remap = ["--ros-args", "-r", f"__ns:={space}/{name}", "-r", f"__node:={kind}"]
-            made.append(KINDS[kind](cli_args=remap))
-        self.get_logger().info(f"{len(made)} x {kind}: {', '.join(names(self._values))}")
+            made.append(KINDS[kind](cli_args=remap, **own))
+        self.get_logger().info(f"{len(made)} x {kind}: {', '.join(valves)}")
         return made
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from valve_control.parameters.table import Values
 from valve_control.supervision.memory import remember
-from valve_control.supervision.supervisor import Supervisor
+from valve_control.supervision.supervisor import Supervisor, unused
 
 COLUMNS = ("time", "event", "command", "reading", "number", "elapsed", "voltage")
 HEAD = 5  # numbers before the rows: which journal, number of the first row, time 0; times in s and ns
@@ -73,9 +73,11 @@ class Journal:
         if math.isnan(value):
             self._note(Event.COMMAND)
 
-    def sample(self, reading: float, number: int, elapsed: float) -> float:
+    def sample(
+        self, reading: float, number: int, elapsed: float, give: Callable[[float], None] = unused
+    ) -> float:
         """A reading [V]; returns the voltage [V]. See Supervisor.sample."""
-        voltage = self._supervisor.sample(reading, number, elapsed)
+        voltage = self._supervisor.sample(reading, number, elapsed, give)
         self._note(Event.READING, reading, number, elapsed, voltage)
         return voltage
 

@@ -12,6 +12,7 @@ comes, has to be told from outside (``silence``).
 """
 
 import math
+from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -48,6 +49,10 @@ class Mode(IntEnum):
 def reshapes(params: Any) -> bool:
     """Whether the law of ``params`` follows a reshaped reference; the plain PID only carries the command."""
     return "reshaping" in params._fields and getattr(params, "plain", 0.0) == 0.0
+
+
+def unused(voltage: float) -> None:
+    """The voltage is not given before the sample ends."""
 
 
 class Homing(NamedTuple):
@@ -88,6 +93,7 @@ class Supervisor:
         self._params: Any = None
         self.values: Values = {}  # in use
         self._monitor: lvdt.Monitor | None = None
+        self._give = unused
         self._kept: tuple[str, tuple[float, ...] | None] = ("", None)  # law and its estimates before start
         self._state: Any = None
         self._former: Any = None
@@ -186,6 +192,11 @@ class Supervisor:
         return self._command
 
     @property
+    def measurement(self) -> float:
+        """The last believable reading [V], NaN before the first."""
+        return self._measurement
+
+    @property
     def command_left(self) -> bool:
         """Whether the upper level has left, and no command has come since."""
         return self._gone_since is not None
@@ -246,12 +257,29 @@ class Supervisor:
                 self._switch_off("lvdt_silent", f"{lvdt.TEXTS['silent']} {limit}")
         return self.voltage
 
-    def sample(self, reading: float, sequence: int | None = None, elapsed: float = 0.0) -> float:
+    def sample(
+        self,
+        reading: float,
+        sequence: int | None = None,
+        elapsed: float = 0.0,
+        give: Callable[[float], None] = unused,
+    ) -> float:
         """One LVDT reading [V]; returns the voltage [V] to apply until the next one.
 
         ``sequence``: number of the reading, from which lost ones are known; ``elapsed`` [s]: real time since
-        the one before, if it is known: the spool may have moved that long.
+        the one before, if it is known: the spool may have moved that long. ``give`` gets the voltage too,
+        once, as soon as it is certain: before what only the next sample needs.
         """
+        self._give = give
+        voltage = self._judged(reading, sequence, elapsed)
+        self._say(voltage)
+        return voltage
+
+    def _say(self, voltage: float) -> None:
+        give, self._give = self._give, unused
+        give(voltage)
+
+    def _judged(self, reading: float, sequence: int | None, elapsed: float) -> float:
         assert self._monitor is not None, "apply comes first"
         missed = self._count_missed(sequence)
         self.samples += 1
@@ -407,30 +435,26 @@ class Supervisor:
         command = self._target()
         self._effective = command
         self._used = self._command
-        self._velocity = velocity.step(self._tachometer, self._velocity, reading)
         try:
             if self._taking_over:
                 _, _, terms = law.step(params, self._state, command, reading, 0.0)
                 self._offset = fade.State(self.voltage - terms.unsaturated_voltage, 0.0)
                 self._taking_over = False
             voltage, state, terms = law.step(params, self._state, command, reading, self._offset.value)
-            finite = all(map(math.isfinite, (voltage, *terms)))
+            finite = math.isfinite(voltage + sum(terms))
         except (ArithmeticError, ValueError):
             finite = False
-        if not finite:
+        if finite:
+            self.voltage = voltage
+            self._say(voltage)
+            self._state = state
+            self._terms = terms
+            self._watch(terms, voltage)
+            self._let_fade()
+        else:
             self._leave_the_finite()
-            return self.voltage
-        self._state = state
-        self._terms = terms
-        self.voltage = voltage
-        self._watch(terms, voltage)
-        self._let_fade()
+        self._velocity = velocity.step(self._tachometer, self._velocity, reading)
         return self.voltage
-
-    def rehearse(self) -> None:
-        """Bring the code of a sample into the caches."""
-        if self._state is not None:
-            self._law.step(self._params, self._state, self._effective, self._measurement, self._offset.value)
 
     def _leave_the_finite(self) -> None:
         self.counts["law_not_finite"] += 1
