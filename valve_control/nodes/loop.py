@@ -2,7 +2,7 @@
 
 The standard executor looks at every entity of a node, some twenty services and timers, at each wake-up. Here
 a wait set holds only the subscriptions on which a node works; parameters, services, timers and discovery get
-their turn right after a sample, every few milliseconds.
+their turn right after a sample, now and then, one node at a time.
 """
 
 import gc
@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from valve_control.nodes.adapter import PolledSubscription
 from valve_control.parameters.table import ParameterError
 
-CHORES = 0.01  # s between two looks at services, parameters and timers; twice that if no sample comes
+CHORES = 0.05  # s between two looks at a node's services, parameters and timers; twice that without samples
 
 
 _stopped: list[int] = []  # signals that have come
@@ -73,15 +73,16 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
         return 2
     status = 0
     nodes: Sequence[Any] = ()
-    executor = SingleThreadedExecutor()
+    executors: list[SingleThreadedExecutor] = []
     try:
         nodes = make()
         for node in nodes:
-            executor.add_node(node)
+            executors.append(SingleThreadedExecutor())
+            executors[-1].add_node(node)
         # A collection of everything that the imports brought takes tens of milliseconds, many samples.
         gc.collect()
         gc.freeze()
-        _loop(nodes, executor)
+        _loop(nodes, executors)
     except ParameterError as error:
         print(f"valve_control: {error}", file=sys.stderr)
         status = 2
@@ -96,40 +97,51 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
                 except Exception as error:  # the other valves must hear their 0 V whatever this one does
                     print(f"valve_control: {node.get_name()}: {first_line(error)}", file=sys.stderr)
                     status = 1
-        executor.shutdown(timeout_sec=0.0)
+        for executor in executors:
+            executor.shutdown(timeout_sec=0.0)
         for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
     return status
 
 
-def _loop(nodes: Sequence[Any], executor: SingleThreadedExecutor) -> None:
+def _loop(nodes: Sequence[Any], executors: Sequence[SingleThreadedExecutor]) -> None:
     context = rclpy.get_default_context()
+    rest = CHORES / len(nodes)
     chores = time.monotonic()
+    turn = 0
     wait_set: Any = None
     size = -1
     while not _stopped:
-        inputs = [subscription.handle for node in nodes for subscription in node.inputs()]
+        inputs = [(node, subscription.handle) for node in nodes for subscription in node.inputs()]
         if len(inputs) != size:
             size = len(inputs)
             wait_set = WaitSet(size, 0, 0, 0, 0, 0, context.handle)
-        wake = min(chores + CHORES, *(node.due() for node in nodes))
+        wake = min(chores + rest, *(node.due() for node in nodes))
         pause = wake - time.monotonic()
+        worked = False
         if pause > 0.0:
             if inputs:
                 wait_set.clear_entities()
-                for handle in inputs:
+                for _, handle in inputs:
                     wait_set.add_subscription(handle)
                 wait_set.wait(int(pause * 1e9))
+                for i, (node, _) in enumerate(inputs):
+                    if wait_set.is_ready("subscription", i):
+                        worked = node.work() or worked
             else:
                 time.sleep(pause)
-        worked = False
-        for node in nodes:
-            worked = node.work() or worked
         now = time.monotonic()
-        if now >= chores + CHORES or (worked and now >= chores):
+        for node in nodes:
+            if node.due() <= now:
+                worked = node.work() or worked
+        now = time.monotonic()
+        if now >= chores + rest or (worked and now >= chores):
+            chores = now
             # After something was done more may wait: look again after the next sample.
-            chores = now if _chore(executor) else time.monotonic() + CHORES
+            if not _chore(executors[turn]):
+                chores = time.monotonic() + rest
+                turn = (turn + 1) % len(executors)
 
 
 def _chore(executor: SingleThreadedExecutor) -> bool:
