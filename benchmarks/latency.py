@@ -206,6 +206,11 @@ def manifold(
         before, began = cpu_seconds(child.pid), time.monotonic()
         answers = ask(probe, run, period, round(seconds / period), 500)
         spent, elapsed = cpu_seconds(child.pid) - before, time.monotonic() - began
+        threads = {}
+        for t in Path(f"/proc/{child.pid}/task").iterdir():
+            f = (t / "stat").read_text().rpartition(")")[2].split()
+            threads[(t / "comm").read_text().strip() + t.name] = (int(f[11]), int(f[12]))
+        print({k: v for k, v in threads.items() if sum(v) > 3}, file=sys.stderr)
         probe.destroy_node()
     return {
         "valves": valves, "sent": answers.sent, "lost": answers.lost, "late": answers.late, "cpu_share": spent / elapsed,

@@ -51,6 +51,9 @@ class Worker(Node):
         """Do what is to do now; whether something was done."""
         return False
 
+    def report(self) -> None:
+        """Publish what nobody waits for, after all nodes of the process have done their work."""
+
     def finish(self) -> None:
         """Last words before the node is destroyed."""
 
@@ -119,27 +122,30 @@ def _loop(nodes: Sequence[Any], executors: Sequence[SingleThreadedExecutor]) -> 
             wait_set = WaitSet(size, 0, 0, 0, 0, 0, context.handle)
         wake = min(chores + rest, *(node.due() for node in nodes))
         pause = wake - time.monotonic()
-        worked = False
+        worked: list[Any] = []
         if pause > 0.0:
             if inputs:
                 wait_set.clear_entities()
                 for _, handle in inputs:
                     wait_set.add_subscription(handle)
                 wait_set.wait(int(pause * 1e9))
-                for i, (node, _) in enumerate(inputs):
-                    if wait_set.is_ready("subscription", i):
-                        worked = node.work() or worked
+                worked += [
+                    node
+                    for i, (node, _) in enumerate(inputs)
+                    if wait_set.is_ready("subscription", i) and node.work()
+                ]
             else:
                 time.sleep(pause)
         now = time.monotonic()
-        for node in nodes:
-            if node.due() <= now:
-                worked = node.work() or worked
-        now = time.monotonic()
+        worked += [node for node in nodes if node.due() <= now and node.work()]
+        for node in worked:
+            node.report()
         if now >= chores + rest or (worked and now >= chores):
             chores = now
             # After something was done more may wait: look again after the next sample.
-            if not _chore(executors[turn]):
+            if _chore(executors[turn]):
+                nodes[turn].report()
+            else:
                 chores = time.monotonic() + rest
                 turn = (turn + 1) % len(executors)
 
