@@ -8,8 +8,8 @@ All candidates live at once and are asked in turns of a second, so that all see 
 import os
 import subprocess
 import sys
+import threading
 import time
-from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -18,22 +18,29 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import rclpy
+from rcl_interfaces.srv import GetParameters
 from rclpy._rclpy_pybind11 import WaitSet
 from rclpy.node import Node
 from std_msgs.msg import Float64
 from tqdm import tqdm
 
+from valve_control.nodes import realtime
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
 from valve_control.nodes.cascade import process, wait_until
 from valve_control.parameters.table import NODES, defaults, updated
 from valve_control.simulation import offline
 
 Floats = npt.NDArray[np.float64]
+LAWS = ("arc", "oarc", "pid")
+ECHOES = ("plain", "executor")
+WANTED = {"latency_vs_echo_p50": 1.15, "latency_vs_echo_p99": 1.3}  # at most, for ARC and OARC
+PERIOD = 0.001  # s
 AHEAD = 0.3  # of a period by which a command comes before the reading
-CANDIDATES = tuple(os.environ.get("CANDS", "plain,executor,arc,oarc").split(","))
-WANTED = {"latency_vs_echo_p50": 1.15, "latency_vs_echo_p99": 1.3}  # at most
 LAST = 0.5  # s to wait for the last voltages
-COUNTS = (1, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 24, 28, 32)
+TURNS = 20  # s each candidate is asked
+SECONDS = 4.0  # each number of valves is asked
+MOST = 16  # valves that are tried
+TRIES = 2  # for a number of valves, since a busy machine may disturb one
 
 
 class Probe(Node):
@@ -59,52 +66,52 @@ class Probe(Node):
 
 
 class Answers(NamedTuple):
-    """What came of readings, each valve's voltages in the order of its readings."""
+    """What came of readings."""
 
-    latency: Floats  # s, of each voltage
+    latency: Floats  # s, of the valves whose readings were all answered once
     sent: int  # readings, of all valves
-    late: int  # voltages after the next reading
-
-    @property
-    def lost(self) -> int:
-        """Readings that were never answered."""
-        return self.sent - len(self.latency)
+    lost: int  # readings without an answer, or answers without a reading
+    elapsed: float  # s
 
 
-def ask(probe: Probe, run: offline.Run, period: float, count: int, begin: int = 0) -> Answers:
+def ask(probe: Probe, run: offline.Run, count: int, begin: int = 0, period: float = PERIOD) -> Answers:
     """``count`` readings of ``run`` from its sample ``begin`` on, one each ``period`` [s], to each valve."""
-    wait_set = WaitSet(len(probe.voltages), 0, 0, 0, 0, 0, rclpy.get_default_context().handle)
-    asked: list[deque[int]] = [deque() for _ in probe.voltages]
-    latency: list[int] = []
-    late = 0
+    valves = range(len(probe.voltages))
+    wait_set = WaitSet(len(valves), 0, 0, 0, 0, 0, rclpy.get_default_context().handle)
+    asked = np.zeros((count, len(valves)), np.int64)
+    answered: list[list[int]] = [[] for _ in valves]
     for voltages in probe.voltages:  # of a silence between two turns
         for _ in voltages.take():
             pass
-    next_at = time.monotonic() + 2.0 * period
-    for k in range(begin, begin + count):
-        command, reading = (
-            encoded(float(values[k % len(values)])) for values in (run.command, run.measurement)
-        )
+    began = time.monotonic()
+    next_at = began + 2.0 * period
+    for k in range(count):
+        sample = (begin + k) % len(run.command)
+        command, reading = encoded(run.command[sample]), encoded(run.measurement[sample])
         pause(next_at - AHEAD * period)
         probe.publish("spool_command", command)
         pause(next_at)
-        for times in asked:
-            late += len(times)
-            times.append(time.time_ns())
-        probe.publish("spool_position", reading)
+        for i, publisher in enumerate(probe.sent["spool_position"]):
+            asked[k, i] = time.time_ns()
+            publisher.publish(reading)
         next_at = max(next_at + period, time.monotonic())
-        limit = time.monotonic() + LAST if k == begin + count - 1 else next_at - AHEAD * period
-        while any(asked) and (left := limit - time.monotonic()) > 0.0:
-            waiting = [i for i, times in enumerate(asked) if times]
+        limit = time.monotonic() + LAST if k == count - 1 else next_at - AHEAD * period
+        while (missing := [i for i in valves if len(answered[i]) <= k]) and (
+            left := limit - time.monotonic()
+        ) > 0.0:
             wait_set.clear_entities()
-            for i in waiting:
+            for i in missing:
                 wait_set.add_subscription(probe.voltages[i].handle)
             wait_set.wait(int(1e9 * left))
-            for i in waiting:
-                for _, info in probe.voltages[i].take():
-                    if asked[i]:
-                        latency.append(info["source_timestamp"] - asked[i].popleft())
-    return Answers(np.array(latency) * 1e-9, count * len(probe.voltages), late)
+            for i in missing:
+                answered[i].extend(info["source_timestamp"] for _, info in probe.voltages[i].take())
+    latency = [np.array(answered[i]) - asked[:, i] for i in valves if len(answered[i]) == count]
+    return Answers(
+        1e-9 * np.concatenate([np.zeros(0), *latency]),
+        asked.size,
+        sum(abs(count - len(times)) for times in answered),
+        next_at - began,
+    )
 
 
 def pause(until: float) -> None:
@@ -114,7 +121,7 @@ def pause(until: float) -> None:
         time.sleep(left)
 
 
-def recorded(controller: str, period: float) -> offline.Run:
+def recorded(controller: str, period: float = PERIOD) -> offline.Run:
     """An offline run whose readings and commands the controller gets."""
     changes = {
         "controller": controller,
@@ -134,15 +141,24 @@ def recorded(controller: str, period: float) -> offline.Run:
     return offline.simulate(values["controller"], values["valve_simulator"], commands)
 
 
+def figures(parts: Sequence[Answers]) -> dict[str, Any]:
+    """Latency [ms] of all parts, and what was lost."""
+    latency = 1e3 * np.concatenate([part.latency for part in parts])
+    p50, p99, most = np.percentile(latency, [50.0, 99.0, 100.0]) if len(latency) else [np.nan] * 3
+    return {
+        "p50_ms": float(p50),
+        "p99_ms": float(p99),
+        "max_ms": float(most),
+        "sent": sum(part.sent for part in parts),
+        "lost": sum(part.lost for part in parts),
+    }
+
+
 @contextmanager
-def candidate(kind: str, folder: Path, period: float) -> Iterator[Any]:
+def candidate(kind: str, folder: Path, period: float = PERIOD) -> Iterator[Any]:
     """A process that answers readings in the namespace ``kind``."""
-    kind, _, settings = kind.partition("_x_")
-    for pair in filter(None, settings.split("_a_")):
-        name, _, value = pair.partition("_")
-        os.environ[name] = value.replace("p", ".")
-    space = ["-r", f"__ns:=/{kind + ('_x_' + settings if settings else '')}"]
-    if kind in ("arc", "oarc", "pid"):
+    space = ["-r", f"__ns:=/{kind}"]
+    if kind in LAWS:
         given = [*space, "-p", f"controller:={kind}", "-p", f"sample_period:={period!r}"]
         with process("controller", given, folder / f"{kind}.log") as child:
             yield child
@@ -158,32 +174,71 @@ def candidate(kind: str, folder: Path, period: float) -> Iterator[Any]:
             child.wait()
 
 
-def latencies(folder: Path, turns: int, period: float = 0.001) -> dict[str, Any]:
-    """Latency of the echo and of the laws, [ms], from ``turns`` seconds each."""
-    count = round(1.0 / period)
-    run = recorded("arc", period)
-    found: dict[str, list[Answers]] = {kind: [] for kind in CANDIDATES}
+def against_echo(folder: Path, turns: int = TURNS) -> dict[str, Any]:
+    """Latency of the echoes and of the laws from ``turns`` seconds each."""
+    count = round(1.0 / PERIOD)
+    kinds = (*ECHOES, *LAWS)
+    run = recorded("arc")
+    found: dict[str, list[Answers]] = {kind: [] for kind in kinds}
     with ExitStack() as stack:
-        children = [stack.enter_context(candidate(kind, folder, period)) for kind in CANDIDATES]
-        probes = {kind: Probe(f"probe_{kind}", [kind], kind[:3] in ("arc", "oar", "pid")) for kind in CANDIDATES}
+        children = [stack.enter_context(candidate(kind, folder)) for kind in kinds]
+        probes = {kind: Probe(f"probe_{kind}", [kind], kind in LAWS) for kind in kinds}
+        for probe in probes.values():
+            stack.callback(probe.destroy_node)
         for kind, probe in probes.items():
             wait_until(probe.connected, kind, children)
         for turn in tqdm(range(-1, turns), desc="latency", unit="turn", ascii=True):
             for kind, probe in probes.items():
-                answers = ask(probe, run, period, count, max(turn, 0) * count)
+                answers = ask(probe, run, count, max(turn, 0) * count)
                 if turn >= 0:
                     found[kind].append(answers)
-        for probe in probes.values():
+    return {kind: figures(parts) for kind, parts in found.items()}
+
+
+def at_2_khz(folder: Path, seconds: float = SECONDS) -> dict[str, Any]:
+    """One valve under OARC, asked every 0.5 ms."""
+    period = 0.0005
+    run = recorded("oarc", period)
+    with candidate("oarc", folder, period) as child:
+        probe = Probe("probe_2_khz", ["oarc"], True)
+        try:
+            wait_until(probe.connected, "oarc", [child])
+            ask(probe, run, round(1.0 / period), 0, period)
+            return figures([ask(probe, run, round(seconds / period), round(1.0 / period), period)])
+        finally:
             probe.destroy_node()
-    results: dict[str, Any] = {}
-    for kind, parts in found.items():
-        latency = np.concatenate([part.latency for part in parts])
-        p50, p99 = np.percentile(latency, [50.0, 99.0])
-        results[kind] = {
-            "p50_ms": 1e3 * p50, "p99_ms": 1e3 * p99, "max_ms": 1e3 * latency.max(), "samples": len(latency),
-            "lost": sum(part.lost for part in parts),
-        }  # fmt: skip
-    return results
+
+
+def services(folder: Path, seconds: float = SECONDS) -> dict[str, Any]:
+    """Time [ms] to get a parameter from a controller that answers readings at 1 kHz meanwhile."""
+    run = recorded("arc")
+    times: list[float] = []
+    over = threading.Event()
+
+    def call() -> None:
+        asker = Node("asker")
+        client = asker.create_client(GetParameters, "/arc/controller/get_parameters")
+        client.wait_for_service()
+        while not over.is_set():
+            began = time.monotonic()
+            future = client.call_async(GetParameters.Request(names=["arc.k1"]))
+            rclpy.spin_until_future_complete(asker, future, timeout_sec=5.0)
+            times.append(1e3 * (time.monotonic() - began))
+            over.wait(0.05)
+        asker.destroy_node()
+
+    with candidate("arc", folder) as child:
+        probe = Probe("probe_services", ["arc"], True)
+        thread = threading.Thread(target=call)
+        try:
+            wait_until(probe.connected, "arc", [child])
+            thread.start()
+            ask(probe, run, round(seconds / PERIOD))
+        finally:
+            over.set()
+            thread.join()
+            probe.destroy_node()
+    return {"p50_ms": float(np.median(times)), "max_ms": max(times), "calls": len(times)}
 
 
 def cpu_seconds(pid: int) -> float:
@@ -192,42 +247,96 @@ def cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def manifold(
-    folder: Path, valves: int, seconds: float, law: str = "arc", period: float = 0.001
-) -> dict[str, Any]:
-    """``valves`` controllers in one process on one core, the probe on another."""
+def manifold(folder: Path, valves: int, law: str = "arc") -> dict[str, Any]:
+    """``valves`` controllers in one process on the last CPU."""
     names = [f"v{i}" for i in range(valves)]
-    run = recorded(law, period)
-    given = ["-p", f"valves:=[{','.join(names)}]", "-p", f"controller:={law}", "-p", "realtime.cpus:='1'"]
-    with process("manifold", given, folder / f"manifold{valves}.log") as child:
-        probe = Probe("probe", names, True)
-        wait_until(probe.connected, f"{valves} valves", [child])
-        ask(probe, run, period, 500)
-        before, began = cpu_seconds(child.pid), time.monotonic()
-        answers = ask(probe, run, period, round(seconds / period), 500)
-        spent, elapsed = cpu_seconds(child.pid) - before, time.monotonic() - began
-        threads = {}
-        for t in Path(f"/proc/{child.pid}/task").iterdir():
-            f = (t / "stat").read_text().rpartition(")")[2].split()
-            threads[(t / "comm").read_text().strip() + t.name] = (int(f[11]), int(f[12]))
-        print({k: v for k, v in threads.items() if sum(v) > 3}, file=sys.stderr)
-        probe.destroy_node()
-    return {
-        "valves": valves, "sent": answers.sent, "lost": answers.lost, "late": answers.late, "cpu_share": spent / elapsed,
-        "us_per_step": 1e6 * spent / answers.sent, "rate_hz": answers.sent / valves / elapsed,
-        **{f"{n}_ms": 1e3 * float(np.percentile(answers.latency, p)) for n, p in (("p50", 50), ("p99", 99))},
-    }  # fmt: skip
+    run = recorded(law)
+    cpu = max(os.sched_getaffinity(0))
+    given = ["-p", f"valves:=[{','.join(names)}]", "-p", f"controller:={law}", "-p", f"realtime.cpus:='{cpu}'"]
+    with process("manifold", given, folder / f"manifold_{valves}.log") as child:
+        probe = Probe(f"probe_{valves}", names, True)
+        try:
+            wait_until(probe.connected, f"{valves} valves", [child])
+            ask(probe, run, round(2.0 / PERIOD))  # accounts are given more often at the beginning
+            spent = cpu_seconds(child.pid)
+            answers = ask(probe, run, round(SECONDS / PERIOD), round(2.0 / PERIOD))
+            spent = cpu_seconds(child.pid) - spent
+        finally:
+            probe.destroy_node()
+    result = {
+        "valves": valves,
+        **figures([answers]),
+        "cpu_share": spent / answers.elapsed,
+        "us_per_step": 1e6 * spent / answers.sent,
+    }
+    return {**result, "kept": result["lost"] == 0 and result["p99_ms"] <= 1e3 * PERIOD}
 
 
-if __name__ == "__main__":
-    import json, tempfile
+def manifolds(folder: Path) -> list[dict[str, Any]]:
+    """More and more valves, until one in a hundred is answered after the next reading."""
+    found: list[dict[str, Any]] = []
+    cpus = os.sched_getaffinity(0)
+    others = tuple(cpus - {max(cpus)}) or tuple(cpus)
+    realtime.obtain(realtime.Request(False, 0, others), print)
+    try:
+        for valves in range(1, MOST + 1):
+            tries: list[dict[str, Any]] = []
+            while len(tries) < TRIES and not (tries and tries[-1]["kept"]):
+                tries.append(manifold(folder, valves))
+            found.append({**tries[-1], "tries": len(tries)})
+            print(
+                f"{valves:8}{found[-1]['cpu_share']:12.2f}{found[-1]['us_per_step']:14.0f}"
+                f"{found[-1]['p50_ms']:10.3f}{found[-1]['p99_ms']:10.3f}{found[-1]['lost']:8}"
+            )
+            if not found[-1]["kept"]:
+                break
+    finally:
+        realtime.obtain(realtime.Request(False, 0, tuple(cpus)), print)
+    return found
 
+
+def run(folder: Path) -> dict[str, Any]:
+    """Measure; tables, and the figures for JSON. Raises RuntimeError."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     rclpy.init()
-    folder = Path(os.environ.get("FOLDER") or tempfile.mkdtemp())
-    if sys.argv[1] == "lat":
-        print(json.dumps(latencies(folder, int(sys.argv[2])), indent=1))
-    else:
-        os.sched_setaffinity(0, {0})
-        for n in map(int, sys.argv[2:]):
-            print(json.dumps(manifold(folder, n, 4.0)), flush=True)
+    try:
+        latencies = against_echo(folder)
+        print(f"\n{'':10}{'p50 [ms]':>10}{'p99 [ms]':>10}{'lost':>8}{'p50 / echo':>12}{'p99 / echo':>12}")
+        echo = latencies["plain"]
+        for name, entry in latencies.items():
+            ratios = [entry[key] / echo[key] for key in ("p50_ms", "p99_ms")]
+            print(f"{name:10}{entry['p50_ms']:10.3f}{entry['p99_ms']:10.3f}{entry['lost']:8}", end="")
+            print("".join(f"{ratio:12.2f}" for ratio in ratios))
+        fast = at_2_khz(folder)
+        print(f"{'2 kHz':10}{fast['p50_ms']:10.3f}{fast['p99_ms']:10.3f}{fast['lost']:8}")
+        asked = services(folder)
+        print(f"get_parameters at 1 kHz: {asked['p50_ms']:.0f} ms, at most {asked['max_ms']:.0f} ms\n")
+        print(
+            f"{'valves':>8}{'CPU share':>12}{'us per step':>14}{'p50 [ms]':>10}{'p99 [ms]':>10}{'lost':>8}"
+        )
+        grown = manifolds(folder)
+    finally:
+        rclpy.try_shutdown()
+    return {
+        "latency": latencies,
+        "two_khz": fast,
+        "services": asked,
+        "manifold": grown,
+        "figures": {
+            **{
+                f"latency_vs_echo_{name}": max(latencies[law][f"{name}_ms"] for law in ("arc", "oarc"))
+                / echo[f"{name}_ms"]
+                for name in ("p50", "p99")
+            },
+            "valves_at_1khz_per_core": max([entry["valves"] for entry in grown if entry["kept"]], default=0),
+            "lost_at_2khz": fast["lost"],
+        },
+    }
+
+
+def missed(results: dict[str, Any]) -> list[str]:
+    """Figures that are not what is wanted, in words."""
+    found = results["figures"]
+    late = [f"{n} is {found[n]:.3g}, wanted at most {most:g}" for n, most in WANTED.items() if found[n] > most]
+    return late + ([f"2 kHz: {found['lost_at_2khz']} readings lost"] if found["lost_at_2khz"] else [])
