@@ -101,4 +101,18 @@ def run(folder: Path, seconds: float) -> dict[str, Any]:
         }
         print(f"{storage:10}{count:10d}{slow:16.2f}{fast:13.2f}{slow / fast:8.1f}{wanted:8.0f}", end="")
         print(f"{took:13.1f}{memory:14.2f}")
-    return results
+    return {**results, "figures": {"bag_vs_rosbags": results["mcap"]["ratio"]}}
+
+
+def missed(results: dict[str, Any]) -> list[str]:
+    """Figures that are not what is wanted, in words."""
+    found = []
+    for storage, wanted in WANTED.items():
+        entry = results[storage]
+        if entry["ratio"] < wanted:
+            found.append(f"{storage} is read {entry['ratio']:.3g} times as fast, wanted {wanted:g}")
+        if entry["analyze_peak_memory_gib"] > MEMORY:
+            found.append(
+                f"{storage}: analysis took {entry['analyze_peak_memory_gib']:.2f} GiB, wanted {MEMORY:g} at most"
+            )
+    return found
