@@ -113,6 +113,6 @@ def missed(results: dict[str, Any]) -> list[str]:
             found.append(f"{storage} is read {entry['ratio']:.3g} times as fast, wanted {wanted:g}")
         if entry["analyze_peak_memory_gib"] > MEMORY:
             found.append(
-                f"{storage}: analysis took {entry['analyze_peak_memory_gib']:.2f} GiB, wanted {MEMORY:g} at most"
+                f"{storage}: {entry['analyze_peak_memory_gib']:.2f} GiB to analyse, wanted at most {MEMORY:g}"
             )
     return found

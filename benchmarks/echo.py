@@ -1,8 +1,9 @@
-"""The floor of the loop's latency: a process that answers each LVDT reading with itself, and does nothing else.
+"""The floor of the loop's latency: a process that answers each LVDT reading with itself.
 
 ``plain`` waits in a wait set of its own on one subscription; ``executor`` is the node that a tutorial shows.
 """
 
+import contextlib
 import gc
 import signal
 import sys
@@ -39,13 +40,11 @@ def executor(node: Node) -> None:
 
 
 def main() -> None:
-    """``python -m benchmarks.echo plain --ros-args ...``"""
+    """``python -m benchmarks.echo plain --ros-args ...``."""
     rclpy.init(args=sys.argv)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    try:
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
         {"plain": plain, "executor": executor}[sys.argv[1]](Node("echo"))
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
 
 
 if __name__ == "__main__":

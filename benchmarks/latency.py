@@ -1,9 +1,9 @@
-"""The loop: LVDT-to-voltage latency of the controller's process against an echo; 2 kHz; many valves in one process.
+"""The loop: LVDT-to-voltage latency of the controller's process against an echo; 2 kHz; many valves.
 
-A probe stands in for LVDT and upper level: it sends readings and commands of an offline run at their times, and
-takes the voltages. The latency is from its clock before it publishes a reading to the source time of the voltage.
-All candidates live at once and are asked in turns, so that all see the same machine; the beginning of a turn,
-when a controller recovers from the silence before it, does not count.
+A probe stands in for LVDT and upper level: it sends readings and commands of an offline run at their times,
+and takes the voltages. The latency is from its clock before it publishes a reading to the source time of the
+voltage. All candidates live at once and are asked in turns, so that all see the same machine; the beginning
+of a turn, when a controller recovers from the silence before it and says so, does not count.
 """
 
 import os
@@ -40,14 +40,14 @@ AHEAD = 0.3  # of a period by which a command comes before the reading
 LAST = 0.5  # s to wait for the last voltages
 TURNS = 8  # for each candidate
 TURN = 3.0  # s
-LEAD = 0.5  # s before it
+LEAD = 2.0  # s before it
 SECONDS = 4.0  # each number of valves is asked
 MOST = 16  # valves that are tried
 TRIES = 2  # for a number of valves, since a busy machine may disturb one
 IN_TIME = 0.95  # share of voltages that must come before the next reading
 
 
-class Probe(Node):
+class Probe(Node):  # type: ignore[misc]  # mypy does not see rclpy
     """LVDT and upper level of one or more valves, each a namespace."""
 
     def __init__(self, name: str, valves: Sequence[str], commands: bool) -> None:

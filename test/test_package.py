@@ -109,3 +109,18 @@ def test_colcon_builds_an_ament_package_whose_nodes_run(tmp_path):
         timeout=60,
     )
     assert done.returncode == 2 and "'lqr'" in done.stderr, done.stderr
+
+
+HEAVY = ("rclpy", "numba", "matplotlib", "plotly", "pandas", "rosbags")
+
+
+@pytest.mark.parametrize(
+    "module",
+    [f"valve_control.laws.{p.stem}" for p in (ROOT / "valve_control" / "laws").glob("[a-z]*.py")]
+    + ["valve_control.supervision.supervisor"],
+)
+def test_laws_are_imported_without_what_they_do_not_need(module):
+    """A program of one's own that steps a law does not load ROS, a compiler or plotting."""
+    script = f"import sys, {module}; print([name for name in {HEAVY!r} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

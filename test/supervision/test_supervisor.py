@@ -20,6 +20,7 @@ from valve_control.parameters.table import (
 )
 from valve_control.plant import valve
 from valve_control.simulation import offline
+from valve_control.supervision.rehearsal import Rehearsal
 from valve_control.supervision.supervisor import Mode, Supervisor
 
 LAWS = ("arc", "oarc", "pid", "compensator", "open_loop")
@@ -619,3 +620,50 @@ def test_100000_random_parameter_sets_and_messages():
         voltage = supervisor.sample(reading, sequence)
         assert math.isfinite(voltage) and abs(voltage) <= values["u_max"]
     assert taken > 20_000 and refused > 20_000
+
+
+@given(
+    law=st.sampled_from(LAWS),
+    readings=st.lists(st.sampled_from((0.0, 0.001, 0.002, -0.003, 0.4, 9.0, 20.0, math.nan)), max_size=150),
+    lost=st.sampled_from((1, 1, 1, 2, 50)),
+)
+@settings(max_examples=60, deadline=None)
+def test_voltage_is_given_once_and_is_the_one_returned(law, readings, lost):
+    """Whatever the readings are: `give` gets it once, and giving it early changes nothing."""
+    values = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, "lvdt.recovery_samples": 3})
+    giving, plain = Supervisor(), Supervisor()
+    for supervisor in (giving, plain):
+        supervisor.apply(values, build.law_params(values))
+        supervisor.command(1.0)
+    for k, reading in enumerate(readings):
+        given_voltages = []
+        number = k + 1 + (lost if k > 20 else 0)
+        voltage = giving.sample(reading, number, PERIOD, given_voltages.append)
+        assert given_voltages == [voltage]
+        assert voltage == plain.sample(reading, number, PERIOD)
+    assert giving.telemetry() == pytest.approx(plain.telemetry(), nan_ok=True, abs=0.0)
+    assert giving.conditions == plain.conditions and giving.counts == plain.counts
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_rehearsal_leaves_no_trace(law):
+    """The voltages with a rehearsal before each reading are those without, through a fault too."""
+
+    def voltages(rehearsed):
+        loop = Loop(law)
+        rehearsal = Rehearsal()
+        rehearsal.apply(loop.values, build.law_params(loop.values))
+        found = []
+        for k in range(600):
+            loop.supervisor.command(loop.command())
+            if rehearsed:
+                rehearsal.play(loop.supervisor)
+            reading = math.nan if 200 <= k < 240 else loop.reading()
+            found.append(loop.supervisor.sample(reading, k + 1, PERIOD))
+            loop.s = valve.step(loop.p, loop.s, found[-1])
+            loop.k += 1
+        return found
+
+    with_rehearsal = voltages(True)
+    assert with_rehearsal == voltages(False)
+    assert 0.0 in with_rehearsal[220:] and any(with_rehearsal[-50:])

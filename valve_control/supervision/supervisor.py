@@ -93,7 +93,7 @@ class Supervisor:
         self._params: Any = None
         self.values: Values = {}  # in use
         self._monitor: lvdt.Monitor | None = None
-        self._give = unused
+        self._give: Callable[[float], None] = unused
         self._kept: tuple[str, tuple[float, ...] | None] = ("", None)  # law and its estimates before start
         self._state: Any = None
         self._former: Any = None

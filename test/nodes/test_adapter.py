@@ -1,0 +1,31 @@
+"""Numbers as bytes are what rclpy makes of them."""
+
+import math
+
+import pytest
+from bench import spin_until
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Float64
+
+from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
+
+NUMBERS = [0.0, -0.0, 1.0, -9.87654321, 5e-324, 1.7e308, math.inf, -math.inf]
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_a_number_travels_as_rclpy_sends_it(number):
+    assert encoded(number) == serialize_message(Float64(data=number))
+
+
+def test_numbers_arrive_whoever_sends_them(ros):
+    """From messages, from bytes, and in the byte order of the sender; what is too short is passed over."""
+    numbers = NumberSubscription(ros, "number", SAMPLES)
+    publisher = ros.create_publisher(Float64, "number", SAMPLES)
+    spin_until(ros, lambda: publisher.get_subscription_count() == 1, "match")
+    big_endian = b"\x00\x00\x00\x00" + bytes(reversed(encoded(2.5)[4:]))
+    for message in (Float64(data=1.5), encoded(-3.5), encoded(7.0)[:8], big_endian):
+        publisher.publish(message)
+    found = []
+    spin_until(ros, lambda: found.extend(numbers.take()) or len(found) == 3, "three numbers")
+    assert [number for number, _ in found] == [1.5, -3.5, 2.5]
+    assert [info["publication_sequence_number"] for _, info in found] == [1, 2, 4]
