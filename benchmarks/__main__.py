@@ -34,10 +34,10 @@ def main() -> int:
         }
         for part in arguments.only or PARTS:
             measure, judge = parts[part]
-            print(f"{part}", flush=True)
+            print(part, flush=True)
             try:
                 found = measure()
-            except RuntimeError as error:
+            except (RuntimeError, ValueError, OSError) as error:
                 missed.append(f"{part}: {error}")
                 continue
             results = {**found.pop("figures"), **results, part: found}

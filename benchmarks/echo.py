@@ -1,6 +1,7 @@
-"""The floor of the loop's latency: a process that answers each LVDT reading with itself.
+"""What the loop's latency is measured against: a process that answers each LVDT reading with itself.
 
-``plain`` waits in a wait set of its own on one subscription; ``executor`` is the node that a tutorial shows.
+``plain`` waits in a wait set of its own on one subscription; ``raw`` does so with serialized messages,
+the least that rclpy can do; ``executor`` is the node that a tutorial shows.
 """
 
 import contextlib
@@ -17,10 +18,10 @@ from std_msgs.msg import Float64
 from valve_control.nodes.adapter import SAMPLES, PolledSubscription
 
 
-def plain(node: Node) -> None:
+def plain(node: Node, raw: bool = False) -> None:
     """Wait, take, publish."""
     publisher = node.create_publisher(Float64, "valve_voltage", SAMPLES)
-    readings = PolledSubscription(node, Float64, "spool_position", SAMPLES)
+    readings = PolledSubscription(node, Float64, "spool_position", SAMPLES, raw)
     wait_set = WaitSet(1, 0, 0, 0, 0, 0, rclpy.get_default_context().handle)
     gc.collect()
     gc.freeze()
@@ -30,6 +31,11 @@ def plain(node: Node) -> None:
         wait_set.wait(100_000_000)
         for message, _ in readings.take():
             publisher.publish(message)
+
+
+def raw(node: Node) -> None:
+    """The same with bytes."""
+    plain(node, raw=True)
 
 
 def executor(node: Node) -> None:
@@ -44,7 +50,7 @@ def main() -> None:
     rclpy.init(args=sys.argv)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        {"plain": plain, "executor": executor}[sys.argv[1]](Node("echo"))
+        {"plain": plain, "raw": raw, "executor": executor}[sys.argv[1]](Node("echo"))
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 import time
 from typing import Any
 
@@ -21,21 +22,27 @@ COMMANDS = {
 
 
 def took(name: str) -> float:
-    """Seconds until the controller is active, or the command has ended. Raises RuntimeError."""
+    """Seconds until the controller is active, or another command has ended. Raises RuntimeError."""
     began = time.perf_counter()
     with subprocess.Popen(
         [sys.executable, *COMMANDS[name]], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as child:
         assert child.stdout is not None
+        watchdog = threading.Timer(LIMIT, child.kill)
+        watchdog.start()
         text = ""
         for line in child.stdout:
             text += line
             if WORDS in line:
                 break
+        if name != "controller":
+            child.wait()
         seconds = time.perf_counter() - began
-        child.terminate()
-    if name == "controller" and WORDS not in text:
-        raise RuntimeError(f"the controller did not become active: {text.strip()}")
+        watchdog.cancel()
+        if name == "controller":
+            child.terminate()
+    if child.returncode != 0 or (name == "controller" and WORDS not in text):
+        raise RuntimeError(f"{name} ended with status {child.returncode}: {text.strip()}")
     return seconds
 
 

@@ -629,7 +629,7 @@ def test_100000_random_parameter_sets_and_messages():
 )
 @settings(max_examples=60, deadline=None)
 def test_voltage_is_given_once_and_is_the_one_returned(law, readings, lost):
-    """Whatever the readings are: `give` gets it once, and giving it early changes nothing."""
+    """Whatever the readings are: refused, bridged, switched off, taken over."""
     values = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, "lvdt.recovery_samples": 3})
     giving, plain = Supervisor(), Supervisor()
     for supervisor in (giving, plain):

@@ -83,6 +83,7 @@ class Controller(Managed):
         self._arrivals: deque[float] = deque(maxlen=WINDOW)
         self._latencies: deque[int] = deque(maxlen=WINDOW)
         self._durations: deque[float] = deque(maxlen=WINDOW)
+        self._published = 0  # ns, when the last voltage was
         self._overruns = 0
         self._unchecked = False
         self._realtime: realtime.Request | None = None
@@ -105,8 +106,6 @@ class Controller(Managed):
         params, wanted = built
         self._values = values
         self._journal.apply(values, params)
-        if self._rehearsal is not None:
-            self._rehearsal.apply(values, params)
         self._params = params
         self._period = build.number(values, "sample_period")
         self._memory_period = build.number(values, "memory_period")
@@ -128,6 +127,8 @@ class Controller(Managed):
             realtime.obtain(wanted, self.get_logger().warning)
         self._unchecked = True
         self._publish_journal()
+        if self._rehearsal is not None:
+            self._rehearsal.apply(values, params)
 
     # Life
 
@@ -164,6 +165,8 @@ class Controller(Managed):
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._lockstep else self._seen + REMIND
         self._rehearse_at = NEVER
+        if self._rehearsal is not None:
+            self._rehearsal.start()
         self._catching_up = False
         self._pairing, self._unpaired = None, False
         rate = 1.0 / self._period
@@ -189,11 +192,11 @@ class Controller(Managed):
         return (self._readings,) if self.working and self._readings is not None else ()
 
     def due(self) -> float:
-        """When the LVDT has been silent for too long."""
+        """When the LVDT has been silent for too long, or to rehearse."""
         return min(self._watch_at, self._rehearse_at) if self.working else NEVER
 
     def work(self) -> bool:
-        """Answer each waiting reading; without one in time, switch off."""
+        """Answer each waiting reading, or rehearse for the next; without one in time, switch off."""
         if not self.working or self._readings is None:
             return False
         worked = False
@@ -201,9 +204,10 @@ class Controller(Managed):
             self._answer(reading, info)
             worked = True
         now = time.monotonic()
-        if now >= self._rehearse_at and not worked:
+        if self._rehearse_at <= now < self._watch_at and not worked:
             self._rehearse()
         if now >= self._watch_at and not worked:
+            self._rehearse_at = NEVER
             self._catching_up = now - self._watch_at > STALL
             self._take_commands(0)
             voltage = self._journal.silence(self._elapsed(now), self._catching_up)
@@ -239,7 +243,7 @@ class Controller(Managed):
             elapsed = self._elapsed(began)
             self._journal.sample(reading, number, 0.0 if self._lockstep else elapsed, self._publish)
         ended = time.monotonic()
-        self._latencies.append(time.time_ns() - info["source_timestamp"])
+        self._latencies.append(self._published - info["source_timestamp"])
         self._arrivals.append(began)
         self._durations.append(ended - began)
         if ended - began > self._period:
@@ -280,6 +284,7 @@ class Controller(Managed):
 
     def _publish(self, voltage: float) -> None:
         self._voltages.publish(encoded(voltage))
+        self._published = time.time_ns()
 
     def _take_commands(self, number: int) -> None:
         """Hand on the commands that count for reading ``number``."""

@@ -21,7 +21,8 @@ from rclpy.signals import SignalHandlerOptions
 from valve_control.nodes.adapter import PolledSubscription
 from valve_control.parameters.table import ParameterError
 
-CHORES = 0.05  # s between two looks at a node's services, parameters and timers; twice that without samples
+CHORES = 0.05  # s between two looks at a node's services, parameters and timers beside samples ...
+IDLE_CHORES = 0.01  # s  ... and while there are none; at most twice that
 
 
 _stopped: list[int] = []  # signals that have come
@@ -48,11 +49,17 @@ class Worker(Node):
         return float("inf")
 
     def work(self) -> bool:
-        """Do what is to do now; whether something was done."""
+        """Do what is to do now; whether something was done.
+
+        Called only when a message has come on one of ``inputs``, or ``due`` has passed.
+        """
         return False
 
     def report(self) -> None:
-        """Publish what nobody waits for, after all nodes of the process have done their work."""
+        """Publish what nobody waits for.
+
+        Called when all nodes of the process have worked, of those that did something, and after a callback.
+        """
 
     def finish(self) -> None:
         """Last words before the node is destroyed."""
@@ -110,7 +117,8 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
 
 def _loop(nodes: Sequence[Any], executors: Sequence[SingleThreadedExecutor]) -> None:
     context = rclpy.get_default_context()
-    rest = CHORES / len(nodes)
+    rest = IDLE_CHORES / len(nodes)
+    busy = False
     chores = time.monotonic()
     turn = 0
     wait_set: Any = None
@@ -123,29 +131,31 @@ def _loop(nodes: Sequence[Any], executors: Sequence[SingleThreadedExecutor]) -> 
         wake = min(chores + rest, *(node.due() for node in nodes))
         pause = wake - time.monotonic()
         worked: list[Any] = []
-        if pause > 0.0:
-            if inputs:
-                wait_set.clear_entities()
-                for _, handle in inputs:
-                    wait_set.add_subscription(handle)
-                wait_set.wait(int(pause * 1e9))
-                worked += [
-                    node
-                    for i, (node, _) in enumerate(inputs)
-                    if wait_set.is_ready("subscription", i) and node.work()
-                ]
-            else:
-                time.sleep(pause)
+        if inputs:
+            wait_set.clear_entities()
+            for _, handle in inputs:
+                wait_set.add_subscription(handle)
+            wait_set.wait(max(0, int(pause * 1e9)))
+            worked += [
+                node
+                for i, (node, _) in enumerate(inputs)
+                if wait_set.is_ready("subscription", i) and node.work()
+            ]
+        elif pause > 0.0:
+            time.sleep(pause)
         now = time.monotonic()
         worked += [node for node in nodes if node.due() <= now and node.work()]
         for node in worked:
             node.report()
+        busy = busy or bool(worked)
         if now >= chores + rest or (worked and now >= chores):
             chores = now
             # After something was done more may wait: look again after the next sample.
             if _chore(executors[turn]):
                 nodes[turn].report()
             else:
+                rest = (CHORES if busy else IDLE_CHORES) / len(nodes)
+                busy = False
                 chores = time.monotonic() + rest
                 turn = (turn + 1) % len(executors)
 

@@ -268,7 +268,7 @@ class Supervisor:
 
         ``sequence``: number of the reading, from which lost ones are known; ``elapsed`` [s]: real time since
         the one before, if it is known: the spool may have moved that long. ``give`` gets the voltage too,
-        once, as soon as it is certain: before what only the next sample needs.
+        once, as soon as it is certain: before what only the next sample needs. It must not raise.
         """
         self._give = give
         voltage = self._judged(reading, sequence, elapsed)
