@@ -38,6 +38,7 @@ RATE = 0.98  # of the nominal one that the probe must reach
 WANTED = {"latency_vs_echo_p50": 1.15, "latency_vs_echo_p99": 1.3}  # at most
 PERIOD = 0.001  # s
 AHEAD = 0.3  # of a period by which a command comes before the reading
+SILENCE = 20_000_000  # ns without a reading after which a controller switches off
 LATE = 5.0  # s after which a service counts as not answered
 LAST = 0.5  # s to wait for the last voltages
 TURNS = 8  # for each candidate
@@ -45,7 +46,7 @@ TURN = 3.0  # s
 LEAD = 2.0  # s before it
 SECONDS = 4.0  # of everything else
 MOST = 16  # valves that are tried
-TRIES = 2  # for a number of valves, since a busy machine may disturb one
+TRIES = 3  # for a number of valves, since a busy machine may disturb one
 IN_TIME = 0.95  # share of voltages that must come before the next reading
 
 
@@ -121,13 +122,14 @@ def ask(probe: Probe, run: offline.Run, count: int, begin: int = 0, period: floa
 def paired(asked: npt.NDArray[np.int64], answered: Sequence[int]) -> npt.NDArray[np.int64]:
     """Latencies [ns]: answers come in the order of the readings; one that comes while none waits is none.
 
-    If an answer is missing, it is not known which: then a reading's answer is the first before the next.
+    If an answer is missing, or came so late that the controller has given voltages of its own meanwhile, that
+    order is lost: then a reading's answer is the first before the next.
     """
     found: list[int] = []
     for time_ns in answered:
         if len(found) < len(asked) and time_ns >= asked[len(found)]:
             found.append(time_ns - int(asked[len(found)]))
-    if len(found) == len(asked):
+    if len(found) == len(asked) and max(found) < SILENCE:
         return np.array(found, np.int64)
     index = np.searchsorted(asked, answered, "right") - 1
     readings, first = np.unique(index, return_index=True)

@@ -170,12 +170,15 @@ class NumberSubscription(PolledSubscription):
 
     def one(self) -> tuple[float, dict[str, Any]] | None:
         """The oldest waiting number with its message info, None if there is none."""
-        while (taken := super().one()) is not None:
+        while True:
+            with self.handle:
+                taken = self.handle.take_message(Float64, True)
+            if taken is None:
+                return None
             data, info = taken
             if len(data) >= ENCODED:
                 form = "<d" if data[1] & 1 else ">d"
                 return unpack_from(form, data, ENCODED - 8)[0], info
-        return None
 
 
 def encoded(number: float) -> bytes:

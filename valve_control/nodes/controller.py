@@ -200,8 +200,8 @@ class Controller(Managed):
         if not self.working or self._readings is None:
             return False
         worked = False
-        for reading, info in self._readings.take():
-            self._answer(reading, info)
+        while (taken := self._readings.one()) is not None:
+            self._answer(*taken)
             worked = True
         now = time.monotonic()
         if self._rehearse_at <= now < self._watch_at and not worked:
@@ -291,8 +291,8 @@ class Controller(Managed):
         if self._lockstep and number > 0:
             self._take_paired_command(number)
             return
-        for command, _ in self._commands.take():
-            self._journal.command(command)
+        while (taken := self._commands.one()) is not None:
+            self._journal.command(taken[0])
             self._last_command = time.monotonic()
 
     def _take_paired_command(self, number: int) -> None:
