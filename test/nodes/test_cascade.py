@@ -10,9 +10,12 @@ import pytest
 from bench import HOLD, Bench, Motion, call, controller, get_double, run_tool, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import DescribeParameters
-from std_msgs.msg import Float64
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64, Float64MultiArray
 
+from valve_control.nodes.adapter import SAMPLES
 from valve_control.nodes.cascade import process
+from valve_control.supervision.supervisor import HEAD
 
 
 def test_one_reading_one_step_one_voltage(ros, tmp_path):
@@ -204,3 +207,28 @@ def test_diagnostics_tell_what_is_missing(ros, tmp_path):
         spin_until(ros, lambda: bool(messages), "diagnostics")
     assert messages[0].status[0].message == "no LVDT reading yet"
     assert messages[0].status[0].level == b"\x02"
+
+
+def test_a_best_effort_driver_is_heard(ros, tmp_path):
+    """But in lockstep, where each reading is waited for; changed while it runs."""
+    lax = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    drivers = [ros.create_publisher(Float64, "/spool_position", qos) for qos in (lax, SAMPLES)]
+    states = []
+    ros.create_subscription(Float64MultiArray, "/controller/state", states.append, SAMPLES)
+
+    def heard(driver, reading):
+        driver.publish(Float64(data=reading))
+        return any(s.data[HEAD.index("measurement")] == reading for s in states)
+
+    def matched(*counts):
+        return lambda: tuple(d.get_subscription_count() for d in drivers) == counts
+
+    with controller(tmp_path):
+        spin_until(ros, matched(1, 1), "both drivers")
+        for driver, reading in zip(drivers, (0.01, 0.02), strict=True):
+            spin_until(ros, lambda d=driver, r=reading: heard(d, r), f"reading {reading}")
+        assert set_parameters(ros, lockstep=True).successful
+        spin_until(ros, matched(0, 1), "the reliable driver alone")
+        assert set_parameters(ros, lockstep=False).successful
+        spin_until(ros, matched(1, 1), "both drivers again")
+        spin_until(ros, lambda: heard(drivers[0], 0.03), "reading 0.03")

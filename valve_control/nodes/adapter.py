@@ -29,6 +29,8 @@ from valve_control.parameters.table import (
 
 ENCODED = 12  # bytes of a Float64: four of head, of which the second is odd for little endian
 SAMPLES = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+# For who has no use for a late one: no acknowledgements, no waiting for what is lost, any publisher matches.
+NEWEST = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:

@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
+    NEWEST,
     SAMPLES,
     NumberSubscription,
     ParameterSet,
@@ -113,6 +114,9 @@ class Controller(Managed):
         if values["lockstep"] != self._lockstep:
             self._lockstep = values["lockstep"] is True
             self._pairing, self._unpaired = None, False
+            if self._readings is not None:
+                self._unsubscribe()
+                self._subscribe()
         # Half a period more than the last reading that may still come in time.
         self._hold = 1.5 + build.number(values, "lvdt.hold_samples")
         if self._lockstep:
@@ -139,14 +143,22 @@ class Controller(Managed):
         self._memories = self.create_publisher(String, "~/memory", SAMPLES)
         self._journals = self.create_publisher(Float64MultiArray, "~/journal", SAMPLES)
         self._readers = self._greeting = 0
-        self._commands = NumberSubscription(self, "spool_command", SAMPLES)
-        self._readings = NumberSubscription(self, "spool_position", SAMPLES)
+        self._subscribe()
 
-    def close(self) -> None:
-        """Topics left."""
+    def _subscribe(self) -> None:
+        # In lockstep each message is waited for.
+        qos = SAMPLES if self._lockstep else NEWEST
+        self._commands = NumberSubscription(self, "spool_command", qos)
+        self._readings = NumberSubscription(self, "spool_position", qos)
+
+    def _unsubscribe(self) -> None:
         assert self._readings is not None
         self._readings.destroy()
         self._commands.destroy()
+
+    def close(self) -> None:
+        """Topics left."""
+        self._unsubscribe()
         self.destroy_publisher(self._voltages)
         self.destroy_publisher(self._states)
         self.destroy_publisher(self._memories)
