@@ -3,7 +3,7 @@
 import argparse
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,16 @@ from benchmarks import bags, batch, latency, start
 from valve_control import outputs
 
 PARTS = ("batch", "start", "loop", "bags")
+
+
+def misses(figures: Mapping[str, float], wanted: Mapping[str, tuple[str, float]]) -> list[str]:
+    """Figures that are not what is wanted, NaN included, in words."""
+    found = []
+    for name, (kind, bound) in wanted.items():
+        value = figures[name]
+        if not (value <= bound if kind == "at most" else value >= bound):
+            found.append(f"{name} is {value:.3g}, wanted {kind} {bound:g}")
+    return found
 
 
 def main() -> int:
@@ -26,22 +36,23 @@ def main() -> int:
     missed: list[str] = []
     with tempfile.TemporaryDirectory(prefix="valve_control-bench-") as name:
         folder = Path(name)
-        parts: dict[str, tuple[Callable[[], dict[str, Any]], Callable[[dict[str, Any]], list[str]]]] = {
-            "batch": (lambda: batch.run(folder), batch.missed),
-            "start": (start.run, start.missed),
-            "loop": (lambda: latency.run(folder), latency.missed),
-            "bags": (lambda: bags.run(folder, arguments.seconds), bags.missed),
+        parts: dict[str, tuple[Callable[[], dict[str, Any]], Mapping[str, tuple[str, float]]]] = {
+            "batch": (lambda: batch.run(folder), batch.WANTED),
+            "start": (start.run, start.WANTED),
+            "loop": (lambda: latency.run(folder), latency.WANTED),
+            "bags": (lambda: bags.run(folder, arguments.seconds), bags.WANTED),
         }
         for part in arguments.only or PARTS:
-            measure, judge = parts[part]
+            measure, wanted = parts[part]
             print(part, flush=True)
             try:
                 found = measure()
             except (RuntimeError, ValueError, OSError) as error:
                 missed.append(f"{part}: {error}")
                 continue
-            results = {**found.pop("figures"), **results, part: found}
-            missed += judge({**found, "figures": results})
+            figures = found.pop("figures")
+            missed += misses(figures, wanted)
+            results = {**figures, **results, part: found}
             print(flush=True)
     outputs.write(str(out / "bench.json"), outputs.as_json(results))
     print(f"wrote {out / 'bench.json'}")

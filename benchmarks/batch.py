@@ -286,13 +286,3 @@ def run(folder: Path, valves: int = 256, seconds: float = 6.0, rounds: int = 9) 
         "vs_c_native": max(results[name]["vs_c_native"] for name in LAWS),
     }
     return results
-
-
-def missed(results: dict[str, Any]) -> list[str]:
-    """Figures that are not what is wanted, in words."""
-    found = []
-    for name, (kind, bound) in WANTED.items():
-        value = results["figures"][name]
-        if not (value <= bound if kind == "at most" else value >= bound):
-            found.append(f"{name} is {value:.3g}, wanted {kind} {bound:g}")
-    return found
