@@ -667,3 +667,13 @@ def test_a_rehearsal_leaves_no_trace(law):
     with_rehearsal = voltages(True)
     assert with_rehearsal == voltages(False)
     assert 0.0 in with_rehearsal[220:] and any(with_rehearsal[-50:])
+
+
+def test_the_voltage_of_a_law_that_leaves_the_finite_numbers_is_given_once():
+    """Neither the law's voltage nor the one before, but 0 V."""
+    loop = Loop("arc").run(100)
+    loop.supervisor._state = loop.supervisor._state._replace(reference=reshaping.State(1e308, 1e308))
+    before = loop.supervisor.voltage
+    found = []
+    assert loop.supervisor.sample(loop.reading(), None, PERIOD, found.append) == 0.0 != before
+    assert found == [0.0] and "law_not_finite" in loop.supervisor.conditions

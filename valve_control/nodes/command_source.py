@@ -9,7 +9,7 @@ from typing import Any
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 
-from valve_control.nodes.adapter import SAMPLES, NumberSubscription, ParameterSet, PolledSubscription, encoded
+from valve_control.nodes.adapter import SAMPLES, NumberSubscription, ParameterSet, encoded
 from valve_control.nodes.loop import Worker, run
 from valve_control.parameters import build
 from valve_control.parameters.table import COMMAND, Values
@@ -76,7 +76,7 @@ class CommandSource(Worker):
             f"waiting for {self._listeners} listener(s)"
         )
 
-    def inputs(self) -> Sequence[PolledSubscription]:
+    def inputs(self) -> Sequence[NumberSubscription]:
         """The readings that pace the commands, if they do."""
         return () if self._readings is None else (self._readings,)
 

@@ -22,7 +22,6 @@ from valve_control.nodes.adapter import (
     SAMPLES,
     NumberSubscription,
     ParameterSet,
-    PolledSubscription,
     diagnostics,
     encoded,
 )
@@ -199,7 +198,7 @@ class Controller(Managed):
 
     # Work
 
-    def inputs(self) -> Sequence[PolledSubscription]:
+    def inputs(self) -> Sequence[NumberSubscription]:
         """The LVDT; a command is of no use before the next reading."""
         return (self._readings,) if self.working and self._readings is not None else ()
 

@@ -19,7 +19,6 @@ from valve_control.nodes.adapter import (
     SAMPLES,
     NumberSubscription,
     ParameterSet,
-    PolledSubscription,
     diagnostics,
     encoded,
 )
@@ -157,7 +156,7 @@ class ValveSimulator(Managed):
 
     # Work
 
-    def inputs(self) -> Sequence[PolledSubscription]:
+    def inputs(self) -> Sequence[NumberSubscription]:
         """In lockstep the voltage; on the wall clock it is looked at when the next sample is due."""
         return (self._voltages,) if self.working and self._lockstep and self._voltages is not None else ()
 
