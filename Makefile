@@ -5,6 +5,7 @@ SHELL := /bin/bash
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.ready
+DOCS_STAMP := $(VENV)/.docs
 BASE_PYTHON ?= $(shell command -v python3.12 2>/dev/null | xargs -I{} sh -c '{} -c "" 2>/dev/null && echo {}' || true)
 ifeq ($(strip $(BASE_PYTHON)),)
 BASE_PYTHON := python3
@@ -16,7 +17,7 @@ ifndef ROS_DISTRO
 export AMENT_PREFIX_PATH := $(abspath $(VENV))
 endif
 
-.PHONY: help setup demo faults lockstep paper bench test lint clean
+.PHONY: help setup demo faults lockstep joiners paper axis bench test campaign lint docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
@@ -32,31 +33,53 @@ $(STAMP): requirements.txt requirements-ros.txt setup.py
 	touch $@
 
 demo: $(STAMP)  ## the cascade over DDS: ARC, OARC, PID and the compensator; figure in out/
-	@$(PYTHON) -m valve_control.nodes.demo $(ARGS)
+	@$(PYTHON) -m valve_control.nodes.harness.demo $(ARGS)
 
-faults: $(STAMP)  ## fault campaign over DDS: reaction times, out/faults.json (about 4 min)
-	@$(PYTHON) -m valve_control.nodes.faults $(ARGS)
+faults: $(STAMP)  ## fault campaign over DDS: reaction times, out/faults.json (about 9 min)
+	@$(PYTHON) -m valve_control.nodes.harness.faults $(ARGS)
 
 lockstep: $(STAMP)  ## three processes in lockstep, compared bit for bit with offline (ARGS="--duration 60")
-	@$(PYTHON) -m valve_control.nodes.lockstep $(ARGS)
+	@$(PYTHON) -m valve_control.nodes.harness.lockstep $(ARGS)
+
+joiners: $(STAMP)  ## processes join the cascade and are killed: does it stand still? (ARGS="--kills 50")
+	@$(PYTHON) -m valve_control.nodes.harness.joiners $(ARGS)
 
 paper: $(STAMP)  ## the paper's Table 1 and figures through the real nodes in lockstep, out/paper/index.html
 	@$(PYTHON) -m valve_control.cli paper $(ARGS)
+
+axis: $(STAMP)  ## what a fast valve buys: 200 random axes under five valves, out/axis.json
+	@mkdir -p out
+	@$(PYTHON) -m valve_control.cli axes --json out/axis.json --figure out/axis.png $(ARGS)
 
 bench: $(STAMP)  ## benchmarks, as ratios measured in one run (ARGS="--seconds 3600" for an hour's bags)
 	@$(PYTHON) -m benchmarks $(ARGS)
 
 # What needs no clock runs on two cores; the nodes have both to themselves.
-test: $(STAMP)  ## all tests
+test: $(STAMP)  ## the tests, without those of the campaign
 	@status=0; \
-	$(PYTHON) -m pytest -n 2 --dist worksteal --ignore=test/nodes $(PYTEST_ARGS) || status=1; \
-	$(PYTHON) -m pytest test/nodes $(PYTEST_ARGS) || status=1; \
+	$(PYTHON) -m pytest -n 2 --dist worksteal --ignore=test/nodes -m "not campaign" $(PYTEST_ARGS) || status=1; \
+	$(PYTHON) -m pytest test/nodes -m "not campaign" $(PYTEST_ARGS) || status=1; \
 	exit $$status
 
-lint: $(STAMP)  ## ruff and mypy
+campaign: $(STAMP)  ## the longer tests: fault campaign, damaged bags, many starts and joiners
+	@status=0; \
+	$(PYTHON) -m pytest -n 2 --dist worksteal --ignore=test/nodes -m campaign $(PYTEST_ARGS) || status=1; \
+	$(PYTHON) -m pytest test/nodes -m campaign $(PYTEST_ARGS) || status=1; \
+	exit $$status
+
+lint: $(STAMP)  ## ruff, mypy and the order of the rooms
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check .
 	@$(PYTHON) -m mypy
+	@$(VENV)/bin/lint-imports --no-cache --no-logo
+
+docs: $(DOCS_STAMP)  ## the site of docs/, in out/docs/index.html
+	@$(PYTHON) -m sphinx -W --keep-going -q -b html -d out/doctrees docs out/docs
+	@echo "wrote out/docs/index.html"
+
+$(DOCS_STAMP): $(STAMP) requirements-docs.txt
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements-docs.txt
+	@touch $@
 
 clean:  ## remove the virtual environment and all outputs
-	rm -rf $(VENV) out build install log *.egg-info
+	rm -rf $(VENV) out build install log *.egg-info docs/generated

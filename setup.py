@@ -9,11 +9,8 @@ NODES = [
     "command_source",
     "manifold",
     "recorder",
-    "demo",
-    "faults",
-    "lockstep",
-    "paper",
 ]
+TOOLS = ["demo", "faults", "lockstep", "joiners", "paper"]
 
 setup(
     name=NAME,
@@ -23,9 +20,11 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", glob("config/*.yaml")),
+        (f"share/{NAME}/config/tuned", glob("config/tuned/*")),
+        (f"share/{NAME}/config/axis", glob("config/axis/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.xml")),
     ],
-    package_data={NAME: ["py.typed", "nodes/*.xml"]},
+    package_data={NAME: ["py.typed", "nodes/*.xml", "export/*.c"]},
     install_requires=[
         "setuptools",
         "numpy>=1.26",
@@ -41,7 +40,17 @@ setup(
         "plotly>=6.0",
         "cma>=4.0",
     ],
-    extras_require={"test": ["pytest>=7.4", "hypothesis>=6.90", "sympy>=1.12"]},
+    extras_require={
+        "axis": ["ruckig>=0.14"],
+        "test": [
+            "pytest>=7.4",
+            "hypothesis>=6.90",
+            "sympy>=1.12",
+            "pyserial>=3.5",
+            "fmpy>=0.3.20",
+            "ruckig>=0.14",
+        ],
+    },
     python_requires=">=3.11",
     zip_safe=True,
     maintainer="valve_control developers",
@@ -52,6 +61,7 @@ setup(
         "console_scripts": [
             "valve-control = valve_control.cli:main",
             *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
+            *(f"{tool} = {NAME}.nodes.harness.{tool}:main" for tool in TOOLS),
         ]
     },
 )

@@ -1,9 +1,10 @@
-"""Batches of valves against python-control and a C loop by hand; two cores against one."""
+"""Batches of valves against python-control and a loop in the exported C; two cores against one."""
 
 import ctypes
 import platform
 import shutil
 import subprocess
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -13,12 +14,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.export import sources, unit
+from valve_control.laws.registry import LAWS as REGISTERED
 from valve_control.laws.signals import Start
+from valve_control.parameter import Values, defaults, updated
 from valve_control.parameters import build
-from valve_control.parameters.stability import flatten, unflatten
-from valve_control.parameters.table import NODES, Values, defaults, updated
+from valve_control.parameters.linear_loop import flatten, unflatten
+from valve_control.parameters.table import NODES
 from valve_control.plant import valve
-from valve_control.simulation import batch, closed_loop, offline
+from valve_control.simulation import batch, offline
 
 Array = npt.NDArray[np.float64]
 LAWS = ("arc", "oarc")
@@ -65,7 +69,7 @@ def many(controller: str, valves: int, seconds: float) -> batch.Batch:
     rows["disturbance"]["coulomb"] *= random.uniform(0.5, 1.5, valves)
     source = updated(NODES["command_source"], defaults(NODES["command_source"]), {"duration": seconds})
     laws = batch.records([build.law_params(controller_values)] * valves)
-    return batch.Batch(controller, laws, rows, np.arange(1, valves + 1), offline.commands(source))
+    return batch.Batch(controller, laws, rows, np.arange(1, valves + 1), build.commands(source))
 
 
 def in_turns(measures: Sequence[Measure], rounds: int) -> list[list[float]]:
@@ -97,22 +101,47 @@ def twice(work: Callable[..., Any], *arguments: Any) -> None:
         thread.join()
 
 
-def c_library(folder: Path, options: Sequence[str]) -> ctypes.CDLL:
-    """benchmarks/loop.c, compiled with numpy's own C library for the noise. Raises BenchmarkError."""
+def c_library(folder: Path, controller: str, options: Sequence[str]) -> ctypes.CDLL:
+    """The exported C of law and valve in benchmarks/loop.c, with numpy's own C library for the noise.
+
+    Raises BenchmarkError.
+    """
     compiler = shutil.which("gcc")
     if compiler is None:
         raise BenchmarkError("vs_c needs gcc, which is not installed (Debian, Ubuntu: apt install gcc)")
-    made = folder / f"loop{len(list(folder.glob('loop*.so')))}.so"
+    controller_values, valve_values = settings(controller)
+    place = Path(tempfile.mkdtemp(dir=folder))
+    for exported in (unit.law(controller_values), unit.plant("valve", valve_values)):
+        made = sources.make(exported)
+        (place / f"{exported.name}.h").write_text(made.header, encoding="utf-8")
+        (place / f"{exported.name}.c").write_text(made.source, encoding="utf-8")
+    library = place / "loop.so"
     noise = Path(np.random.__file__).parent / "lib" / "libnpyrandom.a"
-    command = [compiler, *options, "-fPIC", "-shared", str(SOURCE), str(noise), "-lm", "-o", str(made)]
+    names = [f"-DLAW={controller}", f'-DLAW_SOURCE="{controller}.c"', f"-I{place}"]
+    command = [
+        compiler,
+        *options,
+        *names,
+        "-fPIC",
+        "-shared",
+        str(SOURCE),
+        str(noise),
+        "-lm",
+        "-o",
+        str(library),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise BenchmarkError(f"gcc cannot compile {SOURCE.name}: {done.stderr.strip().splitlines()[-1]}")
-    return ctypes.CDLL(str(made))
+    return ctypes.CDLL(str(library))
 
 
 def run_in_c(library: ctypes.CDLL, chosen: batch.Batch) -> Array:
-    """Indices (N×5) of the batch from the C loop."""
+    """Indices (N×5) of the batch from the C loop. Raises BenchmarkError if its structs have other fields."""
+    for name, rows in (("law", chosen.law_params), ("valve", chosen.valve_params)):
+        assert isinstance(rows, np.ndarray)
+        if getattr(library, f"bytes_{name}")() != rows.dtype.itemsize:
+            raise BenchmarkError(f"the exported struct has other fields than the parameters of the {name}")
     count, n = len(chosen.seeds), chosen.commands.shape[-1]
     indices, noise = np.zeros((count, 5)), np.zeros(n)
     generators = [np.random.PCG64(int(seed)) for seed in chosen.seeds]
@@ -124,7 +153,7 @@ def run_in_c(library: ctypes.CDLL, chosen: batch.Batch) -> Array:
     def data(array: Any) -> Any:
         return array.ctypes.data_as(double_p)
 
-    getattr(library, f"run_{chosen.controller}")(
+    library.run(
         data(chosen.law_params),
         data(chosen.valve_params),
         addresses,
@@ -149,7 +178,7 @@ def run_in_python_control(controller: str, commands: Array, noise: Array) -> Arr
         raise BenchmarkError("vs_python_control needs python-control (pip install control)") from error
 
     controller_values, valve_values = settings(controller)
-    law = closed_loop.LAWS[controller]
+    law = REGISTERED[controller].module
     p, plant = build.law_params(controller_values), build.valve_params(valve_values)
     first = valve.reading(plant.lvdt, 0.0, noise[0])
     start = law.initial(p, Start(first, 0.0, first, 0.0, 0.0))
@@ -232,16 +261,14 @@ def machine() -> dict[str, Any]:
 def run(folder: Path, valves: int = 256, seconds: float = 6.0, rounds: int = 9) -> dict[str, Any]:
     """Measure; a table, and the figures for JSON. Raises BenchmarkError."""
     results: dict[str, Any] = {"valves": valves, "seconds": seconds}
-    libraries = {
-        "vs_c": c_library(folder, ["-O3"]),
-        "vs_c_native": c_library(folder, ["-O3", "-march=native", "-ffp-contract=off"]),
-    }
+    compilers = {"vs_c": ["-O3"], "vs_c_native": ["-O3", "-march=native", "-ffp-contract=off"]}
     print(
         f"{'':6}{'step [ns]':>10}{'C -O3':>8}{'C native':>10}{'2 cores':>9}{'(C)':>6}{'python-control':>16}"
     )
     for controller in LAWS:
         chosen = many(controller, valves, seconds)
         steps = valves * chosen.commands.shape[-1]
+        libraries = {name: c_library(folder, controller, options) for name, options in compilers.items()}
         indices = np.stack(batch.simulate(chosen)[:5], axis=1)  # compiles
         for name, library in libraries.items():
             same(f"loop.c ({name})", run_in_c(library, chosen), indices)

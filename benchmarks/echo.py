@@ -1,7 +1,8 @@
 """What the loop's latency is measured against: a process that answers each LVDT reading with itself.
 
-``plain`` waits in a wait set of its own on one subscription; ``raw`` does so with serialized messages,
-the least that rclpy can do; ``executor`` is the node that a tutorial shows.
+``plain`` waits in a wait set of its own on one subscription, with the QoS of the controller: best effort for
+readings, reliable for voltages; ``raw`` does so with serialized messages, the least that rclpy can do.
+``reliable`` is ``plain`` with reliable readings; ``executor``, reliable too, is the node of a tutorial.
 """
 
 import contextlib
@@ -13,15 +14,16 @@ import rclpy
 from rclpy._rclpy_pybind11 import WaitSet
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 
-from valve_control.nodes.adapter import SAMPLES, PolledSubscription
+from valve_control.nodes.adapter import NEWEST, SAMPLES, PolledSubscription
 
 
-def plain(node: Node, raw: bool = False) -> None:
+def plain(node: Node, qos: QoSProfile = NEWEST, raw: bool = False) -> None:
     """Wait, take, publish."""
     publisher = node.create_publisher(Float64, "valve_voltage", SAMPLES)
-    readings = PolledSubscription(node, Float64, "spool_position", SAMPLES, raw)
+    readings = PolledSubscription(node, Float64, "spool_position", qos, raw)
     wait_set = WaitSet(1, 0, 0, 0, 0, 0, rclpy.get_default_context().handle)
     gc.collect()
     gc.freeze()
@@ -38,6 +40,11 @@ def raw(node: Node) -> None:
     plain(node, raw=True)
 
 
+def reliable(node: Node) -> None:
+    """The same with a reliable subscription."""
+    plain(node, SAMPLES)
+
+
 def executor(node: Node) -> None:
     """A callback and ``rclpy.spin``."""
     publisher = node.create_publisher(Float64, "valve_voltage", SAMPLES)
@@ -50,7 +57,7 @@ def main() -> None:
     rclpy.init(args=sys.argv)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        {"plain": plain, "raw": raw, "executor": executor}[sys.argv[1]](Node("echo"))
+        {"plain": plain, "reliable": reliable, "raw": raw, "executor": executor}[sys.argv[1]](Node("echo"))
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
 A probe stands in for LVDT and upper level: it sends readings and commands of an offline run at their times,
 and takes the voltages. The latency is from its clock before it publishes a reading to the source time of the
 voltage. All candidates live at once and are asked in turns, so that all see the same machine; the beginning
-of a turn, when a controller recovers from the silence before it and says so, does not count.
+of a turn, when a controller recovers from the silence before it and says so, does not count. Probe and echoes
+have the transports of everybody else, shared memory among them; the controllers those of the package.
 """
 
 import os
@@ -11,8 +12,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,20 +28,29 @@ from tqdm import tqdm
 
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
-from valve_control.nodes.cascade import process, wait_until
-from valve_control.parameters.table import NODES, defaults, updated
+from valve_control.nodes.harness.processes import process, wait_until
+from valve_control.nodes.transport import RANGE, leave_own_profile, use_own_profile
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import build
+from valve_control.parameters.table import NODES
 from valve_control.simulation import offline
 
 Floats = npt.NDArray[np.float64]
 LAWS = ("arc", "oarc")
-ECHOES = ("plain", "raw", "executor")
+SHARED = "arc_shared"  # ARC with the transports of everybody else
+ECHOES = ("plain", "reliable", "raw", "executor")
+# The echoes that the laws are compared with: one with the QoS of the controller, one reliable on both sides.
+COMPARED = {"echo": "plain", "reliable_echo": "reliable"}
 RATE = 0.98  # of the nominal one that the probe must reach
 WANTED = {
     "latency_vs_echo_p50": ("at most", 1.15),
     "latency_vs_echo_p99": ("at most", 1.3),
+    "latency_vs_reliable_echo_p50": ("at most", 1.15),
+    "latency_vs_reliable_echo_p99": ("at most", 1.3),
     "lost_at_1khz": ("at most", 0),
     "lost_at_2khz": ("at most", 0),
     "rate_at_2khz": ("at least", RATE),
+    "node_cost_dcarc_vs_oarc": ("at most", 1.3),
 }
 PERIOD = 0.001  # s
 AHEAD = 0.3  # of a period by which a command comes before the reading
@@ -52,6 +62,7 @@ TURN = 3.0  # s
 LEAD = 2.0  # s before it
 SECONDS = 4.0  # of everything else
 MOST = 16  # valves that are tried
+ROUNDS = 5  # of the cost of a law, in turns with another
 TRIES = 3  # for a number of valves, since a busy machine may disturb one
 IN_TIME = 0.95  # share of voltages that must come before the next reading
 
@@ -166,7 +177,7 @@ def recorded(controller: str, period: float = PERIOD) -> offline.Run:
         )
         for node in ("controller", "valve_simulator", "command_source")
     }
-    commands = offline.commands(values["command_source"])
+    commands = build.commands(values["command_source"])
     return offline.simulate(values["controller"], values["valve_simulator"], commands)
 
 
@@ -193,18 +204,36 @@ def figures(parts: Sequence[Answers]) -> dict[str, Any]:
 
 
 @contextmanager
+def transports_of_everybody() -> Iterator[None]:
+    """Processes that are started, and a first context that is made, do not have the package's transports."""
+    before = dict(os.environ)
+    leave_own_profile(os.environ)
+    os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "DEFAULT"
+    try:
+        yield
+    finally:
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
+        os.environ.update(before)
+
+
+@contextmanager
 def candidate(kind: str, folder: Path, period: float = PERIOD) -> Iterator[Any]:
     """A process that answers readings in the namespace ``kind``."""
     space = ["-r", f"__ns:=/{kind}"]
-    if kind in LAWS:
-        given = [*space, "-p", f"controller:={kind}", "-p", f"sample_period:={period!r}"]
-        with process("controller", given, folder / f"{kind}.log") as child:
+    law = "arc" if kind == SHARED else kind
+    if law in LAWS:
+        given = [*space, "-p", f"controller:={law}", "-p", f"sample_period:={period!r}"]
+        with ExitStack() as stack:
+            with transports_of_everybody() if kind == SHARED else nullcontext():
+                child = stack.enter_context(process("controller", given, folder / f"{kind}.log"))
             yield child
         return
     with (folder / f"{kind}.log").open("wb") as log:
-        child = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.echo", kind, "--ros-args", *space], stdout=log, stderr=log
-        )
+        with transports_of_everybody():
+            child = subprocess.Popen(
+                [sys.executable, "-m", "benchmarks.echo", kind, "--ros-args", *space], stdout=log, stderr=log
+            )
         try:
             yield child
         finally:
@@ -215,12 +244,12 @@ def candidate(kind: str, folder: Path, period: float = PERIOD) -> Iterator[Any]:
 def against_echo(folder: Path, turns: int = TURNS) -> dict[str, Any]:
     """Latency of the echoes and of the laws."""
     lead, count = round(LEAD / PERIOD), round(TURN / PERIOD)
-    kinds = (*ECHOES, *LAWS)
+    kinds = (*ECHOES, *LAWS, SHARED)
     run = recorded("arc")
     found: dict[str, list[Answers]] = {kind: [] for kind in kinds}
     with ExitStack() as stack:
         children = [stack.enter_context(candidate(kind, folder)) for kind in kinds]
-        probes = {kind: Probe(f"probe_{kind}", [kind], commands=kind in LAWS) for kind in kinds}
+        probes = {kind: Probe(f"probe_{kind}", [kind], commands=kind not in ECHOES) for kind in kinds}
         for probe in probes.values():
             stack.callback(probe.destroy_node)
         for kind, probe in probes.items():
@@ -324,6 +353,15 @@ def manifold(folder: Path, valves: int, law: str = "arc") -> dict[str, Any]:
     return {**result, "in_time": in_time, "kept": kept}
 
 
+def cost(folder: Path, rounds: int = ROUNDS) -> dict[str, list[float]]:
+    """CPU time [µs] of a sample in the node under OARC and dcarc, in turns."""
+    found: dict[str, list[float]] = {"oarc": [], "dcarc": []}
+    for _ in tqdm(range(rounds), desc="cost of a law", unit="round", ascii=True):
+        for law, spent in found.items():
+            spent.append(manifold(folder, 1, law)["us_per_step"])
+    return found
+
+
 def manifolds(folder: Path) -> list[dict[str, Any]]:
     """More and more valves, until readings are lost or too many voltages come after the next reading."""
     found: list[dict[str, Any]] = []
@@ -349,23 +387,41 @@ def manifolds(folder: Path) -> list[dict[str, Any]]:
     return found
 
 
+def latency_table(latencies: Mapping[str, Mapping[str, Any]]) -> str:
+    """One line a candidate, with its ratios to both echoes."""
+    lines = [
+        f"\n{'':12}{'':28}{'over plain (same QoS)':>24}{'over reliable echo':>24}",
+        f"{'':12}{'p50 [ms]':>10}{'p99 [ms]':>10}{'lost':>8}" + 2 * f"{'p50':>12}{'p99':>12}",
+    ]
+    for name, entry in latencies.items():
+        ratios = [
+            entry[key] / latencies[echo][key] for echo in COMPARED.values() for key in ("p50_ms", "p99_ms")
+        ]
+        lines.append(
+            f"{name:12}{entry['p50_ms']:10.3f}{entry['p99_ms']:10.3f}{entry['lost']:8}"
+            + "".join(f"{ratio:12.2f}" for ratio in ratios)
+        )
+    return "\n".join(lines)
+
+
 def run(folder: Path) -> dict[str, Any]:
     """Measure; tables, and the figures for JSON. Raises RuntimeError."""
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault(RANGE, "LOCALHOST")
+    use_own_profile(os.environ)
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-    rclpy.init()
+    with transports_of_everybody():
+        rclpy.init()
     try:
         latencies = against_echo(folder)
-        print(f"\n{'':10}{'p50 [ms]':>10}{'p99 [ms]':>10}{'lost':>8}{'p50 / echo':>12}{'p99 / echo':>12}")
-        echo = latencies["plain"]
-        for name, entry in latencies.items():
-            ratios = [entry[key] / echo[key] for key in ("p50_ms", "p99_ms")]
-            print(f"{name:10}{entry['p50_ms']:10.3f}{entry['p99_ms']:10.3f}{entry['lost']:8}", end="")
-            print("".join(f"{ratio:12.2f}" for ratio in ratios), flush=True)
+        print(latency_table(latencies))
         fast = at_2_khz(folder)
-        print(f"{'2 kHz':10}{fast['p50_ms']:10.3f}{fast['p99_ms']:10.3f}{fast['lost']:8}")
+        print(f"{'2 kHz':12}{fast['p50_ms']:10.3f}{fast['p99_ms']:10.3f}{fast['lost']:8}")
         asked = services(folder)
         print(f"get_parameters at 1 kHz: {asked['p50_ms']:.0f} ms, at most {asked['max_ms']:.0f} ms\n")
+        spent = cost(folder)
+        print(
+            "CPU time of a sample: " + ", ".join(f"{law} {np.median(v):.0f} us" for law, v in spent.items())
+        )
         print(
             f"{'valves':>8}{'CPU share':>12}{'us per step':>14}{'p50 [ms]':>10}{'p99 [ms]':>10}{'lost':>8}"
             f"{'in time':>13}"
@@ -378,13 +434,18 @@ def run(folder: Path) -> dict[str, Any]:
         "two_khz": fast,
         "services": asked,
         "manifold": grown,
+        "us_per_sample": spent,
         "figures": {
             **{
-                f"latency_vs_echo_{name}": max(latencies[law][f"{name}_ms"] for law in LAWS)
-                / echo[f"{name}_ms"]
+                f"latency_vs_{named}_{name}": max(latencies[law][f"{name}_ms"] for law in LAWS)
+                / latencies[echo][f"{name}_ms"]
+                for named, echo in COMPARED.items()
                 for name in ("p50", "p99")
             },
+            "latency_udp_vs_shared_p50": latencies["arc"]["p50_ms"] / latencies[SHARED]["p50_ms"],
+            "latency_udp_vs_shared_p99": latencies["arc"]["p99_ms"] / latencies[SHARED]["p99_ms"],
             "valves_at_1khz_per_core": max([entry["valves"] for entry in grown if entry["kept"]], default=0),
+            "node_cost_dcarc_vs_oarc": float(np.median(spent["dcarc"]) / np.median(spent["oarc"])),
             "lost_at_1khz": sum(latencies[law]["lost"] for law in LAWS),
             "lost_at_2khz": fast["lost"],
             "rate_at_2khz": fast["rate"],

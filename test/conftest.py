@@ -3,6 +3,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 # One domain for each run, this host only; nodes and their processes inherit both.
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
@@ -11,8 +12,14 @@ os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 # Matrices are small: BLAS threads that wait for each other take longer.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from valve_control.parameters.table import CONTROLLER, VALVE, defaults, updated
+from valve_control.cli import main
+from valve_control.parameter import defaults, updated
+from valve_control.parameters.table import CONTROLLER, VALVE
 from valve_control.simulation import offline
+
+# How long an example takes depends on what else the machine does.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -20,6 +27,22 @@ ROOT = Path(__file__).resolve().parents[1]
 @pytest.fixture
 def config():
     return ROOT / "config"
+
+
+@pytest.fixture
+def run(capsys, monkeypatch, tmp_path):
+    """A command of `valve-control` in this process and in ``tmp_path``: its status, output and errors."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        try:
+            status = main([str(a) for a in arguments])
+        except SystemExit as error:
+            status = error.code
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return call
 
 
 @pytest.fixture

@@ -72,7 +72,14 @@ def test_compare_lists_every_controller(tmp_path):
     done = run("compare", "--duration", "1.0", "--json", tmp_path / "c.json")
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "c.json").read_text())
-    assert [r["controller"] for r in result["runs"]] == ["arc", "oarc", "pid", "compensator", "open_loop"]
+    assert [r["controller"] for r in result["runs"]] == [
+        "arc",
+        "oarc",
+        "dcarc",
+        "pid",
+        "compensator",
+        "open_loop",
+    ]
     assert result["paper"]["arc"]["c_u"] == 0.416
     assert done.stdout.count("paper") == 3
 

@@ -109,6 +109,29 @@ def test_compare_bags(bags, tmp_path):
     assert (tmp_path / "c.png").read_bytes()[:4] == b"\x89PNG"
 
 
+def test_compare_lays_the_motions_over_each_other(tmp_path):
+    """The same sine after 0.2 s and after 1.1 s of rest; during the second, the LVDT is lost for a while."""
+    for name, rest, lost in (("early", 200, 0), ("late", 1100, 60)):
+        made = Run()
+        for _ in range(rest):
+            made.sample(0.0)
+        for i in range(1500):
+            made.sample(1.5 * float(np.sin(2.0 * np.pi * 2.0 * i * 1e-3)), lost=700 <= i < 700 + lost)
+        write(tmp_path / name, made.messages)
+    done = command("compare", tmp_path / "early", tmp_path / "late", "--json", tmp_path / "c.json",
+                   "--html", tmp_path / "c.html", "--figure", tmp_path / "c.png")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    early, late = json.loads((tmp_path / "c.json").read_text())["runs"]
+    assert early["shift_s"] == 0.0 and early["overlaid_by"] is None
+    assert late["shift_s"] == pytest.approx(-0.9, abs=1.1e-3) and late["overlaid_by"] == "command"
+    assert "late: moved by -0.9" in done.stdout
+    assert early["modes"]["safe"]["intervals"] == 0 and late["modes"]["safe"]["intervals"] == 1
+    assert "safe 0.0" in done.stdout and "only ok" in done.stdout
+    assert late["indices_only_ok"]["e_rms"] != late["indices"]["e_rms"]
+    page = (tmp_path / "c.html").read_text()
+    assert "late: moved by -0.9" in page and '"yref":"y2 domain"' in page
+
+
 def test_recover_says_what_it_did(bags, tmp_path):
     shutil.copytree(bags / "arc", tmp_path / "bag")
     done = command("bag", "recover", tmp_path / "bag")
@@ -121,8 +144,24 @@ def test_recover_says_what_it_did(bags, tmp_path):
     done = command("bag", "recover", tmp_path / "bag", "--json", tmp_path / "r.json")
     assert done.returncode == 0 and "is whole again" in done.stdout, done.stderr
     assert json.loads((tmp_path / "r.json").read_text())["done"] is True
-    mended = command("analyze", tmp_path / "bag")
-    assert mended.returncode == 0 and "unfinished" not in mended.stdout
+    repaired = command("analyze", tmp_path / "bag")
+    assert repaired.returncode == 0 and "unfinished" not in repaired.stdout
+
+
+def test_recover_says_what_was_lost(bags, tmp_path):
+    shutil.copytree(bags / "arc", tmp_path / "bag")
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    data = file.read_bytes()
+    file.write_bytes(data[:50_000] + data[90_000:])
+    done = command("bag", "recover", tmp_path / "bag", "--json", tmp_path / "r.json")
+    assert done.returncode == 0 and "can be read again" in done.stdout, done.stdout + done.stderr
+    about = json.loads((tmp_path / "r.json").read_text())
+    assert about["lost"] > 0 and f"{about['lost']} messages lost" in done.stdout
+    assert f"kept as {file.name}.damaged" in done.stdout
+    file.write_bytes(b"")
+    done = command("bag", "recover", tmp_path / "bag")
+    assert done.returncode == 1 and "not one byte in it" in done.stdout
+    assert "holds no message; nothing could be recovered" in done.stdout and "whole" not in done.stdout
 
 
 def test_a_real_bag_with_a_mapped_field(tmp_path):

@@ -8,30 +8,15 @@ import numpy as np
 import pytest
 import yaml
 
-from valve_control.cli import main
+from valve_control.commands import scenarios
+from valve_control.parameter import defaults, updated
 from valve_control.parameters import build
-from valve_control.parameters.table import COMMAND, defaults, updated
-from valve_control.simulation import scenarios
+from valve_control.parameters.table import COMMAND
 
 sys.path.insert(0, str(Path(__file__).parent / "recordings"))
 from made import Run, write
 
 QUICK = ["--set", "steps=12", "--set", "cycles=4", "--set", "frequency=1.0", "--set", "step_time=0.8"]
-
-
-@pytest.fixture
-def run(capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        try:
-            status = main([str(a) for a in arguments])
-        except SystemExit as error:
-            status = error.code
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return call
 
 
 def test_identified_model_goes_into_simulate_and_compensator(run, tmp_path):
@@ -53,7 +38,7 @@ def test_identified_model_goes_into_simulate_and_compensator(run, tmp_path):
     assert (tmp_path / "bode.svg").read_text().startswith("<?xml")
     tree = yaml.safe_load((tmp_path / "valve.yaml").read_text())
     assert tree["/**/controller"]["ros__parameters"]["arc"]["theta_initial"] == result["theta"]["initial"]
-    for controller in ("arc", "oarc", "compensator"):
+    for controller in ("pid", "arc", "oarc", "dcarc", "compensator"):
         status, out, err = run(
             "simulate", "--controller", controller, "--params-file", "valve.yaml", "--json", "-"
         )
@@ -131,6 +116,31 @@ def test_stepped_sine_in_a_bag_with_and_without_parameters(run, tmp_path):
         ),
         (["--set", "friction.coulomb=10.0", *QUICK], "the spool hardly moves"),
         (["--set", "lvdt.delay=0.006", *QUICK], "order 2 misses the response by"),
+        (
+            [
+                *QUICK,
+                "--set",
+                "amplitude=0.05",
+                "--set",
+                "friction.coulomb=0.6",
+                "--set",
+                "friction.presliding=0.04",
+            ],
+            "0.05 V moved the spool by 0.003",
+        ),
+        (
+            [
+                *QUICK,
+                "--set",
+                "amplitude=0.5",
+                "--set",
+                "friction.coulomb=0.6",
+                "--set",
+                "friction.presliding=0.02",
+            ],
+            "which is what friction gives while it holds a spool",
+        ),
+        (["--delay", "5"], "--delay takes no number, because the dead time is estimated"),
         (["--settle", "-1"], "--settle"),
         (["--settle", "inf"], "--settle is inf s; it must be finite"),
         (["--band", "5", "2"], "--band"),

@@ -1,20 +1,40 @@
-"""Launch files: well formed, and all that they name exists."""
+"""Launch files: well formed, all that they name exists, and a wrong argument ends the launch."""
 
+import importlib.util
 import re
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
 
-from valve_control.parameters.table import NODES, lookup
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import ParameterError, lookup
+from valve_control.parameters import files, launching
+from valve_control.parameters.table import NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "launch").glob("*.launch.xml"))
 VARIABLE = re.compile(r"\$\(var (\w+)\)")
 
 
+CALL = re.compile(r"valve_control\.parameters\.launching\.(\w+)\(")
+
+
 def arguments(root):
     return {arg.get("name"): arg.get("default") for arg in root.findall("arg")}
+
+
+def choices(root, name):
+    return {c.get("value") for arg in root.findall("arg") if arg.get("name") == name for c in arg}
+
+
+def files_for(*nodes):
+    """Names of the files in config/ that have sections for exactly these nodes."""
+    for path in (ROOT / "config").glob("*.yaml"):
+        if {section.node for section in files.sections(str(path))} == set(nodes):
+            yield path.stem
 
 
 def test_there_are_launch_files():
@@ -29,8 +49,10 @@ def test_launch_file_names_only_what_exists(path):
     assert {"controller", "valve", "rate", "namespace", "record"} <= set(declared)
     for arg in root.findall("arg"):
         assert arg.get("default") is not None and arg.get("description"), arg.get("name")
-    used = set(VARIABLE.findall(path.read_text(encoding="utf-8")))
-    assert used <= set(declared) and set(declared) - used == set()
+    text = path.read_text(encoding="utf-8")
+    derived = {let.get("name") for let in root.findall("let")}
+    assert set(VARIABLE.findall(text)) == set(declared) | derived
+    assert CALL.findall(text) and all(hasattr(launching, name) for name in CALL.findall(text))
     executables = re.search(r"NODES = \[(.*?)\]", (ROOT / "setup.py").read_text(), re.DOTALL).group(1)
     for node in root.iter("node"):
         assert node.get("pkg") == "valve_control" and f'"{node.get("exec")}"' in executables
@@ -39,15 +61,12 @@ def test_launch_file_names_only_what_exists(path):
                 lookup(NODES[node.get("exec")], param.get("name"))
                 continue
             folder, name = param.get("from").split("valve_control)/")[1].rsplit("/", 1)
-            choices = [name]
+            names = [name]
             for variable in VARIABLE.findall(name):
-                text = next(a.get("description") for a in root.findall("arg") if a.get("name") == variable)
-                listed = re.findall(r"\b(arc|oarc|pid|pid_plain|compensator|open_loop)\b", text)
-                choices = [
-                    name.replace(f"$(var {variable})", value) for value in {declared[variable], *listed}
-                ]
-            for choice in choices:
-                assert (ROOT / folder / choice).is_file(), choice
+                assert declared[variable] in choices(root, variable)
+                names = [name.replace(f"$(var {variable})", value) for value in choices(root, variable)]
+            for name in names:
+                assert (ROOT / folder / name).is_file(), name
     recorders = [node for node in root.iter("node") if node.get("exec") == "recorder"]
     for recorder in recorders:
         assert recorder.get("if") == "$(var record)" and recorder.find("param").get("value") == "$(var bag)"
@@ -56,3 +75,95 @@ def test_launch_file_names_only_what_exists(path):
         target = ROOT / include.get("file").split("valve_control)/")[1]
         known = arguments(ET.parse(target).getroot())
         assert {arg.get("name") for arg in include.findall("arg")} == set(known)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_choices_are_all_that_there_is(path):
+    root = ET.parse(path).getroot()
+    valves = {*files_for("valve_simulator"), *files_for("controller", "valve_simulator", "command_source")}
+    assert choices(root, "valve") == valves
+    if path.name == "cascade.launch.xml":
+        scenarios = set(lookup(NODES["command_source"], "scenario").choices)
+        assert choices(root, "scenario") == scenarios - {"array"}  # which needs a file of numbers
+
+
+@pytest.mark.parametrize(
+    ("convert", "text", "words"),
+    [
+        (launching.sample_period, "0.0", "rate is 0.0 Hz; it must lie between 10 and 100000 Hz"),
+        (launching.sample_period, "-1000", "rate is -1000 Hz"),
+        (launching.sample_period, "1e9", "rate is 1e9 Hz"),
+        (launching.sample_period, "fast", "rate is 'fast'; it must be a number"),
+        (launching.sample_period, "nan", "rate is 'nan'"),
+        (launching.sample_period, "", "rate is ''"),
+        (launching.duration, "-1.0", "duration is -1 s; it must lie between"),
+        (launching.duration, "long", "duration is 'long'; it must be a number"),
+    ],
+)
+def test_wrong_numbers_of_a_launch_are_one_sentence(convert, text, words):
+    with pytest.raises(ParameterError) as error:
+        convert(text)
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize("name", sorted(files_for("controller")))
+def test_a_law_is_launched_by_the_name_of_its_file(name):
+    assert launching.law_option(name) == "--params-file"
+    assert launching.law_value(name) == str(ROOT / "config" / f"{name}.yaml")
+
+
+def test_every_law_can_be_launched_and_nothing_else():
+    assert {"arc", "oarc", "pid", "compensator", "open_loop"} <= set(LAWS)
+    for name in LAWS:
+        value = launching.law_value(name)
+        if launching.law_option(name) == "-p":
+            assert value == f"controller:={name}"
+        else:
+            assert [s.values["controller"] for s in files.sections(value)] == [name]
+    for wrong in ("OARC", "", "d3fxe", "manifold", "../config/arc"):
+        with pytest.raises(ParameterError) as error:
+            launching.law_value(wrong)
+        assert f"controller is '{wrong}'; it must be 'arc', 'oarc'" in str(error.value)
+        assert "'open_loop'" in str(error.value) and "'pid_plain'" in str(error.value)
+
+
+def test_numbers_of_a_launch_become_those_of_the_nodes():
+    assert launching.sample_period("2000") == 0.0005 and launching.sample_period("10") == 0.1
+    assert launching.duration("60") == 60.0
+
+
+LAUNCH = """
+import sys
+from launch import LaunchDescription, LaunchService
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import AnyLaunchDescriptionSource
+path, *given = sys.argv[1:]
+include = IncludeLaunchDescription(
+    AnyLaunchDescriptionSource(path), launch_arguments=[tuple(word.split(":=")) for word in given]
+)
+service = LaunchService()
+service.include_launch_description(LaunchDescription([include]))
+sys.exit(service.run())
+"""
+
+
+@pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="needs ros2 launch")
+@pytest.mark.parametrize(
+    ("argument", "words"),
+    [
+        ("controller:=OARC", ["controller", "OARC", "'oarc'"]),
+        ("controller:=nonsense", ["controller", "nonsense", "'oarc'"]),
+        ("valve:=none", ["valve", "none", "'d3fxe'"]),
+        ("rate:=0.0", ["rate is 0.0 Hz; it must lie between 10 and 100000 Hz"]),
+        ("rate:=abc", ["rate is 'abc'; it must be a number"]),
+    ],
+)
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_wrong_argument_ends_the_launch(path, argument, words):
+    done = subprocess.run(
+        [sys.executable, "-c", LAUNCH, path, argument], capture_output=True, text=True, timeout=60
+    )
+    said = (done.stdout + done.stderr).splitlines()
+    assert done.returncode == 1
+    assert all(word in said[-1] for word in words), said
+    assert not any("process started" in line or "Traceback" in line for line in said), said

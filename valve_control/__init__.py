@@ -1,3 +1,3 @@
-"""Local control of a proportional directional control valve after Bu and Yao."""
+"""Controls a proportional directional control valve locally, after Bu and Yao."""
 
 __version__ = "0.1.0"

@@ -1,31 +1,45 @@
-"""Compile the undecorated step functions with numba, for runs of many samples.
+"""Compiles the plain step functions with numba, for runs of many samples.
 
 A step refers to helpers of other modules by name; numba wants those compiled too. ``compile_function``
 rebuilds a function with every such helper replaced by its compiled twin, so that the laws themselves
 stay plain Python without an import of numba.
 """
 
+import contextlib
 import dis
 import functools
 import hashlib
 import os
 import tempfile
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from valve_control.parameter import ParameterError
+
 PACKAGE = "valve_control"
+LANES = 8  # valves side by side in a compiled loop: the doubles of one AVX-512 register
+_packages = {PACKAGE: Path(__file__).resolve().parent}
+
+
+def add_sources(package: str, folder: Path) -> None:
+    """Let functions of ``package``, in ``folder``, be compiled too; call it before anything is compiled."""
+    _packages[package] = folder.resolve()
+
+
+def _ours(name: str) -> bool:
+    return name.split(".")[0] in _packages
 
 
 @functools.cache
 def sources_digest() -> str:
-    """Sixteen hexadecimal digits that change with any of the package's sources."""
+    """Hash, sixteen hexadecimal digits, of the sources of this package and of packages that add laws."""
     digest = hashlib.sha256()
-    root = Path(__file__).resolve().parent
-    for source in sorted(root.rglob("*.py")):
-        digest.update(str(source.relative_to(root)).encode())
-        digest.update(source.read_bytes())
+    for root in _packages.values():
+        for source in sorted(root.rglob("*.py")):
+            digest.update(str(source.relative_to(root)).encode())
+            digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -55,8 +69,10 @@ def compile_function(
 ) -> Callable[..., Any]:
     """Compiled twin of ``function``; globals named in ``replace`` are taken from there.
 
-    ``nogil``: other Python threads run while it does.
+    ``nogil``: other Python threads run while it does. What is compiled already is given back.
     """
+    if not isinstance(function, types.FunctionType):
+        return function
     return _compile(function, tuple(sorted((replace or {}).items(), key=lambda item: item[0])), nogil)
 
 
@@ -65,7 +81,6 @@ def _compile(
     function: Callable[..., Any], replace: tuple[tuple[str, Callable[..., Any]], ...], nogil: bool
 ) -> Callable[..., Any]:
     numba = _numba()
-    assert isinstance(function, types.FunctionType)
     scope = dict(function.__globals__)
     scope.update(replace)
     for instruction in dis.get_instructions(function):
@@ -73,9 +88,9 @@ def _compile(
             continue
         name = instruction.argval
         value = scope.get(name)
-        if isinstance(value, types.FunctionType) and value.__module__.startswith(PACKAGE):
+        if isinstance(value, types.FunctionType) and _ours(value.__module__):
             scope[name] = compile_function(value)
-        elif isinstance(value, types.ModuleType) and value.__name__.startswith(PACKAGE):
+        elif isinstance(value, types.ModuleType) and _ours(value.__name__):
             scope[name] = _compiled_module(value)
     rebuilt = types.FunctionType(function.__code__, scope, function.__name__)
     rebuilt.__module__ = function.__module__
@@ -92,8 +107,22 @@ def _compile(
 def _compiled_module(module: types.ModuleType) -> types.ModuleType:
     twin = types.ModuleType(module.__name__)
     for name, value in vars(module).items():
-        if isinstance(value, types.FunctionType) and value.__module__ == module.__name__:
+        own = isinstance(value, types.FunctionType) and value.__module__ == module.__name__
+        if own and value.__closure__ is None:  # a context manager has a closure
             setattr(twin, name, compile_function(value))
         else:
             setattr(twin, name, value)
     return twin
+
+
+@contextlib.contextmanager
+def explained(what: str) -> Iterator[None]:
+    """Raise ParameterError, naming ``what``, if numba refuses to compile something within the block."""
+    try:
+        yield
+    except Exception as error:
+        if not type(error).__module__.startswith("numba."):
+            raise
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        reason = next((line for line in lines[1:] if "Failed in" not in line), lines[0] if lines else "")
+        raise ParameterError(f"{what} does not compile: {reason}") from error

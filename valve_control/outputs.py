@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Writes files whole or not at all, and checks the paths of outputs before the work begins."""
 
 import contextlib
 import io
@@ -6,10 +6,11 @@ import json
 import math
 import os
 import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from valve_control.parameters.table import ParameterError
+from valve_control.parameter import ParameterError
 
 
 def check_figure(path: str | None) -> None:
@@ -18,9 +19,39 @@ def check_figure(path: str | None) -> None:
         raise ParameterError(f"--figure {path} must end in .png or .svg")
 
 
+def check(paths: Sequence[str], inputs: Sequence[str] = ()) -> None:
+    """Refuse outputs that cannot be written, or that would replace one of ``inputs`` or each other.
+
+    Raises ParameterError, and OSError for a name that no file can have.
+    """
+    taken: set[str] = set()
+    read = {os.path.realpath(path): path for path in inputs}
+    for path in paths:
+        if not path:
+            raise ParameterError("an output has an empty name; give a file")
+        whole = Path(os.path.realpath(path))
+        if not whole.parent.is_dir():
+            raise ParameterError(f"{path} cannot be written: there is no folder {whole.parent}")
+        if path.endswith("/") or whole.is_dir():
+            raise ParameterError(f"{path} cannot be written: it is a folder")
+        ordinary = whole.is_file() or not whole.exists()
+        if not os.access(whole.parent if ordinary else whole, os.W_OK):
+            raise ParameterError(f"{path} cannot be written: permission denied")
+        if not ordinary:
+            continue
+        if str(whole) in taken:
+            raise ParameterError(f"{path} is given for two outputs; each needs a file of its own")
+        taken.add(str(whole))
+        for real, name in read.items():
+            if str(whole) == real or (whole.exists() and os.path.exists(real) and whole.samefile(real)):
+                raise ParameterError(f"{path} is an input; it would be overwritten, so choose another output")
+            if os.path.isdir(real) and whole.is_relative_to(real):
+                raise ParameterError(f"{path} lies in {name}, which is an input; choose another folder")
+
+
 def write(path: str, content: str | bytes) -> None:
-    """Put ``content`` in the place of ``path`` in one stroke. Raises OSError."""
-    target = Path(path).resolve()
+    """Replace the file ``path`` by ``content``, whole or not at all. Raises OSError."""
+    target = Path(os.path.realpath(path))
     data = content.encode("utf-8") if isinstance(content, str) else content
     try:
         if target.exists() and not target.is_file():
@@ -43,8 +74,18 @@ def write(path: str, content: str | bytes) -> None:
         raise
 
 
+def csv_text(columns: Mapping[str, Any], form: str) -> str:
+    """CSV text of ``columns`` (arrays of one length, by name), numbers in the ``form`` such as %.10g."""
+    import numpy as np
+
+    stream = io.StringIO()
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(stream, rows, delimiter=",", header=",".join(columns), comments="", fmt=form)
+    return stream.getvalue()
+
+
 def as_json(result: Any) -> str:
-    """``result`` as JSON; what is not finite becomes null."""
+    """JSON text of ``result``; NaN and infinity become null."""
     return json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -59,7 +100,7 @@ def _plain(value: Any) -> Any:
 
 
 def figure_bytes(figure: Any, path: str) -> bytes:
-    """A matplotlib figure in the format that ``path`` names; the figure is closed."""
+    """A matplotlib figure as the bytes of the file ``path``, PNG or SVG by its ending; closes the figure."""
     import matplotlib.pyplot as plt
 
     stream = io.BytesIO()

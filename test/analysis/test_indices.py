@@ -27,3 +27,16 @@ def test_final_error_is_that_of_the_last_two_seconds():
 def test_unequal_arrays():
     with pytest.raises(ValueError, match="one length"):
         indices(np.zeros(3), np.zeros(4), 0.001)
+
+
+def test_of_some_samples_in_the_head():
+    """Three kept, then one, then two: no step of the voltage over what lies between."""
+    error = np.array([1.0, 2.0, 3.0, 9.0, 4.0, 9.0, 5.0, 6.0])
+    voltage = np.array([1.0, 2.0, 2.0, 9.0, 1.0, 9.0, 2.0, 4.0])
+    kept = np.array([True, True, True, False, True, False, True, True])
+    got = indices(error, voltage, 1.0, kept)
+    assert got.e_M == 6.0 and got.e_F == 6.0
+    assert math.isclose(got.e_rms, math.sqrt((1 + 4 + 9 + 16 + 25 + 36) / 6))
+    assert math.isclose(got.u_rms, math.sqrt((1 + 4 + 4 + 1 + 4 + 16) / 6))
+    assert math.isclose(got.c_u, math.sqrt((1 + 0 + 4) / 3) / got.u_rms)
+    assert indices(error, voltage, 1.0, np.ones(8, dtype=bool)) == indices(error, voltage, 1.0)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from valve_control.analysis.segments import motions
-from valve_control.simulation.scenarios import stroke, stroke_time
+from valve_control.commands.scenarios import stroke, stroke_time
 
 PERIOD = 0.001
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from valve_control.analysis.timing import lost_messages, timing
+from valve_control.analysis.timing import deviating, lost_messages, timing, true_period
 
 
 def test_a_regular_topic_has_nothing_to_report():
@@ -31,3 +31,63 @@ def test_losses_are_unknown_without_numbers_and_survive_a_restart():
 def test_too_few_messages_have_no_rate(count):
     t = timing(np.arange(count), np.zeros(count, dtype=np.int64))
     assert t.messages == count and np.isnan(t.rate_hz) and t.gaps == 0
+
+
+def readings(count=20_000, period=1e-3, seed=1, jitter=0.0, lost=0.0, pauses=0, numbered=True, burst=1):
+    """Times [ns] and numbers of readings, of which a pause takes time but no number."""
+    random = np.random.default_rng(seed)
+    number = np.arange(count)
+    time = number * period
+    for begin in random.integers(0, count, pauses):
+        time[begin:] += random.uniform(0.01, 2.0)
+    time = np.maximum.accumulate(time + np.abs(random.normal(0.0, jitter, count)))
+    if burst > 1:  # delivered some at a time
+        time = time[np.minimum(number // burst * burst + burst - 1, count - 1)] + number % burst * 1e-6
+    kept = random.random(count) >= lost
+    return np.round(time * 1e9).astype(np.int64)[kept], number[kept] * numbered
+
+
+HARD = [
+    {},
+    {"jitter": 5e-4},
+    {"jitter": 2e-3},
+    {"lost": 0.3},
+    {"pauses": 20},
+    {"jitter": 5e-4, "lost": 0.1, "pauses": 20},
+    {"numbered": False},
+    {"numbered": False, "lost": 0.1},
+    {"numbered": False, "lost": 0.1, "jitter": 1e-4},
+    {"numbered": False, "pauses": 20},
+    {"numbered": False, "burst": 10},
+]
+
+
+@pytest.mark.parametrize("hard", HARD)
+@pytest.mark.parametrize("period", [1e-3, 5e-4, 1.2e-3, 1.03e-3])
+def test_the_period_is_that_of_the_publisher(period, hard):
+    time, sequence = readings(period=period, **hard)
+    assert true_period(time, sequence) == pytest.approx(period, rel=5e-3)
+    found = deviating(time, sequence, 1e-3)
+    if period == 1e-3:
+        assert found == []
+    elif "burst" not in hard:  # in bursts without numbers a slow publisher looks like a loss
+        assert [(s.start, s.end) for s in found] == [(0, len(time))]
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_another_period_in_the_middle_is_found_with_its_place(numbered):
+    steps = np.concatenate([np.full(5000, 1e-3), np.full(400, 2e-3), np.full(5000, 1e-3)])
+    time = np.round(np.cumsum(steps) * 1e9).astype(np.int64)
+    (found,) = deviating(time, np.arange(len(time)) * numbered, 1e-3)
+    assert abs(found.start - 5000) < 60 and abs(found.end - 5400) < 60
+    assert found.period == pytest.approx(2e-3, rel=0.01)
+
+
+def test_too_few_readings_have_no_period():
+    time, sequence = readings(count=150, period=2e-3)
+    assert np.isnan(true_period(time, sequence)) and deviating(time, sequence, 1e-3) == []
+
+
+def test_a_publisher_that_began_anew_has_its_period():
+    time, sequence = readings(count=4000)
+    assert true_period(time, np.where(sequence < 2500, sequence + 1, sequence - 2499)) == pytest.approx(1e-3)

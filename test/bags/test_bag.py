@@ -27,12 +27,12 @@ def number(value):
 
 
 def by_library(path):
-    """(topic, time) → messages as the rosbags library reads the storage files."""
+    """(topic, time) → messages as the rosbags library reads the storage files, topics with their slash."""
     found = []
     with Reader(path) as reader:
         for storage in getattr(reader.storage, "storages", [reader.storage]):
             for connection, time, data in storage.messages(storage.connections):
-                found.append((connection.topic, time, bytes(data)))
+                found.append((f"/{connection.topic.lstrip('/')}", time, bytes(data)))
     return sorted(found)
 
 
@@ -40,9 +40,9 @@ def by_library(path):
 def test_bags_of_real_origin_read_as_the_library_reads_them(path):
     bag = Bag(path)
     got = []
-    for name, batch in bag.batches(list(bag.topics)):
-        for at, size, time in zip(batch.offset, batch.length, batch.log_time, strict=True):
-            got.append((name, int(time), batch.buffer[at : at + size].tobytes()))
+    for name, block in bag.blocks(list(bag.topics)):
+        for at, size, time in zip(block.offset, block.length, block.log_time, strict=True):
+            got.append((name, int(time), block.buffer[at : at + size].tobytes()))
     expected = by_library(path)
     if bag.compression == "message":
         from backports import zstd
@@ -303,10 +303,10 @@ def test_metadata_that_cannot_be_read_does_not_matter(tmp_path):
 def test_one_bad_file_of_several_is_left_out(tmp_path):
     shutil.copytree(REAL / "rosbag2_sqlite3_message_zstd_split", tmp_path / "bag")
     whole = Bag(tmp_path / "bag")
-    count = sum(len(batch.topic) for _, batch in whole.batches(list(whole.topics)))
+    count = sum(len(block.topic) for _, block in whole.blocks(list(whole.topics)))
     victim = tmp_path / "bag" / whole.files[1]
     victim.write_bytes(b"gone")
     bag = Bag(tmp_path / "bag")
-    left = sum(len(batch.topic) for _, batch in bag.batches(list(bag.topics)))
+    left = sum(len(block.topic) for _, block in bag.blocks(list(bag.topics)))
     assert 0 < left < count
     assert any(victim.name in problem and "left out" in problem for problem in bag.problems)

@@ -6,8 +6,9 @@ import pytest
 from valve_control.analysis.indices import PAPER_TABLE_1, Indices
 from valve_control.calibration import identifiability, measured, objective, search
 from valve_control.calibration.space import DIMENSIONS, changed, present, values_at
-from valve_control.parameters import files
-from valve_control.parameters.table import NODES, ParameterError, defaults, updated
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters import build, files
+from valve_control.parameters.table import NODES
 from valve_control.simulation import offline
 
 NAMES = ("gain_scale", "friction.coulomb", "friction.presliding")
@@ -59,7 +60,7 @@ def test_profile_excludes_wrong_values_and_absence_costs(problem, found):
 def test_runs_are_those_of_simulate():
     values = settings(duration=1.5, cycle=1.5, amplitude=1.0, **{"lvdt.noise": 0.005, "seed": 4})
     values = {**values, "valve_simulator": {**values["valve_simulator"], "friction.coulomb": 0.5}}
-    command = offline.commands(values["command_source"])
+    command = build.commands(values["command_source"])
     assert np.array_equal(objective.commands_of(values), command)
     for name, runs in objective.run(values, ["pid", "arc", "oarc", "compensator"], [4]).items():
         controller = updated(NODES["controller"], values["controller"], {"controller": name})

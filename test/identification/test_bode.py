@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valve_control.identification import bode
-from valve_control.laws import compensator
+from valve_control.laws import biquads, design
 from valve_control.laws.signals import Start
-from valve_control.parameters import build, design
-from valve_control.parameters.table import VALVE, defaults, updated
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import build
+from valve_control.parameters.table import VALVE
 from valve_control.plant import valve
 from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
@@ -105,11 +106,11 @@ def test_improper_model_is_refused():
 
 def test_sections_response_is_that_of_the_law():
     p = design.compensator_params(design.PRINTED_FOURTH_ORDER, 0.001, 1e6)
-    s = compensator.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
+    s = biquads.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     k = np.arange(2000)
     out = []
     for value in np.cos(2.0 * np.pi * 0.02 * k):
-        voltage, s, _ = compensator.step(p, s, float(value), 0.0, 0.0)
+        voltage, s, _ = biquads.step(p, s, float(value), 0.0, 0.0)
         out.append(voltage)
     late = k >= 1000
     fit = 2.0 * np.mean(np.array(out)[late] * np.exp(-2j * np.pi * 0.02 * k[late]))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from valve_control.identification import bode, cancellation
-from valve_control.parameters.table import ParameterError
+from valve_control.parameter import ParameterError
 from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 
@@ -99,7 +99,7 @@ def test_bandwidth_and_order_have_limits():
 
 def test_factors_of_the_paper():
     """(12) is its factors to the last printed digit; of (13) one coefficient is off."""
-    second, fourth = cancellation.paper()
+    second, fourth = cancellation.printed()
     for agreement in (second, fourth):
         assert np.max(np.abs(agreement.numerator_errors)) < 1e-6
     # 470 for 469.91, 79652 for 79651.9, 6168503.

@@ -5,7 +5,8 @@ import pytest
 
 from valve_control.identification import WEIGHTINGS, bode, experiment, rational, response, theta
 from valve_control.identification.response import Response, Segment
-from valve_control.parameters.table import CONTROLLER, VALVE, ParameterError, defaults, updated
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters.table import CONTROLLER, VALVE
 from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 COEFFICIENTS = np.array([*FOURTH_ORDER.numerator, *FOURTH_ORDER.denominator[1:]])

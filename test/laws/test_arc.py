@@ -6,15 +6,21 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from valve_control.laws import arc, guarantee, projection
+from valve_control.laws import arc, lyapunov_bound, projection, reshaping, velocity
 from valve_control.laws.projection import Theta
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, defaults, updated
+from valve_control.parameter import defaults, updated
+from valve_control.parameters.table import CONTROLLER
 
 
 def params(**changes):
     values = updated(CONTROLLER, defaults(CONTROLLER), {k.replace("__", "."): v for k, v in changes.items()})
-    return build.arc_params(values)
+    return arc.build(values)
+
+
+def evaluated(p, theta, x1, x2, xd, xd1, xd2):
+    """The law at one instant: position [V], velocity [V/s], x_vd and its derivatives."""
+    rest = velocity.State(x1, x2)
+    return arc.law(p, arc.State(reshaping.State(xd, xd1), rest, theta, lyapunov_bound.ANEW), x1, x2, xd2)
 
 
 def test_error_dynamics_are_equation_22():
@@ -27,7 +33,7 @@ def test_error_dynamics_are_equation_22():
         estimate = Theta(*rng.uniform(p.theta_min, p.theta_max))
         truth = rng.uniform(p.theta_min, p.theta_max)
         numbers = rng.normal(size=5) * [3.0, 30.0, 3.0, 30.0, 500.0]
-        terms, tau, _ = arc.law(p, estimate, guarantee.ANEW, *(float(v) for v in numbers))
+        terms, tau, _ = evaluated(p, estimate, *(float(v) for v in numbers))
         z1 = x1 - xd
         z2 = (x2 - xd1) + p.k1 * z1
         u = terms.unsaturated_voltage
@@ -55,7 +61,7 @@ def continuous(p, theta_true, duration, period, reference, disturbance, adapt=Tr
     for k in range(round(duration / period)):
         t = k * period
         xd, xd1, xd2 = reference(t)
-        terms, tau, _ = arc.law(p, theta, guarantee.ANEW, x1, x2, xd, xd1, xd2)
+        terms, tau, _ = evaluated(p, theta, x1, x2, xd, xd1, xd2)
         history.append((terms.z1, terms.z2, terms.lyapunov))
         accel = -a1 * x2 - a0 * x1 + b0 * terms.unsaturated_voltage + b0dn + disturbance(t)
         x2 += accel * period

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from valve_control.laws import compensator
+from valve_control.laws import biquads, design
 from valve_control.laws.signals import Start
-from valve_control.parameters import design
 from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 
@@ -66,12 +65,12 @@ def test_unstable_model_is_refused():
 def test_sampled_compensator_follows_the_continuous_one(printed):
     period = 0.001
     p = design.compensator_params(printed, period, 1e6)
-    s = compensator.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
+    s = biquads.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     t = np.arange(3000) * period
     u = np.sin(2.0 * math.pi * 6.0 * t)
     out = []
     for value in u:
-        voltage, s, _ = compensator.step(p, s, float(value), 0.0, 0.0)
+        voltage, s, _ = biquads.step(p, s, float(value), 0.0, 0.0)
         out.append(voltage)
     _, exact, _ = scipy.signal.lsim((printed.numerator, printed.denominator), u, t)
     assert np.max(np.abs(np.array(out) - exact)[500:]) < 0.01 * np.max(np.abs(exact))
@@ -79,7 +78,7 @@ def test_sampled_compensator_follows_the_continuous_one(printed):
 
 def test_starts_in_the_steady_state_of_the_voltage():
     p = design.compensator_params(design.PRINTED_FOURTH_ORDER, 0.001, 10.0)
-    s = compensator.initial(p, Start(0.0, 3.0, 0.0, 0.0, 0.0))
+    s = biquads.initial(p, Start(0.0, 3.0, 0.0, 0.0, 0.0))
     for _ in range(100):
-        voltage, s, _ = compensator.step(p, s, 3.0 / p.static_gain, 0.0, 0.0)
+        voltage, s, _ = biquads.step(p, s, 3.0 / p.static_gain, 0.0, 0.0)
         assert math.isclose(voltage, 3.0, rel_tol=1e-9)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from valve_control.laws import arc, compensator, oarc, pid
+from valve_control.laws import arc, biquads, dcarc, oarc, pid
 from valve_control.laws.signals import Start
+from valve_control.parameter import defaults, updated
 from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, defaults, updated
+from valve_control.parameters.table import CONTROLLER
 
-LAWS = {"arc": arc, "oarc": oarc, "pid": pid, "compensator": compensator}
+LAWS = {"arc": arc, "oarc": oarc, "dcarc": dcarc, "pid": pid, "compensator": biquads}
 
 
 def params(law, **changes):
@@ -19,7 +20,7 @@ def params(law, **changes):
     return build.law_params(updated(CONTROLLER, defaults(CONTROLLER), values))
 
 
-@pytest.mark.parametrize("law", ["arc", "oarc", "pid"])
+@pytest.mark.parametrize("law", ["arc", "oarc", "dcarc", "pid"])
 def test_reference_goes_on_as_if_nothing_were_lost(law):
     p = params(law)
     module = LAWS[law]
@@ -71,18 +72,18 @@ def test_integral_counts_the_time_of_a_gap():
 
 def test_compensator_takes_in_the_commands_of_a_gap():
     p = params("compensator")
-    whole = gapped = compensator.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
+    whole = gapped = biquads.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     for k in range(30):
         command = math.sin(0.1 * k)
-        _, whole, _ = compensator.step(p, whole, command, 0.0, 0.0)
+        _, whole, _ = biquads.step(p, whole, command, 0.0, 0.0)
         if k % 5:
-            gapped = compensator.hold(p, gapped, command, 0.0, 0.0)
+            gapped = biquads.hold(p, gapped, command, 0.0, 0.0)
         else:
-            _, gapped, _ = compensator.step(p, gapped, command, 0.0, 0.0)
+            _, gapped, _ = biquads.step(p, gapped, command, 0.0, 0.0)
     assert gapped == whole
 
 
-@pytest.mark.parametrize("law", ["arc", "oarc"])
+@pytest.mark.parametrize("law", ["arc", "oarc", "dcarc"])
 def test_estimates_rest_in_a_gap(law):
     p = params(law)
     module = LAWS[law]

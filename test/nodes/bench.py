@@ -14,9 +14,10 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64, Float64MultiArray
 
-from valve_control.nodes.cascade import process
+from valve_control.nodes.harness.processes import process
+from valve_control.parameter import defaults
 from valve_control.parameters import build
-from valve_control.parameters.table import VALVE, defaults
+from valve_control.parameters.table import VALVE
 from valve_control.plant import valve
 
 LIMIT = 20.0  # s
@@ -132,6 +133,7 @@ def controller(tmp_path, *arguments):
         f"lvdt.hold_samples:={HOLD}",
         "lvdt.frozen_samples:=0",
         "command_timeout:=0.0",
+        "lvdt.period_limit:=1000.0",
         "state_decimation:=1",
     ]
     given = " ".join(arguments)
@@ -143,7 +145,7 @@ def controller(tmp_path, *arguments):
 def run_tool(tool, folder, *arguments, timeout=600):
     """Run `demo`, `faults` or `lockstep` as a user does, in a domain of its own; what it wrote."""
     done = subprocess.run(
-        [sys.executable, "-m", f"valve_control.nodes.{tool}", "--out", str(folder), *arguments],
+        [sys.executable, "-m", f"valve_control.nodes.harness.{tool}", "--out", str(folder), *arguments],
         capture_output=True,
         text=True,
         timeout=timeout,

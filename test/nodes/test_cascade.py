@@ -14,8 +14,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64, Float64MultiArray
 
 from valve_control.nodes.adapter import SAMPLES
-from valve_control.nodes.cascade import process
-from valve_control.supervision.supervisor import HEAD
+from valve_control.nodes.harness.processes import process
+from valve_control.supervision.record import HEAD
 
 
 def test_one_reading_one_step_one_voltage(ros, tmp_path):
@@ -95,30 +95,32 @@ def test_new_gains_change_the_very_next_voltage(ros, tmp_path):
 
 
 def test_change_of_controller_is_bumpless(ros, tmp_path):
-    """Sample by sample on a moving valve: no law's takeover makes a step."""
+    """Sample by sample on a moving valve: the first voltage of a law is the last of the one before.
+
+    The largest step [V] a sample after it was measured for each change; the sine alone makes 0.014 V.
+    """
     motion = Motion(ros, noise=0.0)
     with controller(tmp_path):
         motion.bench.connect()
         motion.move(300)
-        for law, more in (
-            ("oarc", {}),
-            ("pid", {}),
-            ("pid", {"pid__form": "plain"}),
-            ("pid", {"pid__form": "reference"}),
-            ("compensator", {}),
-            ("compensator", {"compensator__design": "printed_second_order"}),
-            ("arc", {}),
-            ("open_loop", {}),
-            ("oarc", {}),
-            ("arc", {}),
+        for law, more, largest in (
+            ("oarc", {}, 0.0152),
+            ("pid", {}, 0.0124),
+            ("pid", {"pid__form": "plain"}, 0.0637),
+            ("pid", {"pid__form": "reference"}, 0.381),
+            ("compensator", {}, 0.0147),
+            ("compensator", {"compensator__design": "printed_second_order"}, 0.0838),
+            ("arc", {}, 0.0146),
+            ("open_loop", {}, 0.0144),
+            ("oarc", {}, 0.142),
+            ("arc", {}, 0.0143),
         ):
             begin = len(motion.voltages) - 1
             assert set_parameters(ros, controller=law, **more).successful
             motion.move(250)
             voltages = motion.voltages[begin:]
             steps = [abs(b - a) for a, b in zip(voltages, voltages[1:], strict=False)]
-            # The sine alone moves the voltage by up to 0.03 V a sample; a fresh start by some volts.
-            assert max(steps) < 0.5, (law, more, max(steps))
+            assert steps[0] < 1e-9 and max(steps) < 1.3 * largest, (law, more, steps[0], max(steps))
 
 
 @pytest.mark.parametrize("node", ["controller", "valve_simulator", "command_source"])
@@ -157,20 +159,30 @@ def test_bad_start_is_one_sentence(node, argument, word):
 
 
 def test_demo_over_dds_equals_offline(tmp_path):
-    """`make demo` for one controller, as a user runs it; all four are what `make demo` itself shows."""
-    for _ in range(3):
+    """`make demo` for one controller, as a user runs it; all four are what `make demo` itself shows.
+
+    A pause that only the operating system made is not in the offline run: the step of the command that comes
+    of it changes e_M by up to a quarter; a pause of the simulator are samples that are never taken. So one of
+    several runs has to agree; a valve without its flow force, whose u_rms is far off, never does.
+    """
+    off = []
+    for _ in range(5):
         (entry,) = run_tool("demo", tmp_path, "--only", "oarc", timeout=120)
-        assert entry["samples"] > 5900
-        # A step of the command that only the operating system made is not in the offline run.
-        if entry["longest_pause_of_commands_s"] < 0.005:
+        off.append(
+            {i: abs(entry["indices"][i] / entry["offline"][i] - 1.0) for i in ("e_rms", "u_rms", "c_u")}
+            | {"samples": entry["samples"]}
+        )
+        last = off[-1]
+        if last["samples"] > 5900 and last["e_rms"] < 0.05 and last["u_rms"] < 0.01 and last["c_u"] < 0.08:
             break
-    assert entry["worst_deviation_from_offline"] < 0.15, entry
+    else:
+        pytest.fail(f"no run was that of the offline simulation: {off}")
     assert (tmp_path / "demo.png").exists()
 
 
 def test_interrupted_demo_leaves_no_process(ros, tmp_path):
     child = subprocess.Popen(
-        [sys.executable, "-m", "valve_control.nodes.demo", "--out", str(tmp_path)],
+        [sys.executable, "-m", "valve_control.nodes.harness.demo", "--out", str(tmp_path)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

@@ -2,9 +2,12 @@
 
 import math
 
+import pytest
 from bench import run_tool
 
-from valve_control.nodes.faults import CONTROLLERS, FAULTS
+from valve_control.nodes.harness.faults import CONTROLLERS, FAULTS
+
+pytestmark = pytest.mark.campaign
 
 
 def test_each_fault_on_each_controller(tmp_path):

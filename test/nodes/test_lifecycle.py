@@ -8,7 +8,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from std_msgs.msg import Float64
 
-from valve_control.nodes.cascade import process
+from valve_control.nodes.harness.processes import process
 
 
 def state(ros, node):

@@ -1,12 +1,169 @@
 """Through real processes over DDS, sample by sample, bit for bit as offline."""
 
-from bench import run_tool
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+from bench import call, controller, run_tool, set_parameters, spin_until
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from std_msgs.msg import Float64
+
+from valve_control.nodes.adapter import SAMPLES
+from valve_control.nodes.harness.lockstep import CONFIG, run_lockstep
+from valve_control.nodes.harness.processes import process
+
+PARALLEL = 4  # cascades at a time
+STARTS = 10  # of each
+SHORT = "0.3"  # s of valve time, in which the command has begun to move
 
 
 def test_20_s_of_motion_equal_offline_for_every_controller(tmp_path):
     entries = run_tool("lockstep", tmp_path, "--duration", "20")
-    assert [e["controller"] for e in entries] == ["arc", "oarc", "pid", "compensator", "open_loop"]
+    assert [e["controller"] for e in entries] == ["arc", "oarc", "dcarc", "pid", "compensator", "open_loop"]
     for entry in entries:
         assert entry["equal"] and entry["samples"] == 20000
         assert entry["voltage_at_end_V"] == entry["offline_voltage_at_end_V"]
         assert entry["times_real_time"] > 1.0
+
+
+def test_a_command_with_lead_equals_offline(ros, tmp_path):
+    settings = {"controller": {"reshaping.lead": 0.006}, "command_source": {"duration": 3.0}}
+    run = run_lockstep("lead", CONFIG, settings, tmp_path)
+    assert run.result["equal"], run.result["first_difference"]
+
+
+def test_a_trajectory_is_taken_for_the_reading_that_it_was_sent_for(ros, tmp_path):
+    """Open loop, which has no use for derivatives: bit for bit as under the commands."""
+    settings = {
+        "controller": {"controller": "open_loop"},
+        "command_source": {"duration": 3.0, "message": "trajectory"},
+    }
+    run = run_lockstep("trajectory", CONFIG, settings, tmp_path)
+    assert run.result["equal"], run.result["first_difference"]
+
+
+class Disturbance:
+    """Stops a node for a while in the middle of a run."""
+
+    def __init__(self, node, seconds, at=500):
+        self.node, self.seconds, self.at = node, seconds, at
+        self.stopped = None
+        self.over = False
+
+    def __call__(self, children, done):
+        if self.stopped is None and done >= self.at:
+            children[self.node].send_signal(signal.SIGSTOP)
+            self.stopped = time.monotonic()
+        elif self.stopped is not None and not self.over and time.monotonic() > self.stopped + self.seconds:
+            children[self.node].send_signal(signal.SIGCONT)
+            self.over = True
+
+
+@pytest.mark.parametrize("node, seconds", [("controller", 3.5), ("command_source", 6.0)])
+def test_a_process_that_stands_still_is_waited_for(ros, tmp_path, node, seconds):
+    """No reading comes twice, and no sample goes without its command, however long it takes."""
+    stop = Disturbance(node, seconds)
+    run = run_lockstep("still", CONFIG, {"command_source": {"duration": 3.0}}, tmp_path, stop)
+    assert stop.over
+    assert run.result["equal"], run.result["first_difference"]
+    assert run.samples["valve_voltage"][-1] == run.twin.voltage[-1]
+    simulator = (tmp_path / "lockstep_still_valve_simulator.log").read_text()
+    assert "waits" in simulator and "sent again" not in simulator
+
+
+def test_what_came_before_the_activation_counts(ros, tmp_path):
+    """Command and reading that found the subscription, but not yet the law."""
+    voltages = []
+    command = ros.create_publisher(Float64, "spool_command", SAMPLES)
+    lvdt = ros.create_publisher(Float64, "spool_position", SAMPLES)
+    ros.create_subscription(Float64, "valve_voltage", lambda m: voltages.append(m.data), SAMPLES)
+
+    def change(transition):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        assert call(ros, ChangeState, "/controller/change_state", request).success
+
+    arguments = ["-p", "controller:=open_loop", "-p", "lockstep:=true", "-p", "autostart:=false"]
+    with controller(tmp_path, *arguments):
+        change(Transition.TRANSITION_CONFIGURE)
+        spin_until(
+            ros,
+            lambda: command.get_subscription_count() == 1 == lvdt.get_subscription_count(),
+            "subscriptions",
+        )
+        command.publish(Float64(data=1.0))
+        lvdt.publish(Float64(data=0.0))
+        change(Transition.TRANSITION_ACTIVATE)
+        spin_until(ros, lambda: len(voltages) == 1, "the first voltage", 10.0)
+        command.publish(Float64(data=2.0))
+        command.publish(Float64(data=3.0))
+        for count in (2, 3):
+            lvdt.publish(Float64(data=0.0))
+            spin_until(ros, lambda n=count: len(voltages) == n, "a voltage", 10.0)
+    assert np.all(np.diff(voltages[:3]) > 0.0) and voltages[0] > 0.0
+
+
+def test_a_simulator_waits_for_a_controller_and_asks_the_next_one_again(ros, tmp_path):
+    """A listener that is no controller is not enough; one that is killed may be followed by another."""
+    readings = []
+    ros.create_subscription(Float64, "spool_position", lambda m: readings.append(m.data), SAMPLES)
+    settings = ["-p", "controller:=open_loop", "-p", "lockstep:=true"]
+    with ExitStack() as stack:
+        log = tmp_path / "valve.log"
+        stack.enter_context(process("valve_simulator", ["-p", "clock:=lockstep", "-p", "listeners:=1"], log))
+        spin_until(ros, lambda: ros.count_publishers("spool_position") == 1, "the simulator")
+        begun = time.monotonic()
+        spin_until(ros, lambda: time.monotonic() > begun + 1.0, "a second")
+        assert not readings
+        first = stack.enter_context(process("controller", settings, tmp_path / "first.log"))
+        spin_until(ros, lambda: len(readings) > 100, "readings")
+        first.send_signal(signal.SIGKILL)
+        first.wait()
+        count = len(readings)
+        stack.enter_context(process("controller", settings, tmp_path / "second.log"))
+        spin_until(ros, lambda: len(readings) > count + 100, "readings for the second controller")
+        assert log.read_text().count("sent again") == 1
+
+
+def test_lost_readings_are_refused_since_all_would_wait_for_them(ros, tmp_path):
+    with process("valve_simulator", ["-p", "clock:=lockstep"], tmp_path / "valve.log"):
+        result = set_parameters(ros, "valve_simulator", fault__lvdt="lost")
+        assert not result.successful and "in lockstep no reading can be" in result.reason
+        assert set_parameters(ros, "valve_simulator", clock="wall", fault__lvdt="lost").successful
+
+
+@pytest.mark.campaign
+def test_many_starts_beside_a_loaded_machine(tmp_path):
+    with ExitStack() as stack:
+        for _ in range(os.cpu_count()):
+            burner = subprocess.Popen(["nice", "-n", "10", "sh", "-c", "while :; do :; done"])
+            stack.callback(burner.wait)
+            stack.callback(burner.kill)
+        tools = []
+        for i, law in enumerate(("arc", "oarc", "compensator", "open_loop")[:PARALLEL]):
+            (tmp_path / law).mkdir()
+            log = stack.enter_context((tmp_path / f"{law}.txt").open("wb"))
+            arguments = ["--only", law, "--starts", str(STARTS), "--duration", SHORT]
+            tools.append(
+                subprocess.Popen(
+                    [
+                        sys.executable,
+                        "-m",
+                        "valve_control.nodes.harness.lockstep",
+                        "--out",
+                        str(tmp_path / law),
+                        *arguments,
+                    ],
+                    stdout=log,
+                    stderr=log,
+                    env={**os.environ, "ROS_DOMAIN_ID": str(61 + i)},
+                )
+            )
+            stack.callback(tools[-1].kill)
+        statuses = [tool.wait(400.0) for tool in tools]
+    assert statuses == [0] * PARALLEL, [path.read_text() for path in tmp_path.glob("*.txt")]

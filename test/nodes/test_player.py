@@ -13,7 +13,7 @@ from made import Run, write
 
 from valve_control.bags.errors import BagError
 from valve_control.nodes import player
-from valve_control.nodes.cascade import process
+from valve_control.nodes.harness.processes import process
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """A cascade of processes recorded over DDS, then analysed and replayed without it."""
 
+import shutil
 import signal
 from contextlib import ExitStack
 
@@ -10,10 +11,15 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Float64
 
-from valve_control.nodes.cascade import node_arguments, process
+from valve_control.export import unit
+from valve_control.export.library import Library
+from valve_control.laws.registry import LAWS
+from valve_control.nodes.harness.processes import node_arguments, process
+from valve_control.parameter import defaults
+from valve_control.parameters.table import CONTROLLER
 from valve_control.recordings import shadow
+from valve_control.recordings.analysis import analyze, as_dict
 from valve_control.recordings.recording import load
-from valve_control.recordings.study import as_dict, study
 
 RECORDED = (
     "/spool_command",
@@ -28,8 +34,10 @@ RECORDED = (
 @pytest.mark.parametrize(
     ("storage", "first", "period"), [("mcap", True, "3600.0"), ("sqlite3", False, "0.2")]
 )
-def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, storage, first, period):
+def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage, first, period):
     """With live changes of parameters and of the law; the recorder comes before or after the controller.
+
+    The exported C of the laws gives the recorded voltages too.
 
     With a period of an hour there is an account of ~/memory only because a recorder came.
     """
@@ -79,13 +87,63 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, storage, first, peri
     assert result.faithful and len(result.voltage) > 2200
     assert result.differing == 0, (result.first_difference, result.left_out)
     assert not any("its account" in text or "missing" in text for text in result.left_out)
+    if shutil.which("cc") is not None:
+        for name in ("arc", "oarc", "pid"):
+            in_c = Library(unit.law({**defaults(CONTROLLER), "controller": name}))
+            monkeypatch.setitem(LAWS, name, LAWS[name]._replace(module=in_c))
+        again = shadow.replay(recording.valves["valve"], {})
+        assert again.faithful and again.differing == 0
+        assert np.array_equal(again.voltage, result.voltage)
+        monkeypatch.undo()
     # The topic's messages are the journal's, one for one, since the recorder heard both until the last 0 V.
     heard = recording.valves["valve"].recorded["valve_voltage"].value
     both = min(len(heard), len(result.recorded))
     assert both > 2200 and np.array_equal(heard[-both:], result.recorded[-both:])
-    about = as_dict(study(load(bag)))["valves"]["valve"]
+    about = as_dict(analyze(load(bag)))["valves"]["valve"]
     assert [c["values"] for c in about["changes"] if c["node"] == "/controller"] == [
         {"arc.k1": 90.0}, {"controller": "oarc"}, {"controller": "pid", "pid.form": "plain"}
     ]  # fmt: skip
     assert about["parameters"]["/controller"]["initial"]["arc.velocity_cutoff"] == 100.0
     assert about["parameters"]["/valve_simulator"]["initial"]["friction.coulomb"] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("message", "settings"),
+    [
+        ("trajectory", {}),
+        ("command", {"command.interpolation": "extrapolate", "reshaping.lead": 0.005}),
+    ],
+)
+def test_shadow_of_a_slow_upper_level_is_the_recording_bit_for_bit(ros, tmp_path, message, settings):
+    """Trajectories, and commands that are joined by their time stamps and led, at 100 Hz."""
+    bag, log = tmp_path / "bag", tmp_path / "recorder.log"
+    motion = {"listeners": 1, "message": message, "every": 10, "scenario": "sine", "amplitude": 1.0}
+    arguments = {
+        "recorder": ["-p", f"bag:={bag}"],
+        "controller": node_arguments("controller", ["oarc.yaml"], settings),
+        "valve_simulator": node_arguments("valve_simulator", ["d3fxe.yaml"], {}),
+        "command_source": node_arguments("command_source", ["command_source.yaml"], motion),
+    }
+    voltages = []
+    ros.create_subscription(Float64, "valve_voltage", voltages.append, 1000)
+    with ExitStack() as stack:
+        running = {
+            node: stack.enter_context(process(node, words, tmp_path / f"{node}.log"))
+            for node, words in arguments.items()
+        }
+        spin_until(ros, lambda: f"records /spool_{message} " in log.read_text(), "the topic")
+        spin_until(ros, lambda: "records /controller/journal " in log.read_text(), "the journal")
+        begun = len(voltages)
+        spin_until(ros, lambda: len(voltages) >= begun + 2500, "2500 voltages")
+        for node in ("controller", "recorder"):
+            running[node].send_signal(signal.SIGINT)
+            spin_until(ros, lambda node=node: running[node].poll() is not None, f"end of the {node}")
+            assert running[node].returncode == 0, (tmp_path / f"{node}.log").read_text()
+    valve = load(str(bag), journals=True).valves["valve"]
+    field = "positions[0]" if message == "trajectory" else "data"
+    assert str(valve.topics.sources["spool_command"]) == f"/spool_{message}.{field}"
+    result = shadow.replay(valve, {})
+    assert result.faithful and result.differing == 0 and len(result.voltage) > 2000
+    assert float(np.nanmax(np.abs(result.measurement))) > 0.5
+    assert not any("remembered something else" in text for text in result.left_out), result.left_out
+    assert as_dict(analyze(load(str(bag))))["valves"]["valve"]["controller"] == "oarc"

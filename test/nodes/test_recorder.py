@@ -3,18 +3,21 @@
 import itertools
 import random
 import resource
+import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
 import time
 from contextlib import ExitStack, closing
-from pathlib import Path
 
 import pytest
+import rclpy
 from bench import set_parameters, spin_until
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from mcap.reader import make_reader
 from rcl_interfaces.msg import ParameterEvent
+from rclpy.context import Context
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
@@ -22,9 +25,8 @@ from std_msgs.msg import Float64, String
 
 from valve_control.bags import metadata
 from valve_control.bags.recover import recover
-from valve_control.nodes.cascade import process
 from valve_control.nodes.definitions import Definitions, message_class
-from valve_control.nodes.recorder import use_own_profile
+from valve_control.nodes.harness.processes import process
 
 EVENTS = "/parameter_events"
 TOPICS = ("/spool_command", "/spool_position", "/valve_voltage", "/controller/state")
@@ -151,6 +153,7 @@ def test_cascade_at_1_khz_without_loss(ros, tmp_path, cascade, storage):
             reader.deserialize(raw, connection.msgtype)
 
 
+@pytest.mark.campaign
 def test_killed_at_any_moment(ros, tmp_path, cascade, capsys):
     """SIGKILL 20 times: less than a second is lost, nothing is missing before.
 
@@ -339,14 +342,121 @@ def test_a_bag_that_may_not_grow_ends_in_order(ros, tmp_path, cascade):
     assert all(gaps(found[topic]) == 0 and len(found[topic]) > 500 for topic in TOPICS)
 
 
-def test_a_choice_of_transports_by_the_user_stands():
-    environment = {}
-    use_own_profile(environment)
-    assert Path(environment["FASTRTPS_DEFAULT_PROFILES_FILE"]).is_file()
-    for own in ({"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}, {"FASTRTPS_DEFAULT_PROFILES_FILE": "mine.xml"}):
-        environment = dict(own)
-        use_own_profile(environment)
-        assert environment == own
+class Ear:
+    """What the recorder says in /diagnostics."""
+
+    def __init__(self, node):
+        self.said = []
+        self._subscription = node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 50)
+
+    def _hear(self, message):
+        self.said += [(s.level, s.message) for s in message.status if s.name == "recorder"]
+
+    def heard(self, level, words):
+        return lambda: any(at == level and words in text for at, text in self.said)
+
+
+@pytest.fixture
+def stranger():
+    """Node of a participant of its own: one participant has one type on each topic."""
+    context = Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("stranger", context=context)
+    yield node
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+@pytest.mark.parametrize("first", ["foreign", "ours"])
+def test_the_type_of_our_nodes_is_recorded_and_another_one_said(ros, stranger, tmp_path, first):
+    """A text on /spool_position, before or after the readings: only these are in the bag, and all of them."""
+    folder, log = tmp_path / "bag", tmp_path / "log"
+    ear = Ear(ros)
+    with recorder(folder, log) as child:
+        spin_until(ros, ear.heard(DiagnosticStatus.OK, "recording"), "diagnostics")
+        if first == "foreign":
+            foreign = stranger.create_publisher(String, "/spool_position", 10)
+            spin_until(ros, ear.heard(DiagnosticStatus.WARN, "std_msgs/msg/String by /stranger"), "warning")
+        readings = ros.create_publisher(Float64, "/spool_position", 10)
+        spin_until(ros, lambda: readings.get_subscription_count() == 1, "match")
+        readings.publish(Float64(data=1.0))
+        if first == "ours":
+            foreign = stranger.create_publisher(String, "/spool_position", 10)
+            spin_until(ros, ear.heard(DiagnosticStatus.WARN, "std_msgs/msg/String by /stranger"), "warning")
+        foreign.publish(String(data="not a number"))
+        readings.publish(Float64(data=2.0))
+        stranger.destroy_publisher(foreign)
+        ear.said.clear()
+        spin_until(ros, ear.heard(DiagnosticStatus.OK, "recording"), "the end of the warning")
+        stop(child)
+    words = (
+        "/spool_position is published as std_msgs/msg/String by /stranger: these messages are not recorded"
+    )
+    assert log.read_text().count(words) == 1
+    found = by_topic(folder)
+    values = [deserialize_message(m[2], Float64).data for m in found["/spool_position"]]
+    assert values == [1.0, 2.0] and "/spool_position: 2 messages, 0 lost" in log.read_text()
+    types = {t.topic.name: t.topic.type for t in metadata.read(folder).topics}
+    assert types["/spool_position"] == "std_msgs/msg/Float64"
+
+
+@pytest.mark.parametrize(
+    ("storage", "how"),
+    [
+        ("mcap", "folder renamed"),
+        ("sqlite3", "folder removed"),
+        *(
+            pytest.param(storage, how, marks=pytest.mark.campaign)
+            for storage, how in (
+                ("mcap", "folder removed"),
+                ("mcap", "file removed"),
+                ("mcap", "file replaced"),
+                ("sqlite3", "folder renamed"),
+                ("sqlite3", "file removed"),
+                ("sqlite3", "file replaced"),
+            )  # fmt: skip
+        ),
+    ],
+)
+def test_a_bag_that_is_taken_away_ends_the_recording_at_once(ros, tmp_path, storage, how):
+    folder, log = tmp_path / "bag", tmp_path / "log"
+    ear = Ear(ros)
+    readings = ros.create_publisher(Float64, "/spool_position", 10)
+    with recorder(folder, log, f"storage:={storage}") as child:
+        spin_until(ros, lambda: readings.get_subscription_count() == 1, "match")
+        spin_until(ros, ear.heard(DiagnosticStatus.OK, "recording"), "diagnostics")
+        for k in range(50):
+            readings.publish(Float64(data=float(k)))
+        (file,) = [path for path in folder.iterdir() if path.suffix in (".mcap", ".db3")]
+        begun = time.monotonic()
+        if how == "folder removed":
+            shutil.rmtree(folder)
+        elif how == "folder renamed":
+            folder.rename(tmp_path / "elsewhere")
+        else:
+            file.unlink()
+            if how == "file replaced":
+                file.write_bytes(b"")
+        spin_until(ros, ear.heard(DiagnosticStatus.ERROR, "was removed, moved or replaced"), "the error")
+        spin_until(ros, lambda: child.poll() is not None, "the end")
+        assert child.returncode == 1 and time.monotonic() - begun < 5.0
+    text = log.read_text()
+    assert f"{file.name} was removed, moved or replaced while it was written" in text
+    assert "Traceback" not in text and not (folder / metadata.NAME).exists()
+    if how == "folder renamed":
+        assert recover(tmp_path / "elsewhere").messages > 0
+        assert len(by_topic(tmp_path / "elsewhere")["/spool_position"]) <= 50
+
+
+def test_a_finished_file_that_is_taken_away_is_said(ros, tmp_path):
+    folder, log = tmp_path / "bag", tmp_path / "log"
+    ear = Ear(ros)
+    with recorder(folder, log, "max_duration:=0.5") as child:
+        spin_until(ros, lambda: "goes on in bag_1.mcap" in log.read_text(), "the second file")
+        (folder / "bag_0.mcap").unlink()
+        spin_until(ros, ear.heard(DiagnosticStatus.ERROR, "removed: bag_0.mcap"), "the error")
+        stop(child)
+    assert "bag_0.mcap, a finished file of the bag, is no longer in" in log.read_text()
 
 
 def test_types_that_are_not_installed():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bench import spin_until
 
-from valve_control.nodes.cascade import Listener, process
+from valve_control.nodes.harness.processes import Listener, process
 
 PARTIES = ("controller", "valve_simulator", "command_source")
 ARGUMENTS = {

@@ -1,17 +1,21 @@
 """Reset, saved parameters, real-time care, several valves in one process."""
 
 import os
+import subprocess
+import sys
 
 import pytest
 import yaml
 from bench import Motion, call, controller, get_double, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.srv import GetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from valve_control.nodes.cascade import process
+from valve_control.nodes.harness.processes import process
+from valve_control.parameter import defaults, updated
 from valve_control.parameters import build, files
-from valve_control.parameters.table import CONTROLLER, defaults, updated
+from valve_control.parameters.table import CONTROLLER
 
 
 def diagnostics(ros, name):
@@ -77,6 +81,111 @@ def test_parameters_that_cannot_be_saved_are_said_to_be_so(ros, tmp_path):
     with pytest.raises(OSError):
         files.save(kept / "below", "/controller", {"u_max": 10.0})
     assert kept.read_text() == "as before"
+
+
+def test_parameters_are_loaded_as_a_whole_or_not_at_all(ros, tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text(
+        "/**/controller:\n  ros__parameters: {arc: {k1: 99.0, k2: 98.0}, u_max: 8.0, controller: pid}\n"
+    )
+    with controller(tmp_path, "-p", f"load_file:={path}"):
+        answer = call(ros, Trigger, "/controller/load_parameters", Trigger.Request())
+        assert answer.success, answer.message
+        assert answer.message == f"4 parameters from {path}, of which 4 changed"
+        assert [get_double(ros, name) for name in ("arc.k1", "arc.k2", "u_max")] == [99.0, 98.0, 8.0]
+        for wrong, words in [
+            ("arc: {k1: 77.0, k2: -5.0}", ["arc.k2 is -5", "between"]),
+            ("arc: {k1: 77.0, k22: 5.0}", ["'arc.k22'; did you mean 'arc.k2'"]),
+            ("arc: {k1: 77.0, k2: fast}", ["arc.k2", "double"]),
+            (
+                "sample_period: 0.001, arc: {k1: 77.0}, reshaping: {natural_frequency: 9000.0}",
+                ["must be below"],
+            ),
+        ]:
+            path.write_text(f"/controller:\n  ros__parameters: {{{wrong}}}\n")
+            answer = call(ros, Trigger, "/controller/load_parameters", Trigger.Request())
+            assert not answer.success and "\n" not in answer.message
+            for word in ["no parameter changed", str(path), *words]:
+                assert word in answer.message, answer.message
+            assert get_double(ros, "arc.k1") == 99.0
+        for text, word in [("/arm/controller: {ros__parameters: {u_max: 5.0}}", "nothing for /controller"),
+                           ("[", "not YAML"), (None, "cannot be read")]:  # fmt: skip
+            path.unlink(missing_ok=True)
+            if text is not None:
+                path.write_text(text)
+            answer = call(ros, Trigger, "/controller/load_parameters", Trigger.Request())
+            assert not answer.success and word in answer.message and "\n" not in answer.message
+
+
+def test_saved_parameters_are_loaded_again(ros, tmp_path):
+    with controller(tmp_path, "-p", f"save_file:={tmp_path}/saved.yaml", "-p", "arc.k2:=99.0"):
+        assert call(ros, Trigger, "/controller/save_parameters", Trigger.Request()).success
+        assert set_parameters(ros, arc__k2=50.0, u_max=7.0).successful
+        answer = call(ros, Trigger, "/controller/load_parameters", Trigger.Request())
+        assert answer.success and "of which 2 changed" in answer.message
+        assert get_double(ros, "arc.k2") == 99.0 and get_double(ros, "u_max") == 10.0
+
+
+def test_parameters_that_do_not_exist_are_named(ros, tmp_path):
+    with controller(tmp_path):
+        result = set_parameters(ros, arc__k11=5.0)
+        assert not result.successful
+        assert result.reason.startswith("there is no parameter 'arc.k11'; did you mean 'arc.k1'")
+        result = set_parameters(ros, arc__k1=5.0, arc__k11=5.0, speed=1.0)
+        assert not result.successful and "'arc.k11'" in result.reason and "'speed'" in result.reason
+        one_by_one = SetParameters.Request(
+            parameters=[Parameter(name, value=5.0).to_parameter_msg() for name in ("controler", "arc.k1")]
+        )
+        results = call(ros, SetParameters, "/controller/set_parameters", one_by_one).results
+        assert [result.successful for result in results] == [False, True]
+        assert "'controler'; did you mean 'controller'" in results[0].reason
+        assert get_double(ros, "arc.k1") == 5.0
+
+
+@pytest.mark.parametrize(
+    ("node", "arguments", "words"),
+    [
+        ("controller", ["--ros-args", "-p", "controler:=oarc"], ["'controler'; did you mean 'controller'?"]),
+        ("controller", ["--params-file", "boom.yaml"], ["--ros-args --params-file boom.yaml"]),
+        (
+            "controller",
+            ["--ros-args", "--params-file", "boom.yaml"],
+            ["nothing for /controller", "/boom/controller"],
+        ),
+        ("recorder", ["--ros-args", "-p", "compresion:=zstd"], ["'compresion'; did you mean 'compression'?"]),
+        ("command_source", ["scenario:=sine"], ["--ros-args -p"]),
+        (
+            "manifold",
+            ["--ros-args", "-p", "valves:=[boom]", "-p", "u_maxi:=5.0"],
+            ["'u_maxi'; did you mean 'u_max'"],
+        ),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else value,
+)
+def test_node_refuses_what_it_was_wrongly_started_with(tmp_path, node, arguments, words):
+    (tmp_path / "boom.yaml").write_text("/boom/controller:\n  ros__parameters: {u_max: 5.0}\n")
+    done = subprocess.run(
+        [sys.executable, "-m", f"valve_control.nodes.{node}", *arguments],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    lines = (done.stdout + done.stderr).strip().splitlines()
+    assert done.returncode == 2 and len(lines) == 1, lines
+    assert all(word in lines[0] for word in words), lines
+    assert [path.name for path in tmp_path.iterdir()] == ["boom.yaml"]
+
+
+def test_node_warns_once_of_parameters_that_may_be_meant_for_others(ros, tmp_path):
+    shared, other = tmp_path / "shared.yaml", tmp_path / "other.yaml"
+    shared.write_text("/**:\n  ros__parameters: {use_sim_time: false, controler: pid, u_max: 8.0}\n")
+    other.write_text("/camera:\n  ros__parameters: {exposure: 0.1}\n")
+    with controller(tmp_path, "--params-file", str(shared), "--params-file", str(other)):
+        assert get_double(ros, "u_max") == 8.0
+    warnings = [line for line in (tmp_path / "c.log").read_text().splitlines() if "[WARN]" in line]
+    assert len([line for line in warnings if "'controler'; did you mean 'controller'" in line]) == 1
+    assert len([line for line in warnings if "other.yaml has nothing for /controller" in line]) == 1
 
 
 def test_namespaced_parameters_are_saved_under_their_full_name(tmp_path):

@@ -10,10 +10,11 @@ import pytest
 from valve_control.analysis.indices import PAPER_TABLE_1
 from valve_control.identification.rational import measured_corners
 from valve_control.paper.figures import measured
-from valve_control.paper.jobs import CONFIG, jobs, values_of, valve_gain, valve_of
+from valve_control.paper.runs import CONFIG, paper_runs, values_of, valve_gain, valve_of
 from valve_control.paper.traces import heard, load, offline, save
-from valve_control.parameters import files
-from valve_control.parameters.table import VALVE, defaults, updated
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import build, files
+from valve_control.parameters.table import VALVE
 from valve_control.plant.models import SECOND_ORDER
 from valve_control.simulation import offline as simulation
 
@@ -80,11 +81,13 @@ def test_response_of_a_linear_valve_is_that_of_its_model(config):
         "valve_simulator": valve,
         "controller": {"controller": "open_loop", "open_loop.static_gain": SECOND_ORDER.static_gain},
     }
-    job = next(j for j in jobs(updated(VALVE, defaults(VALVE), valve)) if j.name == "response_open_loop")
-    job = job._replace(settings={"command_source": job.settings["command_source"]})
-    values = values_of(job, set_by_file)
+    planned = next(
+        j for j in paper_runs(updated(VALVE, defaults(VALVE), valve)) if j.name == "response_open_loop"
+    )
+    planned = planned._replace(settings={"command_source": planned.settings["command_source"]})
+    values = values_of(planned, set_by_file)
     run = simulation.simulate(
-        values["controller"], values["valve_simulator"], simulation.commands(values["command_source"])
+        values["controller"], values["valve_simulator"], build.commands(values["command_source"])
     )
     trace = offline(run)
     found = measured(trace, trace.command, 10.0)
@@ -99,7 +102,7 @@ def test_response_of_a_linear_valve_is_that_of_its_model(config):
 
 @pytest.mark.parametrize("model", ["second_order", "fourth_order"])
 def test_static_gain_of_the_valve(simulate, model):
-    changes = {"valve": model, "gain_scale": 1.2, "flow_force": -0.1}
+    changes = {"valve": model, "gain_scale": 1.2, "flow_force": 0.1}
     valve = updated(VALVE, defaults(VALVE), changes)
     run = simulate("open_loop", np.full(3000, 1.0), valve=changes)
     assert run.position[-1] / run.voltage[-1] == pytest.approx(valve_gain(valve), rel=1e-6)
@@ -118,10 +121,10 @@ def test_trace_survives_its_file_and_fills_what_was_not_heard(tmp_path, simulate
 
 
 def test_frequencies_at_which_the_amplifier_saturates_are_left_out(config):
-    job = next(j for j in jobs(valve_of(str(config / CONFIG))) if j.name == "response_designed")
-    values = values_of(job, files.load(str(config / CONFIG)))
+    planned = next(j for j in paper_runs(valve_of(str(config / CONFIG))) if j.name == "response_designed")
+    values = values_of(planned, files.load(str(config / CONFIG)))
     run = simulation.simulate(
-        values["controller"], values["valve_simulator"], simulation.commands(values["command_source"])
+        values["controller"], values["valve_simulator"], build.commands(values["command_source"])
     )
     trace = offline(run)
     found = measured(trace, trace.command, 10.0)

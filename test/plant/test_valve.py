@@ -6,8 +6,9 @@ import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 
+from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.parameters import build
-from valve_control.parameters.table import VALVE, ParameterError, defaults, updated
+from valve_control.parameters.table import VALVE
 from valve_control.plant import valve
 from valve_control.plant.models import FOURTH_ORDER, MODELS
 

@@ -7,17 +7,21 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from valve_control.bags.writer import BagWriter
+from valve_control.parameter import defaults, updated
 from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, VALVE, defaults, updated
+from valve_control.parameters.table import CONTROLLER, VALVE
 from valve_control.plant import valve
 from valve_control.supervision.journal import Journal
 from valve_control.supervision.supervisor import Supervisor
+from valve_control.supervision.trajectory import Motion
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 T = STORE.types
 FLOAT = "std_msgs/msg/Float64"
 ARRAY = "std_msgs/msg/Float64MultiArray"
 STRING = "std_msgs/msg/String"
+POINT = "trajectory_msgs/msg/JointTrajectoryPoint"
+STATUS = "diagnostic_msgs/msg/DiagnosticArray"
 EVENT = "rcl_interfaces/msg/ParameterEvent"
 BEGIN = 1_790_000_000_000_000_000  # ns
 PERIOD = 1_000_000  # ns
@@ -74,6 +78,21 @@ def array(values, labels=()):
     return bytes(STORE.serialize_cdr(T[ARRAY](layout, np.array(values)), ARRAY))
 
 
+def trajectory_point(position, velocity, acceleration):
+    """A point of one joint."""
+    numbers = [np.array([value]) for value in (position, velocity, acceleration)]
+    duration = T["builtin_interfaces/msg/Duration"](0, 0)
+    return bytes(STORE.serialize_cdr(T[POINT](*numbers, np.array([]), duration), POINT))
+
+
+def diagnostic(name, level, text, **values):
+    """A status as a node of the package says it."""
+    pairs = [T["diagnostic_msgs/msg/KeyValue"](key, str(value)) for key, value in values.items()]
+    status = T["diagnostic_msgs/msg/DiagnosticStatus"](level, name.lstrip("/"), text, "", pairs)
+    header = T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](0, 0), "")
+    return bytes(STORE.serialize_cdr(T[STATUS](header, [status]), STATUS))
+
+
 class Run:
     """A controller on a valve, from ``begin`` [ns] on."""
 
@@ -91,6 +110,7 @@ class Run:
         self.plant = build.valve_params(self.valve_values)
         self.spool = valve.initial(self.plant)
         self.counts = {"spool_command": 0, "spool_position": 0, "valve_voltage": 0}
+        self.sent = 0  # points of trajectories
         self._messages = []
         self.voltages = []
         self.readings = []
@@ -122,6 +142,19 @@ class Run:
         self.flush()
         self.say(f"{self.namespace}/controller", new)
 
+    def point(self, position, velocity=0.0, acceleration=0.0, ago=0):
+        """A point of a trajectory for the next sample, or, with a tuple, one with other counts of entries."""
+        self.clock += 1_000
+        if isinstance(position, tuple):
+            self.journal.trajectory_refused(len(position), velocity, acceleration)
+        else:
+            time = self.time + PERIOD - 300_000 - ago
+            self.journal.trajectory(Motion(position, velocity, acceleration), time)
+            self.sent += 1
+            name = f"{self.namespace}/spool_trajectory"
+            data = trajectory_point(position, velocity, acceleration)
+            self._messages.append(Message(name, POINT, time, self.sent, data, max(time, self.time) + 90_000))
+
     def sample(self, command=None, late=False, lost=False, before=None):
         """One sample: reading, then (unless ``lost`` on its way to the controller) voltage.
 
@@ -134,7 +167,7 @@ class Run:
             before(self.journal)
         if command is not None and not late:
             self.put("spool_command", self.time - 300_000, command)
-            self.journal.command(command)
+            self.journal.command(command, self.time - 300_000)
         reading = valve.read(self.plant, self.spool, float(self.random.standard_normal()))
         self.put("spool_position", self.time, reading)
         self.readings.append(reading)
@@ -144,12 +177,14 @@ class Run:
         self.clock = answered - 5_000
         if not lost:
             self.answer(answered, lambda: self.journal.sample(reading, self.counts["spool_position"], 0.001))
+            if self.supervisor.changed or self.supervisor.samples % 1000 == 0:
+                self.diagnose()
             if self.supervisor.samples % 10 == 0:
                 self.tell("state", array(self.supervisor.telemetry(), self.supervisor.labels()))
             if len(self.journal) >= 100:
                 self.flush()
         if command is not None and late:
-            self.journal.command(command)
+            self.journal.command(command, answered - 10_000)
         self.spool = valve.step(self.plant, self.spool, self.supervisor.voltage)
 
     def answer(self, time, give):
@@ -163,6 +198,17 @@ class Run:
         """A message of the controller on one of its own topics."""
         name, type_ = f"{self.namespace}/controller/{kind}", STRING if kind == "memory" else ARRAY
         self._messages.append(Message(name, type_, self.clock + 20_000, 0, data, self.clock + 90_000))
+
+    def diagnose(self):
+        """What the controller says of itself."""
+        self.supervisor.changed = False
+        mode, name = self.supervisor.mode, f"{self.namespace}/controller"
+        data = diagnostic(name, int(mode), self.supervisor.reason, mode=mode.name.lower(), samples=1)
+        self.send("/diagnostics", STATUS, data)
+
+    def send(self, topic, kind, data):
+        """A message of the controller right after its last answer."""
+        self._messages.append(Message(topic, kind, self.clock + 30_000, 0, data, self.clock + 95_000))
 
     def flush(self):
         """The journal's waiting rows, and an account where one is due."""

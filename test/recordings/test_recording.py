@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from made import FLOAT, Run, number, write
+from made import BEGIN, FLOAT, Run, number, write
 
 from valve_control.bags.errors import BagError
 from valve_control.parameters.table import CONTROLLER
 from valve_control.recordings import what_if
+from valve_control.recordings.analysis import analyze, as_dict
 from valve_control.recordings.mapping import parse_map
 from valve_control.recordings.recording import align, load
-from valve_control.recordings.study import as_dict, study
 from valve_control.simulation import offline
 
 
@@ -33,8 +33,8 @@ def test_aligned_signals_are_those_of_the_run(run, tmp_path):
     assert signals.latency.min() >= 120e-6 and signals.latency.max() < 250e-6
 
 
-def test_study_finds_parameters_changes_segments_and_estimates(run, tmp_path):
-    about = as_dict(study(load(write(tmp_path / "bag", run.messages))))
+def test_analysis_finds_parameters_changes_segments_and_estimates(run, tmp_path):
+    about = as_dict(analyze(load(write(tmp_path / "bag", run.messages))))
     valve = about["valves"]["valve"]
     assert valve["controller"] == "arc"
     assert valve["parameters"]["/controller"]["initial"]["arc.k1"] == 120.0
@@ -49,7 +49,7 @@ def test_study_finds_parameters_changes_segments_and_estimates(run, tmp_path):
 
 
 def test_indices_are_those_of_the_arrays(run, tmp_path):
-    part = study(load(write(tmp_path / "bag", run.messages))).valves["valve"].parts[0]
+    part = analyze(load(write(tmp_path / "bag", run.messages))).valves["valve"].parts[0]
     error = np.array(run.readings) - 2.0 * np.sin(2.0 * np.pi * np.arange(2000) * 1e-3)
     assert part.indices.e_M == pytest.approx(np.max(np.abs(error)))
     assert part.indices.e_rms == pytest.approx(np.sqrt(np.mean(error**2)))
@@ -62,7 +62,7 @@ def test_two_valves_are_two_namespaces(tmp_path):
     arm.move(400)
     loaded = load(write(tmp_path / "bag", boom.messages + arm.messages))
     assert list(loaded.valves) == ["arm", "boom"]
-    result = study(loaded)
+    result = analyze(loaded)
     assert [v.controller for v in result.valves.values()] == ["oarc", "arc"]
     assert np.array_equal(result.valves["boom"].signals.measurement, boom.readings)
 
@@ -81,7 +81,7 @@ def test_a_part_of_the_time(run, tmp_path):
 
 def said(path):
     loaded = load(path)
-    result = study(loaded)
+    result = analyze(loaded)
     return result, [*result.left_out, *(text for v in result.valves.values() for text in v.left_out)]
 
 
@@ -152,10 +152,30 @@ def test_publishers_on_different_clocks_are_said_and_placed_by_the_times_of_reco
         m._replace(time=m.time + round(offset * 1e9)) if m.topic == "/spool_position" else m
         for m in run.messages
     ]
-    right = study(load(write(tmp_path / "right", run.messages))).valves["valve"].parts[0].indices
+    right = analyze(load(write(tmp_path / "right", run.messages))).valves["valve"].parts[0].indices
     result, notes = said(write(tmp_path / "bag", messages))
     assert "publishers' clocks differ" in " ".join(notes)
     assert result.valves["valve"].parts[0].indices.e_rms == pytest.approx(right.e_rms, rel=0.1)
+
+
+def test_a_busy_recorder_is_not_taken_for_clocks_that_differ(run, tmp_path):
+    """It stands still four times for 0.1 to 0.3 s; commands it takes for 40 ms of each 100 ms only."""
+    messages = []
+    for m in run.messages:
+        log = m.log_time
+        for begin, lasts in ((0.1, 0.2), (0.5, 0.3), (1.1, 0.25), (1.6, 0.1)):
+            first, after = BEGIN + round(begin * 1e9), BEGIN + round((begin + lasts) * 1e9)
+            if first <= log < after + 1_000_000:
+                log = max(log, after + (m.time - first) // 1000)
+        waits = m.time % 100_000_000
+        if m.topic == "/spool_command" and waits > 40_000_000:
+            log = max(log, m.time - waits + 100_000_000 + waits // 1000)
+        messages.append(m._replace(log_time=log))
+    result, notes = said(write(tmp_path / "bag", messages))
+    assert notes == []
+    expected = analyze(load(write(tmp_path / "right", run.messages))).valves["valve"].parts[0].indices
+    assert result.valves["valve"].parts[0].indices == expected
+    assert as_dict(result)["valves"]["valve"]["lvdt_period"]["other_rates"] == []
 
 
 @pytest.mark.parametrize("periods", [0, 1, 2, 5])
@@ -209,7 +229,7 @@ def test_a_namespace_called_valve_is_not_the_root(tmp_path):
     root, named = Run(), Run(2, namespace="/valve", controller={"controller": "pid"})
     root.move(200)
     named.move(200)
-    result = study(load(write(tmp_path / "bag", root.messages + named.messages)))
+    result = analyze(load(write(tmp_path / "bag", root.messages + named.messages)))
     assert {name: v.controller for name, v in result.valves.items()} == {"valve": "arc", "/valve": "pid"}
 
 
@@ -248,6 +268,32 @@ def test_two_publishers_are_told_apart_by_their_numbers(run, tmp_path):
         notes
     ) and "2000 of 2700" in " ".join(notes)
     assert np.array_equal(result.valves["valve"].signals.measurement, run.readings)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("bare", ["topic", "type", "both"])
+def test_topics_without_a_slash_and_types_without_msg_are_read(run, tmp_path, storage, bare):
+    """Other recorders write spool_position for /spool_position, std_msgs/Float64 for std_msgs/msg/Float64."""
+    from made import STORE
+
+    from valve_control.bags.writer import BagWriter
+
+    with BagWriter(tmp_path / "bag", storage) as writer:
+        known = set()
+        for m in sorted(run.messages, key=lambda m: m.log_time):
+            name = m.topic if bare == "type" else m.topic.lstrip("/")
+            if name not in known:
+                known.add(name)
+                text, _ = STORE.generate_msgdef(m.type, ros_version=2)
+                kind = m.type if bare == "topic" else m.type.replace("/msg/", "/")
+                writer.add_topic(name, kind, text, "")
+            writer.write(name, m.log_time, m.time, m.sequence, m.data)
+    usual = as_dict(analyze(load(write(tmp_path / "usual", run.messages, storage))))
+    found = as_dict(analyze(load(tmp_path / "bag")))
+    assert found["valves"] == usual["valves"] and found["left_out"] == []
+    assert found["bag"]["topics"] == usual["bag"]["topics"]
+    mapped = load(tmp_path / "bag", ["arm/spool_position=spool_position"]).valves["arm"]
+    assert np.array_equal(mapped.signals["spool_position"].value, run.readings)
 
 
 def test_no_messages_at_all_is_an_error(run, tmp_path):
@@ -341,3 +387,23 @@ def test_what_if_with_the_recorded_parameters_is_the_recorded_run(tmp_path):
         {**made.values, "controller": "pid"}, {**made.valve_values, "friction.coulomb": 0.0}, command
     )
     assert np.array_equal(other.run.voltage, plain.voltage) and other.distance > 0.01
+
+
+def test_a_trajectory_plays_the_part_of_the_command_where_there_are_no_commands(tmp_path):
+    run = Run(2)
+    for k in range(400):
+        t = k * 1e-3
+        run.point(np.sin(6.0 * t), 6.0 * np.cos(6.0 * t), -36.0 * np.sin(6.0 * t))
+        run.sample()
+    run.flush()
+    valve = load(write(tmp_path / "bag", run.messages)).valves["valve"]
+    assert str(valve.topics.sources["spool_command"]) == "/spool_trajectory.positions[0]"
+    assert valve.topics.plain
+    signals = align(valve)
+    assert np.allclose(signals.command, np.sin(6e-3 * np.arange(400)), atol=1e-9)
+    both = Run(2)
+    both.move(50)
+    both.point(0.3)
+    both.move(50)
+    valve = load(write(tmp_path / "both", both.messages)).valves["valve"]
+    assert str(valve.topics.sources["spool_command"]) == "/spool_command.data"

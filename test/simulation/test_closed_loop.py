@@ -5,11 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from valve_control.parameters import stability
-from valve_control.parameters.table import COMMAND, NODES, ParameterError, defaults, updated
+from valve_control.laws import registry
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters import build, stability
+from valve_control.parameters.table import COMMAND, NODES
 from valve_control.simulation import offline
 
-LAWS = ["arc", "oarc", "pid", "compensator", "open_loop"]
+LAWS = tuple(registry.LAWS)
 REAL = {
     "lvdt.noise": 0.005,
     "lvdt.resolution": 0.003,
@@ -22,7 +24,7 @@ REAL = {
 
 
 def trajectory(period=0.001):
-    return offline.commands(updated(COMMAND, defaults(COMMAND), {"sample_period": period}))
+    return build.commands(updated(COMMAND, defaults(COMMAND), {"sample_period": period}))
 
 
 def response(simulate, controller, frequency, amplitude, **changes):
@@ -127,7 +129,6 @@ def test_warning_comes_exactly_when_the_loop_chatters(simulate, period, weight, 
 def test_spectral_radius_of_a_loop_with_known_poles():
     """Plain proportional control of s² + a1·s + a0 against the closed form of the sampled loop."""
     from valve_control.laws import pid
-    from valve_control.parameters import build
     from valve_control.parameters.table import CONTROLLER
 
     values = updated(
@@ -143,7 +144,7 @@ def test_spectral_radius_of_a_loop_with_known_poles():
     )
     import scipy.signal
 
-    p = build.pid_params(values)
+    p = pid.build(values)
     a, b, c, _, _ = scipy.signal.cont2discrete(
         (
             np.array([[0.0, 1.0], [-1657.0, -58.0]]),
@@ -155,12 +156,12 @@ def test_spectral_radius_of_a_loop_with_known_poles():
     )
     expected = max(np.abs(np.linalg.eigvals(a - 2.0 * b @ c)))
     assert expected < 1.0
-    # the integrator of gain 0 is a pole at 1 of its own; it hides nothing if the loop is unstable
-    assert stability.spectral_radius(pid, p, (58.0, 1657.0, 1500.0)) == pytest.approx(1.0)
+    # the integrator of gain 0, a pole at 1 of its own, does not reach the voltage and is no part of the loop
+    assert stability.spectral_radius(pid.LAW, p, (58.0, 1657.0, 1500.0)) == pytest.approx(expected, rel=1e-6)
     values["pid.kp"] = 2e3
-    p = build.pid_params(values)
+    p = pid.build(values)
     expected = max(np.abs(np.linalg.eigvals(a - 2e3 * b @ c)))
-    assert stability.spectral_radius(pid, p, (58.0, 1657.0, 1500.0)) == pytest.approx(expected, rel=1e-6)
+    assert stability.spectral_radius(pid.LAW, p, (58.0, 1657.0, 1500.0)) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("controller", LAWS)

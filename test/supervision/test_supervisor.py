@@ -7,25 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.laws import reshaping
+from valve_control.laws import registry, reshaping
+from valve_control.parameter import ParameterError, defaults, lookup, updated
 from valve_control.parameters import build
-from valve_control.parameters.table import (
-    COMMAND,
-    CONTROLLER,
-    VALVE,
-    ParameterError,
-    defaults,
-    lookup,
-    updated,
-)
+from valve_control.parameters.table import COMMAND, CONTROLLER, VALVE
 from valve_control.plant import valve
 from valve_control.simulation import offline
-from valve_control.supervision.rehearsal import Rehearsal
-from valve_control.supervision.supervisor import Mode, Supervisor
+from valve_control.supervision.cache_warming import CacheWarming
+from valve_control.supervision.record import Mode
+from valve_control.supervision.supervisor import Supervisor
 
-LAWS = ("arc", "oarc", "pid", "compensator", "open_loop")
+LAWS = tuple(registry.LAWS)
 PERIOD = 0.001
 FADE = 0.05  # V a sample, of a takeover that fades
+CALM = {"arc__velocity_cutoff": 40.0, "pid__derivative_cutoff": 40.0}
 
 
 class Loop:
@@ -74,10 +69,11 @@ class Loop:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_supervision_changes_not_one_bit_when_all_is_well(law):
-    c = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law})
+@pytest.mark.parametrize("lead", [0.0, 0.006])
+def test_supervision_changes_not_one_bit_when_all_is_well(law, lead):
+    c = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, "reshaping.lead": lead})
     v = updated(VALVE, defaults(VALVE), {"lvdt.noise": 0.0056, "lvdt.resolution": 0.0037})
-    command = offline.commands(updated(COMMAND, defaults(COMMAND), {"duration": 2.0}))
+    command = build.commands(updated(COMMAND, defaults(COMMAND), {"duration": 2.0}))
     run = offline.simulate(c, v, command)
     supervisor = Supervisor()
     supervisor.apply(c, build.law_params(c))
@@ -105,8 +101,8 @@ def test_unbelievable_readings_are_bridged_then_switched_off(law, name):
     assert loop.step(SPOILT[name]) == 0.0
     assert loop.supervisor.mode is Mode.SAFE and name in loop.supervisor.conditions
     loop.run(600, spoil=SPOILT[name])
-    if name == "lvdt_jump":  # readings that go on smoothly elsewhere are believed again
-        assert loop.supervisor.mode is not Mode.SAFE
+    if name == "lvdt_jump":  # tried again, but 8 V beside the truth do not answer the voltage
+        assert loop.supervisor.counts["safe_stops"] >= 1 and max(map(abs, loop.voltages[-600:])) <= 6.0
     else:
         assert loop.voltages[-1] == 0.0
 
@@ -132,8 +128,11 @@ def test_adapted_estimates_survive_a_safe_stop():
     assert before != tuple(loop.values["arc.theta_initial"])
     loop.run(50, spoil=lambda reading: math.nan)
     assert loop.supervisor.mode is Mode.SAFE and loop.supervisor.theta == before
-    loop.run(20)
-    assert np.allclose(loop.supervisor.theta, before, rtol=0.2, atol=50.0)
+    while loop.supervisor.mode is Mode.SAFE:
+        loop.step()
+    # One sample of adaptation lies between; estimates that began anew would be a whole ``learnt`` away.
+    learnt = np.abs(np.subtract(before, loop.values["arc.theta_initial"]))
+    assert np.all(np.abs(np.subtract(loop.supervisor.theta, before)) < 0.4 * learnt)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -176,15 +175,36 @@ def test_silence_told_from_outside(law):
     assert loop.supervisor.mode is Mode.OK
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_frozen_lvdt_in_motion(law):
-    loop = Loop(law).run(400)
+def crest(amplitude):
+    """Longest time [samples] in which a sine of ``amplitude`` [V] and 1.5 Hz moves by less than 0.5 V."""
+    return math.acos(1.0 - 0.5 / amplitude) / (math.pi * 1.5) / PERIOD
+
+
+@pytest.mark.parametrize(
+    ("law", "longest"),
+    [
+        ("arc", 20),
+        ("oarc", 20),
+        ("dcarc", 20),
+        ("pid", 54),
+        ("compensator", crest(2.144)),
+        ("open_loop", crest(2.412)),
+    ],
+)
+@pytest.mark.parametrize("phase", range(0, 660, 60))
+def test_frozen_lvdt_in_motion(law, longest, phase):
+    """Found as soon as 20 equal readings have come and the voltage has moved by 0.5 V.
+
+    ARC's and OARC's has within the 20, and the PID's, which integrates first, within what was measured here.
+    Without feedback the voltage is a sine, slowest around its crest.
+    """
+    loop = Loop(law, **CALM).run(667 + phase)
     frozen = loop.reading()
     n = 0
     while loop.supervisor.mode is not Mode.SAFE and n < 400:
         loop.step(lambda reading: frozen)
         n += 1
-    assert 20 <= n < 200 and "lvdt_frozen" in loop.supervisor.conditions
+    assert 20 <= n <= longest + 2 and "lvdt_frozen" in loop.supervisor.conditions
     loop.run(500, spoil=lambda reading: frozen)
     assert loop.supervisor.voltage == 0.0
     loop.run(2500)
@@ -200,7 +220,7 @@ def test_standstill_is_not_a_frozen_lvdt():
 
 
 def test_frozen_value_at_rest_stays_off_until_activated_anew():
-    loop = Loop("open_loop", lvdt__max_rate=1e6).run(200)
+    loop = Loop("open_loop", lvdt__max_rate=1e6, lvdt__tolerance=3.0).run(200)
     for _ in range(300):
         loop.step(lambda reading: 0.0)
     assert "lvdt_frozen" in loop.supervisor.conditions
@@ -230,12 +250,10 @@ def test_command_that_died_with_the_lvdt_does_not_move_the_spool_on_return(law):
     assert max(positions) < 0.1 and max(map(abs, loop.voltages[-1400:])) < 1.0
 
 
-CALM = {"arc__velocity_cutoff": 40.0, "pid__derivative_cutoff": 40.0}
-
-
-def homed(law, **changes):
+def homed(law, noise=0.002):
     """A spool in neutral, whose 5 V command has been silent for long."""
-    loop = Loop(law, **CALM, **changes)
+    loop = Loop(law, **CALM)
+    loop.p = loop.p._replace(lvdt=loop.p.lvdt._replace(noise=noise))
     loop.command = lambda: 5.0
     loop.run(800)
     loop.commanded = False
@@ -256,16 +274,31 @@ def test_no_parameter_moves_a_spool_that_nobody_commands(law, name, value):
     assert far < 0.1
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_command_and_lvdt_that_return_together_make_no_bump(law):
-    loop = homed(law).run(60, spoil=lambda reading: math.nan)
+@pytest.mark.parametrize(
+    ("law", "step", "end"),
+    [
+        ("arc", 0.30, 4.0),
+        ("oarc", 0.21, 4.0),
+        ("dcarc", 0.19, 4.0),
+        ("pid", 0.23, 4.0),
+        ("compensator", 0.047, 0.889 * 4.0),  # its static gain on this valve
+        ("open_loop", 0.036, 4.0),
+    ],
+)
+def test_command_and_lvdt_that_return_together_make_no_bump(law, step, end):
+    """Without noise, so that a step of the voltage is the supervisor's doing; ``step`` [V] was measured.
+
+    The command alone may rise by 4 V·ΔT/(e·τ) = 0.03 V a sample: the steepest slope of the fade over
+    transfer_time.
+    """
+    loop = homed(law, noise=0.0).run(60, spoil=lambda reading: math.nan)
     loop.commanded = True
     loop.command = lambda: 4.0
     loop.run(60, spoil=lambda reading: math.nan)
     begin = len(loop.voltages)
     loop.run(1500)
-    assert loop.largest_step(begin) < 1.5
-    assert loop.s.x.x0 == pytest.approx(4.0, abs=0.7)
+    assert loop.largest_step(begin) < 1.5 * step
+    assert loop.s.x.x0 == pytest.approx(end, abs=0.005)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -646,27 +679,27 @@ def test_voltage_is_given_once_and_is_the_one_returned(law, readings, lost):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_rehearsal_leaves_no_trace(law):
-    """The voltages with a rehearsal before each reading are those without, through a fault too."""
+def test_cache_warming_leaves_no_trace(law):
+    """The voltages with cache warming before each reading are those without, through a fault too."""
 
-    def voltages(rehearsed):
+    def voltages(warmed):
         loop = Loop(law)
-        rehearsal = Rehearsal()
-        rehearsal.apply(loop.values, build.law_params(loop.values))
+        warming = CacheWarming()
+        warming.apply(loop.values, build.law_params(loop.values))
         found = []
         for k in range(600):
             loop.supervisor.command(loop.command())
-            if rehearsed:
-                rehearsal.play(loop.supervisor)
+            if warmed:
+                warming.warm(loop.supervisor)
             reading = math.nan if 200 <= k < 240 else loop.reading()
             found.append(loop.supervisor.sample(reading, k + 1, PERIOD))
             loop.s = valve.step(loop.p, loop.s, found[-1])
             loop.k += 1
         return found
 
-    with_rehearsal = voltages(True)
-    assert with_rehearsal == voltages(False)
-    assert 0.0 in with_rehearsal[220:] and any(with_rehearsal[-50:])
+    with_warming = voltages(True)
+    assert with_warming == voltages(False)
+    assert 0.0 in with_warming[220:] and any(with_warming[-50:])
 
 
 def test_the_voltage_of_a_law_that_leaves_the_finite_numbers_is_given_once():
@@ -677,3 +710,19 @@ def test_the_voltage_of_a_law_that_leaves_the_finite_numbers_is_given_once():
     found = []
     assert loop.supervisor.sample(loop.reading(), None, PERIOD, found.append) == 0.0 != before
     assert found == [0.0] and "law_not_finite" in loop.supervisor.conditions
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_change_of_the_lead_and_a_way_with_lead_through_faults_are_bumpless(law):
+    usual = Loop(law, reshaping__lead=0.005).run(1000)
+    step = usual.largest_step(100)
+    loop = Loop(law, reshaping__lead=0.005).run(600)
+    loop.run(150, spoil=lambda reading: math.nan)
+    assert loop.supervisor.mode is Mode.SAFE and loop.supervisor.state.lead is None
+    begin = len(loop.voltages)
+    loop.run(2000)
+    assert loop.supervisor.mode is Mode.OK, loop.supervisor.reason
+    assert loop.largest_step(begin) <= 1.5 * max(step, usual.largest_step(0)) + FADE
+    values = updated(CONTROLLER, loop.values, {"sample_period": 0.0005})
+    loop.supervisor.apply(values, build.law_params(values))
+    assert loop.supervisor.state.lead is None

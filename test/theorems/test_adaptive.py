@@ -3,43 +3,43 @@
 import numpy as np
 import pytest
 
+from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, defaults
-from valve_control.simulation.closed_loop import LAWS
+from valve_control.parameter import defaults
+from valve_control.parameters.table import CONTROLLER
 from valve_control.theorems import adaptive, bench
 
 
 @pytest.fixture(scope="module")
-def study():
-    return adaptive.study(3, 2, periods=[5e-4, 2.5e-4, 1e-4], duration=12.0)
+def experiment():
+    return adaptive.experiment(3, 2, periods=[5e-4, 2.5e-4, 1e-4], duration=12.0)
 
 
 @pytest.mark.parametrize("law", adaptive.LAWS)
-def test_at_rest_the_error_vanishes_to_rounding_and_the_estimates_do_not(study, law):
-    cell = study.cell(law, "rest", 1e-4)
+def test_at_rest_the_error_vanishes_to_rounding_and_the_estimates_do_not(experiment, law):
+    cell = experiment.cell(law, "rest", 1e-4)
     assert cell.first > 1e-3
     assert cell.residual < 1e-12
     assert cell.estimate_error > 0.9
 
 
 @pytest.mark.parametrize("law", adaptive.LAWS)
-def test_what_is_left_in_motion_is_of_the_order_of_the_period(study, law):
-    assert 0.8 < study.order(law, "three sines").order < 1.4
-    cell = study.cell(law, "three sines", 1e-4)
+def test_what_is_left_in_motion_is_of_the_order_of_the_period(experiment, law):
+    assert 0.8 < experiment.order(law, "three sines").order < 1.4
+    cell = experiment.cell(law, "three sines", 1e-4)
     assert cell.residual < 0.1 * cell.first
     assert np.all(cell.saturated == 0.0)
 
 
 @pytest.mark.parametrize("law", adaptive.LAWS)
-def test_estimates_converge_only_under_persistent_excitation(study, law):
-    assert study.cell(law, "three sines", 1e-4).estimate_error < 0.1
-    assert study.cell(law, "one sine", 1e-4).estimate_error > 0.5
+def test_estimates_converge_only_under_persistent_excitation(experiment, law):
+    assert experiment.cell(law, "three sines", 1e-4).estimate_error < 0.1
+    assert experiment.cell(law, "one sine", 1e-4).estimate_error > 0.5
 
 
-def test_full_state_feedback_learns_one_sine_to_second_order(study):
+def test_full_state_feedback_learns_one_sine_to_second_order(experiment):
     """At one frequency the estimates make up for the held voltage too."""
-    assert 1.9 < study.order("arc", "one sine").order < 2.1
+    assert 1.9 < experiment.order("arc", "one sine").order < 2.1
 
 
 def test_without_adaptation_the_error_stays(monkeypatch):
@@ -51,14 +51,13 @@ def test_without_adaptation_the_error_stays(monkeypatch):
 
 @pytest.mark.parametrize("law", adaptive.LAWS)
 def test_compiled_and_plain_loops_give_the_same_bits(law):
-    p = build.LAW_PARAMS[law](defaults(CONTROLLER))
+    p = LAWS[law].build(defaults(CONTROLLER))
     truth = adaptive.draw(1, 1)
     results = []
     for compiled in (True, False):
-        z1, theta = np.zeros(2), np.zeros((2, 4))
-        s = LAWS[law].initial(p, Start(0.5, 0.5, 0.5, 0.0, 0.0))
+        s = LAWS[law].module.initial(p, Start(0.5, 0.5, 0.5, 0.0, 0.0))
         motion = adaptive.MOTIONS["three sines"]
-        valve = bench.plant(truth, p.period)
-        adaptive.loop_for(law, compiled)(p, s, motion, valve, truth, 0.5, 200, 100, z1, theta)
-        results.append((z1, theta))
-    assert np.array_equal(results[0][0], results[1][0]) and np.array_equal(results[0][1], results[1][1])
+        valve = adaptive.Valve(bench.plant(truth, p.period), truth)
+        results.append(adaptive.loop_for(law, compiled)(p, s, motion, valve, 0.5, 2, 100))
+    assert len(results[0].z1) == len(results[0].theta) == 2
+    assert all(np.array_equal(*pair) for pair in zip(*results, strict=True))

@@ -22,7 +22,7 @@ from valve_control.theorems import adaptive, bench, figures, robust, sampling, t
     ],
 )
 def test_bad_arguments_are_refused_in_one_sentence(capsys, monkeypatch, arguments, message):
-    monkeypatch.setattr(robust, "study", lambda *_, **__: pytest.fail("the study began"))
+    monkeypatch.setattr(robust, "experiment", lambda *_, **__: pytest.fail("the experiment began"))
     assert main(["theorems", *arguments]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
@@ -30,11 +30,13 @@ def test_bad_arguments_are_refused_in_one_sentence(capsys, monkeypatch, argument
 
 @pytest.fixture
 def short(monkeypatch):
-    """Both studies over in a second."""
-    monkeypatch.setattr(robust.study, "__defaults__", (2000, 1, ("arc",), (1e-3, 5e-4, 2e-4), 0.05, 1, None))
+    """Both experiments over in a second."""
+    monkeypatch.setattr(
+        robust.experiment, "__defaults__", (2000, 1, ("arc",), (1e-3, 5e-4, 2e-4), 0.05, 1, None)
+    )
     motions = ("rest", "three sines")
     defaults = (40, 1, ("arc",), motions, (1e-3, 1e-4), 3.0, 1, None)
-    monkeypatch.setattr(adaptive.study, "__defaults__", defaults)
+    monkeypatch.setattr(adaptive.experiment, "__defaults__", defaults)
 
 
 def test_command_writes_table_json_and_figure(tmp_path, capsys, short):
@@ -62,7 +64,7 @@ def test_results_are_written_before_the_figure_is_drawn(tmp_path, capsys, monkey
 
 
 def test_errata_figures_that_cannot_be_written_are_refused_before_the_study(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(robust, "study", lambda *_, **__: pytest.fail("the study began"))
+    monkeypatch.setattr(robust, "experiment", lambda *_, **__: pytest.fail("the experiment began"))
     (tmp_path / "sample_period.svg").mkdir()
     assert main(["theorems", "--errata-figures", str(tmp_path)]) == 2
     assert "it is a folder" in capsys.readouterr().err

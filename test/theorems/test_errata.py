@@ -11,11 +11,12 @@ import pytest
 import scipy.linalg
 import sympy as sp
 
-from valve_control.laws import oarc, pid, projection, reshaping, velocity
+from valve_control.laws import design, oarc, pid, projection, reshaping, velocity
 from valve_control.laws.projection import Theta
 from valve_control.laws.signals import Start
-from valve_control.parameters import build, design, stability
-from valve_control.parameters.table import CONTROLLER, defaults, updated
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import linear_loop
+from valve_control.parameters.table import CONTROLLER
 from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER
 from valve_control.theorems import bench
 
@@ -71,7 +72,7 @@ def test_6_and_7_forget_the_spring():
     u_max = 10.0
     limits = reshaping.Params(314.0, 0.8, b0 * u_max / a1, b0 * u_max, 1e-4)  # (7), (6)
     assert limits.max_rate == pytest.approx(255.6, abs=0.1)
-    base = build.pid_params(updated(CONTROLLER, defaults(CONTROLLER), {"pid.form": "reference"}))
+    base = pid.build(updated(CONTROLLER, defaults(CONTROLLER), {"pid.form": "reference"}))
     p = base._replace(a1=a1, a0=a0, b0=b0, u_max=u_max, reshaping=limits)
     rest = pid.initial(p, Start(5.0, 0.0, 5.0, 0.0, 0.0))._replace(integral=0.0)
     _, _, holding = pid.step(p, rest, 5.0, 5.0, 0.0)
@@ -95,7 +96,7 @@ def test_6_and_7_forget_the_spring():
         )
         fastest = max(fastest, x2)
     assert 0.0 < fastest < 0.7 * limits.max_rate
-    printed = build.oarc_params(defaults(CONTROLLER)).theta_initial
+    printed = oarc.build(defaults(CONTROLLER)).theta_initial
     assert printed.b0 * u_max / printed.a1 == pytest.approx(600.0)
 
 
@@ -275,7 +276,7 @@ def poles(law, p, truth, moving):
 
     def advance(numbers):
         x1, x2, *state = numbers.tolist()
-        s = stability.unflatten(rest, state)
+        s = linear_loop.unflatten(rest, state)
         if "velocity" in s._fields:
             s = s._replace(velocity=velocity.State(x1, x2))
         voltage, after, _ = law.step(p, s, 0.0, x1, 0.0)
@@ -284,18 +285,18 @@ def poles(law, p, truth, moving):
             valve.m11 * x1 + valve.m12 * x2 + valve.g1 * force,
             valve.m21 * x1 + valve.m22 * x2 + valve.g2 * force,
         )
-        return np.array([x1, x2, *stability.flatten(after)])
+        return np.array([x1, x2, *linear_loop.flatten(after)])
 
-    names = ["x1", "x2", *(n for n, field in rest._asdict().items() for _ in stability.flatten(field))]
+    names = ["x1", "x2", *(n for n, field in rest._asdict().items() for _ in linear_loop.flatten(field))]
     entries = [i for i, name in enumerate(names) if name in ("x1", "x2", *moving)]
-    start = np.array([0.0, 0.0, *stability.flatten(rest)])
+    start = np.array([0.0, 0.0, *linear_loop.flatten(rest)])
     columns = [advance(start + np.eye(len(start))[i]) - advance(start) for i in entries]
     return np.log(np.linalg.eigvals(np.array(columns).T[entries].astype(complex))) / p.period
 
 
 def oarc_poles(weight, theta3_min):
     """Poles [1/s] of OARC with the paper's gains and the true θ, frozen; those of the K-filters too."""
-    p = build.oarc_params(updated(CONTROLLER, defaults(CONTROLLER), {"oarc.z2_weight": weight}))
+    p = oarc.build(updated(CONTROLLER, defaults(CONTROLLER), {"oarc.z2_weight": weight}))
     period = 1e-7
     k1, k2 = p.k1, p.k2
     a0 = scipy.linalg.expm(np.array([[-k1, 1.0, 0.0], [-k2, 0.0, 1.0], [0.0, 0.0, 0.0]]) * period)
@@ -340,7 +341,7 @@ def test_no_break_frequency_gives_the_printed_gains():
 
 def pid_poles(form, kp, ki, kd):
     """Poles [1/s] of (56) with these gains on the valve of its own model terms."""
-    p = build.pid_params(updated(CONTROLLER, defaults(CONTROLLER), {"pid.form": form}))
+    p = pid.build(updated(CONTROLLER, defaults(CONTROLLER), {"pid.form": form}))
     p = p._replace(kp=kp, ki=ki, kd=kd, period=1e-6, u_max=1e12, velocity=bench.KEEPS_VELOCITY)
     return poles(pid, p, Theta(p.a1, p.a0, p.b0, 0.0), ("integral",))
 

@@ -1,1 +1,1 @@
-"""Indices, frequency response and figures."""
+"""Evaluates runs, simulated or recorded: indices, timing, spectra, limit cycles, figures."""

@@ -1,4 +1,4 @@
-"""Figures as PNG and SVG files."""
+"""Draws runs over time and other curves with matplotlib, as PNG or SVG files."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 
 
 class Trace(NamedTuple):
-    """One run as a figure shows it."""
+    """Signals of one run, as a figure shows them."""
 
     time: Array  # s
     command: Array  # V
@@ -24,7 +24,7 @@ class Trace(NamedTuple):
 
 
 class Line(NamedTuple):
-    """One line of a plot."""
+    """One line of a plot, with its style."""
 
     label: str
     x: Array
@@ -33,18 +33,36 @@ class Line(NamedTuple):
     dashed: bool = False
 
 
+class Band(NamedTuple):
+    """A coloured stretch of the horizontal axis, in all plots or as a strip in one."""
+
+    start: float
+    end: float
+    colour: str
+    opacity: float = 0.2
+    plot: int | None = None  # which one, None: all
+    low: float = 0.0  # part of its height from which ...
+    high: float = 1.0  # ... to which it reaches
+
+
 class Plot(NamedTuple):
-    """One plot of a figure."""
+    """One plot of a figure: its lines and axes."""
 
     title: str  # of its vertical axis
     lines: Sequence[Line]
     logarithmic: bool = False
 
 
-def draw_traces(path: Path, groups: Mapping[str, Mapping[str, Trace]], title: str) -> None:
-    """Command and position, error, and voltage over time; one column per group, one colour per run.
+def draw_traces(
+    path: Path,
+    groups: Mapping[str, Mapping[str, Trace]],
+    title: str,
+    bands: Sequence[Band] = (),
+    own_commands: bool = False,
+) -> None:
+    """Draw command and position, error, and voltage over time; a column per group, a colour per run.
 
-    Raises OSError if ``path`` cannot be written.
+    ``own_commands``: the runs need not have one command. Raises OSError if ``path`` cannot be written.
     """
     import matplotlib
 
@@ -53,22 +71,27 @@ def draw_traces(path: Path, groups: Mapping[str, Mapping[str, Trace]], title: st
 
     figure, axes = plt.subplots(3, len(groups), figsize=(9.0 * len(groups), 8.5), sharex="col", squeeze=False)
     for column, (name, traces) in enumerate(groups.items()):
-        _draw_column(axes[:, column], traces)
+        _draw_column(axes[:, column], traces, own_commands)
+        for band in bands:
+            for axis in axes[:, column] if band.plot is None else [axes[band.plot, column]]:
+                # Without its edge a band narrower than a pixel would not be seen.
+                axis.axvspan(
+                    band.start, band.end, band.low, band.high, color=band.colour, alpha=band.opacity, lw=0.5
+                )
         axes[0, column].set_title(name)
     figure.suptitle(title)
     figure.tight_layout()
-    try:
-        figure.savefig(path, dpi=110)
-    finally:
-        plt.close(figure)
+    outputs.write(str(path), outputs.figure_bytes(figure, str(path)))
 
 
-def _draw_column(axes: Sequence[Any], traces: Mapping[str, Trace]) -> None:
+def _draw_column(axes: Sequence[Any], traces: Mapping[str, Trace], own_commands: bool) -> None:
     top, middle, bottom = axes
     for i, (label, trace) in enumerate(traces.items()):
         colour = COLOURS[i % len(COLOURS)]
         if i == 0:
             top.plot(trace.time, trace.command, color="black", lw=1.2, label="command")
+        elif own_commands:
+            top.plot(trace.time, trace.command, color=colour, lw=1.0, ls="--")
         top.plot(trace.time, trace.position, color=colour, lw=1.0, label=label)
         middle.plot(trace.time, trace.position - trace.command, color=colour, lw=0.8, label=label)
         bottom.plot(trace.time, trace.voltage, color=colour, lw=0.8, label=label)
@@ -84,7 +107,7 @@ def _draw_column(axes: Sequence[Any], traces: Mapping[str, Trace]) -> None:
 def draw_plots(
     paths: Sequence[Path], plots: Sequence[Plot], x_title: str, title: str, logarithmic_x: bool = False
 ) -> None:
-    """Plots below each other with one horizontal axis, in each of ``paths``, whose endings tell the format.
+    """Draw plots below each other with one horizontal axis, into each of ``paths`` (.png or .svg).
 
     Raises OSError if a path cannot be written.
     """
@@ -128,7 +151,7 @@ def draw_plots(
 
 
 def bode_axes(title: str, gain_title: str) -> tuple[Any, Any, Any]:
-    """Figure and its axes for gain [dB] and phase [°] over frequency [Hz], one above the other."""
+    """Figure with axes for gain [dB] and phase [°] over frequency [Hz], one above the other."""
     import matplotlib
 
     matplotlib.use("Agg")

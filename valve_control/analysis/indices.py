@@ -1,4 +1,4 @@
-"""Performance indices I1-I5 of section 4.1."""
+"""Computes the performance indices I1 to I5 of section 4.1: errors and voltages of a run."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Indices(NamedTuple):
-    """I1-I5; keys of the JSON output."""
+    """I1 to I5 of section 4.1; the field names are keys of the JSON output."""
 
     e_M: float  # V  (I2) largest error
     e_F: float  # V  (I3) largest error of the last two seconds
@@ -31,18 +31,26 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def indices(error: Array, voltage: Array, period: float) -> Indices:
-    """I1-I5 of ``error`` [V] and ``voltage`` [V], both sampled every ``period`` [s].
+def indices(
+    error: Array, voltage: Array, period: float, kept: npt.NDArray[np.bool_] | None = None
+) -> Indices:
+    """Compute I1 to I5 of ``error`` [V] and ``voltage`` [V], both sampled every ``period`` [s].
 
-    c_u is 0 when the voltage is 0 throughout. Raises ValueError for arrays that are empty or unequal.
+    With ``kept``, of these samples alone: e_F of the last two seconds of them, c_u from the steps between two
+    that follow each other. c_u is 0 when the voltage is 0 throughout. Raises ValueError for arrays that are
+    empty or unequal.
     """
+    steps = np.diff(voltage)
+    if kept is not None:
+        steps = steps[kept[1:] & kept[:-1]]
+        error, voltage = error[kept], voltage[kept]
     if len(error) == 0 or len(error) != len(voltage):
         raise ValueError(
             f"indices need two arrays of one length, not {len(error)} errors and {len(voltage)} voltages"
         )
     last = max(1, min(len(error), round(2.0 / period) + 1))
     u_rms = rms(voltage)
-    variation = rms(np.diff(voltage)) if len(voltage) > 1 else 0.0
+    variation = rms(steps) if len(steps) else 0.0
     return Indices(
         e_M=float(np.max(np.abs(error))),
         e_F=float(np.max(np.abs(error[-last:]))),

@@ -1,4 +1,4 @@
-"""One self-contained HTML page of tables and zoomable figures; nothing is loaded from the network."""
+"""Builds one self-contained HTML page of tables and zoomable figures; it loads nothing from the network."""
 
 import html
 from collections.abc import Mapping, Sequence
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.analysis.figures import COLOURS, Plot
+from valve_control.analysis.figures import COLOURS, Band, Plot
 
 Floats = npt.NDArray[np.float64]
 MARKS = 50  # vertical lines at most
@@ -23,7 +23,7 @@ th:first-child, td:first-child { text-align: left } .note { color: #8a4b00 } .sc
 
 
 def envelope(x: Floats, y: Floats, points: int = POINTS) -> tuple[Floats, Floats]:
-    """At most ``points`` points of the line (x, y), in which every extreme of it is still there."""
+    """Reduce the line (x, y) to at most ``points`` points that keep every extreme of it."""
     if len(x) <= points:
         return x, y
     width = -(-len(x) // (points // 2 - 2))
@@ -44,8 +44,9 @@ def figure(
     logarithmic_x: bool = False,
     height: int = 220,
     marks: Sequence[float] = (),
+    bands: Sequence[Band] = (),
 ) -> str:
-    """Plots below each other with one horizontal axis, as a piece of HTML; ``marks`` are vertical lines."""
+    """Plots below each other with one horizontal axis, as HTML; ``marks`` are times of vertical lines."""
     import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
@@ -71,6 +72,7 @@ def figure(
         )
     for mark in marks[:MARKS]:
         result.add_vline(x=mark, line={"width": 1, "dash": "dot", "color": "#8a4b00"})
+    result.update_layout(shapes=[*result.layout.shapes, *map(_shape, bands)])
     result.update_xaxes(type="log" if logarithmic_x else "linear")
     result.update_xaxes(title_text=x_title, row=len(plots), col=1)
     result.update_layout(
@@ -80,8 +82,18 @@ def figure(
     return str(result.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False}))
 
 
+def _shape(band: Band) -> dict[str, Any]:
+    """A band as a shape of plotly; its edge makes it visible where it is narrower than a pixel."""
+    return {
+        "type": "rect", "layer": "below", "xref": "x", "x0": band.start, "x1": band.end,
+        "yref": "paper" if band.plot is None else f"y{band.plot + 1 if band.plot else ''} domain",
+        "y0": band.low, "y1": band.high, "fillcolor": band.colour, "opacity": band.opacity,
+        "line": {"width": 1, "color": band.colour},
+    }  # fmt: skip
+
+
 def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """A table as a piece of HTML."""
+    """A table as HTML."""
     cells = "".join(f"<th>{html.escape(word)}</th>" for word in head)
     body = "".join(
         "<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
@@ -90,12 +102,12 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 
 def notes(texts: Sequence[str]) -> str:
-    """Sentences, one below the other."""
+    """Sentences as HTML, one below the other."""
     return "".join(f'<p class="note">{html.escape(text)}</p>' for text in texts)
 
 
 def page(title: str, sections: Mapping[str, str]) -> str:
-    """The whole page; ``sections`` are pieces of HTML by heading."""
+    """The whole page as HTML; ``sections`` are pieces of HTML by heading."""
     from plotly.offline import get_plotlyjs
 
     body = "".join(f"<h2>{html.escape(name)}</h2>\n{content}\n" for name, content in sections.items())

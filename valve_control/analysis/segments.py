@@ -1,4 +1,4 @@
-"""Parts of a run: each motion of the command, and what lies between two changes of parameters."""
+"""Finds the motions in the command of a run: the segments for which indices are given."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ LEAST = 1e-3  # V, likewise, at least
 
 
 class Segment(NamedTuple):
-    """Samples ``start`` to before ``end``."""
+    """Samples from ``start`` to before ``end``."""
 
     kind: str  # run, motion or parameters
     name: str

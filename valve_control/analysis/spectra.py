@@ -1,4 +1,4 @@
-"""Power spectra of error and voltage."""
+"""Computes power spectra of error and voltage."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ WINDOW = 4096  # samples of one stretch
 
 
 class Spectrum(NamedTuple):
-    """Amplitude spectral density, one-sided."""
+    """One-sided amplitude spectral density over frequency."""
 
     frequency: Floats  # Hz
     density: Floats  # V/√Hz

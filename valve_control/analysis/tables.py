@@ -1,4 +1,4 @@
-"""The table of indices as every part of the package prints it."""
+"""Formats the table of indices that all commands print."""
 
 from collections.abc import Sequence
 

@@ -1,13 +1,19 @@
-"""How regularly the messages of a topic came: rate, jitter, gaps, order."""
+"""Measures how regularly the messages of a topic came: rate, jitter, gaps, order."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import median_filter
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 LATE = 1.5  # periods between two messages from which on it is a gap
+APART = 100  # readings between the two whose distance in time is measured
+LEAST = 200  # readings from which a period is measured
+REGULAR = 0.3  # part of the mean by which the usual interval of messages that come regularly may differ
+DEVIATION = 0.02  # of the period from the one that is wanted, beyond which it is reported ...
+PART_DEVIATION = 0.1  # ... or where that of the whole is right: of some hundred readings jitter shows more
 
 
 class Spread(NamedTuple):
@@ -19,7 +25,7 @@ class Spread(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """Sample-rate quality of one topic."""
+    """How regularly the messages of one topic came."""
 
     messages: int
     rate_hz: float
@@ -28,6 +34,14 @@ class Timing(NamedTuple):
     gaps: int  # intervals longer than LATE periods
     longest_gap_s: float
     lost: int | None  # by the publisher's sequence numbers, None where the bag has none
+
+
+class Stretch(NamedTuple):
+    """Readings from ``start`` to before ``end`` whose period differs from the wanted one."""
+
+    start: int
+    end: int
+    period: float  # s
 
 
 def spread(durations: Floats) -> Spread:
@@ -47,7 +61,7 @@ def lost_messages(sequence: Integers) -> int | None:
 
 
 def timing(time: Integers, sequence: Integers) -> Timing:
-    """Sample-rate quality from the times [ns], in order, and sequence numbers of a topic's messages."""
+    """Regularity of a topic from the times [ns], in order, and sequence numbers of its messages."""
     intervals = np.diff(time) * 1e-9
     if len(intervals) == 0:
         return Timing(len(time), np.nan, np.nan, spread(intervals), 0, np.nan, None)
@@ -62,3 +76,84 @@ def timing(time: Integers, sequence: Integers) -> Timing:
         longest_gap_s=float(np.max(intervals)),
         lost=lost_messages(sequence),
     )
+
+
+def _slopes(time: Integers, sequence: Integers, apart: int) -> Floats:
+    """Time [s] per number from a reading to the one ``apart`` after it; NaN where the numbers begin anew."""
+    steps = (sequence[apart:] - sequence[:-apart]).astype(np.float64)
+    steps[steps <= 0.0] = np.nan
+    return (time[apart:] - time[:-apart]) * 1e-9 / steps
+
+
+def _slopes_without_gaps(time: Integers) -> Floats:
+    """Time [s] per reading over readings without a gap between them, as many as there are such."""
+    count = np.arange(len(time), dtype=np.int64)
+    intervals = np.diff(time) * 1e-9
+    usual = float(np.median(intervals))
+    everywhere = _slopes(time, count, APART)
+    # Of messages that come in bursts no interval tells whether one is missing in it.
+    if abs(usual / float(np.median(everywhere)) - 1.0) > REGULAR:
+        return everywhere
+    gaps = np.concatenate([[0], np.cumsum(intervals > LATE * usual)])
+    for apart in (APART, 30, 10, 3):
+        whole = gaps[apart:] == gaps[:-apart]
+        if np.count_nonzero(whole) >= max(50, 0.02 * len(time)):
+            slopes: Floats = _slopes(time, count, apart)[whole]
+            return slopes
+    return everywhere
+
+
+def true_period(time: Integers, sequence: Integers) -> float:
+    """Period [s] with which a publisher sends, from times of sending [ns], in order, and its numbers.
+
+    The median slope of time against number over APART readings: jitter is divided by that, lost readings
+    count by their numbers (without numbers only stretches without a gap count), and a pause touches few
+    slopes. NaN for less than LEAST readings.
+    """
+    if len(time) < LEAST:
+        return np.nan
+    if lost_messages(sequence) is None:
+        return float(np.median(_slopes_without_gaps(time)))
+    slopes = _slopes(time, sequence, APART)
+    slopes = slopes[np.isfinite(slopes)]
+    return float(np.median(slopes)) if len(slopes) else np.nan
+
+
+def deviating(time: Integers, sequence: Integers, wanted: float, parts: bool = True) -> list[Stretch]:
+    """Stretches where the period differs from ``wanted`` [s]; a single one if that of the whole does.
+
+    Else, if ``parts`` are asked for, those of LEAST readings and more that differ by PART_DEVIATION. Pauses
+    are none, and without numbers neither are losses: of a part, or without numbers, the usual interval must
+    differ too, by half as much. For parts, times must be those of sending: a recorder that stands still and
+    catches up looks like parts of another rate.
+    """
+    whole = true_period(time, sequence)
+    if not np.isfinite(whole):
+        return []
+    numbered = lost_messages(sequence) is not None
+    usual = whole if numbered else float(np.median(np.diff(time))) * 1e-9
+    if _differs(whole, usual, wanted, DEVIATION):
+        return [Stretch(0, len(time), whole)]
+    if not parts:
+        return []
+    numbers = sequence if numbered else np.arange(len(time), dtype=np.int64)
+    # A pause is in as many slopes as there are readings between their two.
+    slopes, intervals = (
+        np.pad(filtered, (apart // 2, apart - apart // 2), "edge")
+        for apart in (APART, 1)
+        for filtered in (median_filter(np.nan_to_num(_slopes(time, numbers, apart)), 2 * APART + 1),)
+    )
+    away = _differs(slopes, intervals, wanted, PART_DEVIATION)
+    edges = np.flatnonzero(np.diff(away, prepend=0, append=0))
+    return [
+        Stretch(start, end, float(np.nanmedian(_slopes(time[start:end], numbers[start:end], APART))))
+        for start, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+        if away[start] and end - start >= LEAST
+    ]
+
+
+def _differs(slope: Any, interval: Any, wanted: float, limit: float) -> Any:
+    """1 or -1 where a period is longer or shorter than ``wanted`` [s], by slope and by usual interval."""
+    by_slope, by_interval = (np.asarray(period) / wanted - 1.0 for period in (slope, interval))
+    differs = (np.abs(by_slope) > limit) & (by_interval * np.sign(by_slope) > 0.5 * np.abs(by_slope))
+    return np.where(differs, np.sign(by_slope), 0.0).astype(np.int8)

@@ -1,1 +1,1 @@
-"""Bags of rosbag2: written, mended, and read column by column, without ROS."""
+"""Reads, writes and repairs rosbag2 bags (ROS 2 recordings) without needing ROS."""

@@ -1,4 +1,4 @@
-"""A bag, whoever recorded it: a folder with metadata.yaml, a folder without, or a single file."""
+"""Opens a bag from any recorder: a folder with or without metadata.yaml, or a single file."""
 
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -10,10 +10,10 @@ import numpy.typing as npt
 import zstandard
 
 from valve_control.bags import metadata as bag_metadata
-from valve_control.bags.batch import Batch, Integers, Topic
 from valve_control.bags.cdr import Decoder
 from valve_control.bags.errors import BagError
 from valve_control.bags.mcap import McapFile
+from valve_control.bags.messages import Block, Integers, Topic
 from valve_control.bags.sqlite import SqliteFile
 
 Floats = npt.NDArray[np.float64]
@@ -38,7 +38,7 @@ class Series(NamedTuple):
 
 
 class Bag:
-    """Everything that a bag holds.
+    """An open bag with its topics and files.
 
     Raises BagError if nothing of it can be read; what is wrong with a part of it is in ``problems``.
     """
@@ -78,34 +78,35 @@ class Bag:
 
     @property
     def begin(self) -> int:
-        """Log time [ns] of the first message, 0 without any."""
-        firsts = (next(file.batches(), None) for file in self._files)
-        return min((int(batch.log_time.min()) for batch in firsts if batch is not None), default=0)
+        """Log time [ns] of the first message, 0 if there are none."""
+        # A piece may hold nothing: messages of channels that a damaged file does not describe.
+        firsts = (next((b for b in file.blocks() if len(b.topic)), None) for file in self._files)
+        return min((int(block.log_time.min()) for block in firsts if block is not None), default=0)
 
     def close(self) -> None:
-        """Give files back; nothing can be read any more."""
+        """Close the files; nothing can be read afterwards."""
         for file in self._files:
             file.close()
 
     # Reading
 
-    def batches(
+    def blocks(
         self,
         topics: Collection[str],
         start: int | None = None,
         end: int | None = None,
         told: Callable[[int], None] | None = None,
-    ) -> Iterator[tuple[str, Batch]]:
-        """Messages of ``topics`` in pieces, each of one topic; times [ns] are log times."""
+    ) -> Iterator[tuple[str, Block]]:
+        """Yield messages of ``topics`` in blocks, each of one topic; ``start``, ``end`` [ns]: log times."""
         for file in self._files:
             names = [t.name if self.topics[t.name].type == t.type else "" for t in file.topics]
             wanted = [i for i, name in enumerate(names) if name in topics]
-            for batch in file.batches(start, end, told):
+            for block in file.blocks(start, end, told):
                 for i in wanted:
-                    chosen = np.flatnonzero(batch.topic == i)
+                    chosen = np.flatnonzero(block.topic == i)
                     if len(chosen) == 0:
                         continue
-                    part = batch if len(chosen) == len(batch.topic) else batch.select(chosen)
+                    part = block if len(chosen) == len(block.topic) else block.select(chosen)
                     yield names[i], self._decompressed(part) if self.compression == "message" else part
             for problem in file.problems:
                 self._complain(problem)
@@ -119,18 +120,18 @@ class Bag:
         end: int | None = None,
         told: Callable[[int], None] | None = None,
     ) -> dict[str, Series]:
-        """Numbers ``fields`` of topics, and whole messages of the topics in ``raw``.
+        """Read numeric ``fields`` of topics, and whole messages of the topics in ``raw``.
 
         Of topics in ``sparse`` only every second, fourth, ... message is kept once there are many, and fields
-        that a message does not have are NaN. ``told`` hears the bytes done. Raises BagError if there is no
-        such topic, or its type is unknown.
+        that a message does not have are NaN. ``told`` is called with the number of bytes read since its
+        last call. Raises BagError if there is no such topic, or its type is unknown.
         """
         collected = {
             name: _Collector(self.topic(name), fields.get(name, ()), name in raw, name in sparse)
             for name in {*fields, *raw}
         }
-        for name, batch in self.batches(collected, start, end, told):
-            collected[name].take(batch)
+        for name, block in self.blocks(collected, start, end, told):
+            collected[name].take(block)
         return {name: collector.series() for name, collector in collected.items()}
 
     def topic(self, name: str) -> Topic:
@@ -144,10 +145,10 @@ class Bag:
         return next(self.messages(name), None)
 
     def messages(self, name: str) -> Iterator[bytes]:
-        """Messages of a topic from its beginning, read as they are asked for."""
-        for _, batch in self.batches([name]):
-            for at, size in zip(batch.offset.tolist(), batch.length.tolist(), strict=True):
-                yield batch.buffer[at : at + size].tobytes()
+        """Yield messages of a topic from its beginning, read only as they are asked for."""
+        for _, block in self.blocks([name]):
+            for at, size in zip(block.offset.tolist(), block.length.tolist(), strict=True):
+                yield block.buffer[at : at + size].tobytes()
 
     # How
 
@@ -224,17 +225,17 @@ class Bag:
             self._complain(f"{path} cannot be decompressed to its end: {error}")
         return plain
 
-    def _decompressed(self, batch: Batch) -> Batch:
+    def _decompressed(self, block: Block) -> Block:
         decompress = zstandard.ZstdDecompressor().decompressobj
         parts, good = [], []
-        for i, (at, size) in enumerate(zip(batch.offset.tolist(), batch.length.tolist(), strict=True)):
+        for i, (at, size) in enumerate(zip(block.offset.tolist(), block.length.tolist(), strict=True)):
             try:
-                parts.append(decompress().decompress(batch.buffer[at : at + size].tobytes()))
+                parts.append(decompress().decompress(block.buffer[at : at + size].tobytes()))
                 good.append(i)
             except zstandard.ZstdError as error:
                 self._complain(f"messages of {self.path} cannot be decompressed and are left out: {error}")
         length = np.array([len(part) for part in parts], dtype=np.int64)
-        kept = batch.select(np.array(good, dtype=np.int64))
+        kept = block.select(np.array(good, dtype=np.int64))
         return kept._replace(
             buffer=np.frombuffer(b"".join(parts), dtype=np.uint8),
             offset=np.cumsum(length) - length,
@@ -251,7 +252,7 @@ def _plain_suffix(path: Path) -> str:
 
 
 class _Collector:
-    """Columns of one topic, piece by piece."""
+    """Collects the columns of one topic, block by block."""
 
     def __init__(self, topic: Topic, fields: Sequence[str], raw: bool, sparse: bool) -> None:
         self._decoder = Decoder(topic, fields, optional=sparse) if fields else None
@@ -265,26 +266,26 @@ class _Collector:
         self._raw: list[bytes] = []
         self._undecodable = 0
 
-    def take(self, batch: Batch) -> None:
+    def take(self, block: Block) -> None:
         if self._sparse:
-            batch = self._thinned(batch)
-        values = np.empty((len(batch.topic), 0))
+            block = self._thinned(block)
+        values = np.empty((len(block.topic), 0))
         if self._decoder is not None:
-            values, done = self._decoder.decode(batch.buffer, batch.offset, batch.length)
+            values, done = self._decoder.decode(block.buffer, block.offset, block.length)
             if not done.all():
                 self._undecodable += int(np.count_nonzero(~done))
-                batch, values = batch.select(done), values[done]
+                block, values = block.select(done), values[done]
         if self._keep_raw:
-            for at, size in zip(batch.offset.tolist(), batch.length.tolist(), strict=True):
-                self._raw.append(batch.buffer[at : at + size].tobytes())
-        for pieces, column in zip(self._integers, batch[2:5], strict=True):
+            for at, size in zip(block.offset.tolist(), block.length.tolist(), strict=True):
+                self._raw.append(block.buffer[at : at + size].tobytes())
+        for pieces, column in zip(self._integers, block[2:5], strict=True):
             pieces.append(column.copy())
         for k, numbers in enumerate(self._floats):
             numbers.append(values[:, k].copy())
 
-    def _thinned(self, batch: Batch) -> Batch:
+    def _thinned(self, block: Block) -> Block:
         """Every ``stride``-th message, counted from the first of the topic."""
-        count = len(batch.topic)
+        count = len(block.topic)
         while self._kept + count // self._stride > MANY and self._stride < count:
             self._stride *= 2
             for times in self._integers:
@@ -295,7 +296,7 @@ class _Collector:
         chosen = np.arange(-self._seen % self._stride, count, self._stride)
         self._seen += count
         self._kept += len(chosen)
-        return batch.select(chosen)
+        return block.select(chosen)
 
     def series(self) -> Series:
         log, publish, sequence = (_joined(pieces, np.int64) for pieces in self._integers)
@@ -312,7 +313,7 @@ class _Collector:
 
 
 def _joined(pieces: list[npt.NDArray[Any]], kind: Any) -> npt.NDArray[Any]:
-    """One array of all ``pieces``, which are given up for it."""
+    """One array made of ``pieces``, whose memory is released."""
     array = np.concatenate([np.empty(0, dtype=kind), *pieces])
     pieces.clear()
     return array

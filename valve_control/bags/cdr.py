@@ -1,4 +1,4 @@
-"""Numeric fields of serialized messages (CDR), taken out of thousands of messages at once.
+"""Decodes numeric fields of serialized ROS messages (CDR), thousands of messages at once.
 
 Where a field lies depends only on the lengths of the strings and sequences before it. A layout is found by
 walking through one message; it holds for every message of the same size with the same lengths at the same
@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from valve_control.bags.batch import Bytes, Integers, Topic
 from valve_control.bags.errors import BagError
+from valve_control.bags.messages import Bytes, Integers, Topic
 from valve_control.compiling import compile_function
 
 SIZES = {
@@ -32,12 +33,13 @@ KINDS = {"bool": "u1", "octet": "u1", "byte": "u1", "char": "u1"} | {
 }
 PART = re.compile(r"\.?([A-Za-z_][A-Za-z0-9_]*)|\[([^\]]*)\]")
 HEADER = 4  # bytes before the message proper
-HOPELESS = 100  # undecodable messages of one size in a batch after which the rest is not tried
+HOPELESS = 100  # undecodable messages of one size in a block after which the rest is not tried
+UNDECODABLE = (SerdeError, struct.error, ValueError, IndexError)  # what rosbags raises for damaged messages
 Floats = npt.NDArray[np.float64]
 
 
 class Leaf(NamedTuple):
-    """Numbers of one type side by side."""
+    """Consecutive numbers of one type in a message."""
 
     offset: int
     kind: str  # of numpy, without byte order
@@ -46,7 +48,7 @@ class Leaf(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Where fields lie in messages of one size."""
+    """Offsets of the fields in messages of one size."""
 
     where: Integers  # bytes that decide about the layout ...
     expected: Bytes  # ... and what stands there
@@ -56,7 +58,7 @@ class Layout(NamedTuple):
 
 
 class _Walk:
-    """One walk through one message."""
+    """Walks once through one message and notes where each field lies."""
 
     def __init__(self, types: Any, name: str, message: bytes) -> None:
         if len(message) < HEADER or message[0] != 0 or message[1] > 1:
@@ -208,7 +210,7 @@ def types_of(topic: Topic) -> Any:
 def _gather(
     buffer: Any, offsets: Any, where: Any, expected: Any, sources: Any, sizes: Any, out: Any, fits: Any
 ) -> None:
-    """Copy fields (n×m×8 bytes) of the messages that have the layout."""
+    """Copy the fields (n×m×8 bytes) of those messages that have the layout."""
     for i in range(offsets.shape[0]):
         base = offsets[i]
         fit = True
@@ -250,7 +252,7 @@ class Decoder:
     def decode(
         self, buffer: Bytes, offset: Integers, length: Integers
     ) -> tuple[Floats, npt.NDArray[np.bool_]]:
-        """Fields (n×m) of the messages, and which of them could be decoded."""
+        """Fields (n×m) of the messages, and a mask of those that could be decoded."""
         if len(length) and length[0] == length.min() == length.max() and self._layouts.get(int(length[0])):
             fits, values = self._take(self._layouts[int(length[0])][0], buffer, offset)
             if fits.all():
@@ -279,7 +281,7 @@ class Decoder:
         return result, done
 
     def layout(self, message: bytes) -> Layout:
-        """Where the fields lie in messages like this one. Raises BagError if one is not there."""
+        """Layout of messages like this one. Raises BagError if a field is not there."""
         walk = _Walk(self._types, self.topic.type, message)
         leaves = [self._find(walk, field) for field in self.fields]
         where = np.array(sorted(set(walk.lengths)), dtype=np.int64)

@@ -1,10 +1,10 @@
-"""What is wrong with a bag, in one sentence."""
+"""Defines the errors that say in one sentence what is wrong with a bag."""
 
 LONGEST = 600  # characters
 
 
 class BagError(ValueError):
-    """A bag, or a part of it, that cannot be used; the message is one sentence for the user.
+    """Says why a bag, or a part of it, cannot be used; the message is one sentence for the user.
 
     What it quotes from a damaged bag may be anything: it is brought to one line of bounded length.
     """
@@ -12,3 +12,7 @@ class BagError(ValueError):
     def __str__(self) -> str:
         text = " ".join(super().__str__().split())
         return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
+
+
+class NothingError(BagError):
+    """Says that nothing of a bag can be read in a file."""

@@ -1,9 +1,10 @@
-"""MCAP files, read as columns.
+"""Reads MCAP files into arrays: one column for times, offsets and lengths of all messages.
 
 The mcap library makes one Python object of each message, some 10 µs; a compiled walk over the records of a
 chunk takes some 10 ns. Everything but messages (schemas, channels, chunk headers) is read with the library.
 """
 
+import json
 import mmap
 import struct
 import zlib
@@ -18,14 +19,15 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Metadata, Schema
 
-from valve_control.bags.batch import Batch, Bytes, Integers, Topic, qos_profiles
 from valve_control.bags.errors import BagError
+from valve_control.bags.messages import Block, Bytes, Integers, Topic, absolute, full_type, qos_profiles
 from valve_control.compiling import compile_function
 
 MAGIC = b"\x89MCAP0\r\n"
 WINDOW = 100_000  # messages, records
+DOUBTFUL = "valve_control.doubtful"  # metadata record: which messages were recovered from damaged chunks
 CHUNK_HEAD = struct.Struct("<16xQII")  # times; uncompressed size, checksum, length of the compression's name
 
 
@@ -37,7 +39,7 @@ def _little_endian(buffer: Any, at: int, size: int) -> int:
 
 
 def _walk(buffer: Any, start: int, end: int, messages: Any, others: Any) -> Any:
-    """Walk over records from ``start``; returns where it stopped and how many of each it found.
+    """Walk over the records from ``start``; returns where it stopped and how many of each kind it found.
 
     ``messages`` (n×6) takes channel, log time, publish time, sequence, offset and length of the data;
     ``others`` (m×3) opcode, offset and length. It stops at a torn record, or where either is full.
@@ -70,8 +72,27 @@ def _walk(buffer: Any, start: int, end: int, messages: Any, others: Any) -> Any:
     return at, count, rest
 
 
+def records(buffer: Bytes, start: int, end: int) -> tuple[int, Integers, Integers]:
+    """Where a walk over records from ``start`` stopped, its messages and other records (see ``_walk``)."""
+    messages = np.empty((WINDOW, 6), dtype=np.int64)
+    others = np.empty((WINDOW, 3), dtype=np.int64)
+    at, count, rest = compile_function(_walk)(buffer, start, end, messages, others)
+    return int(at), messages[:count], others[:rest]
+
+
+def doubtful(record: Metadata) -> list[tuple[int, int, int]]:
+    """Count, first and last log time [ns] of messages from damaged chunks, as a recovered file states."""
+    if record.name != DOUBTFUL:
+        return []
+    try:
+        entries = json.loads(record.metadata["messages"])
+        return [(int(count), int(first), int(last)) for count, first, last in entries]
+    except (KeyError, TypeError, ValueError):
+        return []
+
+
 class ChunkPlace(NamedTuple):
-    """Where a chunk is, and what its header says."""
+    """Where a chunk lies, and what its header says."""
 
     begin: int  # of its content in the file
     length: int
@@ -112,18 +133,21 @@ class McapFile:
         return buffer
 
     def close(self) -> None:
-        """Give back the memory; the file itself is closed already."""
+        """Release the memory; the file itself is closed already."""
         self._release(0, self.size)
 
-    def batches(
+    def blocks(
         self, start: int | None = None, end: int | None = None, told: Callable[[int], None] | None = None
-    ) -> Iterator[Batch]:
-        """Messages with a log time [ns] from ``start`` to before ``end``; ``told`` hears the bytes done."""
+    ) -> Iterator[Block]:
+        """Yield messages with a log time [ns] from ``start`` to before ``end``.
+
+        ``told`` is called with the number of bytes read since its last call.
+        """
         done = 0
         if self._loose:
             at = len(MAGIC)
             while at < self.size:
-                at, messages, others = self._records(self._buffer, at, self.size)
+                at, messages, others = records(self._buffer, at, self.size)
                 yield from self._chosen(self._buffer, messages, start, end)
                 self._release(done, at)
                 if told is not None:
@@ -138,7 +162,7 @@ class McapFile:
                 at, total = 0, len(data)
                 while at < total:
                     before = at
-                    at, messages, others = self._records(data, at, total)
+                    at, messages, others = records(data, at, total)
                     self._learn(data, others)
                     yield from self._chosen(data, messages, start, end)
                     if at == before:
@@ -155,20 +179,14 @@ class McapFile:
     # How
 
     def _release(self, begin: int, end: int) -> None:
-        """Give back the memory behind a part of the file that has been read."""
+        """Release the memory behind a part of the file that has been read."""
         start = -(-begin // mmap.PAGESIZE) * mmap.PAGESIZE
         if end > start:
             self._mapped.madvise(mmap.MADV_DONTNEED, start, end - start)
 
-    def _records(self, buffer: Bytes, start: int, end: int) -> tuple[int, Integers, Integers]:
-        messages = np.empty((WINDOW, 6), dtype=np.int64)
-        others = np.empty((WINDOW, 3), dtype=np.int64)
-        at, count, rest = compile_function(_walk)(buffer, start, end, messages, others)
-        return int(at), messages[:count], others[:rest]
-
     def _chosen(
         self, buffer: Bytes, messages: Integers, start: int | None, end: int | None
-    ) -> Iterator[Batch]:
+    ) -> Iterator[Block]:
         if len(messages) == 0:
             return
         channel, log, publish, sequence, offset, length = np.ascontiguousarray(messages.T)
@@ -179,8 +197,8 @@ class McapFile:
         if end is not None:
             keep &= log < end
         publish = np.where(publish == 0, log, publish)
-        batch = Batch(buffer, topic, log, publish, sequence, offset, length)
-        yield batch if keep.all() else batch.select(keep)
+        block = Block(buffer, topic, log, publish, sequence, offset, length)
+        yield block if keep.all() else block.select(keep)
 
     def _topic_of(self) -> Integers:
         if len(self._channels) != self._known:
@@ -190,41 +208,66 @@ class McapFile:
         return self._table
 
     def _index(self) -> None:
-        """Find chunks, schemas and channels; the summary repeats them if the file is whole."""
+        """Find chunks, schemas and channels; a whole file repeats them in its summary."""
         at = len(MAGIC)
         ended = False
         while at < self.size:
             before = at
-            at, messages, others = self._records(self._buffer, at, self.size)
+            at, messages, others = records(self._buffer, at, self.size)
             self._loose = self._loose or len(messages) > 0
             self._learn(self._buffer, others)
             for opcode, begin, length in others.tolist():
                 if opcode == Opcode.CHUNK:
                     self._chunks.append(self._place(begin, length))
+                elif opcode == Opcode.METADATA:
+                    self._tell_doubtful(begin, length)
                 ended = ended or opcode in (Opcode.DATA_END, Opcode.FOOTER)
                 self.finished = opcode == Opcode.FOOTER
             if self.finished or at == before:
                 break
         if not self.finished:
             rest = self.size - at
-            torn = f"; its last {rest} bytes are part of a record" if rest > 0 and not ended else ""
-            self.problems.append(
-                f"{self.path} is unfinished{torn} (valve-control bag recover makes it whole)"
-            )
+            if rest > 0 and not ended and not self._is_torn(at):
+                self.problems.append(
+                    f"{self.path} is damaged at byte {at}, the {rest} bytes from there on are not read "
+                    "(valve-control bag recover finds what is whole in them)"
+                )
+            else:
+                torn = f"; its last {rest} bytes are part of a record" if rest > 0 and not ended else ""
+                self.problems.append(
+                    f"{self.path} is unfinished{torn} (valve-control bag recover makes it whole)"
+                )
         if not self.finished or not self.topics:
             for place in self._chunks:
                 data = self._content(place)
                 inner = 0
                 while data is not None and inner < len(data):
                     before = inner
-                    inner, _, others = self._records(data, inner, len(data))
+                    inner, _, others = records(data, inner, len(data))
                     self._learn(data, others)
                     if inner == before:
                         break
         self._release(0, self.size)
 
+    def _is_torn(self, at: int) -> bool:
+        """Whether a record begins at ``at`` that the end of the file cuts off."""
+        if self.size - at < 9:
+            return True
+        opcode, length = struct.unpack_from("<BQ", self._buffer.data, at)
+        return bool(0 < opcode <= Opcode.DATA_END and length > self.size - at - 9)
+
+    def _tell_doubtful(self, begin: int, length: int) -> None:
+        record = self._record(Metadata, self._buffer, begin, length)
+        stretches = doubtful(record) if record is not None else []
+        if stretches:
+            count = sum(number for number, _, _ in stretches)
+            self._complain(
+                f"{self.path} was repaired: {count} of its messages, in {len(stretches)} stretches, stood in "
+                "chunks whose checksum was wrong or lost, and some of their values may be wrong"
+            )
+
     def _record(self, kind: Any, buffer: Bytes, begin: int, length: int) -> Any:
-        """A record read by the library, None (and a problem) if it is damaged."""
+        """Read a record with the library; None, and a note in ``problems``, if it is damaged."""
         try:
             return kind.read(ReadDataStream(BytesIO(buffer[begin : begin + length].tobytes())))
         except (McapError, struct.error, ValueError, MemoryError) as error:
@@ -236,7 +279,7 @@ class McapFile:
         return ChunkPlace(begin, length, start, end)
 
     def _learn(self, buffer: Bytes, others: Integers) -> None:
-        """Take in schemas and channels."""
+        """Take in the schemas and channels among ``others``."""
         for opcode, begin, length in others.tolist():
             if opcode == Opcode.SCHEMA:
                 schema = self._record(Schema, buffer, begin, length)
@@ -250,8 +293,8 @@ class McapFile:
     def _topic(self, channel: Channel) -> int:
         schema = self._schemas.get(channel.schema_id)
         topic = Topic(
-            channel.topic,
-            schema.name if schema else "",
+            absolute(channel.topic),
+            full_type(schema.name) if schema else "",
             channel.message_encoding,
             schema.encoding if schema else "",
             schema.data.decode(errors="replace") if schema else "",
@@ -265,7 +308,7 @@ class McapFile:
         return len(self.topics) - 1
 
     def _content(self, place: ChunkPlace) -> Bytes | None:
-        """Uncompressed records of a chunk, None (and a problem) if they cannot be had."""
+        """Uncompressed records of a chunk; None, and a note in ``problems``, if it is damaged."""
         where = f"{self.path}: the chunk at byte {place.begin}"
         try:
             size, crc, name_length = CHUNK_HEAD.unpack_from(self._buffer.data, place.begin)

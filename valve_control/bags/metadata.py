@@ -1,13 +1,13 @@
-"""The metadata.yaml of a rosbag2 bag: written as version 9 (ROS 2 Jazzy), read from version 1 on."""
+"""Reads and writes metadata.yaml of rosbag2 bags: reads versions 1 to 9, writes 9 (ROS 2 Jazzy)."""
 
-import os
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple, TypeVar
 
 import yaml
+from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability
 
+from valve_control import outputs
 from valve_control.bags.errors import BagError
 
 NAME = "metadata.yaml"
@@ -16,26 +16,23 @@ ROOT = "rosbag2_bagfile_information"
 LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
-# Names that version 9 writes, at the numbers that older versions write.
+# Names that version 9 writes, at the numbers that older versions write. rosbags' parse_qos would read them,
+# but it takes any depth and time, and raises KeyError, TypeError or AttributeError for what is no profile.
 POLICIES: Mapping[str, tuple[str, ...]] = {
-    "history": ("system_default", "keep_last", "keep_all", "unknown"),
-    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
-    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
-    "liveliness": (
-        "system_default",
-        "automatic",
-        "manual_by_node",
-        "manual_by_topic",
-        "unknown",
-        "best_available",
-    ),
+    policy: tuple(member.name.lower() for member in numbers)
+    for policy, numbers in (
+        ("history", QosHistory),
+        ("reliability", QosReliability),
+        ("durability", QosDurability),
+        ("liveliness", QosLiveliness),
+    )
 }
 
 T = TypeVar("T")
 
 
 class Span(NamedTuple):
-    """Duration of a QoS policy."""
+    """A duration in a QoS profile."""
 
     sec: int  # s
     nsec: int  # ns
@@ -45,7 +42,7 @@ INFINITE = Span(9223372036, 854775807)
 
 
 class Qos(NamedTuple):
-    """QoS that a publisher offered, policies by the names of version 9."""
+    """QoS profile that a publisher offered; policies have the names of version 9."""
 
     history: str = "keep_last"
     depth: int = 10
@@ -58,7 +55,7 @@ class Qos(NamedTuple):
     avoid_ros_namespace_conventions: bool = False
 
 
-class Topic(NamedTuple):
+class TopicMetadata(NamedTuple):
     """A topic of a bag."""
 
     name: str
@@ -71,7 +68,7 @@ class Topic(NamedTuple):
 class Counted(NamedTuple):
     """A topic and the number of its messages."""
 
-    topic: Topic
+    topic: TopicMetadata
     message_count: int
 
 
@@ -85,7 +82,7 @@ class File(NamedTuple):
 
 
 class Metadata(NamedTuple):
-    """A whole bag."""
+    """Content of a metadata.yaml."""
 
     storage_identifier: str  # mcap or sqlite3
     starting_time: int  # ns since 1970
@@ -121,29 +118,18 @@ def of_files(storage: str, topics: Iterable[Counted], files: Sequence[File]) -> 
 
 
 def qos_text(profiles: Sequence[Qos]) -> str:
-    """Profiles as the YAML text that storage files hold."""
+    """QoS profiles as the YAML text that storage files contain."""
     return _dump([_qos_tree(qos) for qos in profiles]).strip() if profiles else ""
 
 
 def as_text(metadata: Metadata) -> str:
-    """The YAML text of version 9 without its root key, as storage files hold it."""
+    """YAML text of version 9 without its root key, as storage files contain it."""
     return _dump(_tree(metadata)).strip()
 
 
 def write(folder: Path, metadata: Metadata) -> None:
     """Write metadata.yaml of version 9 into ``folder``, whole or not at all. Raises OSError."""
-    text = _dump({ROOT: _tree(metadata)})
-    with tempfile.NamedTemporaryFile(
-        "w", dir=folder, prefix=f".{NAME}.", delete=False, encoding="utf-8"
-    ) as stream:
-        try:
-            stream.write(text)
-            stream.flush()
-            os.chmod(stream.name, 0o644)
-            os.replace(stream.name, folder / NAME)
-        except OSError:
-            os.unlink(stream.name)
-            raise
+    outputs.write(str(folder / NAME), _dump({ROOT: _tree(metadata)}))
 
 
 def _dump(tree: Any) -> str:
@@ -205,16 +191,21 @@ def read(folder: Path) -> Metadata:
         raise BagError(f"{folder} has no {NAME}; a bag is a folder with one") from None
     except (OSError, UnicodeDecodeError) as error:
         raise BagError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    return parse(text, str(path))
+
+
+def parse(text: str, source: str) -> Metadata:
+    """Metadata from the YAML ``text``, read from ``source``. Raises BagError."""
     try:
         tree = yaml.load(text, Loader=LOADER)
     except (yaml.YAMLError, ValueError) as error:  # ValueError: dates that do not exist
-        raise BagError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+        raise BagError(f"{source} is not YAML: {' '.join(str(error).split())}") from error
     try:
         return _metadata(tree)
     except _Unknown as error:
-        raise UnknownVersionError(f"{path}: {error}") from error
+        raise UnknownVersionError(f"{source}: {error}") from error
     except _Wrong as error:
-        raise BagError(f"{path}: {error}") from error
+        raise BagError(f"{source}: {error}") from error
 
 
 def parse_qos(profiles: object) -> tuple[Qos, ...]:
@@ -235,19 +226,19 @@ def parse_qos(profiles: object) -> tuple[Qos, ...]:
 
 
 class UnknownVersionError(BagError):
-    """A bag of a version that is not known."""
+    """Says that a bag has a version that is not known."""
 
 
 class _Wrong(ValueError):
-    """What is wrong with a part of the file."""
+    """Says what is wrong with a part of the file."""
 
 
 class _Unknown(_Wrong):
-    """A version that is not known."""
+    """Says that the version is not known."""
 
 
 def _get(tree: object, key: str, kind: type[T]) -> T:
-    """``tree[key]`` of the type ``kind``."""
+    """``tree[key]``, which must be of the type ``kind``."""
     if not isinstance(tree, dict) or key not in tree:
         raise _Wrong(f"'{key}' is missing")
     value = tree[key]
@@ -305,12 +296,12 @@ def _custom_data(bag: dict[str, Any]) -> dict[str, str] | None:
     return {str(key): str(value) for key, value in data.items()} if isinstance(data, dict) and data else None
 
 
-def _topic(tree: object, version: int) -> Topic:
+def _topic(tree: object, version: int) -> TopicMetadata:
     try:
         profiles = parse_qos(tree.get("offered_qos_profiles", "") if isinstance(tree, dict) else "")
     except BagError as error:
         raise _Wrong(str(error)) from error
-    return Topic(
+    return TopicMetadata(
         name=_get(tree, "name", str),
         type=_get(tree, "type", str),
         serialization_format=_get(tree, "serialization_format", str),

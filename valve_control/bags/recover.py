@@ -1,6 +1,7 @@
-"""A bag whose recorder was killed is made whole again."""
+"""Recovers a bag whose recorder was killed or whose files are damaged: `valve-control bag recover`."""
 
 import contextlib
+import os
 import re
 import shutil
 import sqlite3
@@ -15,27 +16,39 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Schema, Statistics
 
-from valve_control.bags import mending, metadata
+from valve_control.bags import metadata, repair
 from valve_control.bags.bag import Bag
-from valve_control.bags.errors import BagError
-from valve_control.bags.metadata import Counted, File, Metadata, Topic
+from valve_control.bags.errors import BagError, NothingError
+from valve_control.bags.metadata import Counted, File, Metadata, TopicMetadata
+from valve_control.bags.pages import read_log
+from valve_control.bags.rebuilding import rebuild
+from valve_control.bags.rewriting import rewrite
+from valve_control.bags.salvage import Salvage
 from valve_control.bags.writer import BUSY, SQLITE_SCHEMA, SUFFIXES, Lock, reason
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 SIDE_FILES = ("-wal", "-shm", "-journal")  # what SQLite leaves beside a database that was not closed
+KEPT = re.compile(r"(?P<name>.+\.(?:mcap|db3))\.damaged(?:\.(?P<number>\d+))?")
+NEW = ".repair"  # ends the name of a file that is being written anew
 
 
 class RecoveredFile(NamedTuple):
-    """One storage file."""
+    """What was done to one storage file."""
 
     name: str
     messages: int
-    mended: bool  # False: it was whole
-    cut: int  # bytes of a torn record that were cut off
+    repaired: bool  # False: it was whole
+    cut: int = 0  # bytes that could not be read
+    lost: int | None = 0  # messages that it held and that could not be read; None: nobody can tell
+    doubtful: int = 0  # messages that stood in damaged chunks: their values may be wrong
+    nameless: int = 0  # messages whose topics' names are lost
+    kept: str = ""  # name of the damaged file, which was kept
+    empty: bool = False  # there was not one byte in it
+    gone: bool = False  # nothing of a bag was in it, and the bag goes on without it
 
 
 class Recovered(NamedTuple):
-    """What was done."""
+    """What was done to a bag."""
 
     bag: Path
     files: tuple[RecoveredFile, ...]
@@ -43,47 +56,62 @@ class Recovered(NamedTuple):
 
     @property
     def messages(self) -> int:
-        """In the whole bag."""
+        """Number of messages in the whole bag."""
         return sum(file.messages for file in self.files)
 
     @property
     def cut(self) -> int:
-        """Bytes cut off in the whole bag."""
+        """Number of bytes of the whole bag that could not be read."""
         return sum(file.cut for file in self.files)
+
+    @property
+    def lost(self) -> int | None:
+        """Number of messages of the whole bag that could not be read, None if unknown."""
+        known = [file.lost for file in self.files if file.lost is not None]
+        return sum(known) if len(known) == len(self.files) else None
 
 
 class _Inventory(NamedTuple):
-    """What is in one file."""
+    """Content of one file: topics, messages, times."""
 
     file: File
     topics: tuple[Counted, ...]
 
 
+class _State(NamedTuple):
+    """What a file needs: nothing, its end, or to be written anew."""
+
+    repair: Callable[[], RecoveredFile] | None  # None: it is whole
+    fold: bool = False  # whether a log stands beside it that belongs into it
+
+
 def recover(path: Path, out: Path | None = None) -> Recovered:
     """Make the bag ``path`` (a folder, or one .mcap or .db3 file of it) whole, in place or as a copy ``out``.
 
-    Each file gets its end, and the folder a metadata.yaml made from its files. A whole bag is not touched.
-    If this is interrupted nothing is lost: call it again. Raises BagError.
+    A file that only lacks its end gets it. One that is damaged is written anew from all that can be read in
+    it, and kept beside under a name that ends with .damaged. The folder gets a metadata.yaml made from its
+    files. A whole bag is not touched. If this is interrupted nothing is lost: call it again. Raises BagError.
     """
-    if not path.exists():
+    if not path.exists() and not _interrupted(path):
         raise BagError(f"{path} does not exist")
     if out is not None:
         _files(path)
         path = _copied(path, out)
-    _refuse_compressed(path)
-    storage, files = _files(path)
     try:
         lock = Lock(path if path.is_dir() else path.absolute().parent)
     except OSError as error:
         raise BagError(f"{path} cannot be read: {reason(error)}") from error
     try:
-        return _recovered(path, storage, files)
+        _take_up(path)
+        _refuse_compressed(path)
+        storage, files = _files(path)
+        return _recovered(path, storage, files, keep=out is None)
     finally:
         lock.release()
 
 
 def _refuse_compressed(path: Path) -> None:
-    """Refuse bags that rosbag2 compressed: what is in them is not seen here. Raises BagError."""
+    """Raise BagError for bags that rosbag2 compressed: their content cannot be checked here."""
     packed = [f.name for f in path.iterdir() if f.suffix in (".zstd", ".zst")] if path.is_dir() else []
     mode = ""
     if path.is_dir():
@@ -97,26 +125,51 @@ def _refuse_compressed(path: Path) -> None:
     if packed or mode not in ("", "NONE", "none"):
         what = f"{packed[0]} is" if packed else "its messages are"
         raise BagError(
-            f"{path} cannot be mended: {what} compressed by rosbag2, and only uncompressed bags can be; "
+            f"{path} cannot be repaired: {what} compressed by rosbag2, and only uncompressed bags can be; "
             "valve-control analyze reads it as it is"
         )
 
 
-def _recovered(path: Path, storage: str, files: Sequence[Path]) -> Recovered:
+def _recovered(path: Path, storage: str, files: Sequence[Path], keep: bool) -> Recovered:
+    told: Metadata | None = None
+    if path.is_dir():
+        with contextlib.suppress(BagError):
+            told = metadata.read(path)
     done: list[RecoveredFile] = []
     inventories: list[_Inventory] = []
+    folds: list[Path] = []
+    nothing: list[NothingError] = []
     for file in files:
         try:
-            mended, cut = MENDERS[storage](file)
+            state = EXAMINERS[storage](file, told, keep)
+            result = state.repair() if state.repair is not None else None
             inventory = READERS[storage](file)
+        except NothingError as error:
+            nothing.append(error)
+            if len(nothing) == len(files):
+                raise nothing[0] from None
+            aside = _put_aside(file, keep, "unreadable")
+            done.append(
+                RecoveredFile(file.name, 0, True, lost=_told_count(told, file), kept=aside, gone=True)
+            )
+            continue
         except (OSError, sqlite3.Error, McapError, struct.error) as error:
-            raise BagError(f"{file} cannot be mended: {reason(error)}") from error
-        done.append(RecoveredFile(file.name, inventory.file.message_count, mended, cut))
+            raise BagError(f"{file} cannot be repaired: {reason(error)}") from error
+        count = inventory.file.message_count
+        done.append(result._replace(messages=count) if result else RecoveredFile(file.name, count, False))
         inventories.append(inventory)
-    anything = any(file.mended for file in done)
-    if path.is_dir():
-        anything = _mend_metadata(path, storage, inventories) or anything
-    return Recovered(path, tuple(done), anything)
+        if state.fold:
+            folds.append(file)
+    fits = not path.is_dir() or _fits(told, _made(storage, inventories))
+    if not fits:
+        for file in folds:
+            try:
+                _fold(file)
+            except sqlite3.Error as error:
+                raise BagError(f"{file} cannot be repaired: {reason(error)}") from error
+            done = [entry._replace(repaired=True) if entry.name == file.name else entry for entry in done]
+        _write_metadata(path, told, _made(storage, inventories))
+    return Recovered(path, tuple(done), not fits or any(file.repaired for file in done))
 
 
 def _files(path: Path) -> tuple[str, list[Path]]:
@@ -138,7 +191,7 @@ def _files(path: Path) -> tuple[str, list[Path]]:
 
 
 def _number(path: Path) -> tuple[int, str]:
-    """Key that sorts bag_10 after bag_9."""
+    """Sort key by which bag_10 comes after bag_9."""
     digits = re.search(r"_(\d+)$", path.stem)
     return (int(digits.group(1)) if digits else -1, path.name)
 
@@ -148,7 +201,9 @@ def _copied(path: Path, out: Path) -> Path:
         raise BagError(f"{out} exists already; the copy needs a new name")
     try:
         if path.is_dir():
-            shutil.copytree(path, out)
+            shutil.copytree(
+                path, out, ignore=shutil.ignore_patterns("*.damaged*", "*.unreadable*", f"*{NEW}")
+            )
         else:
             shutil.copy2(path, out)
             for ending in SIDE_FILES:
@@ -160,47 +215,180 @@ def _copied(path: Path, out: Path) -> Path:
     return out
 
 
-def _mend_metadata(folder: Path, storage: str, inventories: Sequence[_Inventory]) -> bool:
-    """Write metadata.yaml unless there is one that fits; whether it was written."""
-    counts: dict[Topic, int] = {}
+# A file written anew takes the place of the damaged one
+
+
+def _replaced(path: Path, keep: bool, write: Callable[[Path], RecoveredFile]) -> RecoveredFile:
+    """Let ``write`` make the file anew, and put it in the place of ``path``.
+
+    At any moment either ``path`` is there with its side files, or `_take_up` finds how to bring it back.
+    ``outputs.write`` would not do: it takes a whole content, keeps no damaged file and knows no side files.
+    """
+    new = path.with_name(path.name + NEW)
+    new.unlink(missing_ok=True)
+    try:
+        result = write(new)
+        with new.open("rb") as stream:
+            os.fsync(stream.fileno())
+    except BaseException:
+        new.unlink(missing_ok=True)
+        raise
+    kept = _put_aside(path, keep=True)
+    new.rename(path)
+    if keep:
+        return result._replace(kept=kept)
+    _remove(path.with_name(kept))
+    return result
+
+
+def _put_aside(path: Path, keep: bool, suffix: str = "damaged") -> str:
+    """Rename a file and its side files for keeping; returns the new name."""
+    kept = _free_name(path, suffix)
+    path.rename(kept)
+    for ending in SIDE_FILES:
+        side = path.with_name(path.name + ending)
+        if side.exists():
+            side.rename(kept.with_name(kept.name + ending))
+    if keep:
+        return kept.name
+    _remove(kept)
+    return ""
+
+
+def _remove(path: Path) -> None:
+    for name in (path.name, *(path.name + ending for ending in SIDE_FILES)):
+        path.with_name(name).unlink(missing_ok=True)
+
+
+def _free_name(path: Path, suffix: str) -> Path:
+    name = path.with_name(f"{path.name}.{suffix}")
+    number = 1
+    while name.exists():
+        number += 1
+        name = path.with_name(f"{path.name}.{suffix}.{number}")
+    return name
+
+
+def _interrupted(path: Path) -> list[tuple[Path, Path]]:
+    """Files of the bag that are missing, and the names under which an interrupted recovery kept them."""
+    folder = path if path.is_dir() else path.absolute().parent
+    if not folder.is_dir():
+        return []
+    newest: dict[Path, tuple[int, Path]] = {}
+    for file in folder.iterdir():
+        match = KEPT.fullmatch(file.name)
+        if match is None or (not path.is_dir() and match["name"] != path.name):
+            continue
+        number = int(match["number"] or 1)
+        name = file.with_name(match["name"])
+        newest[name] = max(newest.get(name, (0, file)), (number, file))
+    return [(name, kept) for name, (_, kept) in newest.items() if not name.exists()]
+
+
+def _take_up(path: Path) -> None:
+    """Bring back files that an interrupted recovery had put away. Raises BagError."""
+    try:
+        for name, kept in _interrupted(path):
+            for ending in SIDE_FILES:
+                side = kept.with_name(kept.name + ending)
+                if side.exists():
+                    side.rename(name.with_name(name.name + ending))
+            kept.rename(name)
+    except OSError as error:
+        raise BagError(f"{path} cannot be repaired: {reason(error)}") from error
+
+
+def _lost(expected: int | None, messages: int) -> int | None:
+    return max(0, expected - messages) if expected is not None else None
+
+
+def _told_count(told: Metadata | None, path: Path) -> int | None:
+    """Number of messages of the file according to metadata.yaml."""
+    if told is None:
+        return None
+    for file in told.files:
+        if Path(file.path).name == path.name:
+            return file.message_count
+    return (
+        told.message_count if [Path(name).name for name in told.relative_file_paths] == [path.name] else None
+    )
+
+
+# metadata.yaml
+
+
+def _made(storage: str, inventories: Sequence[_Inventory]) -> Metadata:
+    counts: dict[TopicMetadata, int] = {}
     for inventory in inventories:
         for topic, count in inventory.topics:
             counts[topic] = counts.get(topic, 0) + count
-    made = metadata.of_files(
+    return metadata.of_files(
         storage,
         [Counted(topic, count) for topic, count in counts.items()],
         [inventory.file for inventory in inventories],
     )
-    try:
-        present = metadata.read(folder)
-    except BagError:
-        present = None
-    if present is not None:
-        if _fits(present, made):
-            return False
-        made = made._replace(custom_data=present.custom_data)
-    try:
-        metadata.write(folder, made)
-    except OSError as error:
-        raise BagError(f"{folder / metadata.NAME} cannot be written: {reason(error)}") from error
-    return True
 
 
-def _fits(present: Metadata, made: Metadata) -> bool:
-    return (
+def _fits(present: Metadata | None, made: Metadata) -> bool:
+    return present is not None and (
         present.storage_identifier == made.storage_identifier
         and present.relative_file_paths == made.relative_file_paths
         and present.message_count == made.message_count
     )
 
 
+def _write_metadata(folder: Path, present: Metadata | None, made: Metadata) -> None:
+    if present is not None:
+        made = made._replace(custom_data=present.custom_data)
+    try:
+        metadata.write(folder, made)
+    except OSError as error:
+        raise BagError(f"{folder / metadata.NAME} cannot be written: {reason(error)}") from error
+
+
 # MCAP
 
 
-def _mend_mcap(path: Path) -> tuple[bool, int]:
-    if mending.is_finished(path):
-        return False, 0
-    return True, mending.mend(path).cut
+def _examine_mcap(path: Path, told: Metadata | None, keep: bool) -> _State:
+    expected = _told_count(told, path)
+    if path.stat().st_size == 0:
+        lost = _lost(expected, 0)
+        return _State(lambda: _ended(path)._replace(lost=lost, empty=True))
+    salvage = Salvage(
+        path, {counted.topic.name: counted.topic.type for counted in told.topics} if told else None
+    )
+    survey = salvage.survey()
+    if survey.whole:
+        return _State(None)
+    survey = salvage.survey()  # now it is known how long the messages of each topic are
+    expected = survey.expected if survey.expected is not None else expected
+    if survey.unfinished:
+        # Its end can be written in place, unless more can be read than what is whole before the tear.
+        with contextlib.suppress(BagError), path.open("rb") as stream:
+            contents = repair.scan(stream, path.stat().st_size, path)
+            if contents.counts.total() == survey.messages:
+                return _State(lambda: _ended(path)._replace(lost=_lost(expected, survey.messages)))
+    if not salvage.channels:
+        raise NothingError(
+            f"{path} has no topic that can be read, and so no message: it is no MCAP file or damaged all over"
+            if salvage.raw(0, len(repair.MAGIC)) == repair.MAGIC
+            else f"{path} is not an MCAP file: it does not begin with MCAP's magic bytes, and has no topic"
+        )
+
+    def write(new: Path) -> RecoveredFile:
+        found = rewrite(salvage, new)
+        again = Salvage(new).survey()
+        if not again.whole or again.messages != found.messages or found.messages < survey.messages:
+            raise BagError(f"{path} is damaged and is left as it is: what was read in it cannot be written")
+        lost = _lost(expected, found.messages)
+        return RecoveredFile(path.name, found.messages, True, survey.skipped, lost, found.doubtful)
+
+    return _State(lambda: _replaced(path, keep, write))
+
+
+def _ended(path: Path) -> RecoveredFile:
+    repaired = repair.repair(path)
+    return RecoveredFile(path.name, repaired.messages, True, repaired.cut)
 
 
 def _read_mcap(path: Path) -> _Inventory:
@@ -209,21 +397,21 @@ def _read_mcap(path: Path) -> _Inventory:
         if summary is not None and summary.statistics is not None:
             return _mcap_inventory(path, summary.statistics, summary.channels, summary.schemas)
         stream.seek(0)
-        contents = mending.scan(stream, path.stat().st_size, path)
+        contents = repair.scan(stream, path.stat().st_size, path)
     return _mcap_inventory(path, contents.statistics(), contents.channels, contents.schemas)
 
 
 def _mcap_inventory(
     path: Path, statistics: Statistics, channels: dict[int, Channel], schemas: dict[int, Schema]
 ) -> _Inventory:
-    counts: Counter[Topic] = Counter()
+    counts: Counter[TopicMetadata] = Counter()
     for channel in channels.values():
         schema = schemas.get(channel.schema_id)
-        topic = Topic(
+        topic = TopicMetadata(
             channel.topic,
             schema.name if schema is not None else "",
             channel.message_encoding,
-            metadata.parse_qos(channel.metadata.get("offered_qos_profiles", "")),
+            _qos(channel.metadata.get("offered_qos_profiles", "")),
             channel.metadata.get("topic_type_hash", ""),
         )
         counts[topic] += statistics.channel_message_counts.get(channel.id, 0)
@@ -232,29 +420,84 @@ def _mcap_inventory(
     return _Inventory(file, tuple(Counted(topic, count) for topic, count in counts.items()))
 
 
+def _qos(text: object) -> tuple[metadata.Qos, ...]:
+    """QoS profiles from their text, none if it is damaged."""
+    try:
+        return metadata.parse_qos(text)
+    except BagError:
+        return ()
+
+
 # SQLite
 
 
-def _mend_sqlite(path: Path) -> tuple[bool, int]:
-    unfinished = path.stat().st_size == 0 or any(
-        path.with_name(path.name + ending).exists() for ending in SIDE_FILES
-    )
-    if not unfinished:
-        return False, 0
+def _examine_sqlite(path: Path, told: Metadata | None, keep: bool) -> _State:
+    log = path.with_name(path.name + "-wal")
+    expected = _told_count(told, path)
+    logged = log.exists() and log.stat().st_size > 0
+    if path.stat().st_size == 0 and not logged:
+        lost = _lost(expected, 0)
+
+        def begin() -> RecoveredFile:
+            with closing(sqlite3.connect(path, isolation_level=None)) as database:
+                database.executescript(SQLITE_SCHEMA)
+            return RecoveredFile(path.name, 0, True, lost=lost, empty=True)
+
+        return _State(begin)
+    # SQLite removes the log of an empty database, and leaves out what follows damage in a log.
+    if path.stat().st_size > 0 and not (logged and read_log(log).damaged) and _verdict(path, logged) == "ok":
+        return _State(None, fold=logged)
+
+    def write(new: Path) -> RecoveredFile:
+        found = rebuild(path, new, told)
+        most = max(expected or 0, found.highest)
+        return RecoveredFile(
+            path.name, found.messages, True, lost=most - found.messages, nameless=found.nameless
+        )
+
+    return _State(lambda: _replaced(path, keep, write))
+
+
+def _verdict(path: Path, logged: bool) -> str:
+    """The word ok, or what is wrong, according to SQLite and the tables of a bag."""
+    journal = path.with_name(path.name + "-journal")
+    if journal.exists() and journal.stat().st_size > 0:
+        return "a transaction was not ended"
+    try:
+        with closing(_opened(path, logged)) as database:
+            for (verdict,) in database.execute("PRAGMA integrity_check(1)"):
+                if verdict != "ok":
+                    return str(verdict)
+            ((tables,),) = database.execute(
+                "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND name IN ('topics', 'messages')"
+            )
+            if tables < 2:
+                return "it has not the tables of a bag"
+            ((strange,),) = database.execute(
+                "SELECT count(*) FROM messages WHERE typeof(timestamp) != 'integer' OR typeof(data) != 'blob'"
+                " OR topic_id NOT IN (SELECT id FROM topics)"
+            )
+            ((unnamed,),) = database.execute("SELECT count(*) FROM topics WHERE typeof(name) != 'text'")
+            return "messages of no topic" if strange or unnamed else "ok"
+    except (sqlite3.Error, UnicodeDecodeError) as error:
+        return str(error)
+
+
+def _opened(path: Path, logged: bool) -> sqlite3.Connection:
+    """Open the database read-only; side files are created only where there are some already."""
+    mode = "mode=ro" if logged else "mode=ro&immutable=1"
+    return sqlite3.connect(f"{path.absolute().as_uri()}?{mode}", uri=True)
+
+
+def _fold(path: Path) -> None:
+    """Merge the log into the database; SQLite refuses while somebody else has it open."""
     with closing(sqlite3.connect(path, timeout=BUSY, isolation_level=None)) as database:
-        ((verdict,), *_) = database.execute("PRAGMA integrity_check(1)")
-        if verdict != "ok":
-            raise BagError(f"{path} is damaged and is left as it is: {verdict}")
-        ((tables,),) = database.execute("SELECT count(*) FROM sqlite_master")
-        if tables == 0:
-            database.executescript(SQLITE_SCHEMA)
-        # Takes in what is committed in the log; refused while somebody else has the database open.
         database.execute("PRAGMA journal_mode=DELETE")
-    return True, 0
 
 
 def _read_sqlite(path: Path) -> _Inventory:
-    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+    log = path.with_name(path.name + "-wal")
+    with closing(_opened(path, log.exists() and log.stat().st_size > 0)) as database:
         columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
         if "name" not in columns:
             raise BagError(f"{path} is an SQLite database, but not of a bag: it has no table of topics")
@@ -262,7 +505,7 @@ def _read_sqlite(path: Path) -> _Inventory:
         type_hash = "type_description_hash" if "type_description_hash" in columns else "''"
         counts = dict(database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
         topics = [
-            Counted(Topic(name, kind, encoding, metadata.parse_qos(profiles), digest), counts.get(number, 0))
+            Counted(TopicMetadata(name, kind, encoding, _qos(profiles), digest), counts.get(number, 0))
             for number, name, kind, encoding, profiles, digest in database.execute(
                 f"SELECT id, name, type, serialization_format, {qos}, {type_hash} FROM topics ORDER BY id"
             )
@@ -273,5 +516,8 @@ def _read_sqlite(path: Path) -> _Inventory:
     return _Inventory(File(path.name, start, end - start, sum(counts.values())), tuple(topics))
 
 
-MENDERS: dict[str, Callable[[Path], tuple[bool, int]]] = {"mcap": _mend_mcap, "sqlite3": _mend_sqlite}
+EXAMINERS: dict[str, Callable[[Path, Metadata | None, bool], _State]] = {
+    "mcap": _examine_mcap,
+    "sqlite3": _examine_sqlite,
+}
 READERS: dict[str, Callable[[Path], _Inventory]] = {"mcap": _read_mcap, "sqlite3": _read_sqlite}

@@ -1,4 +1,4 @@
-"""sqlite3 files of rosbag2, read in bulk."""
+"""Reads SQLite files of rosbag2 (.db3) into arrays, many messages at a time."""
 
 import sqlite3
 from collections.abc import Callable, Iterator
@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.bags.batch import Batch, Integers, Topic, qos_profiles
 from valve_control.bags.errors import BagError
+from valve_control.bags.messages import Block, Integers, Topic, absolute, full_type, qos_profiles
 
 MAGIC = b"SQLite format 3\0"
 ROWS = 500
@@ -35,10 +35,10 @@ class SqliteFile:
             raise BagError(f"{path} is empty")
         if head != MAGIC:
             raise BagError(f"{path} is not a sqlite3 file: it does not begin with sqlite's magic bytes")
-        # A write-ahead log beside it, of a recorder that was killed, must be readable too.
-        left = path.with_name(path.name + "-wal")
-        if left.exists() and left.stat().st_size > 0:
-            self.problems.append(f"{path} is unfinished (valve-control bag recover makes it whole)")
+        # A write-ahead log beside it is read too.
+        log = path.with_name(path.name + "-wal")
+        if log.exists() and log.stat().st_size > 0:
+            self.problems.append(f"{path}: a part of it is in {log.name} beside it, the two belong together")
         self._db = self._connect()
         try:
             self._learn()
@@ -77,8 +77,8 @@ class SqliteFile:
             self._ids[entry["id"]] = len(self.topics)
             self.topics.append(
                 Topic(
-                    entry["name"],
-                    entry["type"],
+                    absolute(entry["name"]),
+                    full_type(entry["type"]),
                     entry.get("serialization_format", "cdr"),
                     encoding,
                     text,
@@ -88,21 +88,24 @@ class SqliteFile:
             )
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self._db.close()
 
-    def batches(
+    def blocks(
         self, start: int | None = None, end: int | None = None, told: Callable[[int], None] | None = None
-    ) -> Iterator[Batch]:
-        """Messages with a log time [ns] from ``start`` to before ``end``; ``told`` hears the bytes done."""
+    ) -> Iterator[Block]:
+        """Yield messages with a log time [ns] from ``start`` to before ``end``.
+
+        ``told`` is called with the number of bytes read since its last call.
+        """
         try:
-            yield from self._batches(start, end, told)
+            yield from self._blocks(start, end, told)
         except DAMAGE as error:
             self.problems.append(f"{self.path} is damaged, what follows is left out: {error}")
 
-    def _batches(
+    def _blocks(
         self, start: int | None, end: int | None, told: Callable[[int], None] | None
-    ) -> Iterator[Batch]:
+    ) -> Iterator[Block]:
         table = np.full(max(self._ids, default=0) + 2, -1, dtype=np.int64)
         for number, topic in self._ids.items():
             table[number] = topic
@@ -119,9 +122,9 @@ class SqliteFile:
         )
         (total,) = self._db.execute("SELECT count(*) FROM messages").fetchone()
         read, done = 0, 0
-        while (batch := self._batch(cursor, table)) is not None:
-            read += len(batch.topic)
-            yield batch if (batch.topic >= 0).all() else batch.select(batch.topic >= 0)
+        while (block := self._block(cursor, table)) is not None:
+            read += len(block.topic)
+            yield block if (block.topic >= 0).all() else block.select(block.topic >= 0)
             if told is not None:
                 now = self.size * read // total
                 told(now - done)
@@ -129,7 +132,7 @@ class SqliteFile:
         if told is not None:
             told(self.size - done)
 
-    def _batch(self, cursor: sqlite3.Cursor, table: Integers) -> Batch | None:
+    def _block(self, cursor: sqlite3.Cursor, table: Integers) -> Block | None:
         """The next messages; fetched in pieces that fit in the processor's cache, which is twice as fast."""
         numbers: list[npt.NDArray[Any]] = []
         datas: list[bytes] = []
@@ -146,7 +149,7 @@ class SqliteFile:
             return None
         topic, stamp, publish, sequence = np.concatenate(numbers, axis=1)
         length = np.concatenate(lengths)
-        return Batch(
+        return Block(
             np.frombuffer(b"".join(datas), dtype=np.uint8),
             table[np.clip(topic, -1, len(table) - 1)],
             stamp,

@@ -1,4 +1,4 @@
-"""Bags of rosbag2 (Jazzy), written so that what was flushed outlives the process."""
+"""Writes rosbag2 bags (Jazzy); what was flushed survives a kill of the process."""
 
 import fcntl
 import os
@@ -12,9 +12,9 @@ from typing import Any, NoReturn, Protocol, Self
 
 from mcap.writer import CompressionType, Writer
 
-from valve_control.bags import mending, metadata
+from valve_control.bags import metadata, repair
 from valve_control.bags.errors import BagError
-from valve_control.bags.metadata import Counted, File, Qos, Topic
+from valve_control.bags.metadata import Counted, File, Qos, TopicMetadata
 
 COMPRESSION = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
 LIBRARY = "valve_control"
@@ -42,12 +42,12 @@ COMMIT;
 
 
 def reason(error: Exception) -> str:
-    """What the operating system or SQLite says."""
+    """Message of the operating system or of SQLite."""
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
 class Lock:
-    """Held on a bag's folder by whoever writes to the bag; it goes with its process."""
+    """File lock on a bag's folder, held by the process that writes to the bag; it ends with the process."""
 
     def __init__(self, folder: Path) -> None:
         self._descriptor = os.open(folder, os.O_RDONLY)
@@ -60,7 +60,7 @@ class Lock:
             pass  # some network file systems cannot lock a folder
 
     def release(self) -> None:
-        """Let others write."""
+        """Release the lock."""
         os.close(self._descriptor)
 
 
@@ -70,27 +70,27 @@ class Storage(Protocol):
     path: Path
     pending: int  # bytes of messages in memory
 
-    def add_topic(self, topic: Topic, definition: str) -> None:
-        """Announce ``topic``, whose type has the message ``definition``, "" if it is not known."""
+    def add_topic(self, topic: TopicMetadata, definition: str) -> None:
+        """Add ``topic`` with the ``definition`` of its message type, "" if that is not known."""
 
     def write(self, topic: str, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
-        """Take a message into memory; times in ns."""
+        """Buffer a message; times in ns."""
 
     def size(self) -> int:
-        """Size of the file with what is pending [bytes]."""
+        """Size of the file [bytes], with what is buffered."""
 
     def flush(self) -> None:
-        """Hand everything to the operating system."""
+        """Write everything that is buffered."""
 
     def finish(self, text: str) -> None:
-        """End the file after a flush, with the bag's metadata in it as ``text``."""
+        """Finish the file after a flush; ``text``: the bag's metadata, to be stored in it."""
 
     def abandon(self) -> None:
-        """Go back to the last flush after an error, and end the file if that is possible."""
+        """After an error, go back to the last flush, and finish the file if that is possible."""
 
 
 class Output:
-    """The file under an MCAP writer: each flush is one write, and an unsuccessful one can be taken back."""
+    """File for the MCAP writer: each flush is one write, and a failed one can be taken back."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("xb", buffering=0)
@@ -99,17 +99,17 @@ class Output:
         self.flushed = 0
 
     def write(self, data: bytes) -> int:
-        """Take ``data`` into memory."""
+        """Buffer ``data``."""
         self._waiting.append(data)
         self._position += len(data)
         return len(data)
 
     def tell(self) -> int:
-        """Position after all that was taken."""
+        """Position after all buffered data."""
         return self._position
 
     def flush(self) -> None:
-        """Write what waits. Raises OSError."""
+        """Write what is buffered. Raises OSError."""
         rest = memoryview(b"".join(self._waiting))
         while rest:
             rest = rest[self._file.write(rest) :]
@@ -144,8 +144,8 @@ class McapStorage:
         self._writer.start("ros2", LIBRARY)
         self.flush()
 
-    def add_topic(self, topic: Topic, definition: str) -> None:
-        """A channel, and the schema of its type."""
+    def add_topic(self, topic: TopicMetadata, definition: str) -> None:
+        """Add a channel, and the schema of its type."""
         if topic.type not in self._schemas:
             self._schemas[topic.type] = self._writer.register_schema(
                 topic.type, "ros2msg" if definition else "", definition.encode()
@@ -161,30 +161,30 @@ class McapStorage:
         )
 
     def write(self, topic: str, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
-        """A message of the chunk in progress."""
+        """Add a message to the open chunk."""
         self._writer.add_message(self._channels[topic], log_time, data, publish_time, sequence & 0xFFFFFFFF)
         self.pending += OVERHEAD + len(data)
 
     def size(self) -> int:
-        """Bytes."""
+        """Size of the file [bytes], with what is buffered."""
         return self._output.tell() + self.pending
 
     def flush(self) -> None:
-        """End the chunk."""
+        """End the open chunk and write it."""
         self._writer.flush()
         self.pending = 0
 
     def finish(self, text: str) -> None:
-        """Summary and footer."""
+        """Write summary and footer."""
         self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
         self._writer.finish()
         self._output.flush()
         self._output.close()
 
     def abandon(self) -> None:
-        """The writer's indexes include what was not written: they are made anew from the file."""
+        """Go back to the last flush; indexes are made anew, since the writer's name unwritten messages."""
         self._output.take_back()
-        mending.mend(self.path)
+        repair.repair(self.path)
 
 
 class SqliteStorage:
@@ -207,8 +207,8 @@ class SqliteStorage:
         self._database.execute("PRAGMA synchronous=NORMAL")
         self._database.executescript(SQLITE_SCHEMA)
 
-    def add_topic(self, topic: Topic, definition: str) -> None:
-        """A row of topics, and one of message_definitions for its type."""
+    def add_topic(self, topic: TopicMetadata, definition: str) -> None:
+        """Add a row of topics, and one of message_definitions for its type."""
         if definition and topic.type not in self._types:
             self._types.add(topic.type)
             self._database.execute(
@@ -229,18 +229,18 @@ class SqliteStorage:
         )
 
     def write(self, topic: str, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
-        """A row of messages and one of our times."""
+        """Buffer a row of messages, and one of our source times and numbers."""
         self._count += 1
         self._messages.append((self._count, self._topics[topic], log_time, data))
         self._times.append((self._count, publish_time, sequence))
         self.pending += OVERHEAD + len(data)
 
     def size(self) -> int:
-        """Bytes of the database once its log is in it."""
+        """Size of the database [bytes] once its log is merged."""
         return self._size + self.pending
 
     def flush(self) -> None:
-        """One transaction."""
+        """Write what is buffered in one transaction."""
         with self._database:
             self._database.execute("BEGIN")
             self._database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", self._messages)
@@ -254,14 +254,14 @@ class SqliteStorage:
         self._size = pages * page_size
 
     def finish(self, text: str) -> None:
-        """The metadata, and a single file without a log."""
+        """Store the metadata, and leave a single file without a log."""
         self._database.execute(
             "INSERT INTO metadata(metadata_version, metadata) VALUES (?, ?)", (metadata.VERSION, text)
         )
         self._single_file()
 
     def abandon(self) -> None:
-        """What is committed stays."""
+        """Close the database; what is committed stays."""
         self._single_file()
 
     def _single_file(self) -> None:
@@ -287,13 +287,13 @@ class Tally:
         self.end = 0  # ns
 
     def copy(self) -> "Tally":
-        """As it is now."""
+        """A copy as of now."""
         other = Tally()
         other.counts, other.start, other.end = self.counts.copy(), self.start, self.end
         return other
 
     def file(self, path: Path) -> File:
-        """The file's entry in metadata.yaml."""
+        """Entry of the file in metadata.yaml."""
         return File(path.name, self.start, self.end - self.start, self.counts.total())
 
 
@@ -322,7 +322,7 @@ class BagWriter:
         self._max_bytes = max_bytes
         self._max_span = round(max_seconds * 1e9)
         self._on_new_file = on_new_file
-        self._topics: dict[str, tuple[Topic, str]] = {}
+        self._topics: dict[str, tuple[TopicMetadata, str]] = {}
         self._totals: Counter[str] = Counter()  # of the finished files
         self._files: list[File] = []
         self._finished_bytes = 0
@@ -340,17 +340,17 @@ class BagWriter:
 
     @property
     def path(self) -> Path:
-        """The file that is being written."""
+        """File that is being written."""
         return self._storage.path
 
     @property
     def message_count(self) -> int:
-        """Messages so far, flushed or not."""
+        """Number of messages so far, flushed or not."""
         return self._totals.total() + self._tally.counts.total()
 
     @property
     def counts(self) -> Counter[str]:
-        """Messages so far of each topic."""
+        """Number of messages so far by topic."""
         return self._totals + self._tally.counts
 
     @property
@@ -366,11 +366,11 @@ class BagWriter:
     def add_topic(
         self, name: str, type_name: str, definition: str = "", type_hash: str = "", qos: Sequence[Qos] = ()
     ) -> None:
-        """Announce a topic; ``definition`` is its type's in the form ros2msg, with those that it needs."""
+        """Add a topic; ``definition``: of its type in the form ros2msg, with the types that it needs."""
         self._check_open()
         if name in self._topics:
             raise BagError(f"{name} is in the bag {self.folder} already; a topic is added once")
-        topic = Topic(name, type_name, "cdr", tuple(qos), type_hash)
+        topic = TopicMetadata(name, type_name, "cdr", tuple(qos), type_hash)
         self._topics[name] = (topic, definition)
         try:
             self._storage.add_topic(topic, definition)
@@ -378,7 +378,7 @@ class BagWriter:
             self._fail(error)
 
     def write(self, topic: str, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
-        """A serialized message of ``topic``, received at ``log_time`` and sent at ``publish_time`` [ns]."""
+        """Write a serialized message of ``topic``; ``log_time``: received, ``publish_time``: sent [ns]."""
         self._check_open()
         tally = self._tally
         if self._is_full(log_time) and not self._rotating:
@@ -396,7 +396,7 @@ class BagWriter:
             self.flush()
 
     def flush(self) -> None:
-        """After this everything so far outlives a SIGKILL of this process."""
+        """Flush, after which everything so far survives a SIGKILL of this process."""
         self._check_open()
         if self._storage.pending == 0:
             return
@@ -406,8 +406,28 @@ class BagWriter:
             self._fail(error)
         self._kept = self._tally.copy()
 
+    def missing(self) -> list[str]:
+        """Names of finished files that are no longer in the folder.
+
+        Raises BagError, after which the bag is closed, if the file that is being written is not there.
+        """
+        self._check_open()
+        if _identity(self.path) != self._place:
+            self._closed = True
+            messages = self._tally.counts.total()
+            with suppress(OSError, sqlite3.Error, BagError):
+                self._storage.flush()
+            with suppress(OSError, sqlite3.Error, BagError):
+                self._storage.abandon()
+            self._lock.release()
+            raise BagError(
+                f"{self.path} was removed, moved or replaced while it was written, with {messages} messages "
+                "in it; nothing more is recorded (valve-control bag recover ends a file that was moved)"
+            )
+        return [file.path for file in self._files if not (self.folder / file.path).exists()]
+
     def close(self) -> None:
-        """End the bag and write its metadata.yaml; nothing if it is closed already."""
+        """Finish the bag and write its metadata.yaml; nothing if it is closed already."""
         if self._closed:
             return
         self._finish_file()
@@ -462,6 +482,8 @@ class BagWriter:
             self._lock.release()
             raise BagError(f"{path} cannot be begun: {reason(error)}") from error
 
+        self._place = _identity(path)
+
     def _finish_file(self) -> None:
         self.flush()
         file = self._tally.file(self.path)
@@ -493,7 +515,7 @@ class BagWriter:
         metadata.write(self.folder, metadata.of_files(self._storage_name, topics, self._files))
 
     def _fail(self, error: Exception) -> NoReturn:
-        """After an error of writing: back to the last flush, and an end if there is room for one."""
+        """Handle an error of writing: go back to the last flush, and finish the file if there is room."""
         self._closed = True
         path = self.path
         end = "the bag is closed and whole"
@@ -508,6 +530,15 @@ class BagWriter:
         raise BagError(
             f"{path} cannot be written any further: {reason(error)}; {end}, with {messages} messages"
         ) from error
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """What distinguishes a file from another one of the same name, None if there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
 
 
 def check(storage: str, compression: str) -> None:

@@ -1,1 +1,1 @@
-"""A simulated valve whose controllers give a measured table of performance indices."""
+"""Searches for a simulated valve on which the controllers give a measured table of indices."""

@@ -1,14 +1,14 @@
-"""How well a table determines each free quantity, and which quantity explains what."""
+"""Shows how well a table of indices determines each parameter of the valve, one profile for each."""
 
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from valve_control import interrupts
 from valve_control.calibration import objective
 from valve_control.calibration.objective import Fit
 from valve_control.calibration.search import Problem, cost_at, runs_at
@@ -34,7 +34,7 @@ ABSENT = {
 
 
 class Profile(NamedTuple):
-    """Cost over one quantity while all others are chosen anew."""
+    """Cost over one quantity, for each value of which all others are optimised again."""
 
     name: str
     values: list[float]
@@ -57,14 +57,14 @@ class Profile(NamedTuple):
 
 
 class Absence(NamedTuple):
-    """The fit without one effect, everything else chosen anew."""
+    """The best fit without one effect, all other quantities optimised again."""
 
     name: str
     fit: Fit
 
 
 def _refined(problem: Problem, start: Array, evaluations: int) -> tuple[Array, float]:
-    """The other quantities chosen anew, from ``start``."""
+    """Best point near ``start`` in the quantities that are not held."""
     import cma
 
     options = {"seed": 1, "maxfevals": evaluations, "verbose": -9, "tolflatfitness": 20}
@@ -113,7 +113,7 @@ def _profile(problem: Problem, point: Array, evaluations: int, index: int) -> Pr
 
 
 def profiles(problem: Problem, point: Array, evaluations: int, processes: int, done: Done) -> list[Profile]:
-    """Profile of each quantity; ``evaluations`` to choose the others anew at each of its points."""
+    """Compute the profile of each quantity, with ``evaluations`` valves for each of its points."""
     work = partial(_profile, problem, point, evaluations)
     return _together(work, range(len(problem.dimensions)), processes, done)
 
@@ -127,13 +127,13 @@ def _absence(problem: Problem, point: Array, evaluations: int, index: int) -> Ab
 
 
 def absences(problem: Problem, point: Array, evaluations: int, processes: int, done: Done) -> list[Absence]:
-    """The fit without each effect that can be absent."""
+    """Compute the best fit without each effect that can be absent."""
     which = [i for i, d in enumerate(problem.dimensions) if d.name in ABSENT]
     return _together(partial(_absence, problem, point, evaluations), which, processes, done)
 
 
 def _together(work: Callable[[int], T], indices: Sequence[int], processes: int, done: Done) -> list[T]:
-    with ProcessPoolExecutor(processes) as pool:
+    with interrupts.pool(processes) as pool:
         results = []
         for result in pool.map(work, indices):
             results.append(result)

@@ -1,4 +1,4 @@
-"""A measured table of indices from a file."""
+"""Reads a measured table of indices from a file."""
 
 import csv
 import json
@@ -8,8 +8,10 @@ from typing import Any
 
 import yaml
 
+from valve_control import inputs
 from valve_control.analysis.indices import PAPER_TABLE_1, Indices
-from valve_control.parameters.table import CONTROLLER, ParameterError, lookup
+from valve_control.parameter import ParameterError, lookup
+from valve_control.parameters.table import CONTROLLER
 
 CONTROLLERS = lookup(CONTROLLER, "controller").choices
 ROWS = f"one row for each of {', '.join(CONTROLLERS)} or some of them"
@@ -17,12 +19,13 @@ COLUMNS = f"the columns {', '.join(Indices._fields)}"
 
 
 def read(path: str) -> dict[str, Indices]:
-    """Table of a CSV file with a header, or of a YAML or JSON file; ``paper`` is the paper's Table 1.
+    """Read a table from a CSV file with a header, or a YAML or JSON file; ``paper`` is the paper's Table 1.
 
     Rows are controllers; an index that was not measured is left empty (null). Raises ParameterError.
     """
     if path == "paper":
         return dict(PAPER_TABLE_1)
+    inputs.check(path, "table")
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

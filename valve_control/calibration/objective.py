@@ -1,4 +1,4 @@
-"""How near the controllers of a simulated valve come to a measured table of indices."""
+"""Computes the cost of a calibration: how far simulated indices are from the measured table."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -6,14 +6,18 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control import closed_loop
 from valve_control.analysis.indices import Indices, indices
 from valve_control.calibration.space import Settings
+from valve_control.commands import scenarios
 from valve_control.compiling import compile_function
+from valve_control.laws import command_lead
+from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
+from valve_control.parameter import number, updated
 from valve_control.parameters import build
-from valve_control.parameters.table import NODES, updated
+from valve_control.parameters.table import NODES
 from valve_control.plant import valve
-from valve_control.simulation import closed_loop, offline, scenarios
 
 Array = npt.NDArray[np.float64]
 Table = Mapping[str, Indices]  # by controller; NaN where nothing was measured
@@ -24,7 +28,7 @@ NO_TERMS = np.zeros((0, 0))
 
 
 class Fit(NamedTuple):
-    """How near a table is."""
+    """How near a table of simulated indices is to the measured one."""
 
     rms: float  # root mean square of the log ratios
     worst: float  # largest of them
@@ -33,7 +37,7 @@ class Fit(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """What a search makes small: numbers beyond WITHIN and wrong orders count by themselves."""
+        """Cost that a search minimises; errors beyond WITHIN and wrong orders cost extra."""
         return self.rms + BEYOND * max(0.0, self.worst - WITHIN) + ORDER * self.orderings + GAP * self.gap
 
 
@@ -54,9 +58,9 @@ def commands_of(settings: Settings) -> Array:
     """Command [V] of each sample; compiled where a search varies it."""
     values = settings["command_source"]
     if values["scenario"] != "point_to_point":
-        return offline.commands(values)
-    period = build.number(values, "sample_period")
-    commands = np.zeros(max(1, round(build.number(values, "duration") / period)))
+        return build.commands(values)
+    period = number(values, "sample_period")
+    commands = np.zeros(max(1, round(number(values, "duration") / period)))
     compile_function(sampled_strokes)(build.shape(values), period, commands)
     return commands
 
@@ -69,15 +73,17 @@ def run(settings: Settings, controllers: Sequence[str], seeds: Sequence[int]) ->
     signals = np.zeros((len(command), len(closed_loop.SIGNALS)))
     found: dict[str, list[Indices]] = {name: [] for name in controllers}
     for name in controllers:
-        law = closed_loop.LAWS[name]
+        law = LAWS[name].module
         values = updated(NODES["controller"], settings["controller"], {"controller": name})
-        law_params = build.LAW_PARAMS[name](values)
-        loop = closed_loop.loop_for(law)
+        law_params = LAWS[name].build(values)
+        given = closed_loop.parts(law_params, valve_params)
+        led = command_lead.applied(command_lead.build(values), command)
         for noise in noises:
             state = valve.initial(valve_params)
             first = valve.read(valve_params, state, noise[0])
             begun = law.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
-            loop(law_params, begun, valve_params, state, command, noise, signals, NO_TERMS)
+            begin = closed_loop.parts(begun, state)
+            closed_loop.run_valve(law, given, begin, led, noise, signals, NO_TERMS)
             found[name].append(indices(signals[:, 1] - command, signals[:, 2], valve_params.period))
     return found
 
@@ -109,7 +115,7 @@ def swapped(found: Mapping[str, Sequence[Indices]], table: Table) -> dict[tuple[
 
 
 def fit(found: Mapping[str, Sequence[Indices]], table: Table) -> Fit:
-    """How near ``found`` is to ``table``."""
+    """Compare ``found`` with ``table``."""
     ratios = np.concatenate(list(log_ratios(found, table).values()))
     ratios = ratios[~np.isnan(ratios)]
     if not np.all(np.isfinite(ratios)):

@@ -1,4 +1,4 @@
-"""Search for the valve: CMA-ES (pycma) with growing populations over the plausible ranges.
+"""Searches for the valve of least cost: CMA-ES (pycma) with growing populations in plausible ranges.
 
 The cost is rugged, since noise and friction decide about single extreme errors: on this problem CMA-ES came
 to half the cost at which scipy's differential evolution and simplices stayed. A search is repeatable by its
@@ -7,11 +7,9 @@ seed whatever the number of processes.
 
 import contextlib
 import math
-import signal
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
@@ -19,11 +17,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy.stats
 
+from valve_control import interrupts
 from valve_control.analysis.indices import Indices
 from valve_control.calibration import objective
 from valve_control.calibration.objective import Table
 from valve_control.calibration.space import Dimension, Settings, changed, values_at
-from valve_control.parameters.table import ParameterError
+from valve_control.parameter import ParameterError
 
 Array = npt.NDArray[np.float64]
 Told = Callable[[int, float], None]  # evaluations so far, best cost
@@ -32,7 +31,7 @@ MOST = 128  # valves of a generation
 
 
 class Problem(NamedTuple):
-    """What is to be calibrated."""
+    """What is calibrated: settings, free quantities, measured table."""
 
     base: Settings  # what stays
     table: Table
@@ -41,7 +40,7 @@ class Problem(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Result of a search."""
+    """Result of a search: the best point and its cost."""
 
     point: Array  # in the unit cube
     cost: float
@@ -86,7 +85,7 @@ def search(
     start: Array | None = None,
     step: float = 0.25,
 ) -> Found:
-    """Best point of ``evaluations`` valves, or of those before Ctrl-C.
+    """Find the best point with ``evaluations`` valves; after Ctrl-C, the best one so far.
 
     ``population``: of the first CMA-ES, doubled by each restart. ``start``: a first guess; without one, the
     best of scattered points. ``step``: first standard deviation, as share of the ranges.
@@ -98,11 +97,7 @@ def search(
     evaluate = partial(cost_at, problem)
     evaluate(np.full(n, 0.5))  # compiles before the processes part
     count, cost, best = 0, np.inf, np.full(n, 0.5)
-    quiet = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for this process, which gives the best so far
-    with (
-        ProcessPoolExecutor(processes, initializer=signal.signal, initargs=quiet) as pool,
-        contextlib.suppress(KeyboardInterrupt),
-    ):
+    with interrupts.pool(processes) as pool, contextlib.suppress(KeyboardInterrupt):
 
         def judged(points: Sequence[Array]) -> list[float]:
             nonlocal count, cost, best
@@ -138,4 +133,6 @@ def search(
                     points = strategy.ask()
                     strategy.tell(points, judged(points))
             restart += 1
+    if count == 0:
+        raise KeyboardInterrupt
     return Found(best, cost, count, time.monotonic() - began)

@@ -1,4 +1,4 @@
-"""What a calibration may choose: physical parameters, each within a plausible range."""
+"""Lists the parameters that a calibration may choose, each with its plausible range."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,15 +7,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.parameters import build
-from valve_control.parameters.table import NODES, Values, updated
+from valve_control.laws.registry import ADAPTIVE
+from valve_control.parameter import Values, number, numbers, updated
+from valve_control.parameters.table import NODES
 
 Array = npt.NDArray[np.float64]
 Settings = dict[str, Values]  # by node
 
 
 class Target(NamedTuple):
-    """A parameter that takes the value of a free quantity."""
+    """A parameter that receives the value of a free quantity."""
 
     node: str
     parameter: str
@@ -24,7 +25,7 @@ class Target(NamedTuple):
 
 
 class Dimension(NamedTuple):
-    """One free quantity."""
+    """One free quantity with its range."""
 
     name: str
     targets: tuple[Target, ...]
@@ -59,8 +60,8 @@ def _command(name: str, low: float, high: float, unit: str, reason: str) -> Dime
 
 
 def _bound(end: str, entry: int, theta: str, low: float, high: float, unit: str, reason: str) -> Dimension:
-    """A bound of θ, the same for both laws that adapt."""
-    targets = tuple(Target("controller", f"{law}.theta_{end}", entry) for law in ("arc", "oarc"))
+    """One bound of θ as a quantity, the same for both laws that adapt."""
+    targets = tuple(Target("controller", f"{law}.theta_{end}", entry) for law in ADAPTIVE)
     return Dimension(f"theta_{end} {theta}", targets, low, high, False, unit, reason)
 
 
@@ -71,7 +72,7 @@ def _law(name: str, low: float, high: float, unit: str, reason: str) -> Dimensio
 # The command's speed and acceleration, the gains, the reshaping and θ(0) are the paper's and stay.
 DIMENSIONS = (
     _valve("gain_scale", 0.8, 1.4, "-", "identified from small signals; a larger stroke may differ"),
-    _valve("flow_force", -0.5, 0.5, "V/V", "closing or opening, up to 0.4 of the spring's"),
+    _valve("flow_force", -0.5, 0.5, "V/V", "closes; below 0 a softer spring; up to 0.4 of it"),
     _valve("disturbance.offset", -1.0, 1.0, "V", "centre of spring and amplifier: up to 10 % of u_max"),
     _valve("friction.coulomb", 0.1, 2.5, "V", "up to a quarter of u_max", True),
     _valve("friction.static_ratio", 1.0, 3.0, "-", "lubricated steel on steel"),
@@ -90,7 +91,7 @@ DIMENSIONS = (
         "theta_max b0·dn",
         tuple(
             Target("controller", f"{law}.theta_{end}", 3, sign)
-            for law in ("arc", "oarc")
+            for law in ADAPTIVE
             for end, sign in (("min", -1.0), ("max", 1.0))
         ),
         100.0,
@@ -120,7 +121,7 @@ def changed(base: Settings, dimensions: Sequence[Dimension], values: Mapping[str
             if target.entry < 0:
                 changes[node][name] = value
             else:
-                items = build.numbers({**base[node], **changes[node]}, name)
+                items = numbers({**base[node], **changes[node]}, name)
                 changes[node][name] = [*items[: target.entry], value, *items[target.entry + 1 :]]
     return {node: updated(NODES[node], base[node], changes[node]) for node in base}
 
@@ -129,5 +130,5 @@ def present(base: Settings, dimension: Dimension) -> float:
     """The value that ``base`` has."""
     target = dimension.targets[0]
     if target.entry < 0:
-        return target.factor * build.number(base[target.node], target.parameter)
-    return target.factor * build.numbers(base[target.node], target.parameter)[target.entry]
+        return target.factor * number(base[target.node], target.parameter)
+    return target.factor * numbers(base[target.node], target.parameter)[target.entry]

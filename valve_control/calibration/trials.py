@@ -1,19 +1,20 @@
-"""What a calibrated valve says where it was not fitted: other noise, other motions, a drifted valve."""
+"""Tries a calibrated valve where it was not fitted: other noise, other motions, a drifted valve."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from valve_control import parameter
 from valve_control.analysis.indices import Indices
 from valve_control.calibration import objective
 from valve_control.calibration.space import Settings
-from valve_control.parameters import build
-from valve_control.parameters.table import NODES, updated
+from valve_control.parameter import updated
+from valve_control.parameters.table import NODES
 
 DRIFT = 0.2  # relative change of gain, friction and flow force
 
 
 class Trial(NamedTuple):
-    """One case and the indices of each controller in it."""
+    """One case, with the indices of each controller in it."""
 
     name: str
     found: dict[str, Indices]
@@ -25,13 +26,13 @@ def _with(base: Settings, node: str, **values: Any) -> Settings:
 
 
 def trials(settings: Settings, controllers: Sequence[str]) -> list[Trial]:
-    """The calibrated case, three other seeds of the noise, two other motions, and drifts by 20 %."""
+    """Simulate the calibrated case, three other noise seeds, two other motions, and drifts by 20 %."""
     valve, command = settings["valve_simulator"], settings["command_source"]
-    seed = int(build.number(valve, "seed"))
+    seed = int(parameter.number(valve, "seed"))
     cases: list[tuple[str, Settings, int]] = [("as calibrated", settings, seed)]
     cases += [(f"noise seed {seed + i}", settings, seed + i) for i in (1, 2, 3)]
-    slower = {name: 0.5 * build.number(command, name) for name in ("max_velocity", "max_accel")}
-    slower["cycle"] = 2.0 * build.number(command, "cycle")  # the strokes take longer
+    slower = {name: 0.5 * parameter.number(command, name) for name in ("max_velocity", "max_accel")}
+    slower["cycle"] = 2.0 * parameter.number(command, "cycle")  # the strokes take longer
     cases.append(("half velocity and acceleration", _with(settings, "command_source", **slower), seed))
     cases.append(
         (
@@ -42,7 +43,7 @@ def trials(settings: Settings, controllers: Sequence[str]) -> list[Trial]:
     )
     for name, key in (("gain", "gain_scale"), ("friction", "friction.coulomb"), ("flow force", "flow_force")):
         for sign in (1.0, -1.0):
-            drifted = {key: build.number(valve, key) * (1.0 + sign * DRIFT)}
+            drifted = {key: parameter.number(valve, key) * (1.0 + sign * DRIFT)}
             cases.append(
                 (f"{name} {100 * sign * DRIFT:+.0f} %", _with(settings, "valve_simulator", **drifted), seed)
             )

@@ -1,4 +1,4 @@
-"""``python -m valve_control.cli``."""
+"""Makes ``python -m valve_control.cli`` the same as the `valve-control` command."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Calibrate a simulated valve to a measured table of indices."""
+"""Defines the sub-command `calibrate`: finds a simulated valve that gives a measured table of indices."""
 
 import argparse
 import math
@@ -7,10 +7,11 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from valve_control import outputs
-from valve_control.cli.common import Progress, check_outputs, say, write_json
+from valve_control import interrupts, outputs
+from valve_control.cli.common import Progress, check_outputs, check_processes, say, write_json
 from valve_control.cli.simulate import settings_of, setup_options
-from valve_control.parameters.table import NODES, ParameterError, Values, defaults
+from valve_control.parameter import ParameterError, Values, defaults
+from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
     from valve_control.calibration.search import Problem
@@ -77,17 +78,19 @@ def add_commands(commands: Any) -> None:
     calibrate.set_defaults(run=_calibrate)
 
 
-def _calibrate(arguments: argparse.Namespace) -> None:
+def _calibrate(arguments: argparse.Namespace) -> int:
     from valve_control.calibration import measured, objective, search, space
+    from valve_control.parameters import build
 
-    check_outputs([arguments.json], [arguments.output])
+    check_outputs(arguments, [arguments.output])
     table = measured.read(arguments.table)
     base = settings_of(arguments)
+    build.commands(base["command_source"])  # a file that cannot be read is found out before the search
     dimensions = _chosen(arguments, base, table)
     if arguments.ranges:
         for d in dimensions:
             say(arguments, f"{d.name:28}{d.low:10g} … {d.high:<10g}{d.unit:8}{d.reason}")
-        return
+        return 0
     _check_counts(arguments)
     first = int(str(base["valve_simulator"]["seed"]))
     problem = search.Problem(base, table, dimensions, range(first, first + arguments.noise_seeds))
@@ -96,15 +99,21 @@ def _calibrate(arguments: argparse.Namespace) -> None:
         start = _present(base, dimensions)
     progress = Progress(arguments.evaluations, "valves")
     found = search.search(
-        problem,
-        arguments.search_seed,
-        arguments.evaluations,
-        arguments.population,
-        arguments.processes,
-        lambda done, best: progress(done, f", best cost {best:.4f}"),
-        start,
-        arguments.step,
+        problem=problem,
+        seed=arguments.search_seed,
+        evaluations=arguments.evaluations,
+        population=arguments.population,
+        processes=arguments.processes,
+        told=lambda done, best: progress(done, f", best cost {best:.4f}"),
+        start=start,
+        step=arguments.step,
     )
+    stopped = found.evaluations < arguments.evaluations
+    if stopped:
+        print(
+            f"stopped after {found.evaluations} of {arguments.evaluations} valves; this is the best of them",
+            file=sys.stderr,
+        )
     values = space.values_at(dimensions, found.point)
     settings = space.changed(base, dimensions, values)
     runs = objective.run(settings, list(table), problem.seeds)
@@ -124,15 +133,16 @@ def _calibrate(arguments: argparse.Namespace) -> None:
     if arguments.output is not None:
         save(arguments.output, arguments.table, base, settings, result)
         say(arguments, f"wrote {arguments.output}")
-    if arguments.trials:
+    if arguments.trials and not stopped:
         result["trials"] = _trials(arguments, settings, table)
-    if arguments.profile:
+    if arguments.profile and not stopped:
         result["identifiability"] = _identifiability(arguments, problem, found.point)
     write_json(arguments, result)
+    return interrupts.STATUS if stopped else 0
 
 
 def _chosen(arguments: argparse.Namespace, base: "Settings", table: Mapping[str, Any]) -> list["Dimension"]:
-    """The quantities that are free."""
+    """Quantities that the search may vary."""
     from valve_control.calibration.space import DIMENSIONS
 
     names = [d.name for d in DIMENSIONS]
@@ -146,7 +156,7 @@ def _chosen(arguments: argparse.Namespace, base: "Settings", table: Mapping[str,
 
 
 def _matters(dimension: "Dimension", base: "Settings", table: Mapping[str, Any]) -> bool:
-    """Whether a controller of the table, or the command's shape, has the quantity."""
+    """Whether a controller of the table, or the command's shape, depends on the quantity."""
     target = dimension.targets[0]
     if target.node == "controller":
         return any(t.parameter.split(".")[0] in table for t in dimension.targets)
@@ -157,7 +167,7 @@ def _matters(dimension: "Dimension", base: "Settings", table: Mapping[str, Any])
 
 
 def _present(base: "Settings", dimensions: Sequence["Dimension"]) -> Any:
-    """The given parameters as a point of the unit cube; says which of them lie outside of their range."""
+    """The given parameters as a point of the unit cube; prints which of them lie outside of their range."""
     import numpy as np
 
     from valve_control.calibration.space import present
@@ -171,13 +181,13 @@ def _present(base: "Settings", dimensions: Sequence["Dimension"]) -> Any:
 
 
 def _check_counts(arguments: argparse.Namespace) -> None:
+    check_processes("processes", arguments.processes)
     if not 0.001 <= arguments.step <= 1.0:
         raise ParameterError(f"--step is {arguments.step:g}; it must lie between 0.001 and 1")
     lowest = {
         "evaluations": 1,
         "population": 4,
         "noise_seeds": 1,
-        "processes": 1,
         "profile": 0,
         "search_seed": 0,
     }
@@ -188,7 +198,7 @@ def _check_counts(arguments: argparse.Namespace) -> None:
 
 
 def _nearness(runs: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
-    """Fit, ratios to the table and orders that differ."""
+    """Fit, ratios to the table and pairs in another order, for JSON."""
     import numpy as np
 
     from valve_control.calibration import objective
@@ -204,7 +214,7 @@ def _nearness(runs: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, An
 
 
 def _off(log_ratio: float) -> str:
-    """A log ratio as per cent."""
+    """Log ratio as text in per cent."""
     return f"{100.0 * math.expm1(log_ratio):.1f} %"
 
 

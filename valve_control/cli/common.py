@@ -1,44 +1,64 @@
-"""What the sub-commands share: parser, checks, outputs."""
+"""Holds what the sub-commands share: parser, checks of outputs and processes, progress, JSON."""
 
 import argparse
+import difflib
+import os
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NoReturn
 
 from valve_control import outputs
-from valve_control.parameters.table import ParameterError
+from valve_control.parameter import ParameterError
+
+MOST_PER_CORE = 4  # processes or threads
 
 
 class Parser(argparse.ArgumentParser):
-    """Prints one sentence, not the usage, when an argument is wrong."""
+    """Argument parser that prints one sentence, not the usage, when an argument is wrong."""
 
     def error(self, message: str) -> NoReturn:
         """Exit with status 2."""
+        head, _, unknown = message.partition("unrecognized arguments: ")
+        if unknown and not head:
+            near = difflib.get_close_matches(unknown.split()[0], self._option_string_actions, n=1)
+            message += f"; did you mean {near[0]}?" if near else ""
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
-def check_outputs(printable: Sequence[str | None], files: Sequence[str | None] = ()) -> None:
-    """Refuse outputs that cannot be written, before the work begins; ``printable`` may be -."""
-    taken: set[Path] = set()
-    for path, may_print in [*((p, True) for p in printable), *((p, False) for p in files)]:
-        if path is None or (path == "-" and may_print):
-            continue
-        if path == "-":
-            raise ParameterError("only --json takes - for standard output; give a file")
-        whole = Path(path).resolve()
-        if not whole.parent.is_dir():
-            raise ParameterError(f"{path} cannot be written: there is no folder {whole.parent}")
-        if whole.is_dir():
-            raise ParameterError(f"{path} cannot be written: it is a folder")
-        if whole in taken and not (whole.exists() and not whole.is_file()):
-            raise ParameterError(f"{path} is given for two outputs; each needs a file of its own")
-        taken.add(whole)
+INPUTS = ("params_file", "command", "source", "table", "bag", "bags", "config")  # options that name files
+
+
+def check_outputs(
+    arguments: argparse.Namespace, files: Sequence[str | None] = (), figures: Sequence[str | None] = ()
+) -> None:
+    """Refuse outputs that cannot be written, before the work begins; ``--json`` may be ``-``."""
+    wanted = [path for path in (*files, *figures) if path is not None]
+    if "-" in wanted:
+        raise ParameterError("only --json takes - for standard output; give a file")
+    if arguments.json not in (None, "-"):
+        wanted.append(arguments.json)
+    inputs: list[str] = []
+    for name in INPUTS:
+        given = getattr(arguments, name, None) or []
+        inputs += [given] if isinstance(given, str) else given
+    outputs.check(wanted, inputs)
+    for path in figures:
+        outputs.check_figure(path)
+
+
+def check_processes(name: str, count: int) -> None:
+    """Raise ParameterError for more processes or threads than this machine could use."""
+    cores = os.cpu_count() or 1
+    if not 1 <= count <= MOST_PER_CORE * cores:
+        raise ParameterError(
+            f"--{name} is {count}; it must lie between 1 and {MOST_PER_CORE * cores}, {MOST_PER_CORE} for "
+            f"each of the {cores} cores of this machine"
+        )
 
 
 class Progress:
-    """A line of progress on standard error every few seconds, with the time left."""
+    """Prints a line of progress on standard error every few seconds, with the time left."""
 
     def __init__(self, total: int, things: str) -> None:
         self._total = total
@@ -47,7 +67,7 @@ class Progress:
         self._began = self._said = 0.0
 
     def __call__(self, done: int, more: str = "") -> None:
-        """Say that ``done`` are done, and ``more``; what is done at the first call cost no time."""
+        """Report that ``done`` are done, and print ``more``; what was done at the first call took no time."""
         now = time.monotonic()
         if self._first < 0:
             self._first, self._began, self._said = done, now, now
@@ -61,8 +81,13 @@ def say(arguments: argparse.Namespace, text: str) -> None:
     print(text, file=sys.stderr if arguments.json == "-" else sys.stdout)
 
 
+def tell_notes(notes: Sequence[str]) -> None:
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)
+
+
 def write_json(arguments: argparse.Namespace, result: Any) -> None:
-    """Write or print ``result`` as --json asks for it."""
+    """Write ``result`` to the file that --json names, or print it."""
     if arguments.json is None:
         return
     text = outputs.as_json(result)

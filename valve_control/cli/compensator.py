@@ -1,4 +1,4 @@
-"""Pole-zero compensators on the command line."""
+"""Defines the sub-command `compensator`: designs a pole-zero compensator, or checks the paper's."""
 
 import argparse
 import sys
@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from valve_control.cli.common import check_outputs
-from valve_control.parameters.table import NODES, ParameterError, Values, lookup
+from valve_control.parameter import ParameterError, Values, lookup
+from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
     from valve_control.identification.bode import Corners
@@ -61,11 +62,9 @@ def add_commands(commands: Any) -> None:
 
 
 def _compensator(arguments: argparse.Namespace) -> int:
-    from valve_control import outputs
     from valve_control.identification import cancellation, result
 
-    check_outputs([arguments.json], [arguments.output, arguments.figure])
-    outputs.check_figure(arguments.figure)
+    check_outputs(arguments, [arguments.output], [arguments.figure])
     if arguments.paper:
         return _paper(arguments)
     numbers = {
@@ -134,6 +133,12 @@ def _model(arguments: argparse.Namespace) -> "TransferFunction":
     if given[2]:
         if None in polynomials:
             raise ParameterError("--numerator and --denominator need each other")
+        first, last = arguments.numerator[-1], arguments.denominator[-1]
+        if first * last < 0.0:
+            raise ParameterError(
+                f"the static gain of --numerator and --denominator is {first / last:.3g} V/V; it must be "
+                "positive, or the spool moves against the voltage"
+            )
         return TransferFunction(tuple(arguments.numerator), tuple(arguments.denominator))
     return MODELS[arguments.model or "fourth_order"]
 
@@ -238,7 +243,7 @@ def _paper(arguments: argparse.Namespace) -> int:
     if wrong:
         option = {"source": "from"}.get(wrong[0], wrong[0]).replace("_", "-")
         raise ParameterError(f"compensator --paper takes no --{option}")
-    found = cancellation.paper()
+    found = cancellation.printed()
     about = [
         {name: value._asdict() if hasattr(value, "_asdict") else value for name, value in a._asdict().items()}
         for a in found

@@ -1,15 +1,18 @@
-"""Models on the command line: identify, and compensators made from them."""
+"""Defines the sub-command `identify`: measures and fits a valve, simulated or recorded."""
 
 import argparse
+import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control.bags.errors import BagError
 from valve_control.cli import compensator
-from valve_control.cli.common import check_outputs, say
+from valve_control.cli.common import check_outputs, say, tell_notes
 from valve_control.cli.simulate import SCENARIOS, setup_options
 from valve_control.identification import WEIGHTINGS
-from valve_control.parameters.table import NODES, ParameterError, Values, defaults, updated
+from valve_control.parameter import ParameterError, Values, defaults, number, updated
+from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
     from valve_control.identification.experiment import Experiment
@@ -88,8 +91,12 @@ def _identify(arguments: argparse.Namespace) -> int:
     from valve_control import outputs
     from valve_control.identification import experiment, result
 
-    check_outputs([arguments.json], [arguments.output, arguments.csv, arguments.figure])
-    outputs.check_figure(arguments.figure)
+    check_outputs(arguments, [arguments.output, arguments.csv], [arguments.figure])
+    if arguments.delay and _is_number(arguments.bag):
+        raise ParameterError(
+            f"--delay takes no number, because the dead time is estimated; leave out {arguments.bag} (a "
+            "simulated valve gets its own with --set lvdt.delay=SECONDS)"
+        )
     if not 0.0 <= arguments.settle < float("inf"):
         raise ParameterError(f"--settle is {arguments.settle:g} s; it must be finite and not negative")
     band = None
@@ -120,11 +127,17 @@ def _identify(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _is_number(text: str | None) -> bool:
+    """Whether the name of a bag is a number, and no such bag is there."""
+    try:
+        return text is not None and not Path(text).exists() and math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
 def _simulated(arguments: argparse.Namespace) -> "Experiment":
     from valve_control.identification import experiment
-    from valve_control.parameters import build
     from valve_control.parameters import files as parameter_files
-    from valve_control.simulation import offline
 
     for name in BAG_ONLY:
         if getattr(arguments, name) not in (None, []):
@@ -141,22 +154,31 @@ def _simulated(arguments: argparse.Namespace) -> "Experiment":
         name, by_node = parameter_files.parse_setting(text)
         if not {"valve_simulator", "command_source"} & set(by_node):
             raise ParameterError(f"identify tests the valve without feedback, so it takes no --set {name}")
-    given = parameter_files.given(arguments.params_file, direct, arguments.set)
+    if arguments.command is not None and arguments.scenario is not None:
+        raise ParameterError(
+            f"--command {arguments.command} and --scenario {arguments.scenario} contradict each other; "
+            "give one of them"
+        )
+    told: list[str] = []
+    given = parameter_files.given(arguments.params_file, direct, arguments.set, told)
+    tell_notes(told)
     settings: dict[str, Values] = {
         node: updated(NODES[node], defaults(NODES[node]), given[node])
         for node in ("controller", "valve_simulator")
     }
-    period = build.number(settings["valve_simulator"], "sample_period")
+    period = number(settings["valve_simulator"], "sample_period")
     command = experiment.test_values(given["command_source"], period)
     motion = None
     if arguments.command is not None:
-        motion = offline.read_commands(arguments.command)
+        from valve_control.commands import arrays
+
+        motion = arrays.read(arguments.command)
         command = {**command, "scenario": "array"}
     return experiment.simulated(settings["controller"], settings["valve_simulator"], command, motion)
 
 
 def _recorded(arguments: argparse.Namespace) -> "Experiment":
-    from valve_control.identification import experiment
+    from valve_control.identification import recorded
     from valve_control.recordings import recording
 
     for name in SIMULATED:
@@ -170,16 +192,25 @@ def _recorded(arguments: argparse.Namespace) -> "Experiment":
     if not loaded.valves:
         raise BagError(f"{arguments.bag} has no topic of a valve")
     valve = recording.chosen(arguments.bag, loaded.valves, arguments.of)
-    return experiment.recorded(loaded, valve)
+    return recorded.recorded(loaded, valve)
 
 
 def _found(arguments: argparse.Namespace, tested: "Experiment", measured: "Response") -> "Identification":
-    from valve_control.identification import rational, result, theta
+    from valve_control.identification import experiment, first_gains, lvdt, rational, result, theta
 
     options = {"delayed": arguments.delay, "weighting": arguments.weighting}
     notes = [*tested.notes, *measured.notes]
-    second = rational.fit(measured, 2, **options)
-    rational.check_worth(second)
+    try:
+        second = rational.fit(measured, 2, **options)
+        experiment.check_travel(tested, second.model.static_gain)
+        rational.check_worth(second)
+    except ParameterError as error:
+        if not tested.feedback:
+            raise
+        raise ParameterError(
+            f"{tested.source} was recorded in closed loop ({tested.feedback}), which does not show the valve "
+            f"alone: {error}; record a stepped sine or sweep with controller open_loop"
+        ) from error
     fits: list[Fit] = [second]
     if arguments.order is not None:
         order, zeros = arguments.order, arguments.zeros
@@ -205,6 +236,19 @@ def _found(arguments: argparse.Namespace, tested: "Experiment", measured: "Respo
             notes.append(f"the second order stands alone: {error}")
     best = fits[-1]
     suggestion = theta.suggest(measured, second, best, tested.u_max)
+    readings = lvdt.observe(tested.position)
+    model, delay, told = first_gains.with_dead_time(measured, best, arguments.weighting)
+    gains = first_gains.first(
+        first_gains.Valve(model, delay, suggestion, readings, measured.period, tested.u_max)
+    )
     return result.Identification(
-        tested.source, measured, tuple(fits), best, suggestion, tested.u_max, tuple(notes)
+        source=tested.source,
+        measured=measured,
+        fits=tuple(fits),
+        best=best,
+        theta=suggestion,
+        lvdt=readings,
+        gains=gains.values,
+        u_max=tested.u_max,
+        notes=(*notes, *told, *gains.notes),
     )

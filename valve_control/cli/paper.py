@@ -1,4 +1,4 @@
-"""Rebuild the paper's Table 1 and figures."""
+"""Defines the sub-command `paper`: makes the paper's Table 1 and figures again."""
 
 import argparse
 import importlib.util
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control.cli.common import say
-from valve_control.parameters.table import ParameterError
+from valve_control.parameter import ParameterError, number
 
 if TYPE_CHECKING:
     from valve_control.paper.traces import Trace
@@ -36,18 +36,18 @@ def add_commands(commands: Any) -> None:
 def _paper(arguments: argparse.Namespace) -> int:
     from valve_control.paper import report
     from valve_control.paper.figures import figures
-    from valve_control.paper.jobs import CONFIG, jobs, valve_gain, valve_of
-    from valve_control.parameters import build, files
+    from valve_control.paper.runs import CONFIG, paper_runs, valve_gain, valve_of
+    from valve_control.parameters import files
 
     config = arguments.config or str(files.config_folder() / CONFIG)
     valve = valve_of(config)
-    all_jobs = jobs(valve)
+    planned = paper_runs(valve)
     folder = Path(arguments.out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ParameterError(f"output folder {folder} cannot be made: {error.strerror}") from error
-    runs = _offline(all_jobs, config) if arguments.offline else _through_nodes(all_jobs, folder, config)
+    runs = _offline(planned, config) if arguments.offline else _through_nodes(planned, folder, config)
     if runs is None:
         return 1
     table = report.table_1(runs)
@@ -56,7 +56,7 @@ def _paper(arguments: argparse.Namespace) -> int:
         print(f"{row[0]:8}" + "".join(f"{cell:>9}" for cell in row[1:]))
     for text in report.verdicts(table):
         print(text)
-    made = figures(runs, valve_gain(valve), build.number(valve, "u_max"))
+    made = figures(runs, valve_gain(valve), number(valve, "u_max"))
     for figure in made:
         for note in figure.notes:
             print(f"{figure.title.split(':')[0]}: {note}")
@@ -76,36 +76,44 @@ def _paper(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _offline(all_jobs: list[Any], config: str) -> "dict[str, Trace]":
+def _offline(planned: list[Any], config: str) -> "dict[str, Trace]":
     from valve_control.paper import traces
-    from valve_control.paper.jobs import values_of
-    from valve_control.parameters import files
+    from valve_control.paper.runs import values_of
+    from valve_control.parameters import build, files
     from valve_control.simulation import offline
 
     set_by_file = files.load(config)
     runs = {}
-    for job in all_jobs:
-        values = values_of(job, set_by_file)
-        command = offline.commands(values["command_source"])
-        runs[job.name] = traces.offline(
+    for run in planned:
+        values = values_of(run, set_by_file)
+        command = build.commands(values["command_source"])
+        runs[run.name] = traces.offline(
             offline.simulate(values["controller"], values["valve_simulator"], command)
         )
     return runs
 
 
-def _through_nodes(all_jobs: list[Any], folder: Path, config: str) -> "dict[str, Trace] | None":
-    """Runs of the nodes, which another process starts, as this one imports no ROS; None if they fail."""
+def _through_nodes(planned: list[Any], folder: Path, config: str) -> "dict[str, Trace] | None":
+    """Runs of the real nodes, started by another process, as this one imports no ROS; None if they fail."""
     from valve_control.paper import traces
 
     if importlib.util.find_spec("rclpy") is None:
         raise ParameterError("paper needs ROS 2 (rclpy) for the runs of the nodes; or give --offline")
     logs = folder / "runs"
     logs.mkdir(exist_ok=True)
-    command = [sys.executable, "-m", "valve_control.nodes.paper", "--out", str(logs), "--config", config]
+    command = [
+        sys.executable,
+        "-m",
+        "valve_control.nodes.harness.paper",
+        "--out",
+        str(logs),
+        "--config",
+        config,
+    ]
     status = subprocess.run(command, check=False).returncode
     if status != 0:
         print(f"valve-control: the runs of the nodes failed; their logs are in {logs}", file=sys.stderr)
         return None
     results = json.loads((logs / "lockstep.json").read_text(encoding="utf-8"))
     print(f"{len(results)} runs through the nodes, each equal to its twin offline, bit for bit")
-    return {job.name: traces.load(logs / f"{job.name}.npz") for job in all_jobs}
+    return {run.name: traces.load(logs / f"{run.name}.npz") for run in planned}

@@ -1,4 +1,4 @@
-"""Bags on the command line: analyze, replay, compare, recover."""
+"""Defines the sub-commands for bags: analyze, replay, compare of bags, and bag recover."""
 
 import argparse
 import sys
@@ -6,15 +6,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from valve_control import outputs
 from valve_control.analysis.tables import HEADER, index_row
 from valve_control.bags.errors import BagError
-from valve_control.cli.common import Parser, check_outputs, say, write_json
-from valve_control.parameters.table import NODES, ParameterError, lookup
+from valve_control.cli.common import Parser, check_outputs, say, tell_notes, write_json
+from valve_control.parameter import ParameterError, lookup
+from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
     from valve_control.bags.bag import Bag
+    from valve_control.bags.recover import RecoveredFile
+    from valve_control.recordings.analysis import ValveAnalysis
     from valve_control.recordings.recording import Recording
-    from valve_control.recordings.study import ValveStudy
 
 CONTROLLERS = lookup(NODES["controller"], "controller").choices
 SHOW_PROGRESS = 20_000_000  # bytes of a bag from which on reading it shows progress
@@ -99,16 +102,16 @@ def add_commands(commands: Any) -> None:
         "--topics", nargs="+", metavar="TOPIC", help="what is published (the valves' command and position)"
     )
     replay.set_defaults(run=_replay)
-    bag = commands.add_parser("bag", help="mend a bag", description="Work on a bag itself.")
+    bag = commands.add_parser("bag", help="repair a bag", description="Work on a bag itself.")
     tasks = bag.add_subparsers(dest="bag_task", required=True, metavar="TASK")
     recover = tasks.add_parser(
         "recover",
-        help="make an unfinished bag whole",
+        help="make an unfinished or damaged bag whole",
         description="Make a bag whole, in place, whose recorder was killed: end its files, rebuild "
         "metadata.yaml.",
     )
     recover.add_argument("bag", metavar="BAG", help="folder of the bag, or one file")
-    recover.add_argument("--out", metavar="FOLDER", help="mend a copy instead")
+    recover.add_argument("--out", metavar="FOLDER", help="repair a copy instead")
     recover.add_argument("--json", metavar="FILE", help="what was done as JSON; - for standard output alone")
     recover.set_defaults(run=_recover)
 
@@ -117,7 +120,7 @@ def add_commands(commands: Any) -> None:
 
 
 def _told(bag: "Bag") -> Callable[[int], None]:
-    """Progress over the bytes of ``bag``, on standard error."""
+    """Function that prints the progress over the bytes of ``bag`` on standard error."""
     from tqdm import tqdm
 
     progress = tqdm(
@@ -147,11 +150,11 @@ def _load(arguments: argparse.Namespace, path: str, journals: bool = False) -> "
     return recording.load(path, arguments.map, start, end, _told, journals)
 
 
-def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveStudy":
+def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveAnalysis":
+    from valve_control.recordings.analysis import analyze
     from valve_control.recordings.recording import chosen
-    from valve_control.recordings.study import study
 
-    return chosen(arguments.bag, study(loaded).valves, arguments.of)
+    return chosen(arguments.bag, analyze(loaded).valves, arguments.of)
 
 
 # Tasks
@@ -159,11 +162,11 @@ def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveStud
 
 def _analyze(arguments: argparse.Namespace) -> int:
     from valve_control.recordings import expectations, report
-    from valve_control.recordings.study import as_dict, study
+    from valve_control.recordings.analysis import analyze, as_dict
 
-    check_outputs([arguments.json], [arguments.csv, arguments.html])
+    check_outputs(arguments, [arguments.csv, arguments.html])
     loaded = _load(arguments, arguments.bag)
-    result = study(loaded)
+    result = analyze(loaded)
     about = as_dict(result)
     outcomes = [o for text in arguments.expect for o in expectations.check(text, about["valves"])]
     about["expectations"] = [outcome._asdict() for outcome in outcomes]
@@ -183,7 +186,7 @@ def _analyze(arguments: argparse.Namespace) -> int:
     return 0 if all(outcome.met for outcome in outcomes) else 1
 
 
-def _csv_files(path: str | None, valves: "dict[str, ValveStudy]") -> "list[tuple[Path, ValveStudy]]":
+def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> "list[tuple[Path, ValveAnalysis]]":
     if path is None:
         return []
     usable = {name: valve for name, valve in valves.items() if valve.signals is not None}
@@ -199,7 +202,7 @@ def _csv_files(path: str | None, valves: "dict[str, ValveStudy]") -> "list[tuple
 
 
 def _replay(arguments: argparse.Namespace) -> int:
-    check_outputs([arguments.json], [arguments.csv, arguments.html])
+    check_outputs(arguments, [arguments.csv, arguments.html])
     _refuse_of_other_modes(arguments)
     if arguments.mode == "live":
         return _replay_live(arguments)
@@ -233,15 +236,18 @@ def _overrides(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     from valve_control.parameters import files
 
     direct = {"controller": {"controller": arguments.controller}}
-    return files.given(arguments.params_file, direct, arguments.set)
+    notes: list[str] = []
+    changes = files.given(arguments.params_file, direct, arguments.set, notes)
+    tell_notes(notes)
+    return changes
 
 
-def _replay_shadow(arguments: argparse.Namespace, study: "ValveStudy") -> int:
+def _replay_shadow(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> int:
     from tqdm import tqdm
 
     from valve_control.recordings import replay_report, shadow
 
-    valve = study.valve
+    valve = analysis.valve
     changes = _overrides(arguments)
     names = [n for node, own in changes.items() for n in own if n not in changes["controller"]]
     if names:
@@ -249,7 +255,7 @@ def _replay_shadow(arguments: argparse.Namespace, study: "ValveStudy") -> int:
     count = len(valve.signals["spool_position"].time) if "spool_position" in valve.signals else 0
     with tqdm(total=count, desc="shadow", unit=" samples", disable=count < 20_000, ascii=True) as progress:
         result = shadow.replay(valve, changes["controller"], progress.update)
-    result = result._replace(left_out=[*study.left_out, *result.left_out])
+    result = result._replace(left_out=[*analysis.left_out, *result.left_out])
     _tell_replay(
         arguments,
         replay_report.shadow_text(result),
@@ -260,14 +266,16 @@ def _replay_shadow(arguments: argparse.Namespace, study: "ValveStudy") -> int:
     return 0
 
 
-def _replay_what_if(arguments: argparse.Namespace, study: "ValveStudy") -> int:
+def _replay_what_if(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> int:
     from valve_control.recordings import replay_report, what_if
 
-    if study.signals is None:
-        raise BagError("; ".join(study.left_out))
+    if analysis.signals is None:
+        raise BagError("; ".join(analysis.left_out))
     changes = _overrides(arguments)
-    result = what_if.replay(study.valve, study.signals, changes["controller"], changes["valve_simulator"])
-    result = result._replace(left_out=[*study.left_out, *result.left_out])
+    result = what_if.replay(
+        analysis.valve, analysis.signals, changes["controller"], changes["valve_simulator"]
+    )
+    result = result._replace(left_out=[*analysis.left_out, *result.left_out])
     if result.run.warning:
         print(f"warning: {result.run.warning}", file=sys.stderr)
     _tell_replay(
@@ -275,7 +283,7 @@ def _replay_what_if(arguments: argparse.Namespace, study: "ValveStudy") -> int:
         replay_report.what_if_text(result),
         replay_report.what_if_columns(result),
         lambda: replay_report.what_if_page(result, arguments.bag),
-        replay_report.what_if_dict(result, arguments.bag, study.valve.name),
+        replay_report.what_if_dict(result, arguments.bag, analysis.valve.name),
     )
     return 0
 
@@ -287,19 +295,14 @@ def _tell_replay(
     page: Callable[[], str],
     about: dict[str, Any],
 ) -> None:
-    """A replay on the terminal, and as CSV, HTML and JSON where asked for."""
-    import numpy as np
-
+    """Print the result of a replay, and write it as CSV, HTML and JSON where asked for."""
     if arguments.json != "-":
         print(text)
     if arguments.csv is not None:
-        np.savetxt(
-            arguments.csv, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns),
-            comments="", fmt="%.17g",
-        )  # fmt: skip
+        outputs.write(arguments.csv, outputs.csv_text(columns, "%.17g"))
         say(arguments, f"wrote {arguments.csv}")
     if arguments.html is not None:
-        Path(arguments.html).write_text(page(), encoding="utf-8")
+        outputs.write(arguments.html, page())
         say(arguments, f"wrote {arguments.html}")
     write_json(arguments, about)
 
@@ -310,14 +313,14 @@ def _replay_live(arguments: argparse.Namespace) -> int:
     except ImportError as error:
         raise BagError(f"live replay needs ROS 2: {error}; shadow and what-if do without") from error
     result = player.play(
-        arguments.bag,
-        arguments.map,
-        arguments.topics,
-        arguments.rate,
-        arguments.lockstep,
-        arguments.start,
-        arguments.end,
-        arguments.of,
+        path=arguments.bag,
+        maps=arguments.map,
+        topics=arguments.topics,
+        rate=arguments.rate,
+        lockstep=arguments.lockstep,
+        start=arguments.start,
+        end=arguments.end,
+        of=arguments.of,
     )
     text = f"published {result.published} messages in {result.elapsed:.2f} s"
     if arguments.lockstep:
@@ -334,20 +337,27 @@ def _replay_live(arguments: argparse.Namespace) -> int:
 
 
 def compare_bags(arguments: argparse.Namespace) -> None:
-    """Indices and overlaid figures of several bags."""
+    """Print and draw the indices and overlaid runs of several bags."""
     from valve_control.recordings import comparison
-    from valve_control.recordings.study import study
+    from valve_control.recordings.analysis import analyze
+    from valve_control.recordings.report import time_in
 
-    check_outputs([arguments.json], [arguments.figure, arguments.html])
+    check_outputs(arguments, [arguments.html], [arguments.figure])
     runs = []
     for path in arguments.bags:
-        runs += comparison.runs(path, study(_load(arguments, path)))
+        runs += comparison.runs(path, analyze(_load(arguments, path)))
+    runs = comparison.overlaid(runs)
     names = comparison.labels([run.name for run in runs])
     if arguments.json != "-":
         width = max(14, *(len(name) + 2 for name in names))
         print(" " * (width - 14) + HEADER)
         for name, run in zip(names, runs, strict=True):
-            print(index_row(f"{name:{width}}", run.indices))
+            remark = time_in(run.time_in)
+            print(index_row(f"{name:{width}}", run.indices) + (f"  {remark}" if remark else ""))
+            if remark:
+                print(index_row(f"{'  only ok':{width}}", run.only_ok))
+        for text in comparison.moves(names, runs):
+            print(text)
         for run in runs:
             for note in run.left_out:
                 print(f"note: {note}")
@@ -355,7 +365,7 @@ def compare_bags(arguments: argparse.Namespace) -> None:
         comparison.draw(Path(arguments.figure), names, runs)
         say(arguments, f"wrote {arguments.figure}")
     if arguments.html is not None:
-        Path(arguments.html).write_text(comparison.html(names, runs), encoding="utf-8")
+        outputs.write(arguments.html, comparison.html(names, runs))
         say(arguments, f"wrote {arguments.html}")
     write_json(arguments, {"runs": [comparison.as_dict(n, r) for n, r in zip(names, runs, strict=True)]})
 
@@ -363,17 +373,55 @@ def compare_bags(arguments: argparse.Namespace) -> None:
 def _recover(arguments: argparse.Namespace) -> int:
     from valve_control.bags.recover import recover
 
-    check_outputs([arguments.json])
+    check_outputs(arguments)
     result = recover(Path(arguments.bag), Path(arguments.out) if arguments.out is not None else None)
     write_json(
-        arguments, {**result._asdict(), "bag": str(result.bag), "files": [f._asdict() for f in result.files]}
+        arguments,
+        {
+            **result._asdict(),
+            "bag": str(result.bag),
+            "lost": result.lost,
+            "files": [_file_as_dict(file) for file in result.files],
+        },
     )
     if not result.done:
         say(arguments, f"{result.bag} is whole ({result.messages} messages), nothing was done")
         return 0
     for file in result.files:
-        what = f"mended, {file.cut} bytes of torn records cut off" if file.mended else "was whole"
-        say(arguments, f"{file.name}: {file.messages} messages, {what}")
+        say(arguments, f"{file.name}: {file.messages} messages, {_done_to(file)}")
+    if result.messages == 0:
+        say(arguments, f"{result.bag} holds no message; nothing could be recovered")
+        return 1
     wrote = f"; {result.bag / 'metadata.yaml'} fits" if result.bag.is_dir() else ""
-    say(arguments, f"{result.bag} is whole again: {result.messages} messages{wrote}")
+    lost = "how many were lost is not known" if result.lost is None else f"{result.lost} lost"
+    damaged = result.lost != 0 and any(file.kept or file.empty for file in result.files)
+    state = f"can be read again: {result.messages} messages, {lost}" if damaged else ""
+    say(arguments, f"{result.bag} {state or f'is whole again: {result.messages} messages'}{wrote}")
     return 0
+
+
+def _file_as_dict(file: "RecoveredFile") -> dict[str, Any]:
+    """A recovered file for JSON; the key for whether it was repaired is `mended`, as in version 0.1."""
+    return {"mended" if key == "repaired" else key: value for key, value in file._asdict().items()}
+
+
+def _done_to(file: "RecoveredFile") -> str:
+    """What was done to a file, in words."""
+    kept = f"; the damaged file is kept as {file.kept}" if file.kept else ""
+    if not file.repaired:
+        return "was whole"
+    if file.empty:
+        held = f" ({file.lost} messages were in it)" if file.lost else ""
+        return f"was empty, not one byte in it{held}"
+    if file.gone:
+        return f"nothing of a bag can be read in it, the bag goes on without it{kept}"
+    said = ["repaired"]
+    if file.cut:
+        said.append(f"{file.cut} bytes could not be read")
+    if file.lost:
+        said.append(f"{file.lost} messages lost")
+    if file.doubtful:
+        said.append(f"{file.doubtful} messages are of chunks whose checksum is wrong: values may be wrong")
+    if file.nameless:
+        said.append(f"{file.nameless} messages are of topics whose names are lost")
+    return ", ".join(said) + kept

@@ -1,22 +1,20 @@
-"""Runs in simulation: simulate, compare, and the list of parameters."""
+"""Defines the sub-commands `simulate`, `compare` and `parameters`."""
 
 import argparse
+import difflib
+import io
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from valve_control import outputs
 from valve_control.analysis.tables import HEADER, index_row
-from valve_control.cli.common import Parser, check_outputs, say, write_json
-from valve_control.parameters.table import (
-    NODES,
-    Parameter,
-    ParameterError,
-    Values,
-    defaults,
-    lookup,
-    updated,
-)
+from valve_control.cli import tuned
+from valve_control.cli.common import Parser, check_outputs, say, tell_notes, write_json
+from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
+from valve_control.parameters.axis import AXIS_NODES
+from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
     from valve_control.simulation.offline import Run
@@ -27,14 +25,18 @@ SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed"
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
 
-def setup_options() -> Parser:
-    """Options that say what is simulated."""
+def setup_options(several: bool = False) -> Parser:
+    """Parser with the options that say what is simulated; ``several``: with any number of commands."""
     options = Parser(add_help=False)
     group = options.add_argument_group("what is simulated")
     group.add_argument("--valve", choices=VALVES, help="linear valve model (default: fourth_order)")
     group.add_argument("--scenario", choices=SCENARIOS[:-1], help="command shape (default: point_to_point)")
     group.add_argument(
-        "--command", metavar="FILE", help="command from a CSV or NPY array, one number per sample period"
+        "--command",
+        metavar="FILE",
+        action="append" if several else "store",
+        help="command from a CSV or NPY array, one number per sample period"
+        + ("; again for more" if several else ""),
     )
     group.add_argument("--sample-period", type=float, metavar="S", help="sample period [s] (0.001)")
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (6.0, or the whole array)")
@@ -57,7 +59,7 @@ def setup_options() -> Parser:
 
 
 def output_options() -> Parser:
-    """Options of what comes out."""
+    """Parser with the options that say what is written."""
     options = Parser(add_help=False)
     output = options.add_argument_group("what comes out")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
@@ -83,13 +85,14 @@ def add_commands(commands: Any) -> None:
         parents=[setup, output_options()],
         help="several bags; or, without a bag, all controllers in simulation beside the paper's Table 1",
         description="Compare the runs in several bags. Without a bag: run every controller on one valve and "
-        "one command, beside the paper's Table 1.",
+        "one command, beside the paper's Table 1; or, with --tuned, all laws at their best on random valves.",
     )
     compare.add_argument("bags", nargs="*", metavar="BAG", help="bags to compare")
     compare.add_argument("--html", metavar="FILE", help="bags: tables and overlaid figures as one HTML page")
     compare.add_argument(
         "--map", action="append", default=[], metavar="PART=/TOPIC.FIELD", help="bags: as for analyze"
     )
+    tuned.add_options(compare)
     compare.set_defaults(run=_compare)
     parameters = commands.add_parser("parameters", help="list parameters with unit, range and meaning")
     parameters.add_argument("match", nargs="?", default="", help="only names that contain this")
@@ -100,6 +103,13 @@ def settings_of(arguments: argparse.Namespace) -> dict[str, Values]:
     from valve_control.parameters import files
 
     array = {} if arguments.command is None else {"scenario": "array", "command_file": arguments.command}
+    if array and arguments.scenario is not None:
+        raise ParameterError(
+            f"--command {arguments.command} and --scenario {arguments.scenario} contradict each other; "
+            "give one of them"
+        )
+    if arguments.command == "":
+        raise ParameterError("--command has an empty name; give a CSV or NPY file")
     direct: dict[str, dict[str, Any]] = {
         "controller": {"controller": getattr(arguments, "controller", None)},
         "valve_simulator": {"valve": arguments.valve, "seed": arguments.seed},
@@ -107,19 +117,24 @@ def settings_of(arguments: argparse.Namespace) -> dict[str, Values]:
     }
     for options in direct.values():
         options["sample_period"] = arguments.sample_period
-    changes = files.given(arguments.params_file, direct, arguments.set)
+    notes: list[str] = []
+    changes = files.given(arguments.params_file, direct, arguments.set, notes)
+    tell_notes(notes)
     return {node: updated(table, defaults(table), changes[node]) for node, table in NODES.items()}
 
 
 def _command(arguments: argparse.Namespace, values: Values) -> Any:
-    from valve_control.simulation import offline
+    from valve_control.commands import arrays
+    from valve_control.parameters import build
 
     if values["scenario"] == "array" and arguments.duration is None:
-        return offline.read_commands(str(values["command_file"]))
-    return offline.commands(values)
+        return arrays.read(str(values["command_file"]))
+    return build.commands(values)
 
 
 def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:
+    from valve_control.analysis import limit_cycle
+
     return {
         "controller": run.controller,
         "valve": settings["valve_simulator"]["valve"],
@@ -130,6 +145,7 @@ def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:
         "indices": run.indices._asdict(),
         "true_error": run.true_error,
         "theta": run.theta,
+        **limit_cycle.as_dict(run.saturated, run.limit_cycle),
         "warning": run.warning or None,
     }
 
@@ -147,7 +163,7 @@ def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], title: str) ->
 def _simulate(arguments: argparse.Namespace) -> None:
     from valve_control.simulation import offline
 
-    check_outputs([arguments.json], [arguments.figure, arguments.csv, arguments.npz])
+    check_outputs(arguments, [arguments.csv, arguments.npz], [arguments.figure])
     settings = settings_of(arguments)
     command = _command(arguments, settings["command_source"])
     run = offline.simulate(settings["controller"], settings["valve_simulator"], command)
@@ -157,6 +173,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
         print(HEADER)
         print(index_row(run.controller, run.indices))
         print(f"true position: e_M {run.true_error['e_M']:.4f} V, e_rms {run.true_error['e_rms']:.4f} V")
+        _say_cycle(run)
         if run.theta is not None:
             print("estimates at the end: " + ", ".join(f"{v:.4g}" for v in run.theta))
     _traces(arguments, run)
@@ -164,9 +181,15 @@ def _simulate(arguments: argparse.Namespace) -> None:
     write_json(arguments, _result(run, settings))
 
 
-def _traces(arguments: argparse.Namespace, run: "Run") -> None:
-    import numpy as np
+def _say_cycle(run: "Run") -> None:
+    from valve_control.analysis.limit_cycle import in_words
 
+    text = in_words(run.saturated, run.limit_cycle)
+    if text:
+        print(f"{run.controller}: {text}")
+
+
+def _traces(arguments: argparse.Namespace, run: "Run") -> None:
     columns = {
         "time": run.time,
         "command": run.command,
@@ -176,25 +199,39 @@ def _traces(arguments: argparse.Namespace, run: "Run") -> None:
         **run.terms,
     }
     if arguments.csv is not None:
-        np.savetxt(
-            arguments.csv,
-            np.column_stack(list(columns.values())),
-            delimiter=",",
-            header=",".join(columns),
-            comments="",
-            fmt="%.10g",
-        )
+        outputs.write(arguments.csv, outputs.csv_text(columns, "%.10g"))
         say(arguments, f"wrote {arguments.csv}")
     if arguments.npz is not None:
-        with open(arguments.npz, "wb") as stream:
-            np.savez_compressed(stream, allow_pickle=False, **columns)
+        import numpy as np
+
+        stream = io.BytesIO()
+        np.savez_compressed(stream, allow_pickle=False, **columns)
+        outputs.write(arguments.npz, stream.getvalue())
         say(arguments, f"wrote {arguments.npz}")
+
+
+def _option(name: str) -> str:
+    return "bags" if name == "bags" else f"--{name.replace('_', '-')}"
 
 
 def _compare(arguments: argparse.Namespace) -> None:
     from valve_control.analysis.indices import PAPER_TABLE_1
     from valve_control.simulation import offline
 
+    if arguments.tuned:
+        given = [
+            name for name in (*SIMULATED, "bags", "html", "map") if getattr(arguments, name) not in (None, [])
+        ]
+        given = [name for name in given if name != "seed"]
+        if given:
+            raise ParameterError(
+                f"compare --tuned takes no {_option(given[0])}; it has valves and commands of its own"
+            )
+        tuned.compare_tuned(arguments)
+        return
+    for name in ("valves", "box", "limit", "gains"):
+        if getattr(arguments, name) is not None:
+            raise ParameterError(f"compare takes --{name} with --tuned only")
     if arguments.bags:
         from valve_control.cli.recordings import compare_bags
 
@@ -207,7 +244,7 @@ def _compare(arguments: argparse.Namespace) -> None:
         return
     if arguments.html or arguments.map:
         raise ParameterError("compare takes --html and --map with bags only")
-    check_outputs([arguments.json], [arguments.figure])
+    check_outputs(arguments, figures=[arguments.figure])
     settings = settings_of(arguments)
     command = _command(arguments, settings["command_source"])
     runs = []
@@ -221,6 +258,7 @@ def _compare(arguments: argparse.Namespace) -> None:
         print(HEADER)
         for run in runs:
             print(index_row(run.controller, run.indices))
+            _say_cycle(run)
             if run.controller in PAPER_TABLE_1:
                 print(index_row("  paper", PAPER_TABLE_1[run.controller]))
     _figure(arguments, runs, str(settings["command_source"]["scenario"]))
@@ -228,19 +266,15 @@ def _compare(arguments: argparse.Namespace) -> None:
     write_json(arguments, {"runs": [_result(run, settings) for run in runs], "paper": paper})
 
 
-def range_text(parameter: Parameter) -> str:
-    """Range or choices of a parameter in words."""
-    if parameter.choices:
-        return ", ".join(parameter.choices)
-    if isinstance(parameter.default, (str, bool)) or parameter.type_name == "list of strings":
-        return ""
-    return f"{parameter.low:g} to {parameter.high:g}"
-
-
 def _parameters(arguments: argparse.Namespace) -> None:
-    for node, table in NODES.items():
+    nodes = {**NODES, **AXIS_NODES}
+    names = [parameter.name for table in nodes.values() for parameter in table]
+    if not any(arguments.match in name for name in names):
+        words = sorted({word for name in names for word in (name, *name.split("."))})
+        near = difflib.get_close_matches(arguments.match, words, n=3)
+        meant = f"; did you mean {', '.join(near)}?" if near else ""
+        raise ParameterError(f"no parameter has '{arguments.match}' in its name{meant}")
+    for node, table in nodes.items():
         for parameter in table:
             if arguments.match in parameter.name:
-                unit = f" {parameter.unit}" if parameter.unit not in ("", "-") else ""
-                print(f"{node}: {parameter.name} = {parameter.default}{unit}  ({range_text(parameter)})")
-                print(f"    {parameter.text}")
+                print(f"{node}: {parameter.described}")

@@ -1,4 +1,4 @@
-"""Robustness study: distributions of the indices over many valves, and its worst cases again."""
+"""Defines the sub-command `study`: distributions of the indices over many valves, worst cases again."""
 
 import argparse
 import math
@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
 from valve_control.analysis.tables import HEADER, index_row
-from valve_control.cli.common import Progress, check_outputs, say, write_json
+from valve_control.cli.common import Progress, check_outputs, check_processes, say, write_json
 from valve_control.cli.simulate import CONTROLLERS, settings_of, setup_options
-from valve_control.parameters.table import NODES, ParameterError, updated
+from valve_control.parameter import ParameterError, number, updated, word
+from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
-    from valve_control.simulation.study import Found, Study
+    from valve_control.simulation.robustness import Found, Quantity, Study
 
 
 def add_commands(commands: Any) -> None:
@@ -42,9 +43,9 @@ def add_commands(commands: Any) -> None:
     group.add_argument(
         "--limit",
         type=float,
-        default=0.15,
         metavar="V",
-        help="a loop with a larger error in the last two seconds counts as unstable (0.15)",
+        help="a loop with a larger error in the last two seconds counts as unstable (0.15; if the command "
+        "moves then, twice the following error of the valve without variations more)",
     )
     group.add_argument("--replay", type=int, metavar="N", help="run valve number N again, alone")
     group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
@@ -57,7 +58,7 @@ def add_commands(commands: Any) -> None:
 
 
 def _study(arguments: argparse.Namespace) -> int:
-    from valve_control.simulation import study
+    from valve_control.simulation import robustness
 
     _check(arguments)
     chosen = _chosen(arguments)
@@ -69,7 +70,9 @@ def _study(arguments: argparse.Namespace) -> int:
     if arguments.replay is not None:
         _replay(arguments, chosen)
         return 0
-    folder = Path("out", study.folder_name(chosen)) if arguments.folder is None else Path(arguments.folder)
+    folder = (
+        Path("out", robustness.folder_name(chosen)) if arguments.folder is None else Path(arguments.folder)
+    )
     progress = Progress(chosen.valves, "valves")
     done = -1
 
@@ -80,8 +83,9 @@ def _study(arguments: argparse.Namespace) -> int:
         done = valves
         progress(valves)
 
+    limit = robustness.fitting_limit(chosen) if arguments.limit is None else arguments.limit
     try:
-        found = study.run(chosen, folder, told, arguments.threads)
+        found = robustness.run(chosen, folder, told, arguments.threads)
     except KeyboardInterrupt:
         print(
             f"stopped; {max(0, done)} of {chosen.valves} valves are in {folder}; the same command goes on",
@@ -91,7 +95,7 @@ def _study(arguments: argparse.Namespace) -> int:
     result: dict[str, Any] = {
         "folder": str(folder),
         "controller": chosen.settings["controller"]["controller"],
-        **study.summary(found, arguments.limit),
+        **robustness.summary(found, limit),
     }
     if arguments.json != "-":
         _print(result)
@@ -104,12 +108,11 @@ def _study(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    check_outputs([arguments.json], [arguments.figure, arguments.output])
-    outputs.check_figure(arguments.figure)
-    for name in ("valves", "threads"):
-        if getattr(arguments, name) < 1:
-            raise ParameterError(f"--{name} is {getattr(arguments, name)}; it must be at least 1")
-    if not 0.0 < arguments.limit < math.inf:
+    check_outputs(arguments, [arguments.output], [arguments.figure])
+    check_processes("threads", arguments.threads)
+    if arguments.valves < 1:
+        raise ParameterError(f"--valves is {arguments.valves}; it must be at least 1")
+    if arguments.limit is not None and not 0.0 < arguments.limit < math.inf:
         raise ParameterError(f"--limit is {arguments.limit:g} V; it must be above 0 V, and finite")
     if arguments.output is not None and arguments.replay is None:
         raise ParameterError("--output writes the parameters of one valve; say which with --replay")
@@ -117,58 +120,69 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ParameterError("--seed says nothing here: each valve has a seed of its own; see --study-seed")
 
 
-def _chosen(arguments: argparse.Namespace) -> "Study":
-    """The study that the options ask for. Raises ParameterError."""
-    from valve_control.parameters import build, files
-    from valve_control.simulation import offline, study
+def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
+    """The quantities that vary: those of the study that --fix does not name. Raises ParameterError."""
+    from valve_control.parameters import files
+    from valve_control.simulation import robustness
 
-    names = [q.name for q in study.BOX]
+    who = "the study" if arguments.task == "study" else arguments.task
+    names = [q.name for q in robustness.BOX]
     for name in arguments.fix:
         if name not in names:
             raise ParameterError(f"--fix {name}: there is no such quantity; there are {', '.join(names)}")
-    box = [q for q in study.BOX if q.name not in arguments.fix]
+    box = [q for q in robustness.BOX if q.name not in arguments.fix]
+    given = {files.parse_setting(text)[0] for text in arguments.set}
+    for q in box:
+        if q.name in given:
+            unit = "" if q.unit == "-" else f" {q.unit}"
+            raise ParameterError(
+                f"{who} varies {q.name} from {q.low:g} to {q.high:g}{unit}; leave --set {q.name} out, or "
+                f"keep its value with --fix {q.name}"
+            )
+    for path in arguments.params_file:
+        overridden = [q.name for q in box if q.name in files.load(path)["valve_simulator"]]
+        if overridden:
+            print(
+                f"note: {who} varies {', '.join(overridden)}, whatever {path} says; --fix NAME keeps one",
+                file=sys.stderr,
+            )
+    return box
+
+
+def _chosen(arguments: argparse.Namespace) -> "Study":
+    """Study that the options ask for. Raises ParameterError."""
+    from valve_control.parameters import files
+    from valve_control.simulation import robustness
+
     settings = settings_of(arguments)
     given = {files.parse_setting(text)[0] for text in arguments.set}
     if "seed" in given:
         raise ParameterError(
             "--set seed says nothing here: each valve has a seed of its own; see --study-seed"
         )
-    for q in box:
-        if q.name in given:
-            unit = "" if q.unit == "-" else f" {q.unit}"
-            raise ParameterError(
-                f"the study varies {q.name} from {q.low:g} to {q.high:g}{unit}; leave --set {q.name} out, "
-                f"or keep its value with --fix {q.name}"
-            )
-    for path in arguments.params_file:
-        overridden = [q.name for q in box if q.name in files.load(path)["valve_simulator"]]
-        if overridden:
-            print(
-                f"note: the study varies {', '.join(overridden)}, whatever {path} says; --fix NAME keeps one",
-                file=sys.stderr,
-            )
-    periods: Sequence[float] = study.PERIODS
+    box = box_of(arguments)
+    periods: Sequence[float] = robustness.PERIODS
     if arguments.sample_period is not None or "sample_period" in given:
-        periods = (build.number(settings["controller"], "sample_period"),)
+        periods = (number(settings["controller"], "sample_period"),)
     source = settings["command_source"]
     if source["scenario"] == "array":
         if len(periods) > 1:
             raise ParameterError("a command array has one number per sample period; give --sample-period too")
         if arguments.duration is None:  # the whole array
-            length = len(offline.read_commands(build.word(source, "command_file")))
+            from valve_control.commands import arrays
+
+            length = len(arrays.read(word(source, "command_file")))
             settings["command_source"] = updated(
                 NODES["command_source"], source, {"duration": length * periods[0]}
             )
-    chosen = study.Study(settings, arguments.valves, arguments.study_seed, box, periods)
+    chosen = robustness.Study(settings, arguments.valves, arguments.study_seed, box, periods)
     _check_drift(chosen)
     return chosen
 
 
 def _check_drift(chosen: "Study") -> None:
-    """Raise ParameterError if a valve may lose its whole gain within the run."""
-    from valve_control.parameters import build
-
-    duration = build.number(chosen.settings["command_source"], "duration")
+    """Raise ParameterError if a valve of the study may lose its whole gain within the run."""
+    duration = number(chosen.settings["command_source"], "duration")
     for q in chosen.box:
         if q.name == "drift.gain" and 1.0 + q.low * duration <= 0.0:
             raise ParameterError(
@@ -184,10 +198,12 @@ def _print(result: dict[str, Any]) -> None:
         label = name if name in ("c_u", "saturated") else f"{name} [V]"
         print(f"{label:16}" + "".join(f"{row[p]:9.4f}" for p in percents))
     # What has no integral action is off target with any disturbance, and need not be unstable.
-    sign = "no sign of instability" if result["controller"] in ("compensator", "open_loop") else "unstable"
+    from valve_control.laws.registry import LAWS
+
+    sign = "no sign of instability" if not LAWS[str(result["controller"])].feedback else "unstable"
     shares = [f"{p} s: {100.0 * s:.3f} %" for p, s in result["unstable_by_period"].items()]
     print(
-        f"e_F above {result['limit']:g} V ({sign}): {100.0 * result['unstable']:.3f} % of "
+        f"e_F above {result['limit']:.4g} V ({sign}): {100.0 * result['unstable']:.3f} % of "
         f"{result['valves']} valves ({', '.join(shares)})"
     )
     print(f"worst by e_rms (--replay N): {', '.join(map(str, result['worst']['e_rms']))}")
@@ -212,20 +228,26 @@ def _draw(path: Path, found: "Found", controller: str) -> None:
 
 
 def _replay(arguments: argparse.Namespace, chosen: "Study") -> None:
-    from valve_control.parameters import files
-    from valve_control.simulation import offline, study
+    from valve_control.analysis import limit_cycle
+    from valve_control.parameters import build, files
+    from valve_control.simulation import offline, robustness
 
     if arguments.replay < 0:
         raise ParameterError(f"--replay is {arguments.replay}; valves are numbered from 0")
-    settings = study.settings_of_number(chosen, arguments.replay)
-    command = offline.commands(settings["command_source"])
+    settings = robustness.settings_of_number(chosen, arguments.replay)
+    command = build.commands(settings["command_source"])
     run = offline.simulate(settings["controller"], settings["valve_simulator"], command)
+    if run.warning:
+        print(f"warning: {run.warning}", file=sys.stderr)
     varied = [q.name for q in chosen.box if q.name in settings["valve_simulator"]]
     names = ["numerator", "denominator", "sample_period", "seed", *varied]
     drawn = {name: settings["valve_simulator"][name] for name in names}
     if arguments.json != "-":
         print(HEADER)
         print(index_row(run.controller, run.indices))
+        cycle = limit_cycle.in_words(run.saturated, run.limit_cycle)
+        if cycle:
+            print(f"{run.controller}: {cycle}")
         for name, value in drawn.items():
             print(f"{name} = {value}")
     title = f"valve {arguments.replay}"
@@ -239,4 +261,11 @@ def _replay(arguments: argparse.Namespace, chosen: "Study") -> None:
         trace = Trace(run.time, run.command, run.measurement, run.voltage)
         draw_traces(Path(arguments.figure), {title: {run.controller: trace}}, "study")
         say(arguments, f"wrote {arguments.figure}")
-    write_json(arguments, {"number": arguments.replay, "indices": run.indices._asdict(), "valve": drawn})
+    result = {
+        "number": arguments.replay,
+        "indices": run.indices._asdict(),
+        **limit_cycle.as_dict(run.saturated, run.limit_cycle),
+        "warning": run.warning or None,
+        "valve": drawn,
+    }
+    write_json(arguments, result)

@@ -1,4 +1,4 @@
-"""Both theorems as experiments."""
+"""Defines the sub-command `theorems`: tests both theorems, and the stability of dcarc, on random valves."""
 
 import argparse
 import os
@@ -8,35 +8,43 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control import outputs
-from valve_control.cli.common import check_outputs, say, write_json
-from valve_control.parameters.table import ParameterError
+from valve_control.cli.common import check_outputs, check_processes, say, write_json
+from valve_control.parameter import ParameterError
 
 if TYPE_CHECKING:
     from valve_control.theorems.bench import Progress
 
 ERRATA_FIGURES = ("theorems", "sample_period")
+COUNTS = ("valves", "adaptive_valves", "loop_valves", "learning_valves")
 
 
 def add_commands(commands: Any) -> None:
     """Add theorems to the command's sub-commands."""
     theorems = commands.add_parser(
         "theorems",
-        help="both theorems of the paper on random valves, over the sample period",
+        help="both theorems of the paper, and the stability of dcarc, on random valves",
         description="Put both theorems to the test on random valves: V2 against its guaranteed bound under "
         "bounded disturbances, and the error's decay under parametric uncertainty only, at sample periods "
-        "from 1 ms down to 20 µs.",
+        "from 1 ms down to 20 µs. And dcarc, at 1 ms: poles of the loop over boxes of valves of several "
+        "sizes, what of the valve breaks it, and how fast it may learn.",
     )
     theorems.add_argument("--valves", type=int, default=2000, metavar="N", help="valves for the bound (2000)")
     theorems.add_argument(
         "--adaptive-valves", type=int, default=40, metavar="N", help="valves for the error's decay (40)"
+    )
+    theorems.add_argument(
+        "--loop-valves", type=int, default=1000, metavar="N", help="valves for dcarc's poles (1000)"
+    )
+    theorems.add_argument(
+        "--learning-valves", type=int, default=50, metavar="N", help="valves for dcarc's learning (50)"
     )
     theorems.add_argument("--seed", type=int, default=1, metavar="N", help="seed of valves and motions (1)")
     theorems.add_argument(
         "--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)"
     )
     theorems.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    theorems.add_argument("--figure", metavar="FILE", help="both studies as PNG or SVG")
+    theorems.add_argument("--figure", metavar="FILE", help="the theorems as PNG or SVG")
+    theorems.add_argument("--dcarc-figure", metavar="FILE", help="the stability of dcarc as PNG or SVG")
     theorems.add_argument(
         "--errata-figures",
         metavar="FOLDER",
@@ -60,9 +68,10 @@ def _progress(title: str) -> Iterator["Progress"]:
 
 
 def _theorems(arguments: argparse.Namespace) -> None:
-    from valve_control.theorems import adaptive, figures, robust, sampling, tables
+    from valve_control.theorems import adaptive, figures, learning, loop, robust, sampling, tables
 
-    for name in ("valves", "adaptive_valves", "processes"):
+    check_processes("processes", arguments.processes)
+    for name in COUNTS:
         if getattr(arguments, name) < 1:
             raise ParameterError(f"--{name.replace('_', '-')} must be at least 1")
     if arguments.seed < 0:
@@ -70,21 +79,32 @@ def _theorems(arguments: argparse.Namespace) -> None:
     folder = None if arguments.errata_figures is None else Path(arguments.errata_figures)
     if folder is not None and not folder.is_dir():
         raise ParameterError(f"--errata-figures {folder}: there is no such folder")
+    laws = loop.shipped()  # before what takes long, since its files may be missing
     drawn: dict[str, list[Path]] = {}
     if folder is not None:
         drawn = {name: [folder / f"{name}.{kind}" for kind in ("png", "svg")] for name in ERRATA_FIGURES}
-    check_outputs([arguments.json], [arguments.figure, *(str(p) for paths in drawn.values() for p in paths)])
-    outputs.check_figure(arguments.figure)
-    seed, jobs = arguments.seed, arguments.processes
+    check_outputs(
+        arguments,
+        [str(p) for paths in drawn.values() for p in paths],
+        [arguments.figure, arguments.dcarc_figure],
+    )
+    seed, processes = arguments.seed, arguments.processes
     with _progress("bound on V2") as progress:
-        bound = robust.study(arguments.valves, seed, jobs=jobs, progress=progress)
+        bound = robust.experiment(arguments.valves, seed, processes=processes, progress=progress)
     with _progress("error's decay") as progress:
-        error = adaptive.study(arguments.adaptive_valves, seed, jobs=jobs, progress=progress)
+        error = adaptive.experiment(arguments.adaptive_valves, seed, processes=processes, progress=progress)
+    with _progress("dcarc's poles") as progress:
+        poles = loop.study(arguments.loop_valves, seed, laws=laws, processes=processes, progress=progress)
+    with _progress("dcarc's learning") as progress:
+        learned = learning.experiment(arguments.learning_valves, seed, processes=processes, progress=progress)
     result = {"bound": tables.robust_data(bound), "error": tables.adaptive_data(error)}
+    result["dcarc_loop"] = tables.loop_data(poles)
+    result["dcarc_learning"] = tables.learning_data(learned)
     lines = [*tables.robust_lines(bound), "", *tables.adaptive_lines(error)]
+    lines += ["", *tables.loop_lines(poles), "", *tables.learning_lines(learned)]
     if folder is not None:
         with _progress("sample period") as progress:
-            limits = sampling.sample_period_limit(jobs=jobs, progress=progress)
+            limits = sampling.sample_period_limit(processes=processes, progress=progress)
         result["sample_period"] = tables.sampling_data(limits)
         lines += ["", *tables.sampling_lines(limits)]
     if arguments.json != "-":
@@ -93,6 +113,9 @@ def _theorems(arguments: argparse.Namespace) -> None:
     if arguments.figure is not None:
         figures.draw_theorems([Path(arguments.figure)], bound, error)
         say(arguments, f"wrote {arguments.figure}")
+    if arguments.dcarc_figure is not None:
+        figures.draw_dcarc([Path(arguments.dcarc_figure)], poles, learned)
+        say(arguments, f"wrote {arguments.dcarc_figure}")
     if folder is not None:
         figures.draw_theorems(drawn["theorems"], bound, error)
         figures.draw_sample_period(drawn["sample_period"], limits)

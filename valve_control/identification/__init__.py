@@ -1,3 +1,3 @@
-"""Identification: frequency responses from records, rational fits, and compensators made from them."""
+"""Identifies a valve: measures its frequency response, fits a model, designs a compensator for it."""
 
 WEIGHTINGS = ("likelihood", "relative", "uniform")  # of a fit's errors

@@ -1,4 +1,4 @@
-"""Responses of transfer functions: continuous, and as a computer sees them, held and sampled."""
+"""Computes frequency responses, corners and roots of transfer functions, continuous and sampled."""
 
 import cmath
 import math
@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy.signal
 
-from valve_control.laws import compensator
+from valve_control.laws import biquads
 from valve_control.plant.models import TransferFunction
 
 Floats = npt.NDArray[np.float64]
@@ -27,7 +27,7 @@ class Root(NamedTuple):
 
 
 class Corners(NamedTuple):
-    """Where a response leaves its static gain."""
+    """Frequencies at which a response falls to -3 dB and to -90°."""
 
     minus_3db: float | None  # Hz
     minus_90: float | None  # Hz
@@ -35,9 +35,10 @@ class Corners(NamedTuple):
 
 def response(model: TransferFunction, frequency: Floats, delay: float = 0.0) -> Complexes:
     """Continuous response at ``frequency`` [Hz] with a dead time ``delay`` [s]."""
-    s = 2j * np.pi * frequency
-    value: Complexes = np.polyval(model.numerator, s) / np.polyval(model.denominator, s) * np.exp(-s * delay)
-    return value
+    w = 2.0 * np.pi * frequency
+    _, value = scipy.signal.freqs(model.numerator, model.denominator, w)
+    late: Complexes = value * np.exp(-1j * w * delay)
+    return late
 
 
 def held_response(model: TransferFunction, frequency: Floats, period: float, delay: float = 0.0) -> Complexes:
@@ -51,22 +52,26 @@ def held_response(model: TransferFunction, frequency: Floats, period: float, del
     scaled, scale = _time_scaled(model)
     a, b, c = _companion(scaled)
     n = len(b)
-    augmented = np.zeros((n + 1, n + 1))
-    augmented[:n, :n] = a
-    augmented[:n, n] = b
     whole = math.floor(delay / period + 1e-12)
     part = max(0.0, delay / period - whole)
-    hold = scipy.linalg.expm(augmented * (period * scale))
+    hold, drive = _held(a, b, period * scale)
     z = np.exp(2j * np.pi * frequency * period)
-    pencil = z[:, None, None] * np.eye(n) - hold[:n, :n]
-    state = np.linalg.solve(pencil, np.broadcast_to(hold[:n, n : n + 1], (len(z), n, 1)))[:, :, 0]
+    pencil = z[:, None, None] * np.eye(n) - hold
+    state = np.linalg.solve(pencil, np.broadcast_to(drive, (len(z), n, 1)))[:, :, 0]
     if part == 0.0:
         value: Complexes = (state @ c) * z ** (-whole)
         return value
     # Between two samples the state runs on for the rest of the period under the input of its beginning.
-    rest = scipy.linalg.expm(augmented * (period * scale * (1.0 - part)))
-    later: Complexes = (state @ (c @ rest[:n, :n]) + c @ rest[:n, n]) * z ** (-(whole + 1))
+    rest, driven = _held(a, b, period * scale * (1.0 - part))
+    later: Complexes = (state @ (c @ rest) + c @ driven[:, 0]) * z ** (-(whole + 1))
     return later
+
+
+def _held(a: Floats, b: Floats, time: float) -> tuple[Floats, Floats]:
+    """Transition and input matrix of x' = a·x + b·u over ``time`` with u held."""
+    n = len(b)
+    transition, drive, *_ = scipy.signal.cont2discrete((a, b[:, None], np.eye(n), np.zeros((n, 1))), time)
+    return transition, drive
 
 
 def _time_scaled(model: TransferFunction) -> tuple[TransferFunction, float]:
@@ -85,7 +90,7 @@ def _time_scaled(model: TransferFunction) -> tuple[TransferFunction, float]:
 
 
 def _companion(model: TransferFunction) -> tuple[Floats, Floats, Floats]:
-    """Matrices A, B, C of the controllable form; the highest denominator coefficient is 1."""
+    """Matrices A, B, C of the controllable form of a model."""
     n = len(model.denominator) - 1
     a = np.diag(np.ones(n - 1), 1)
     a[-1] = -np.asarray(model.denominator[1:])[::-1]
@@ -96,7 +101,7 @@ def _companion(model: TransferFunction) -> tuple[Floats, Floats, Floats]:
     return a, b, c
 
 
-def sections_response(p: compensator.Params, frequency: Floats, period: float) -> Complexes:
+def sections_response(p: biquads.Params, frequency: Floats, period: float) -> Complexes:
     """Response of a compensator's sections at ``frequency`` [Hz], one sample every ``period`` [s]."""
     delay = np.exp(-2j * np.pi * frequency * period)
     value = np.ones(len(frequency), dtype=np.complex128)
@@ -106,7 +111,7 @@ def sections_response(p: compensator.Params, frequency: Floats, period: float) -
 
 
 def corners(evaluate: Callable[[Floats], Complexes], highest: float = HIGHEST) -> Corners:
-    """First frequencies [Hz] of -3 dB and -90° of a response, from its value at ``LOWEST`` on."""
+    """First frequencies [Hz] of -3 dB and -90°, relative to the response's value at ``LOWEST``."""
     frequency = np.geomspace(LOWEST, highest, GRID)
     found: list[float | None] = []
     for read in (_decibels, _degrees):

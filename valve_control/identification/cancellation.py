@@ -1,4 +1,4 @@
-"""Pole-zero compensators (section 3.3) for any model: design, what sampling does to them, what they cost."""
+"""Designs pole-zero compensators (section 3.3) for any model, and checks sampling and voltage they need."""
 
 import math
 from typing import Any, NamedTuple
@@ -8,10 +8,9 @@ import numpy.typing as npt
 
 from valve_control.identification import bode
 from valve_control.identification.bode import Corners, Root
-from valve_control.laws import compensator
+from valve_control.laws import biquads, design
 from valve_control.laws.signals import Start
-from valve_control.parameters import design
-from valve_control.parameters.table import ParameterError
+from valve_control.parameter import ParameterError
 from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 Floats = npt.NDArray[np.float64]
@@ -27,7 +26,7 @@ PAPER_SECOND_ORDER = TransferFunction((1455.97,), (1.0, 54.05, 1561.22))
 
 
 class Sampling(NamedTuple):
-    """How far the sampled compensator is from the continuous one."""
+    """Errors of the sampled compensator against the continuous one."""
 
     up_to: float  # Hz
     gain_error: float  # relative, largest
@@ -35,11 +34,11 @@ class Sampling(NamedTuple):
 
 
 class Compensator(NamedTuple):
-    """A compensator, what it makes of the valve, and what speaks against it."""
+    """A compensator, the response of valve and compensator together, and warnings."""
 
     model: TransferFunction
     transfer_function: TransferFunction
-    sections: compensator.Params
+    sections: biquads.Params
     period: float  # s
     bandwidth: float  # Hz, wanted
     cancel_zeros: bool
@@ -63,7 +62,7 @@ def make(
     u_max: float = 10.0,
     amplitude: float | None = None,
 ) -> Compensator:
-    """Compensator that gives ``model`` the ``bandwidth`` [Hz], judged at ``period`` [s].
+    """Design a compensator that gives ``model`` the ``bandwidth`` [Hz], and check it at ``period`` [s].
 
     ``amplitude`` [V] of the command, for which saturation is looked at. Raises ParameterError.
     """
@@ -106,7 +105,7 @@ def make(
 
 
 def check(model: TransferFunction) -> None:
-    """Raise DesignError unless ``model`` can be the response of something that moves."""
+    """Raise DesignError unless ``model`` can be the response of a mechanical valve."""
     numbers = np.array([*model.numerator, *model.denominator])
     if not np.all(np.isfinite(numbers)):
         raise design.DesignError("the model has coefficients that are not finite")
@@ -132,7 +131,7 @@ def check(model: TransferFunction) -> None:
 
 
 def sampling(
-    transfer_function: TransferFunction, sections: compensator.Params, period: float, bandwidth: float
+    transfer_function: TransferFunction, sections: biquads.Params, period: float, bandwidth: float
 ) -> Sampling:
     """Largest errors of the bilinear transform up to the ``bandwidth`` [Hz], or farther."""
     up_to = max(FAITHFUL * 0.5 / period, bandwidth)
@@ -143,13 +142,13 @@ def sampling(
     )
 
 
-def _peak(sections: compensator.Params, period: float) -> float:
+def _peak(sections: biquads.Params, period: float) -> float:
     """Largest voltage [V] after a step of the command by 1 V."""
     free = sections._replace(u_max=math.inf)
-    state = compensator.initial(free, Start(0.0, 0.0, 0.0, 0.0, 0.0))
+    state = biquads.initial(free, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     largest = 0.0
     for _ in range(min(20_000, round(RESPONSE_TIME / period))):
-        voltage, state, _ = compensator.step(free, state, 1.0, 0.0, 0.0)
+        voltage, state, _ = biquads.step(free, state, 1.0, 0.0, 0.0)
         largest = max(largest, abs(voltage))
     return largest
 
@@ -225,7 +224,7 @@ def mismatch(root: Root) -> float:
 
 
 class Agreement(NamedTuple):
-    """A printed compensator beside the model and the poles that it was made from."""
+    """A printed compensator compared with the model and the poles that it was made from."""
 
     name: str
     printed: TransferFunction
@@ -241,8 +240,8 @@ class Agreement(NamedTuple):
     again_on_fourth_order: Corners
 
 
-def paper() -> list[Agreement]:
-    """(12) and (13) against what they were made from.
+def printed() -> list[Agreement]:
+    """The printed compensators (12) and (13), compared with the models and poles that they were made from.
 
     The poles were found by factoring the print: (12) is exactly 25 Hz with damping 0.7 and 250 rad/s; (13) is
     157 rad/s with damping 0.8, twice, and 250 rad/s, but for its coefficient of s⁴, 753 for 752.4.
@@ -299,7 +298,7 @@ def _errors(printed: tuple[float, ...], exact: tuple[float, ...]) -> tuple[float
 
 
 def bode_figure(made: Compensator, path: str) -> bytes:
-    """Valve, compensator and both together, continuous and as sampled, for ``path``."""
+    """Draw valve, compensator and both together, continuous and sampled, as the file ``path``."""
     from valve_control import outputs
     from valve_control.analysis.figures import COLOURS, bode_axes
 

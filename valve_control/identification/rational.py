@@ -1,4 +1,4 @@
-"""Rational models of a measured response, with confidence bounds.
+"""Fits rational transfer functions to a measured response, with confidence bounds.
 
 No library that the package could lean on fits a continuous transfer function to a response: scipy.signal has
 no invfreqs (scipy issue 4497 is open), python-control has none either (its issue 550 points to SLICOT's
@@ -22,13 +22,14 @@ import scipy.stats
 
 from valve_control.identification.bode import LOWEST, Corners, corners, held_response, model_corners
 from valve_control.identification.response import Response
-from valve_control.parameters.table import ParameterError
+from valve_control.parameter import ParameterError
 from valve_control.plant.models import TransferFunction
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 CONFIDENCE = 0.95
 VAGUE = 0.5  # of the static gain, a bound beyond which a fit says nothing
+UNKNOWN = 1.0  # of a denominator's coefficient, a bound beyond which the order is not in the data
 MISSED = 0.5  # of the response, rms, likewise
 UNSURE = 0.1  # relative uncertainty from which on a frequency tells nothing of a corner
 UNSTABLE = 3.0  # times the error of unstable poles that stable ones may have
@@ -43,7 +44,7 @@ DEPTH = 0.2  # times the lowest one above which it is
 
 
 class Fit(NamedTuple):
-    """A model of the valve and how sure it is."""
+    """A fitted model of the valve with its uncertainty."""
 
     order: int
     model: TransferFunction  # highest denominator coefficient 1
@@ -59,7 +60,7 @@ class Fit(NamedTuple):
 
 
 class _Form(NamedTuple):
-    """How parameters that may take any value become a stable model."""
+    """Maps unbounded parameters to the coefficients of a stable model."""
 
     order: int
     zeros: int
@@ -167,13 +168,23 @@ def fit(
 
 
 def check_worth(made: Fit) -> None:
-    """Raise ParameterError for a fit that says nothing of the valve."""
+    """Raise ParameterError for a fit that says nothing about the valve."""
     gain = made.model.static_gain
     if not made.error <= MISSED:
         raise ParameterError(
             f"order {made.order} misses the response by {100.0 * made.error:.2g} % rms and says nothing of "
             "the valve (--order, --delay, --band or a better test)"
         )
+    if made.order > 2:
+        # Coefficients of a stable denominator are positive: one that may as well be 0 is not in the data.
+        share = made.bounds / np.maximum(np.abs(made.values), 1e-300)
+        poles = [i for i, name in enumerate(made.names) if name.startswith("a")]
+        worst = max(poles, key=lambda i: share[i])
+        if not share[worst] <= UNKNOWN:
+            raise ParameterError(
+                f"the data do not support order {made.order}: its {made.names[worst]} is "
+                f"{made.values[worst]:.3g} ± {100.0 * share[worst]:.2g} %; choose a lower order (--order 2)"
+            )
     if not made.gain_bound <= VAGUE * abs(gain):
         raise ParameterError(
             f"order {made.order} leaves the static gain open, {gain:.3g} ± {made.gain_bound:.2g} V/V; "
@@ -348,7 +359,7 @@ def _jacobian(read: Callable[[Floats], Floats], x: Floats) -> Floats:
 
 
 def _covariance(form: _Form, x: Floats, measured: Response, weight: Floats, model_error: float) -> Floats:
-    """Of the parameters, for any weight: (JᵀJ)⁻¹ JᵀΣJ (JᵀJ)⁻¹ with Σ of noise and model error."""
+    """Covariance of the parameters for any weight: (JᵀJ)⁻¹ JᵀΣJ (JᵀJ)⁻¹, Σ of noise and model error."""
     if form.delayed:
         x = np.append(x[:-1], max(x[-1], 1e-4))
     jacobian = _jacobian(lambda v: _residuals(form, v, measured, weight), x)

@@ -1,4 +1,4 @@
-"""Frequency response of a valve from voltages held and positions read, with its uncertainty.
+"""Estimates the frequency response from voltage to position, with its uncertainty.
 
 Everything is in samples: voltage k is held from reading k to reading k+1, so that no time of the middleware
 enters. What is estimated is the response from held voltage to sampled position; its delay of half a sample
@@ -13,11 +13,13 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from valve_control.parameters.table import ParameterError
+from valve_control.parameter import ParameterError
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 LEAST_CYCLES = 2
+LEAST_SAMPLES = 8  # of a sine
+COVERED = 0.5  # of a motion, by stretches of one frequency, from which on it is a stepped sine
 SAME = 0.02  # by which cycles of one frequency may differ in length
 DRIFT = 0.003  # by which the halves of a stretch of one frequency may differ
 PURE = 0.05  # of a sine's amplitude that may be left when the sine is taken off
@@ -33,7 +35,7 @@ SILENT = 1e-3  # of the largest amplitude, below which a voltage does not move
 
 
 class Segment(NamedTuple):
-    """Samples of one frequency, its transient included."""
+    """Samples with one excitation frequency, their transient included."""
 
     first: int
     end: int
@@ -41,7 +43,7 @@ class Segment(NamedTuple):
 
 
 class Response(NamedTuple):
-    """Response from held voltage to sampled position."""
+    """Frequency response from held voltage to sampled position, with standard deviations."""
 
     frequency: Floats  # Hz
     value: Complexes  # V/V
@@ -90,8 +92,10 @@ def stepped(
             continue
         k = np.arange(segment.end - round(count * cycle), segment.end)
         k = k[np.isfinite(voltage[k]) & np.isfinite(position[k])]
-        if len(k) < 8:
-            raise ParameterError(f"{segment.frequency:.4g} Hz has only {len(k)} readings; it needs 8")
+        if len(k) < LEAST_SAMPLES:
+            raise ParameterError(
+                f"{segment.frequency:.4g} Hz has only {len(k)} readings; it needs {LEAST_SAMPLES}"
+            )
         u, _ = _phasor(voltage[k], k, segment.frequency * period)
         y, noise = _phasor(position[k], k, segment.frequency * period)
         harmonics = _harmonics(position[k], k, segment.frequency * period) / max(abs(y), 1e-300)
@@ -212,7 +216,7 @@ def spectral(voltage: Floats, position: Floats, period: float, lowest: float, hi
 
 
 def _without_smooth(spectrum: Complexes) -> Complexes:
-    """What of a band of a spectrum no transient looks like."""
+    """The part of a band of a spectrum that is not smooth, as a transient would be."""
     smooth, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, len(spectrum)), DEGREE + 1))
     rest: Complexes = spectrum - smooth @ (smooth.T @ spectrum)
     return rest
@@ -270,6 +274,10 @@ def find_segments(voltage: Floats, period: float) -> list[Segment]:
             segment = refined(u, begin, end, (i - first) / (passage[i] - passage[first]), period, PURE)
             found += [segment] if segment is not None else []
         first = i
+    covered = sum(segment.end - segment.first for segment in found)
+    # Of other motions, such as those of a controller, a few cycles may look alike by chance.
+    if covered < COVERED * (passage[-1] - passage[0]):
+        return []
     return [] if _swept(u, found, period) else found
 
 
@@ -295,6 +303,8 @@ def refined(
 
     ``pure``: what may be left of it without the sine, over the sine's amplitude.
     """
+    if end - first < LEAST_SAMPLES:
+        return None
     k = np.arange(first, end)
     u = voltage[first:end]
     for _ in range(4):

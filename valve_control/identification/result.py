@@ -1,4 +1,4 @@
-"""What an identification gives: tables, ROS 2 parameter file, JSON, CSV, Bode plot."""
+"""Writes the result of an identification: tables, ROS 2 parameter file, JSON, CSV, Bode plot."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -9,23 +9,28 @@ from valve_control import outputs
 from valve_control.analysis.figures import COLOURS, bode_axes
 from valve_control.identification import bode, rational
 from valve_control.identification.bode import Corners, Root
+from valve_control.identification.lvdt import Lvdt
 from valve_control.identification.rational import Fit
 from valve_control.identification.response import Response
 from valve_control.identification.theta import Suggestion
+from valve_control.laws.registry import ADAPTIVE
+from valve_control.parameter import ParameterError, Values, defaults, updated
 from valve_control.parameters import build
 from valve_control.parameters.files import as_yaml, load
-from valve_control.parameters.table import NODES, ParameterError, Values, defaults, updated
+from valve_control.parameters.table import NODES
 from valve_control.plant.models import TransferFunction
 
 
 class Identification(NamedTuple):
-    """All that an identification found."""
+    """All results of an identification."""
 
     source: str
     measured: Response
     fits: tuple[Fit, ...]  # by order
     best: Fit  # the one that stands for the valve
     theta: Suggestion
+    lvdt: Lvdt
+    gains: Values  # of the controller, for a first run
     u_max: float  # V
     notes: tuple[str, ...]
 
@@ -43,7 +48,7 @@ def polynomial(coefficients: tuple[float, ...]) -> str:
 
 
 def hertz(frequency: float | None) -> str:
-    """A frequency in a table, or that there is none."""
+    """A frequency as text for a table, or that there is none."""
     return "none" if frequency is None else f"{frequency:.2f} Hz"
 
 
@@ -90,13 +95,15 @@ def text(found: Identification) -> str:
         f"for arc and oarc: theta_initial {found.theta.initial}",
         f"                  theta_min     {found.theta.lower}",
         f"                  theta_max     {found.theta.upper}",
+        f"LVDT: noise {1e3 * found.lvdt.noise:.3g} mV, "
+        + (f"steps of {1e3 * found.lvdt.resolution:.3g} mV" if found.lvdt.resolution else "no steps"),
         *(f"note: {note}" for note in found.notes),
     ]
     return "\n".join(lines)
 
 
 def parameters(found: Identification) -> dict[str, Values]:
-    """What the nodes take: the valve's model, a compensator for it, and the adaptive laws' estimates."""
+    """Parameters for the nodes: the valve's model, a compensator for it, the adaptive laws' estimates."""
     model = found.best.model
     numerator, denominator = ([_rounded(c) for c in part] for part in model)
     estimates = {
@@ -120,20 +127,21 @@ def parameters(found: Identification) -> dict[str, Values]:
         "compensator.denominator": denominator,
         "open_loop.static_gain": _rounded(model.static_gain),
     }
-    for law in ("arc", "oarc"):
+    for law in ADAPTIVE:
         controller.update({f"{law}.{name}": list(values) for name, values in estimates.items()})
+    controller.update(found.gains)
     return with_period({"valve_simulator": valve, "controller": controller}, found.measured.period)
 
 
 def with_period(tree: dict[str, Values], period: float) -> dict[str, Values]:
-    """``tree`` with the sample period [s] for all nodes, "", unless it is the default."""
+    """``tree`` with the sample period [s] for all nodes, unless it is the default."""
     if period == defaults(NODES["controller"])["sample_period"]:
         return tree
     return {"": {"sample_period": _rounded(period)}, **tree}
 
 
 def check_parameters(tree: dict[str, Values]) -> None:
-    """Raise ParameterError unless controller and simulator could take these."""
+    """Raise ParameterError unless controller and simulator accept these parameters."""
     common = tree.get("", {})
     makers: dict[str, Callable[[Values], Any]] = {
         "valve_simulator": build.valve_params,
@@ -161,6 +169,8 @@ def yaml_text(found: Identification) -> str:
             ),
             "arc, oarc: the second-order fit to begin with; bounds from its confidence and from how far it",
             "is from the higher order over several bands of frequency.",
+            "Gains of pid, arc, oarc, dcarc: for a first run, stable with 0.67 to 1.5 times the gain, 0.8 to",
+            "1.25 times the speed and a sample period of dead time more.",
         ],
     )
 
@@ -239,6 +249,8 @@ def as_dict(found: Identification) -> dict[str, Any]:
             "min": found.theta.lower,
             "max": found.theta.upper,
         },
+        "lvdt": found.lvdt._asdict(),
+        "gains": found.gains,
         "notes": list(found.notes),
     }
 
@@ -262,7 +274,7 @@ def csv_text(m: Response) -> str:
 
 
 def bode_figure(found: Identification, path: str) -> bytes:
-    """Measured response with 95 % error bars, and the fits as held and sampled, for ``path``."""
+    """Draw the measured response with 95 % error bars and the fits, as the file ``path``."""
     m = found.measured
     figure, top, bottom = bode_axes(found.source, "position over voltage [dB]")
     share = 1.96 * m.deviation / np.abs(m.value)

@@ -1,4 +1,4 @@
-"""Start and bounds of the adaptive laws' estimates from identified models."""
+"""Derives initial values and bounds of the adaptive laws' estimates from identified models."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ import numpy.typing as npt
 from valve_control.identification.bode import held_response
 from valve_control.identification.rational import Fit, fit
 from valve_control.identification.response import Response
-from valve_control.parameters.table import ParameterError
+from valve_control.parameter import ParameterError
 
 Floats = npt.NDArray[np.float64]
 BANDS = (1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0)  # times the frequency of -90°
@@ -17,7 +17,7 @@ OFFSET = 0.5  # of u_max, the constant disturbance that the estimates can take u
 
 
 class Suggestion(NamedTuple):
-    """θ = [a1, a0, b0, b0·dn] of (4) to begin with, and its bounds (5)."""
+    """Initial θ = [a1, a0, b0, b0·dn] of (4), and its bounds (5)."""
 
     initial: list[float]
     lower: list[float]
@@ -25,7 +25,7 @@ class Suggestion(NamedTuple):
 
 
 def suggest(measured: Response, second: Fit, best: Fit, u_max: float) -> Suggestion:
-    """θ(0) is the second-order fit; the bounds hold every second-order model that the valve may look like.
+    """θ(0) from the second-order fit; bounds that hold every second-order model the valve may look like.
 
     These are: the ends of the fit's confidence intervals, and the second-order models nearest to the ``best``
     fit up to several frequencies, since a command with slow motions and one with fast motions see different

@@ -1,10 +1,16 @@
-"""Full state feedback adaptive robust control (ARC), (17)-(25)."""
+"""Computes full state feedback adaptive robust control (ARC), (17)-(25)."""
 
+import math
+import sys
 from typing import NamedTuple
 
-from valve_control.laws import guarantee, projection, reshaping, velocity
+from valve_control.laws import estimates, lyapunov_bound, projection, reshaping, velocity
+from valve_control.laws.free import Free
+from valve_control.laws.law import Law
 from valve_control.laws.projection import Theta
-from valve_control.laws.signals import Start, saturate
+from valve_control.laws.signals import Start
+from valve_control.parameter import Parameter, Table, Values, number, numbers
+from valve_control.plant.amplifier import saturate
 
 
 class Params(NamedTuple):
@@ -23,7 +29,7 @@ class Params(NamedTuple):
     period: float  # s        ΔT
     reshaping: reshaping.Params
     velocity: velocity.Params
-    guarantee: guarantee.Params
+    lyapunov_bound: lyapunov_bound.Params
 
 
 class State(NamedTuple):
@@ -62,26 +68,18 @@ def initial(p: Params, start: Start) -> State:
         reshaping.State(start.reference, start.reference_rate),
         velocity.State(start.measurement, start.velocity),
         p.theta_initial,
-        guarantee.ANEW,
+        lyapunov_bound.ANEW,
     )
 
 
-def law(
-    p: Params,
-    theta: Theta,
-    bound: float,
-    x1: float,
-    x2: float,
-    reference: float,
-    rate: float,
-    accel: float,
-) -> tuple[Terms, Theta, float]:
-    """The continuous law for one instant: terms with the voltage before saturation, τ of (21), growth of V2.
+def law(p: Params, s: State, x1: float, x2: float, accel: float) -> tuple[Terms, Theta, float]:
+    """Compute the continuous law at one instant: terms (voltage before saturation), τ of (21), growth of V2.
 
-    ``bound`` [V²/s²]: of V2, from the sample before; ``x1`` [V], ``x2`` [V/s]: spool position and
-    velocity; ``reference`` [V], ``rate`` [V/s] and
-    ``accel`` [V/s²]: x_vd and its derivatives.
+    ``x1`` [V], ``x2`` [V/s]: spool position and velocity; ``accel`` [V/s²]: of the reference, whose value
+    and rate are in ``s``.
     """
+    theta = s.theta
+    reference, rate = s.reference.reference, s.reference.rate
     z1 = x1 - reference
     x2eq = rate - p.k1 * z1  # (18)
     z2 = x2 - x2eq  # (18)
@@ -106,7 +104,7 @@ def law(
         z1,
         z2,
         lyapunov,
-        guarantee.begin(bound, lyapunov),
+        lyapunov_bound.begin(s.bound, lyapunov),
         u_a,
         u_s1,
         u_s2,
@@ -122,16 +120,14 @@ def law(
 def step(
     p: Params, s: State, command: float, measurement: float, offset: float
 ) -> tuple[float, State, Terms]:
-    """One sample: returns voltage [V] within ±u_max, the next state and the terms.
+    """Compute one sample; returns the voltage [V] within ±u_max, the next state and the terms.
 
     The estimates rest while the amplifier saturates: (22), from which τ follows, holds only when the
     voltage of (20) is the one applied.
     """
     accel = reshaping.acceleration(p.reshaping, s.reference, command)
     estimate = velocity.step(p.velocity, s.velocity, measurement)
-    terms, tau, growth = law(
-        p, s.theta, s.bound, measurement, estimate.velocity, s.reference.reference, s.reference.rate, accel
-    )
+    terms, tau, growth = law(p, s, measurement, estimate.velocity, accel)
     wanted = terms.unsaturated_voltage + offset
     voltage = saturate(wanted, p.u_max)
     theta = s.theta
@@ -139,12 +135,13 @@ def step(
         rate = projection.rates(theta, p.gamma, tau, p.theta_min, p.theta_max)  # (15)
         theta = projection.advance(theta, rate, p.period, p.theta_min, p.theta_max)
     reference = reshaping.advance(p.reshaping, s.reference, accel)
-    bound = guarantee.advance(p.guarantee, terms.lyapunov_bound, growth, voltage == terms.unsaturated_voltage)
+    own = voltage == terms.unsaturated_voltage
+    bound = lyapunov_bound.wait(p.lyapunov_bound, s.bound, terms.lyapunov_bound, growth, own)
     return voltage, State(reference, estimate, theta, bound), terms
 
 
 def hold(p: Params, s: State, command: float, measurement: float, voltage: float) -> State:
-    """State after a sample at which nothing was read: ``voltage`` [V] held on, the estimates rest.
+    """State after a sample without a reading: the amplifier holds ``voltage`` [V], the estimates rest.
 
     ``measurement`` [V]: what the reading may have been, interpolated.
     """
@@ -153,5 +150,69 @@ def hold(p: Params, s: State, command: float, measurement: float, voltage: float
         reshaping.advance(p.reshaping, s.reference, accel),
         velocity.step(p.velocity, s.velocity, measurement),
         s.theta,
-        guarantee.ANEW,
+        p.lyapunov_bound.anew,
     )
+
+
+PARAMETERS: Table = (
+    Parameter("arc.k1", 120.0, "1/s", "gain k1 of (18)", 1e-3, 1e5),
+    Parameter("arc.k2", 120.0, "1/s", "gain k2 of (20)", 1e-3, 1e5),
+    *estimates.parameters("arc", [2.0, 110.0, 120.0, 500.0]),
+    Parameter("arc.epsilon", 1e6, "V²/s³", "ε2 of (23) for the quadratic robust term", 1e-9, 1e12),
+    Parameter("arc.disturbance_bound", 1000.0, "V/s²", "bound δ_d of (5)", 0.0, 1e9),
+    Parameter("arc.velocity_cutoff", 150.0, "Hz", "cut-off of the velocity estimate's low-pass", 1.0, 1e5),
+)
+
+
+def build(values: Values) -> Params:
+    """ARC's Params from the controller's values. Raises ParameterError."""
+    period = number(values, "sample_period")
+    start, lower, upper = estimates.bounds(values, "arc")
+    k1, k2 = number(values, "arc.k1"), number(values, "arc.k2")
+    cutoff = number(values, "arc.velocity_cutoff")
+    robust = estimates.robust(values, "arc")
+    return Params(
+        k1=k1,
+        k2=k2,
+        gamma=Theta(*numbers(values, "arc.gamma")),
+        theta_initial=start,
+        theta_min=lower,
+        theta_max=upper,
+        robust=robust,
+        epsilon=number(values, "arc.epsilon"),
+        disturbance_bound=number(values, "arc.disturbance_bound"),
+        u_max=number(values, "u_max"),
+        period=period,
+        reshaping=reshaping.build(values),
+        velocity=velocity.design(cutoff, period),
+        lyapunov_bound=lyapunov_bound.design(
+            2.0 * min(k1, k2) if robust > 0.0 else min(2.0 * k1, k2), period, 0.5 / (math.pi * cutoff)
+        ),
+    )
+
+
+def model(p: Params) -> tuple[float, float, float]:
+    """a1, a0 and b0 of the initial estimates."""
+    return p.theta_initial.a1, p.theta_initial.a0, p.theta_initial.b0
+
+
+def without_adaptation(p: Params, s: State) -> tuple[Params, State]:
+    """Parameters and state of the law with its estimates at rest, for which its step is linear."""
+    return p._replace(gamma=Theta(0.0, 0.0, 0.0, 0.0)), s
+
+
+LAW = Law(
+    name="arc",
+    text="full state feedback adaptive robust control (17)-(25)",
+    module=sys.modules[__name__],
+    parameters=PARAMETERS,
+    build=build,
+    model=model,
+    linear=without_adaptation,
+    free=(
+        Free("arc.k1", 10.0, 600.0),
+        Free("arc.k2", 10.0, 600.0),
+        *estimates.free("arc"),
+        Free("arc.velocity_cutoff", 20.0, 500.0),
+    ),
+)

@@ -1,99 +1,79 @@
-"""Open-loop laws: pole-zero compensators (12), (13) or of any design, and the bare static gain.
+"""Describes the pole-zero compensator (12), (13) or of any design: open loop, the reading is not fed back."""
 
-A compensator runs as three second-order sections in transposed direct form II; a polynomial of fifth
-order with its poles close to z = 1 would lose half its digits.
-"""
+from valve_control.laws import biquads
+from valve_control.laws.free import Free
+from valve_control.laws.law import Law
+from valve_control.parameter import Parameter, ParameterError, Table, Values, number, word
+from valve_control.plant import models
 
-from typing import NamedTuple
-
-from valve_control.laws.signals import Start, saturate
-
-
-class Section(NamedTuple):
-    """One second-order section, a0 = 1."""
-
-    b0: float
-    b1: float
-    b2: float
-    a1: float
-    a2: float
-
-
-class Memory(NamedTuple):
-    """Delay elements of one section."""
-
-    w1: float
-    w2: float
-
-
-class Params(NamedTuple):
-    """Three cascaded sections and the static gain of all of them."""
-
-    first: Section
-    second: Section
-    third: Section
-    static_gain: float  # V/V
-    u_max: float  # V
-
-
-class State(NamedTuple):
-    """Memory of the three sections."""
-
-    first: Memory
-    second: Memory
-    third: Memory
+PARAMETERS: Table = (
+    Parameter(
+        "compensator.design",
+        "printed_fourth_order",
+        "",
+        "printed_second_order: (12), printed_fourth_order: (13), or designed from compensator.model",
+        choices=("printed_second_order", "printed_fourth_order", "designed"),
+    ),
+    Parameter(
+        "compensator.model",
+        "fourth_order",
+        "",
+        "valve model that a designed compensator cancels: (2), (3) or custom",
+        choices=("second_order", "fourth_order", "custom"),
+    ),
+    Parameter(
+        "compensator.bandwidth", 25.0, "Hz", "wanted -3 dB bandwidth of a designed compensator", 0.1, 1e4
+    ),
+    Parameter(
+        "compensator.order",
+        0,
+        "",
+        "poles of the Bessel filter that a designed compensator leaves; 0: one more than it must have",
+        0,
+        6,
+    ),
+    Parameter(
+        "compensator.cancel_zeros",
+        True,
+        "",
+        "whether a designed compensator cancels the stable zeros of the model too; (13) does not",
+    ),
+    *models.custom_parameters("compensator."),
+)
 
 
-class Terms(NamedTuple):
-    """What the law computed at this sample."""
+def build(values: Values) -> biquads.Params:
+    """The compensator's Params from the controller's values. Raises ParameterError."""
+    from valve_control.laws import design  # scipy.signal takes half a second
 
-    reference: float  # V  the command
-    z1: float  # V  reading minus command; not fed back
-    unsaturated_voltage: float  # V
-
-
-PASS = Section(1.0, 0.0, 0.0, 0.0, 0.0)
-
-
-def gain(g: Section) -> float:
-    """Static gain of one section."""
-    return (g.b0 + g.b1 + g.b2) / (1.0 + g.a1 + g.a2)
-
-
-def settled(g: Section, value: float) -> Memory:
-    """Memory of one section in the steady state of the input ``value``."""
-    output = gain(g) * value
-    w2 = g.b2 * value - g.a2 * output
-    return Memory(g.b1 * value - g.a1 * output + w2, w2)
-
-
-def initial(p: Params, start: Start) -> State:
-    """Steady state of the command that would give ``start.voltage``."""
-    value = start.voltage / p.static_gain
-    first = settled(p.first, value)
-    value *= gain(p.first)
-    second = settled(p.second, value)
-    value *= gain(p.second)
-    return State(first, second, settled(p.third, value))
+    chosen = word(values, "compensator.design")
+    period = number(values, "sample_period")
+    try:
+        if chosen == "printed_second_order":
+            transfer_function = design.PRINTED_SECOND_ORDER
+        elif chosen == "printed_fourth_order":
+            transfer_function = design.PRINTED_FOURTH_ORDER
+        else:
+            transfer_function = design.pole_zero_compensator(
+                models.chosen(values, "compensator.model", "compensator."),
+                number(values, "compensator.bandwidth"),
+                bool(values["compensator.cancel_zeros"]),
+                int(number(values, "compensator.order")),
+            )
+        return design.compensator_params(transfer_function, period, number(values, "u_max"))
+    except design.DesignError as error:
+        raise ParameterError(str(error)) from error
 
 
-def run_section(g: Section, m: Memory, value: float) -> tuple[float, Memory]:
-    """Output and next memory of one section."""
-    output = g.b0 * value + m.w1
-    return output, Memory(g.b1 * value - g.a1 * output + m.w2, g.b2 * value - g.a2 * output)
-
-
-def step(
-    p: Params, s: State, command: float, measurement: float, offset: float
-) -> tuple[float, State, Terms]:
-    """One sample: returns voltage [V] within ±u_max, the next state and the terms."""
-    value, first = run_section(p.first, s.first, command)
-    value, second = run_section(p.second, s.second, value)
-    value, third = run_section(p.third, s.third, value)
-    voltage = saturate(value + offset, p.u_max)
-    return voltage, State(first, second, third), Terms(command, measurement - command, value)
-
-
-def hold(p: Params, s: State, command: float, measurement: float, voltage: float) -> State:
-    """State after a sample at which nothing was read: the sections take in the command all the same."""
-    return step(p, s, command, measurement, 0.0)[1]
+LAW = Law(
+    name="compensator",
+    text="pole-zero compensator, open loop (12), (13)",
+    module=biquads,
+    parameters=PARAMETERS,
+    build=build,
+    reshapes=biquads.no_reshaping,
+    steady_command=biquads.steady_command,
+    free=(Free("compensator.bandwidth", 5.0, 100.0),),
+    variants=({"compensator.design": "designed"},),
+    form=tuple(p.name for p in PARAMETERS),
+)

@@ -1,18 +1,23 @@
-"""Output feedback adaptive robust control (OARC), (26)-(53), with the corrections of the README.
+"""Computes output feedback adaptive robust control (OARC), (26)-(53), with the corrections of docs/errata.md.
 
 The weight ρ (``z2_weight``) puts z2 [V·s] on the scale of V/s in V2 = z1²/2 + ρ·z2²/2; ρ = 1 is the
 paper. It changes the cross term to -θ̂3·z1/ρ, φ2's third entry likewise, and τ to φ1·z1 + ρ·φ2·z2.
 """
 
+import sys
 from typing import NamedTuple
 
-from valve_control.laws import guarantee, projection, reshaping
+from valve_control.laws import estimates, lyapunov_bound, projection, reshaping
+from valve_control.laws.free import Free
+from valve_control.laws.law import Law
 from valve_control.laws.projection import Theta
-from valve_control.laws.signals import Start, saturate
+from valve_control.laws.signals import Start
+from valve_control.parameter import Parameter, Table, Values, number, numbers
+from valve_control.plant.amplifier import saturate
 
 
 class Pair(NamedTuple):
-    """A filter state of dimension two."""
+    """State of a second-order filter."""
 
     first: float
     second: float
@@ -49,7 +54,7 @@ class Params(NamedTuple):
     period: float  # s      ΔT
     filter: Filter
     reshaping: reshaping.Params
-    guarantee: guarantee.Params
+    lyapunov_bound: lyapunov_bound.Params
 
 
 class State(NamedTuple):
@@ -60,7 +65,7 @@ class State(NamedTuple):
     v0: Pair  # v_0 of (29)
     psi: Pair  # ψ_1 of (29)
     theta: Theta  # θ̂
-    bound: float  # V²  guaranteed bound on V_2
+    bound: lyapunov_bound.Sample  # of which the bound on V_2 goes on
 
 
 class Terms(NamedTuple):
@@ -108,7 +113,7 @@ def initial(p: Params, start: Start) -> State:
         ramp_filter(p, start.voltage, voltage_rate),
         ramp_filter(p, 1.0, 0.0),
         p.theta_initial,
-        guarantee.ANEW,
+        lyapunov_bound.FIRST,
     )
 
 
@@ -120,24 +125,14 @@ def advance_filter(f: Filter, x: Pair, value: float) -> Pair:
     )
 
 
-def law(
-    p: Params,
-    theta: Theta,
-    bound: float,
-    eta: Pair,
-    v0: Pair,
-    psi: Pair,
-    x1: float,
-    reference: float,
-    rate: float,
-    accel: float,
-) -> tuple[Terms, Theta, float]:
-    """The continuous law for one instant: terms with the voltage before saturation, θ̂'s rate, growth of V2.
+def law(p: Params, s: State, x1: float, accel: float) -> tuple[Terms, Theta, lyapunov_bound.Sample, float]:
+    """Compute the law at one instant: terms, θ̂'s rate, sample of the bound, share of θ̂'s rate in the voltage.
 
-    ``bound`` [V²]: of V2, from the sample before; ``eta``, ``v0``, ``psi``: K-filter states;
-    ``x1`` [V]: reading; ``reference`` [V], ``rate`` [V/s]
-    and ``accel`` [V/s²]: x_vd and its derivatives.
+    ``x1`` [V]: reading; ``accel`` [V/s²]: of the reference, whose value and rate are in ``s``. The voltage of
+    the terms is that before saturation, for estimates that move.
     """
+    theta, eta, v0, psi = s.theta, s.eta, s.v0, s.psi
+    reference, rate = s.reference.reference, s.reference.rate
     k1, k2, rho = p.k1, p.k2, p.z2_weight
     b0_min = p.theta_min.b0
     inverse_b0 = 1.0 / theta.b0
@@ -221,11 +216,14 @@ def law(
     h1 = projection.uncertainty(span, phi1, p.disturbance_bound)
     h2 = projection.uncertainty(span, phi2, abs(slope) * p.disturbance_bound)
     u_s2 = 0.0
-    growth = h1 * h1 / (2.0 * p.ks1) + rho * h2 * h2 / (2.0 * p.ks2)
+    growth = (h1 * h1 * p.ks2 + rho * h2 * h2 * p.ks1) / (2.0 * p.ks1 * p.ks2)
     if p.robust > 0.0:
         growth = p.epsilon1 + p.epsilon2
         u_s2 = -rho * h2 * h2 * z2 / (4.0 * p.epsilon2)  # (50), completing the square
     lyapunov = 0.5 * z1 * z1 + 0.5 * rho * z2 * z2
+    known = u_s1 + u_s2 - theta.b0 * z1 / rho  # of dz2/dt, (47)
+    now = lyapunov_bound.Sample(lyapunov, growth, z1, z2, rate, x1, x1_dot, known)
+    now = lyapunov_bound.output_feedback(p.lyapunov_bound, s.bound, now, rho, slope)
     terms = Terms(
         reference,
         rate,
@@ -234,7 +232,7 @@ def law(
         z1,
         z2,
         lyapunov,
-        guarantee.begin(bound, lyapunov),
+        now.bound,
         alpha,
         alpha_dot,
         u_a,
@@ -246,48 +244,53 @@ def law(
         theta.b0,
         theta.b0dn,
     )
-    return terms, theta_rate, growth
+    share = (
+        (
+            theta_rate.a1 * (xi12 + x1)
+            + theta_rate.a0 * xi02
+            - theta_rate.b0dn * psi2
+            - theta_rate.b0 * alpha_a
+        )
+        * inverse_b0
+        * (1.0 - 2.0 * scale * w3 * phi1.b0 * z1)
+    )
+    return terms, theta_rate, now, share
 
 
 def step(
     p: Params, s: State, command: float, measurement: float, offset: float
 ) -> tuple[float, State, Terms]:
-    """One sample: returns voltage [V] within ±u_max, the next state and the terms.
+    """Compute one sample; returns the voltage [V] within ±u_max, the next state and the terms.
 
     The K-filters take the voltage after saturation, so that (30) stays true; the estimates rest while
-    the amplifier saturates, because (47), from which τ follows, does not hold then.
+    the amplifier saturates, because (47), from which τ follows, does not hold then. The voltage is then that
+    of resting estimates: with α̇1 of (45) for moving ones it can stay at its limit for ever, away from the
+    command.
     """
     accel = reshaping.acceleration(p.reshaping, s.reference, command)
-    terms, theta_rate, growth = law(
-        p,
-        s.theta,
-        s.bound,
-        s.eta,
-        s.v0,
-        s.psi,
-        measurement,
-        s.reference.reference,
-        s.reference.rate,
-        accel,
-    )
+    terms, theta_rate, now, share = law(p, s, measurement, accel)
     wanted = terms.unsaturated_voltage + offset
     voltage = saturate(wanted, p.u_max)
-    theta = s.theta
-    if voltage == wanted:
+    theta, bound = s.theta, lyapunov_bound.FIRST
+    if voltage != wanted:
+        voltage = saturate(wanted - share, p.u_max)
+    else:
         theta = projection.advance(theta, theta_rate, p.period, p.theta_min, p.theta_max)
+        if voltage == terms.unsaturated_voltage:
+            bound = now
     state = State(
         reshaping.advance(p.reshaping, s.reference, accel),
         advance_filter(p.filter, s.eta, measurement),
         advance_filter(p.filter, s.v0, voltage),
         advance_filter(p.filter, s.psi, 1.0),
         theta,
-        guarantee.advance(p.guarantee, terms.lyapunov_bound, growth, voltage == terms.unsaturated_voltage),
+        bound,
     )
     return voltage, state, terms
 
 
 def hold(p: Params, s: State, command: float, measurement: float, voltage: float) -> State:
-    """State after a sample at which nothing was read: ``voltage`` [V] held on, the estimates rest.
+    """State after a sample without a reading: the amplifier holds ``voltage`` [V], the estimates rest.
 
     ``measurement`` [V]: what the reading may have been, interpolated.
     """
@@ -298,5 +301,99 @@ def hold(p: Params, s: State, command: float, measurement: float, voltage: float
         advance_filter(p.filter, s.v0, voltage),
         advance_filter(p.filter, s.psi, 1.0),
         s.theta,
-        guarantee.ANEW,
+        lyapunov_bound.FIRST,
     )
+
+
+PARAMETERS: Table = (
+    Parameter("oarc.k1", 308.0, "1/s", "observer gain k1 of (28)", 1e-3, 1e6),
+    Parameter("oarc.k2", 48400.0, "1/s²", "observer gain k2 of (28)", 1e-3, 1e12),
+    Parameter("oarc.ks1", 120.0, "1/s", "gain ks1 of (39)", 1e-3, 1e5),
+    Parameter("oarc.ks2", 120.0, "1/s", "gain ks2 of (48)", 1e-3, 1e5),
+    Parameter(
+        "oarc.z2_weight",
+        1.44e6,
+        "1/s²",
+        "weight ρ of z2² in V2; 1.0 is the paper, θ3(0)² puts z2 on the scale of V/s",
+        1e-3,
+        1e12,
+    ),
+    *estimates.parameters("oarc", [2.0, 110.0, 120.0, 4000.0]),
+    Parameter("oarc.epsilon1", 1e3, "V²/s", "ε11 of (42) for the quadratic robust term", 1e-9, 1e12),
+    Parameter("oarc.epsilon2", 1e3, "V²/s", "ε21 of (50) for the quadratic robust term", 1e-9, 1e12),
+    Parameter("oarc.disturbance_bound", 5.0, "V/s", "bound on |ε_u,2| of (34)", 0.0, 1e9),
+)
+
+
+def k_filter(k1: float, k2: float, period: float) -> Filter:
+    """Exact zero-order-hold discretisation of ẋ = A0·x + e2·input, A0 of (28).
+
+    ``k1`` [1/s] and ``k2`` [1/s²]: observer gains; ``period`` [s].
+    """
+    import numpy as np
+    import scipy.signal  # takes half a second, which a command that builds no law need not wait
+
+    a0 = np.array([[-k1, 1.0], [-k2, 0.0]])
+    e2 = np.array([[0.0], [1.0]])
+    a, b, *_ = scipy.signal.cont2discrete((a0, e2, np.eye(2), np.zeros((2, 1))), period)
+    return Filter(*(float(v) for v in (*a.ravel(), *b.ravel())))
+
+
+def build(values: Values) -> Params:
+    """OARC's Params from the controller's values. Raises ParameterError."""
+    period = number(values, "sample_period")
+    start, lower, upper = estimates.bounds(values, "oarc")
+    k1, k2 = number(values, "oarc.k1"), number(values, "oarc.k2")
+    ks1, ks2 = number(values, "oarc.ks1"), number(values, "oarc.ks2")
+    robust = estimates.robust(values, "oarc")
+    return Params(
+        k1=k1,
+        k2=k2,
+        ks1=ks1,
+        ks2=ks2,
+        z2_weight=number(values, "oarc.z2_weight"),
+        gamma=Theta(*numbers(values, "oarc.gamma")),
+        theta_initial=start,
+        theta_min=lower,
+        theta_max=upper,
+        robust=robust,
+        epsilon1=number(values, "oarc.epsilon1"),
+        epsilon2=number(values, "oarc.epsilon2"),
+        disturbance_bound=number(values, "oarc.disturbance_bound"),
+        u_max=number(values, "u_max"),
+        period=period,
+        filter=k_filter(k1, k2, period),
+        reshaping=reshaping.build(values),
+        lyapunov_bound=lyapunov_bound.design((2.0 if robust > 0.0 else 1.0) * min(ks1, ks2), period),
+    )
+
+
+def model(p: Params) -> tuple[float, float, float]:
+    """a1, a0 and b0 of the initial estimates."""
+    return p.theta_initial.a1, p.theta_initial.a0, p.theta_initial.b0
+
+
+def without_adaptation(p: Params, s: State) -> tuple[Params, State]:
+    """Parameters and state of the law with its estimates at rest, for which its step is linear."""
+    return p._replace(gamma=Theta(0.0, 0.0, 0.0, 0.0)), s
+
+
+LAW = Law(
+    name="oarc",
+    text="output feedback adaptive robust control (26)-(53)",
+    module=sys.modules[__name__],
+    parameters=PARAMETERS,
+    build=build,
+    model=model,
+    form=("oarc.k1", "oarc.k2"),
+    linear=without_adaptation,
+    free=(
+        Free("oarc.k1", 50.0, 3000.0),
+        Free("oarc.k2", 1e3, 3e6),
+        Free("oarc.ks1", 10.0, 600.0),
+        Free("oarc.ks2", 10.0, 600.0),
+        Free("oarc.z2_weight", 1e4, 1e8),
+        *estimates.free("oarc"),
+    ),
+    remedy="shorten sample_period, raise oarc.z2_weight or lower the gains",
+)

@@ -1,4 +1,4 @@
-"""PID with model feedforward (54)-(56), and the plain PID that most people would use instead.
+"""Computes the PID with model feedforward (54)-(56), and the plain PID that most people would use instead.
 
 Three forms, told apart by the two switches of ``Params``:
 
@@ -10,10 +10,15 @@ plain      static feedforward of the command and a filtered derivative of the er
 """
 
 import math
+import sys
 from typing import NamedTuple
 
 from valve_control.laws import reshaping, velocity
-from valve_control.laws.signals import Start, saturate
+from valve_control.laws.free import Free
+from valve_control.laws.law import Law, reshaped_steady_command
+from valve_control.laws.signals import Start
+from valve_control.parameter import Parameter, ParameterError, Table, Values, number, numbers, word
+from valve_control.plant.amplifier import saturate
 
 
 class Params(NamedTuple):
@@ -83,7 +88,7 @@ def initial(p: Params, start: Start) -> State:
 def step(
     p: Params, s: State, command: float, measurement: float, offset: float
 ) -> tuple[float, State, Terms]:
-    """One sample: returns voltage [V] within ±u_max, the next state and the terms.
+    """Compute one sample; returns the voltage [V] within ±u_max, the next state and the terms.
 
     Anti-windup: the integrator rests while the amplifier saturates and the error would drive it deeper.
     """
@@ -134,7 +139,7 @@ def step(
 
 
 def hold(p: Params, s: State, command: float, measurement: float, voltage: float) -> State:
-    """State after a sample at which nothing was read: ``voltage`` [V] held on, the integral goes on.
+    """State after a sample without a reading: the amplifier holds ``voltage`` [V], the integral goes on.
 
     ``measurement`` [V]: what the reading may have been, interpolated.
     """
@@ -151,3 +156,110 @@ def hold(p: Params, s: State, command: float, measurement: float, voltage: float
     if abs(voltage) < p.u_max:
         integral = s.integral + p.ki * z1 * p.period
     return State(reference, filtered, integral, s.started)
+
+
+PARAMETERS: Table = (
+    Parameter(
+        "pid.form",
+        "paper",
+        "",
+        "paper: (56) as printed; reference: model terms from the reference, as (55) supposes; "
+        "plain: static feedforward, filtered derivative, no reshaping",
+        choices=("paper", "reference", "plain"),
+    ),
+    Parameter("pid.kp", 3.837, "V/V", "proportional gain", 0.0, 1e6),
+    Parameter("pid.ki", 70.901, "1/s", "integral gain", 0.0, 1e9),
+    Parameter("pid.kd", 0.093, "s", "derivative gain", 0.0, 1e3),
+    Parameter(
+        "pid.break_frequency",
+        0.0,
+        "Hz",
+        "above 0, kp, ki and kd are computed from (55) with all poles here (7.0 is the paper)",
+        0.0,
+        1e4,
+    ),
+    Parameter(
+        "pid.theta", [20.0, 1200.0, 1200.0], "", "model terms θ1(0), θ2(0), θ3(0) of (56)", 0.0, 1e9, length=3
+    ),
+    Parameter(
+        "pid.static_feedforward", 1.18, "V/V", "feedforward of the command in the plain form", 0.0, 1e3
+    ),
+    Parameter("pid.derivative_cutoff", 374.0, "Hz", "cut-off of the derivative's low-pass", 1.0, 1e5),
+)
+
+
+def build(values: Values) -> Params:
+    """The PID's Params from the controller's values. Raises ParameterError."""
+    period = number(values, "sample_period")
+    a1, a0, b0 = numbers(values, "pid.theta")
+    if b0 <= 0.0:
+        raise ParameterError(f"pid.theta[2] (b0) is {b0:g}; it must be positive")
+    kp, ki, kd = (number(values, f"pid.{gain}") for gain in ("kp", "ki", "kd"))
+    frequency = number(values, "pid.break_frequency")
+    if frequency > 0.0:
+        kp, ki, kd = place_poles(frequency, a1, a0, b0)
+        if min(kp, kd) < 0.0:
+            raise ParameterError(
+                f"pid.break_frequency is {frequency:g} Hz, which is slower than the valve itself and "
+                f"would need negative gains (kp {kp:.3g}, kd {kd:.3g}); choose a higher one"
+            )
+    form = word(values, "pid.form")
+    return Params(
+        kp=kp,
+        ki=ki,
+        kd=kd,
+        a1=a1,
+        a0=a0,
+        b0=b0,
+        measured_model_terms=1.0 if form == "paper" else 0.0,
+        plain=1.0 if form == "plain" else 0.0,
+        static_feedforward=number(values, "pid.static_feedforward"),
+        u_max=number(values, "u_max"),
+        period=period,
+        reshaping=reshaping.build(values),
+        velocity=velocity.design(number(values, "pid.derivative_cutoff"), period),
+    )
+
+
+def model(p: Params) -> tuple[float, float, float]:
+    """a1, a0 and b0 of the model terms."""
+    return p.a1, p.a0, p.b0
+
+
+def reshapes(p: Params) -> bool:
+    """Whether the command is reshaped; the plain form follows it as it comes."""
+    return p.plain == 0.0
+
+
+def steady_command(p: Params, start: Start) -> float:
+    """Command [V] under which the law goes on as at ``start``."""
+    if p.plain > 0.0:
+        return start.measurement
+    return reshaped_steady_command(p, start)
+
+
+LAW = Law(
+    name="pid",
+    text="PID with model feedforward (54)-(56), or plain",
+    module=sys.modules[__name__],
+    parameters=PARAMETERS,
+    build=build,
+    model=model,
+    reshapes=reshapes,
+    steady_command=steady_command,
+    form=("pid.form",),
+    free=(
+        Free("pid.kp", 0.3, 60.0),
+        Free("pid.ki", 5.0, 10000.0),
+        Free("pid.kd", 0.003, 0.6),
+        Free("pid.derivative_cutoff", 20.0, 500.0),
+        Free("pid.static_feedforward", 0.3, 3.0, only=("pid.form", "plain")),
+        Free("pid.theta[0]", 5.0, 200.0, only=("pid.form", "reference", "paper")),
+        Free("pid.theta[1]", 300.0, 5000.0, only=("pid.form", "reference", "paper")),
+        Free("pid.theta[2]", 300.0, 5000.0, only=("pid.form", "reference", "paper")),
+    ),
+    variants=(
+        {"pid.form": "plain", "pid.break_frequency": 0.0},
+        {"pid.form": "reference", "pid.break_frequency": 0.0},
+    ),
+)

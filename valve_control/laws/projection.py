@@ -1,10 +1,10 @@
-"""Discontinuous projection (14)-(16) that keeps the estimates inside their bounds."""
+"""Keeps the estimates inside their bounds: discontinuous projection (14)-(16)."""
 
 from typing import NamedTuple
 
 
 class Theta(NamedTuple):
-    """Plant parameters of (4) and (17), or anything that comes in such fours (rates, bounds, regressors)."""
+    """Plant parameters of (4) and (17), or four numbers that belong to them (rates, bounds, regressors)."""
 
     a1: float  # 1/s   theta_1
     a0: float  # 1/s²  theta_2

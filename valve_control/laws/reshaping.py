@@ -1,10 +1,14 @@
-"""Trajectory reshaping (8)-(11): a feasible reference with its two derivatives from a bare command."""
+"""Reshapes a command into a feasible reference with two derivatives: trajectory reshaping (8)-(11)."""
 
+import math
 from typing import NamedTuple
+
+from valve_control.laws.free import Free
+from valve_control.parameter import Parameter, ParameterError, Table, Values, number
 
 
 class Params(NamedTuple):
-    """Second-order filter with limits on rate and acceleration."""
+    """Second-order filter with limits on rate and acceleration, sampled every ΔT."""
 
     natural_frequency: float  # rad/s  omega_n of (8)
     damping: float  # -      xi_n of (8)
@@ -14,7 +18,7 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """Reference at this sample."""
+    """The reference and its rate at this sample."""
 
     reference: float  # V    x_vd(k)
     rate: float  # V/s  dx_vd(k)/dt
@@ -29,10 +33,8 @@ def acceleration(p: Params, s: State, command: float) -> float:
     elif accel < -p.max_accel:
         accel = -p.max_accel
     rate = s.rate + accel * p.period  # (9)
-    if rate > p.max_rate:
-        accel = (p.max_rate - s.rate) / p.period  # (10)
-    elif rate < -p.max_rate:
-        accel = (-p.max_rate - s.rate) / p.period  # (10)
+    if abs(rate) > p.max_rate:
+        accel = (math.copysign(p.max_rate, rate) - s.rate) / p.period  # (10)
     return accel
 
 
@@ -41,6 +43,53 @@ def steady_command(p: Params, reference: float, rate: float) -> float:
     return reference + 2.0 * p.damping / p.natural_frequency * rate
 
 
+def command_of(p: Params, position: float, rate: float, accel: float) -> float:
+    """Command [V] under which the reference follows ``position`` [V] with its two derivatives: (8), inverted.
+
+    The Euler step (11) holds the rate over a period, so that its own rate is that of the middle of it.
+    """
+    wn = p.natural_frequency
+    return position + 2.0 * p.damping / wn * (rate + 0.5 * p.period * accel) + accel / (wn * wn)
+
+
 def advance(p: Params, s: State, accel: float) -> State:
     """Reference at the next sample (11)."""
     return State(s.reference + s.rate * p.period, s.rate + accel * p.period)
+
+
+PARAMETERS: Table = (
+    Parameter("reshaping.natural_frequency", 314.0, "rad/s", "natural frequency ω_n of (8)", 1.0, 1e5),
+    Parameter("reshaping.damping", 0.8, "-", "damping ratio ξ_n of (8)", 0.1, 10.0),
+    Parameter("reshaping.max_rate", 250.0, "V/s", "largest reference rate, (7)", 0.1, 1e5),
+    Parameter("reshaping.max_accel", 12000.0, "V/s²", "largest reference acceleration, (6)", 1.0, 1e7),
+    Parameter(
+        "reshaping.lead",
+        0.0,
+        "s",
+        "lead of the command from past commands, for every law: 2·ξ_n/ω_n makes up for the lag of (8), more "
+        "for that of the loop too; 0.0: none",
+        0.0,
+        0.1,
+    ),
+)
+
+
+FREQUENCY = Free("reshaping.natural_frequency", 100.0, 1200.0)
+LEAD = Free("reshaping.lead", 0.0, 0.03, logarithmic=False)
+
+
+def build(values: Values) -> Params:
+    """Reshaping filter from the controller's values. Raises ParameterError."""
+    wn = number(values, "reshaping.natural_frequency")
+    damping = number(values, "reshaping.damping")
+    period = number(values, "sample_period")
+    # The Euler step (11) of the filter (8) is stable below this frequency.
+    limit = 2.0 * damping if damping <= 1.0 else 2.0 * (damping - math.sqrt(damping**2 - 1.0))
+    if wn * period >= limit:
+        raise ParameterError(
+            f"reshaping.natural_frequency is {wn:g} rad/s; at a sample period of {period:g} s and "
+            f"damping {damping:g} it must be below {limit / period:g} rad/s"
+        )
+    return Params(
+        wn, damping, number(values, "reshaping.max_rate"), number(values, "reshaping.max_accel"), period
+    )

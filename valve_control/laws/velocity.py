@@ -1,4 +1,4 @@
-"""Spool velocity from the LVDT: backward difference and first-order low-pass (remark iv of section 3.1)."""
+"""Estimates the spool velocity from readings: backward difference, low-pass (remark iv of section 3.1)."""
 
 import math
 from typing import NamedTuple
@@ -12,7 +12,7 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """Memory of the differentiator."""
+    """What the differentiator remembers from the last sample."""
 
     measurement: float  # V    reading at the sample before
     velocity: float  # V/s  filtered estimate

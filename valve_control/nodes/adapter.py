@@ -1,8 +1,11 @@
-"""What the nodes share: parameters from the table, polled subscriptions, start and clean end."""
+"""Holds what the nodes share: parameters from the table, polled subscriptions, messages, diagnostics."""
 
-from collections.abc import Callable, Iterator
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from struct import error as StructError
 from struct import pack, unpack_from
-from typing import Any
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import (
@@ -11,26 +14,33 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.callback_groups import CallbackGroup
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterNotDeclaredException,
+)
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
+from trajectory_msgs.msg import JointTrajectoryPoint
 
+from valve_control.nodes.rclpy_internals import override
+from valve_control.nodes.services import Unwatched
+from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, missing, updated
+from valve_control.parameters import arguments
 from valve_control.parameters.build import as_text
-from valve_control.parameters.table import (
-    Parameter,
-    ParameterError,
-    Table,
-    Value,
-    Values,
-    updated,
-)
 
+TELL = 0.5  # s between two lines of the log that tell changes of parameters, at the least
+PROCESS = 12  # bytes of an endpoint's address in DDS that all endpoints of a process have in common
+HEAD = 4  # bytes before a message's body
 ENCODED = 12  # bytes of a Float64: four of head, of which the second is odd for little endian
 SAMPLES = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # For who has no use for a late one: no acknowledgements, no waiting for what is lost, any publisher matches.
 NEWEST = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+# For who keeps every message, and fetches them now and then.
+EVERYTHING = QoSProfile(depth=50000, reliability=ReliabilityPolicy.RELIABLE)
 
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:
@@ -51,20 +61,44 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def plain(value: Any) -> Any:
-    """Parameter value as the table has it: arrays as lists."""
+    """Parameter value in the types of the table: arrays as lists."""
     return value if isinstance(value, (bool, int, float, str)) else list(value)
 
 
+class Undeclared(ParameterNotDeclaredException):
+    """Names all parameters that were set and do not exist; rclpy's own error leaves out the first."""
+
+    def __init__(self, text: str) -> None:
+        Exception.__init__(self, text)
+
+
+def admit(node: Node, nodes: Mapping[str, Table]) -> None:
+    """Check the command line for the process's ``nodes`` (tables by full name); ``node`` logs the warnings.
+
+    Raises ParameterError.
+    """
+    for warning in arguments.check(sys.argv[1:], nodes):
+        node.get_logger().warning(warning)
+
+
 class ParameterSet:
-    """The table's parameters on a node: each set is checked as a whole, then applied as a whole.
+    """The table's parameters on a node: each change is checked as a whole, then applied as a whole.
 
     ``build`` makes the node's immutable parameters from all values or raises ParameterError; ``apply``
-    takes them into use. Both run between two samples, since the node has one thread.
+    takes them into use. Both run between two samples, since the node has one thread. ``alone``: whether the
+    process has no other node; otherwise its maker calls ``admit`` for all of them.
     """
 
     def __init__(
-        self, node: Node, table: Table, build: Callable[[Values], Any], apply: Callable[[Values, Any], None]
+        self,
+        node: Node,
+        table: Table,
+        build: Callable[[Values], Any],
+        apply: Callable[[Values, Any], None],
+        alone: bool = True,
     ) -> None:
+        if alone:
+            admit(node, {node.get_fully_qualified_name(): table})
         self._node = node
         self._table = table
         self._build = build
@@ -74,16 +108,26 @@ class ParameterSet:
             try:
                 got = node.declare_parameter(parameter.name, parameter.default, descriptor(parameter))
             except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-                override = node._parameter_overrides.get(parameter.name)
-                value = getattr(override, "value", override)
+                given = override(node, parameter.name)
+                value = getattr(given, "value", given)
                 parameter.check(plain(value))
                 raise ParameterError(f"{parameter.name} is {value!r}: {error}") from error
             declared[parameter.name] = plain(got.value)
         self.values = updated(table, {}, declared)
         self._prepared: tuple[Values, Any] | None = None
+        self._untold: set[str] = set()  # names whose new values are not in the log yet
+        self._told = -TELL  # s
         apply(self.values, build(self.values))
+        node.add_pre_set_parameters_callback(self._known)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._use)
+        node.create_timer(TELL, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _known(self, parameters: list[Any]) -> list[Any]:
+        unknown = [p.name for p in parameters if not self._node.has_parameter(p.name)]
+        if unknown:
+            raise Undeclared(missing(self._table, unknown))
+        return parameters
 
     def _changes(self, parameters: list[Any]) -> Values:
         names = {p.name for p in self._table}
@@ -113,27 +157,21 @@ class ParameterSet:
             return
         self.values = values
         self._apply(values, built)
-        text = ", ".join(f"{name} = {as_text(values[name])}" for name in changed)
-        self._node.get_logger().info(f"now {text}")
+        self._untold.update(changed)
+        if time.monotonic() >= self._told + TELL:
+            self._tell()
 
-
-class Unwatched(CallbackGroup):
-    """Callback group that the executor passes over; its subscriptions are polled instead."""
-
-    def can_execute(self, entity: Any) -> bool:
-        """Never."""
-        return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        """Never."""
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        """Nothing was begun."""
+    def _tell(self) -> None:
+        """Log what has changed. A line costs as much as the change: many changes at once share one."""
+        if self._untold:
+            self._told = time.monotonic()
+            text = ", ".join(f"{name} = {as_text(self.values[name])}" for name in sorted(self._untold))
+            self._untold.clear()
+            self._node.get_logger().info(f"now {text}")
 
 
 class PolledSubscription:
-    """Subscription that wakes nobody: messages wait until they are asked for.
+    """Subscription without callback: messages wait until the node asks for them.
 
     A command that arrives between two LVDT samples is of no use before the next one, and a wake-up of
     the executor costs more than the whole control law.
@@ -143,6 +181,7 @@ class PolledSubscription:
         self._node = node
         self._type = message_type
         self._raw = raw  # messages as the bytes that came
+        self._depth = qos.depth
         self._subscription = node.create_subscription(
             message_type, topic, lambda message: None, qos, callback_group=Unwatched(), raw=raw
         )
@@ -155,17 +194,24 @@ class PolledSubscription:
             return self.handle.take_message(self._type, self._raw)  # type: ignore[no-any-return]
 
     def take(self) -> Iterator[tuple[Any, dict[str, Any]]]:
-        """Waiting messages, oldest first, each with its message info."""
-        while (taken := self.one()) is not None:
+        """Waiting messages, oldest first, each with its message info; at most as many as can wait at once.
+
+        More come while these are worked on. Where they come faster, others have their turn nevertheless: a
+        signal to end, a service, another valve of the process.
+        """
+        for _ in range(self._depth):
+            taken = self.one()
+            if taken is None:
+                return
             yield taken
 
     def destroy(self) -> None:
-        """Leave the topic."""
+        """End the subscription."""
         self._node.destroy_subscription(self._subscription)
 
 
 class NumberSubscription(PolledSubscription):
-    """Float64 messages as floats. A message object costs rclpy three times what their eight bytes cost."""
+    """Subscription of Float64 as floats; rclpy's message object would take three times as long to make."""
 
     def __init__(self, node: Node, topic: str, qos: QoSProfile) -> None:
         super().__init__(node, Float64, topic, qos, raw=True)
@@ -183,9 +229,79 @@ class NumberSubscription(PolledSubscription):
                 return unpack_from(form, data, ENCODED - 8)[0], info
 
 
+class Point(NamedTuple):
+    """A trajectory_msgs/JointTrajectoryPoint as far as it is used."""
+
+    positions: tuple[float, ...]  # V
+    velocities: tuple[float, ...]  # V/s
+    accelerations: tuple[float, ...]  # V/s²
+    time: int  # ns  time_from_start
+
+
+class PointSubscription(PolledSubscription):
+    """Points of a trajectory; what cannot be read as one is passed over."""
+
+    def __init__(self, node: Node, topic: str, qos: QoSProfile) -> None:
+        super().__init__(node, JointTrajectoryPoint, topic, qos, raw=True)
+
+    def one(self) -> tuple[Point, dict[str, Any]] | None:
+        """The oldest waiting point with its message info, None if there is none."""
+        while True:
+            with self.handle:
+                taken = self.handle.take_message(JointTrajectoryPoint, True)
+            if taken is None:
+                return None
+            point = decoded_point(taken[0])
+            if point is not None:
+                return point, taken[1]
+
+
+def decoded_point(data: bytes) -> Point | None:
+    """A JointTrajectoryPoint as it travels (CDR), None if it is none."""
+    if len(data) < HEAD:
+        return None
+    order, body, at = "<" if data[1] & 1 else ">", data[HEAD:], 0
+    parts: list[tuple[float, ...]] = []
+    try:
+        for _ in range(4):
+            at += -at % 4
+            (count,) = unpack_from(f"{order}I", body, at)
+            at += 4
+            at += -at % 8 if count else 0
+            if count * 8 > len(body) - at:
+                return None
+            parts.append(unpack_from(f"{order}{count}d", body, at))
+            at += 8 * count
+        seconds, nanoseconds = unpack_from(f"{order}iI", body, at)
+    except StructError:
+        return None
+    return Point(parts[0], parts[1], parts[2], seconds * 10**9 + nanoseconds)
+
+
+def encoded_point(position: float, velocity: float, acceleration: float, time: int = 0) -> bytes:
+    """A JointTrajectoryPoint of one joint as it travels; ``time`` [ns]: time_from_start."""
+    numbers = 1, position, 1, velocity, 1, acceleration
+    return pack("<4BI4xdI4xdI4xdIiI", 0, 1, 0, 0, *numbers, 0, *divmod(time, 10**9))
+
+
 def encoded(number: float) -> bytes:
-    """A Float64 message of ``number`` as it travels, for ``publish``."""
+    """A Float64 message of ``number`` as serialized bytes, for ``publish``."""
     return pack("<4Bd", 0, 1, 0, 0, number)
+
+
+def acquainted(node: Node, publisher: Any, topic: str) -> bool:
+    """Whether each process that publishes on ``topic`` has discovered ``publisher``, and so will hear it.
+
+    A publisher sends nothing to subscriptions that it does not know yet, though they may know it.
+    """
+    listening = node.get_subscriptions_info_by_topic(publisher.topic_name)
+    processes = {bytes(info.endpoint_gid[:PROCESS]) for info in listening}
+    others = node.get_publishers_info_by_topic(topic)
+    return (
+        len(others) > 0
+        and all(bytes(info.endpoint_gid[:PROCESS]) in processes for info in others)
+        and publisher.get_subscription_count() >= len(listening)
+    )
 
 
 def diagnostics(node: Node, level: bytes, message: str, values: dict[str, Any]) -> DiagnosticArray:

@@ -1,4 +1,4 @@
-"""Node `command_source`: stands in for the upper-level hydraulic controller, and for its faults."""
+"""Runs the node `command_source`: stands in for the upper-level hydraulic controller, and for its faults."""
 
 import math
 import sys
@@ -6,23 +6,27 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
+from trajectory_msgs.msg import JointTrajectoryPoint
 
-from valve_control.nodes.adapter import SAMPLES, NumberSubscription, ParameterSet, encoded
+from valve_control.nodes.adapter import SAMPLES, NumberSubscription, ParameterSet, encoded, encoded_point
 from valve_control.nodes.loop import Worker, run
+from valve_control.parameter import ParameterError, Values, number, word
 from valve_control.parameters import build
-from valve_control.parameters.table import COMMAND, Values
-from valve_control.simulation import offline
+from valve_control.parameters.table import COMMAND
 
 BEYOND = 1000.0  # V, a command out of range
 SHAPING = [p.name for p in COMMAND if not p.name.startswith("fault.")]
 
 
 class CommandSource(Worker):
-    """Publishes `spool_command` once per sample period or LVDT reading, from the moment enough others listen.
+    """Publishes `spool_command` (or `spool_trajectory`), from the moment on at which enough others listen.
 
-    A change of its shape starts it from its beginning; at the end the last value is held.
+    Once per sample period or LVDT reading, or every few of them. A change of its shape starts it from its
+    beginning; at the end the last value is held. In lockstep the first command is for the first reading, and
+    each reading calls for the command of the next.
     """
 
     def __init__(self) -> None:
@@ -30,26 +34,36 @@ class CommandSource(Worker):
         self._readings: NumberSubscription | None = None
         self._shaped_by: list[Any] = []
         self._commands: list[float] = []
+        self._rates: list[float] = []
+        self._accels: list[float] = []
+        self._message = ""
+        self._publisher: Any = None
         self._fault = "none"
         self._fault_left = 0
         self._second: Any = None
         self._next = 0.0
+        self._epoch = 0.0  # s  of the first command of this motion
+        self._last_time = 0.0  # s  of the last command
         self._sent = 0
-        self._publisher = self.create_publisher(Float64, "spool_command", SAMPLES)
+        self._ahead = False  # lockstep: whether the command of the next reading is sent
         ParameterSet(self, COMMAND, self._build, self._apply)
 
     def _build(self, values: Values) -> Any:
-        """Commands of the shape; an hour of them takes a second, so only a new shape is built."""
+        """Commands [V] of the shape; an hour of them takes a second, so only a new shape is computed."""
+        if values["trigger"] == "lockstep" and values["every"] != 1:
+            raise ParameterError(
+                f"every is {values['every']}; in lockstep there is a command for each reading"
+            )
         same = [values[name] for name in SHAPING] == self._shaped_by
-        return self._commands if same else offline.commands(values).tolist()
+        return self._commands if same else build.commands(values).tolist()
 
     def _apply(self, values: Values, commands: Any) -> None:
-        fault = build.word(values, "fault.command")
+        fault = word(values, "fault.command")
         if fault != self._fault:
             self._fault = fault
-            self._fault_left = int(build.number(values, "fault.samples")) if fault != "none" else 0
+            self._fault_left = int(number(values, "fault.samples")) if fault != "none" else 0
             if fault == "second_publisher" and self._second is None:
-                self._second = self.create_publisher(Float64, "spool_command", SAMPLES)
+                self._second = self._another(word(values, "message"))
             elif fault != "second_publisher" and self._second is not None:
                 self.destroy_publisher(self._second)
                 self._second = None
@@ -57,16 +71,26 @@ class CommandSource(Worker):
         if shaped_by == self._shaped_by:
             return
         self._shaped_by = shaped_by
+        message = word(values, "message")
+        if message != self._message:
+            if self._publisher is not None:
+                self.destroy_publisher(self._publisher)
+            self._message, self._publisher = message, self._another(message)
         self._commands = commands
-        self._listeners = int(build.number(values, "listeners"))
-        self._period = build.number(values, "sample_period")
-        self._delay = build.number(values, "delay")
+        rates, accels = build.derivatives(np.array(commands), number(values, "sample_period"))
+        self._rates, self._accels = rates.tolist(), accels.tolist()
+        self._every = int(number(values, "every"))
+        self._turn = -1
+        self._listeners = int(number(values, "listeners"))
+        self._period = number(values, "sample_period")
+        self._delay = number(values, "delay")
         self._met: float | None = None
         self._began: float | None = None
         self._done = False
-        self._trigger = build.word(values, "trigger")
+        self._trigger = word(values, "trigger")
         if self._trigger != "timer" and self._readings is None:
             self._readings = NumberSubscription(self, "spool_position", SAMPLES)
+            self._ahead = False
         elif self._trigger == "timer" and self._readings is not None:
             self._readings.destroy()
             self._readings = None
@@ -76,12 +100,17 @@ class CommandSource(Worker):
             f"waiting for {self._listeners} listener(s)"
         )
 
+    def _another(self, message: str) -> Any:
+        if message == "trajectory":
+            return self.create_publisher(JointTrajectoryPoint, "spool_trajectory", SAMPLES)
+        return self.create_publisher(Float64, "spool_command", SAMPLES)
+
     def inputs(self) -> Sequence[NumberSubscription]:
-        """The readings that pace the commands, if they do."""
+        """Subscription of the readings, if they pace the commands."""
         return () if self._readings is None else (self._readings,)
 
     def due(self) -> float:
-        """When the timer's next command is due, or the next look at the listeners."""
+        """Time [s] of the timer's next command, or of the next look for listeners."""
         if self._trigger == "timer" or (self._trigger == "lockstep" and self._began is None):
             return self._next
         return math.inf
@@ -102,7 +131,9 @@ class CommandSource(Worker):
                 self._next = time.monotonic() + 10.0 * self._period
                 return False
             self._begin(0.0)
-            self._publish(0)
+            if not self._ahead:
+                self._ahead = True
+                self._publish(0)
             worked = True
         for _, info in self._readings.take():
             if self._trigger == "lockstep":
@@ -113,7 +144,7 @@ class CommandSource(Worker):
         return worked
 
     def _send(self, now: float) -> None:
-        """Publish the command that is due at ``now``, in periods."""
+        """Publish the command that is due at ``now`` [sample periods]."""
         if self._began is None:
             if self._publisher.get_subscription_count() < self._listeners:
                 return
@@ -128,9 +159,20 @@ class CommandSource(Worker):
     def _begin(self, now: float) -> None:
         self._began = now
         self._sent = 0
+        self._turn = -1
+        # The time of the points goes on where a motion begins anew.
+        self._epoch = max(time.monotonic(), self._last_time + self._period)
         self.get_logger().info("begins")
 
     def _publish(self, index: int) -> None:
+        trajectory = self._message == "trajectory"
+        if (self._every > 1 or trajectory) and index // self._every == self._turn:
+            return
+        self._last_time = self._epoch + index * self._period
+        self._turn = index // self._every
+        rate = accel = 0.0
+        if index < len(self._commands):
+            rate, accel = self._rates[index], self._accels[index]
         if index >= len(self._commands):
             index = len(self._commands) - 1
             if not self._done:
@@ -140,10 +182,14 @@ class CommandSource(Worker):
         if self._fault == "not_finite":
             command = math.nan
         elif self._fault == "out_of_range":
-            command = BEYOND
+            command, rate, accel = BEYOND, 0.0, 0.0
         self._sent += 1
         if self._fault != "silent":
-            self._publisher.publish(encoded(command))
+            # In lockstep points belong to readings, not to times.
+            stamp = 0 if self._trigger == "lockstep" else round(self._last_time * 1e9)
+            self._publisher.publish(
+                encoded_point(command, rate, accel, stamp) if trajectory else encoded(command)
+            )
         if self._fault_left > 0:
             self._fault_left -= 1
             if self._fault_left == 0:

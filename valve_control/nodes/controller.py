@@ -1,4 +1,4 @@
-"""Node `controller`: one LVDT reading, one step of the law, one voltage."""
+"""Runs the node `controller`: for each LVDT reading one step of the law and one voltage."""
 
 import math
 import os
@@ -13,26 +13,36 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.parameter import Parameter
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
 from std_srvs.srv import Trigger
 
+from valve_control import parameter
+from valve_control.laws.registry import LAWS, REFUSED
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     NEWEST,
     SAMPLES,
     NumberSubscription,
     ParameterSet,
+    Point,
+    PointSubscription,
+    PolledSubscription,
+    acquainted,
     diagnostics,
     encoded,
 )
 from valve_control.nodes.lifecycle import Managed
-from valve_control.nodes.loop import run, stopping
-from valve_control.parameters import build, files, stability
-from valve_control.parameters.table import CONTROLLER, Values
-from valve_control.simulation.closed_loop import LAWS
-from valve_control.supervision.journal import Journal
-from valve_control.supervision.rehearsal import Rehearsal
-from valve_control.supervision.supervisor import Mode, Supervisor
+from valve_control.nodes.loop import run
+from valve_control.nodes.pairing import Pairing
+from valve_control.parameter import ParameterError, Values, word
+from valve_control.parameters import arguments, build, files, stability
+from valve_control.parameters.table import CONTROLLER
+from valve_control.supervision.cache_warming import CacheWarming
+from valve_control.supervision.journal import OBSERVED, Journal
+from valve_control.supervision.record import Mode
+from valve_control.supervision.supervisor import Supervisor
+from valve_control.supervision.trajectory import Motion
 
 LEVELS = {
     Mode.OK: DiagnosticStatus.OK,
@@ -44,34 +54,40 @@ REMIND = 0.1  # s between two voltages of 0 V while the LVDT is silent
 MOST_ROWS = 500  # of the journal at once
 WATCH_GRAPH = 0.1  # s between two looks at who publishes and reads, and between two parts of the journal
 GREETING = 20  # parts of the journal with an account, since who comes does not hear everything at once
-LOCKSTEP_LIMIT = 5.0  # s to wait for a command in lockstep
+LOOK = 0.01  # s; lockstep: between two looks at what a reading waits for
+MEET = 5.0  # s; lockstep: who gives the readings has so long to become ready for voltages
+COMMANDED = {False: 5.0, True: 20.0}  # s; lockstep: a command is waited for, by whether anybody commands
 LAST_WORD = 0.2  # s to see the last voltage of 0 V received
-POLL = 2e-5  # s
+COMMANDING = ("spool_command", "spool_trajectory")
 WINDOW = 1000  # samples of the timing statistics
 NEVER = math.inf
-REHEARSAL = 0.65  # of a period after a reading
+WARMING = 0.65  # of a period after a reading
 
 
 class Controller(Managed):
-    """Reads `spool_position` and `spool_command`, publishes `valve_voltage` and `~/state`.
+    """Reads `spool_position`, `spool_command`, `spool_trajectory`, publishes `valve_voltage` and `~/state`.
 
-    ``rehearses``: whether it goes through a sample before each reading; of use to a process with one valve.
+    ``warms``: whether it warms the CPU's caches before each reading; of use to a process with one valve.
+    ``alone``: whether the process has no other node.
     """
 
-    def __init__(self, rehearses: bool = True, **options: Any) -> None:
+    def __init__(self, warms: bool = True, alone: bool = True, **options: Any) -> None:
         super().__init__("controller", **options)
         self._supervisor = Supervisor()
         self._journal = Journal(self._supervisor)
-        self._rehearsal = Rehearsal() if rehearses else None
+        self._warming = CacheWarming() if warms else None
         self._said: tuple[Mode, str] | None = None
         self._readings: NumberSubscription | None = None
         self._lockstep = False
         self._watch_at = NEVER
         self._catching_up = False
-        self._rehearse_at = NEVER
+        self._warm_at = NEVER
         self._seen = 0.0  # s, last reading or silence
-        self._pairing: int | None = None
-        self._unpaired = False  # lockstep without anybody who commands
+        self._pairing: Pairing | None = None  # in lockstep
+        self._waiting: tuple[float, dict[str, Any]] | None = None  # lockstep: a reading without its command
+        self._waits_since = self._look_at = NEVER
+        self._met = False  # lockstep: who gives the readings is ready for voltages
+        self._uncommanded = False  # lockstep without anybody who commands
         self._state_message = Float64MultiArray()
         self._telemetry: list[list[float]] = []  # of samples, to be published
         self._rows = Float64MultiArray()
@@ -88,9 +104,10 @@ class Controller(Managed):
         self._unchecked = False
         self._realtime: realtime.Request | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
-        ParameterSet(self, CONTROLLER, self._build, self._apply)
+        ParameterSet(self, CONTROLLER, self._build, self._apply, alone)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save_parameters", self._on_save)
+        self.create_service(Trigger, "~/load_parameters", self._on_load)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._diagnose, clock=steady)
         self.create_timer(WATCH_GRAPH, self._watch_graph, clock=steady)
@@ -107,19 +124,18 @@ class Controller(Managed):
         self._values = values
         self._journal.apply(values, params)
         self._params = params
-        self._period = build.number(values, "sample_period")
-        self._memory_period = build.number(values, "memory_period")
-        self._decimation = int(build.number(values, "state_decimation"))
+        self._period = parameter.number(values, "sample_period")
+        self._memory_period = parameter.number(values, "memory_period")
+        self._decimation = int(parameter.number(values, "state_decimation"))
         if values["lockstep"] != self._lockstep:
             self._lockstep = values["lockstep"] is True
-            self._pairing, self._unpaired = None, False
             if self._readings is not None:
                 self._unsubscribe()
                 self._subscribe()
         # Half a period more than the last reading that may still come in time.
-        self._hold = 1.5 + build.number(values, "lvdt.hold_samples")
+        self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
         if self._lockstep:
-            self._watch_at = self._rehearse_at = NEVER
+            self._watch_at = self._warm_at = NEVER
         labels = self._supervisor.labels()
         if [entry.label for entry in self._state_message.layout.dim] != list(labels):
             self._state_message.layout = MultiArrayLayout(
@@ -130,13 +146,13 @@ class Controller(Managed):
             realtime.obtain(wanted, self.get_logger().warning)
         self._unchecked = True
         self._publish_journal()
-        if self._rehearsal is not None:
-            self._rehearsal.apply(values, params)
+        if self._warming is not None:
+            self._warming.apply(values, params)
 
     # Life
 
     def open(self) -> None:
-        """Topics."""
+        """Create publishers and subscriptions."""
         self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
         self._states = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
         self._memories = self.create_publisher(String, "~/memory", SAMPLES)
@@ -148,15 +164,20 @@ class Controller(Managed):
         # In lockstep each message is waited for.
         qos = SAMPLES if self._lockstep else NEWEST
         self._commands = NumberSubscription(self, "spool_command", qos)
+        self._trajectories = PointSubscription(self, "spool_trajectory", qos)
         self._readings = NumberSubscription(self, "spool_position", qos)
+        self._pairing = Pairing(self._next_command, self._use_paired) if self._lockstep else None
+        self._waiting, self._look_at = None, NEVER
+        self._met = self._uncommanded = False
 
     def _unsubscribe(self) -> None:
         assert self._readings is not None
         self._readings.destroy()
         self._commands.destroy()
+        self._trajectories.destroy()
 
     def close(self) -> None:
-        """Topics left."""
+        """Destroy publishers and subscriptions."""
         self._unsubscribe()
         self.destroy_publisher(self._voltages)
         self.destroy_publisher(self._states)
@@ -165,62 +186,70 @@ class Controller(Managed):
         self._readings = None
 
     def begin(self) -> None:
-        """From rest; what waited on the topics is stale."""
+        """Start from rest; messages that already wait are stale and dropped, but not in lockstep."""
         assert self._readings is not None
-        for topic in (self._readings, self._commands):
-            for _ in topic.take():
-                pass
+        if not self._lockstep:
+            for topic in (self._readings, self._commands, self._trajectories):
+                for _ in topic.take():
+                    pass
         self._journal.start()
         self._publish_journal()
         self._said = None
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._lockstep else self._seen + REMIND
-        self._rehearse_at = NEVER
-        if self._rehearsal is not None:
-            self._rehearsal.start()
+        self._warm_at = NEVER
+        if self._warming is not None:
+            self._warming.start()
         self._catching_up = False
-        self._pairing, self._unpaired = None, False
         rate = 1.0 / self._period
+        for sentence in REFUSED:
+            self.get_logger().warning(sentence)
         self.get_logger().info(f"{self._supervisor.name} at {rate:g} Hz, waiting for spool_position")
 
     def end(self) -> None:
-        """0 V, once."""
+        """Publish 0 V once and stop."""
         self._publish(self._journal.stop())
         self._publish_journal()
         self._watch_at = NEVER
         self.get_logger().info("inactive, 0 V")
 
     def deliver(self) -> None:
-        """See the last 0 V arrive; not in ``end``, where other valves of the process would have to wait."""
+        """Wait until the last 0 V is acknowledged; not in ``end``, where other valves would have to wait."""
         if self._readings is not None:
             for publisher in (self._voltages, self._journals):
                 publisher.wait_for_all_acked(Duration(seconds=LAST_WORD))
 
     # Work
 
-    def inputs(self) -> Sequence[NumberSubscription]:
-        """The LVDT; a command is of no use before the next reading."""
-        return (self._readings,) if self.working and self._readings is not None else ()
+    def inputs(self) -> Sequence[PolledSubscription]:
+        """Subscription of the LVDT; in lockstep those of commands while a reading waits for one."""
+        if not self.working or self._readings is None:
+            return ()
+        if self._waiting is None:
+            return (self._readings,)
+        return (self._commands, self._trajectories) if self._met else ()
 
     def due(self) -> float:
-        """When the LVDT has been silent for too long, or to rehearse."""
-        return min(self._watch_at, self._rehearse_at) if self.working else NEVER
+        """Next time [s] to act without a message: LVDT silent too long, caches to warm, lockstep check."""
+        return min(self._watch_at, self._warm_at, self._look_at) if self.working else NEVER
 
     def work(self) -> bool:
-        """Answer each waiting reading, or rehearse for the next; without one in time, switch off."""
+        """Answer each waiting reading, or warm caches for the next; without a reading in time, switch off."""
         if not self.working or self._readings is None:
             return False
+        if self._lockstep:
+            return self._work_in_lockstep()
         worked = False
-        while (taken := self._readings.one()) is not None:
-            self._answer(*taken)
+        for reading, info in self._readings.take():
+            self._answer(reading, info)
             worked = True
         now = time.monotonic()
-        if self._rehearse_at <= now < self._watch_at and not worked:
-            self._rehearse()
+        if self._warm_at <= now < self._watch_at and not worked:
+            self._warm_caches()
         if now >= self._watch_at and not worked:
-            self._rehearse_at = NEVER
+            self._warm_at = NEVER
             self._catching_up = now - self._watch_at > STALL
-            self._take_commands(0)
+            self._take_commands()
             voltage = self._journal.silence(self._elapsed(now), self._catching_up)
             if not math.isnan(voltage):
                 self._publish(voltage)
@@ -229,7 +258,7 @@ class Controller(Managed):
         return worked
 
     def report(self) -> None:
-        """Telemetry, and what has changed."""
+        """Publish telemetry, and diagnostics if something has changed."""
         for numbers in self._telemetry:
             self._state_message.data = numbers
             self._states.publish(self._state_message)
@@ -242,7 +271,8 @@ class Controller(Managed):
     def _answer(self, reading: float, info: dict[str, Any]) -> None:
         began = time.monotonic()
         number = info["publication_sequence_number"]
-        self._take_commands(number)
+        if not self._lockstep:
+            self._take_commands()
         # What was sent while this process stood still comes in a burst afterwards and is stale.
         if began - self._watch_at > STALL:
             self._catching_up = True
@@ -260,25 +290,25 @@ class Controller(Managed):
         if ended - began > self._period:
             self._overruns += 1
         if not self._lockstep:
-            if self._rehearsal is not None:
-                self._rehearse_at = began + REHEARSAL * self._period
+            if self._warming is not None:
+                self._warm_at = began + WARMING * self._period
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
             self._telemetry.append(self._supervisor.telemetry())
 
-    def _rehearse(self) -> None:
-        """Take what has come of commands, and have the code of a sample at hand when the reading comes."""
-        assert self._rehearsal is not None
-        self._rehearse_at = NEVER
-        self._take_commands(0)
-        self._rehearsal.play(self._supervisor)
+    def _warm_caches(self) -> None:
+        """Take waiting commands, and run a step so that its code is in the caches for the next reading."""
+        assert self._warming is not None
+        self._warm_at = NEVER
+        self._take_commands()
+        self._warming.warm(self._supervisor)
 
     def _publish_journal(self) -> None:
-        """Its waiting rows, and now and then an account of all that is remembered before the next row."""
+        """Publish the journal's waiting rows, and now and then a snapshot of the controller's state."""
         if self._readings is None:
             return
         rows = self._journal.take()
-        if self._memory_period == 0.0:
+        if self._memory_period == 0.0 or self._count_readers() == 0:
             return
         if rows:
             self._rows.data = rows
@@ -289,7 +319,7 @@ class Controller(Managed):
             self._memories.publish(String(data=self._journal.account()))
 
     def _elapsed(self, now: float) -> float:
-        """Seconds since the last call."""
+        """Time [s] since the last call."""
         elapsed, self._seen = now - self._seen, now
         return elapsed
 
@@ -297,47 +327,90 @@ class Controller(Managed):
         self._voltages.publish(encoded(voltage))
         self._published = time.time_ns()
 
-    def _take_commands(self, number: int) -> None:
-        """Hand on the commands that count for reading ``number``."""
-        if self._lockstep and number > 0:
-            self._take_paired_command(number)
-            return
-        while (taken := self._commands.one()) is not None:
-            self._journal.command(taken[0])
-            self._last_command = time.monotonic()
+    def _take_commands(self) -> None:
+        """Pass waiting commands to the supervisor."""
+        for command, info in self._commands.take():
+            self._use_command(command, info["source_timestamp"])
+        for point, info in self._trajectories.take():
+            self._use_point(point, point.time or info["source_timestamp"])
 
-    def _take_paired_command(self, number: int) -> None:
-        """Lockstep: exactly the command with the number of the reading, however long it takes."""
-        limit = time.monotonic() + LOCKSTEP_LIMIT
-        while time.monotonic() < limit and not stopping():
-            taken = self._commands.one()
-            if taken is None:
-                if self._unpaired or (
-                    self._pairing is not None and self.count_publishers("spool_command") == 0
-                ):
-                    return
-                time.sleep(POLL)
-                continue
-            command, info = taken
-            self._journal.command(command)
+    def _use_command(self, command: float, stamp: int = 0) -> None:
+        self._journal.command(command, stamp)
+        self._last_command = time.monotonic()
+
+    def _use_point(self, point: Point, stamp: int) -> None:
+        counts = len(point.positions), len(point.velocities), len(point.accelerations)
+        if counts == (1, 1, 1):
+            self._journal.trajectory(Motion(*point.positions, *point.velocities, *point.accelerations), stamp)
             self._last_command = time.monotonic()
-            ahead = info["publication_sequence_number"] - number
-            if self._pairing is None:
-                self._pairing = ahead
-                self._unpaired = False
-            if ahead >= self._pairing:
-                return
-        self._pairing, self._unpaired = None, True
+        else:
+            self._journal.trajectory_refused(*counts)
+
+    # Lockstep
+
+    def _next_command(self) -> tuple[Any, dict[str, Any]] | None:
+        """The oldest command or point of a trajectory that waits."""
+        return self._commands.one() or self._trajectories.one()
+
+    def _use_paired(self, command: float | Point) -> None:
+        """In lockstep times of sending mean nothing."""
+        if isinstance(command, Point):
+            self._use_point(command, command.time)
+        else:
+            self._use_command(command)
+
+    def _work_in_lockstep(self) -> bool:
+        """Answer the newest reading when its command has come; the simulator waits for no older one."""
+        assert self._readings is not None
+        now = time.monotonic()
+        for taken in self._readings.take():
+            self._waiting, self._waits_since = taken, now
+        if self._waiting is None:
+            return False
+        if not self._complete(self._waiting[1]["publication_sequence_number"], now):
+            self._look_at = now + LOOK
+            return False
+        taken, self._waiting = self._waiting, None
+        self._look_at = NEVER
+        self._answer(*taken)
+        return True
+
+    def _complete(self, number: int, now: float) -> bool:
+        """Whether the command for reading ``number`` has come, or is no longer waited for."""
+        assert self._pairing is not None
+        waited = now - self._waits_since
+        if self._pairing.anew(number):
+            self._met = False
+        self._met = self._met or waited > MEET or acquainted(self, self._voltages, "spool_position")
+        if not self._met:
+            return False
+        if self._pairing.complete(number):
+            self._uncommanded = False
+            return True
+        if self._uncommanded:
+            return True
+        if waited < LOOK:
+            return False
+        commanded = any(self.count_publishers(topic) > 0 for topic in COMMANDING)
+        if waited < COMMANDED[commanded] and (commanded or not self._pairing.begun):
+            return False
+        self._pairing.give_up()
+        self._uncommanded = True
         self.get_logger().warning(
-            f"lockstep: no command for reading {number} within {LOCKSTEP_LIMIT:g} s; goes on without waiting"
+            f"lockstep: no command for reading {number} within {waited:.2g} s; goes on without waiting"
         )
+        return True
 
     # What is around
+
+    def _count_readers(self) -> int:
+        """Number of subscriptions to ``~/journal`` and ``~/memory``."""
+        return int(self._journals.get_subscription_count() + self._memories.get_subscription_count())
 
     def _watch_graph(self) -> None:
         if self._readings is None:
             return
-        readers = self._journals.get_subscription_count() + self._memories.get_subscription_count()
+        readers = self._count_readers()
         if readers > self._readers:
             self._greeting = GREETING
         self._readers = readers
@@ -345,19 +418,22 @@ class Controller(Managed):
             self._greeting -= 1
             self._accounted = -NEVER
         self._publish_journal()
-        for topic in ("spool_command", "spool_position"):
-            count = self.count_publishers(topic)
+        counts = {topic: self.count_publishers(topic) for topic in OBSERVED}
+        for topic, count in counts.items():
             self._journal.publishers(topic, count)
-            if topic == "spool_command":
-                self._commanded = self._commanded or count > 0
-                if count == 0 and self._commanded and not self._lockstep:
-                    self._journal.command_gone()
+        commanded = any(counts[topic] > 0 for topic in COMMANDING)
+        self._commanded = self._commanded or commanded
+        if self._commanded and not self._lockstep:
+            if not commanded:
+                self._journal.command_gone()
+            elif counts["spool_trajectory"] == 0:
+                self._journal.trajectory_gone()
 
     def _check_stability(self) -> None:
-        """Warn about unstable gains; after they came into use, since it takes longer than a period."""
+        """Warn about unstable gains; after they are in use, since the check takes longer than a period."""
         if self._unchecked:
             self._unchecked = False
-            text = stability.warning(self._supervisor.name, LAWS[self._supervisor.name], self._params)
+            text = stability.warning(LAWS[self._supervisor.name], self._params)
             if text:
                 self.get_logger().warning(text)
 
@@ -371,7 +447,7 @@ class Controller(Managed):
         return response
 
     def _on_save(self, request: Any, response: Any) -> Any:
-        name = build.word(self._values, "save_file")
+        name = word(self._values, "save_file")
         try:
             path = Path(name).expanduser().absolute()
             files.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
@@ -382,6 +458,27 @@ class Controller(Managed):
             return response
         response.success = True
         response.message = f"wrote {path}"
+        self.get_logger().info(response.message)
+        return response
+
+    def _on_load(self, request: Any, response: Any) -> Any:
+        name = word(self._values, "load_file") or word(self._values, "save_file")
+        path = Path(name).expanduser().absolute()
+        try:
+            values = arguments.addressed(str(path), self.get_fully_qualified_name(), CONTROLLER)
+            changes = {n: value for n, value in values.items() if value != self._values[n]}
+            if changes:
+                wanted = [Parameter(n, value=value) for n, value in changes.items()]
+                result = self.set_parameters_atomically(wanted)
+                if not result.successful:
+                    raise ParameterError(f"{path}: {result.reason}")
+        except ParameterError as error:
+            response.success = False
+            response.message = f"no parameter changed: {error}"
+            self.get_logger().warning(response.message)
+            return response
+        response.success = True
+        response.message = f"{len(values)} parameters from {path}, of which {len(changes)} changed"
         self.get_logger().info(response.message)
         return response
 
@@ -447,8 +544,7 @@ class Controller(Managed):
                 }
         if supervisor.theta is not None:
             values["theta"] = ", ".join(f"{v:.6g}" for v in supervisor.theta)
-        if supervisor.lyapunov is not None:
-            values["lyapunov"], values["lyapunov_bound"] = (f"{v:.6g}" for v in supervisor.lyapunov)
+        values |= {name: f"{v:.6g}" for name, v in supervisor.assumed.items()}
         return {**values, **realtime.obtained(), "pid": os.getpid()}
 
 

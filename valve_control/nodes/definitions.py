@@ -1,4 +1,4 @@
-"""Message types by name: their Python class, their definition as rosbag2 stores it, their hash."""
+"""Looks up message types by name: their Python class, their definition as rosbag2 stores it, their hash."""
 
 import importlib
 from pathlib import Path
@@ -11,14 +11,14 @@ from rosbags.typesys.store import Typestore
 
 
 class Definition(NamedTuple):
-    """What a bag says about a type."""
+    """What a bag stores about a message type."""
 
     text: str  # ros2msg, with the types that it needs; "" if it cannot be had
     type_hash: str  # RIHS01_…; "" if it cannot be had
 
 
 def message_class(type_name: str) -> Any:
-    """Class of ``std_msgs/msg/Float64``. Raises LookupError if it is not installed."""
+    """Python class of a type such as ``std_msgs/msg/Float64``. Raises LookupError if it is not installed."""
     package, _, name = type_name.partition("/msg/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
@@ -27,7 +27,7 @@ def message_class(type_name: str) -> Any:
 
 
 class Definitions:
-    """Those of Jazzy, and of the message packages that are installed."""
+    """Definitions of the types of Jazzy, and of the message packages that are installed."""
 
     def __init__(self) -> None:
         self._store: Typestore = get_typestore(Stores.ROS2_JAZZY)
@@ -68,6 +68,6 @@ class Definitions:
 
 
 def _base(field: Any) -> tuple[Nodetype, str]:
-    """Kind and name of what a field holds, of its entries if it is an array."""
+    """Kind and type name of a field, or of the entries if the field is an array."""
     kind, detail = field
     return _base(detail[0]) if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else (kind, str(detail))

@@ -1,15 +1,15 @@
-"""Managed nodes that look after themselves unless they are told not to."""
+"""Makes managed nodes (lifecycle) that configure and activate themselves unless told not to."""
 
 from typing import Any
 
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from valve_control.nodes.loop import Worker
+from valve_control.nodes.rclpy_internals import RCLError
 
 
 class Managed(LifecycleNode, Worker):
-    """Node with the states unconfigured, inactive and active.
+    """Lifecycle node with the states unconfigured, inactive and active.
 
     ``open`` and ``close`` make and destroy publishers and subscriptions, ``begin`` and ``end`` bracket the
     time in which the node works.
@@ -40,16 +40,16 @@ class Managed(LifecycleNode, Worker):
         self.trigger_activate()
 
     def open(self) -> None:
-        """Make publishers and subscriptions."""
+        """Create publishers and subscriptions."""
 
     def close(self) -> None:
-        """Destroy them."""
+        """Destroy publishers and subscriptions."""
 
     def begin(self) -> None:
-        """Start to work."""
+        """Start working."""
 
     def end(self) -> None:
-        """Stop to work."""
+        """Stop working."""
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Transition from unconfigured to inactive."""
@@ -74,12 +74,21 @@ class Managed(LifecycleNode, Worker):
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Transition to the end, from any state."""
+        """Transition from any state to finalized."""
         if self.working:
             self.on_deactivate(state)
         return TransitionCallbackReturn.SUCCESS
 
+    def destroy_node(self) -> None:
+        """Destroy the state machine too, which rclpy leaves alone.
+
+        It holds the node, and with it the participant, whose threads would run on while the process ends:
+        "pure virtual method called".
+        """
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()
+
     def finish(self) -> None:
-        """Shut down in order."""
+        """Shut down from whatever state the node is in."""
         if self.working:
             self.trigger_shutdown()

@@ -1,81 +1,93 @@
-"""The loop in which nodes run: samples first, everything else in the time between them.
+"""Runs the nodes of a process in one loop: LVDT samples first, everything else in the time between them.
 
 The standard executor looks at every entity of a node, some twenty services and timers, at each wake-up. Here
-a wait set holds only the subscriptions on which a node works; parameters, services, timers and discovery get
-their turn right after a sample, now and then, one node at a time.
+a wait set holds only the subscriptions on which a node works. Services get their turn right after a sample;
+timers and discovery too, now and then, one node at a time.
 """
 
 import gc
+import os
 import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import rclpy
-from rclpy._rclpy_pybind11 import WaitSet
 from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from valve_control.nodes.adapter import PolledSubscription
-from valve_control.parameters.table import ParameterError
+from valve_control.nodes.rclpy_internals import WaitSet
+from valve_control.nodes.services import Reception
+from valve_control.parameter import ParameterError
+from valve_control.parameters.arguments import help_text, refuse_stray
 
-CHORES = 0.05  # s between two looks at a node's services, parameters and timers beside samples ...
+CHORES = 0.05  # s between two looks at a node's timers beside samples ...
 IDLE_CHORES = 0.01  # s  ... and while there are none; at most twice that
+CALM = 0.01  # s without a sample, after which services need not wait for the next
 
 
 _stopped: list[int] = []  # signals that have come
 
 
-def stopping() -> bool:
-    """Whether SIGINT or SIGTERM has come."""
-    return bool(_stopped)
-
-
 class Failure(RuntimeError):
-    """What ends the run with exit status 1; the message is one sentence for the user."""
+    """Ends the run with exit status 1; the message is one sentence for the user."""
 
 
 class Worker(Node):
-    """Node with work of its own beside callbacks."""
+    """Node that does its main work in ``work``, not in callbacks."""
 
     def inputs(self) -> Sequence[PolledSubscription]:
-        """Subscriptions whose messages call for ``work``."""
+        """Subscriptions whose messages make the loop call ``work``."""
         return ()
 
     def due(self) -> float:
-        """Time (`time.monotonic`) at which ``work`` is called though nothing has come."""
+        """Time (`time.monotonic`) at which ``work`` is called even if no message has come."""
         return float("inf")
 
     def work(self) -> bool:
-        """Do what is to do now; whether something was done.
+        """Do what has to be done now; returns whether anything was done.
 
         Called only when a message has come on one of ``inputs``, or ``due`` has passed.
         """
         return False
 
     def report(self) -> None:
-        """Publish what nobody waits for.
+        """Publish what is not urgent.
 
         Called when all nodes of the process have worked, of those that did something, and after a callback.
         """
 
     def finish(self) -> None:
-        """Last words before the node is destroyed."""
+        """Publish the last messages before the node is destroyed."""
 
     def deliver(self) -> None:
-        """Wait until they have arrived, for a moment."""
+        """Wait briefly until the last messages have arrived."""
 
 
 def run(make: Callable[[], Sequence[Any]]) -> int:
-    """Work with the nodes that ``make`` gives until SIGINT or SIGTERM; returns the exit status."""
+    """Run the nodes that ``make`` creates until SIGINT or SIGTERM; returns the exit status."""
 
     def stop(number: int, frame: Any) -> None:
         _stopped.append(number)
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
+    node = Path(sys.argv[0]).stem
+    if text := help_text(node, make.__globals__["__doc__"], sys.argv[1:]):
+        try:
+            print(text, flush=True)
+        except BrokenPipeError:  # such as `| head`; at its exit Python would try again
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    try:
+        refuse_stray(sys.argv[1:])
+    except ParameterError as error:
+        print(f"{node}: {error}", file=sys.stderr)
+        return 2
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy has no public type for bad --ros-args
@@ -83,16 +95,16 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
         return 2
     status = 0
     nodes: Sequence[Any] = ()
-    executors: list[SingleThreadedExecutor] = []
+    chores: list[Chores] = []
+    reception: Reception | None = None
     try:
         nodes = make()
-        for node in nodes:
-            executors.append(SingleThreadedExecutor())
-            executors[-1].add_node(node)
+        reception = Reception(nodes)
+        chores += [Chores(node) for node in nodes]
         # A collection of everything that the imports brought takes tens of milliseconds, many samples.
         gc.collect()
         gc.freeze()
-        _loop(nodes, executors)
+        _loop(nodes, chores, reception)
     except ParameterError as error:
         print(f"valve_control: {error}", file=sys.stderr)
         status = 2
@@ -107,19 +119,49 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
                 except Exception as error:  # the other valves must hear their 0 V whatever this one does
                     print(f"valve_control: {node.get_name()}: {first_line(error)}", file=sys.stderr)
                     status = 1
-        for executor in executors:
-            executor.shutdown(timeout_sec=0.0)
+        if reception is not None:
+            reception.close()
+        for chore in chores:
+            chore.end()
         for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
+    for number in (signal.SIGINT, signal.SIGTERM):  # nothing is left to end; the status is decided
+        signal.signal(number, signal.SIG_IGN)
     return status
 
 
-def _loop(nodes: Sequence[Any], executors: Sequence[SingleThreadedExecutor]) -> None:
+class Chores:
+    """Runs timers, discovery and answers to a node's requests with the standard executor, one at a time."""
+
+    def __init__(self, node: Any) -> None:
+        self.node = node
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        self._resumed = False
+
+    def one(self) -> bool:
+        """Run one callback that is ready; returns whether there was one."""
+        try:
+            handler, _, _ = self._executor.wait_for_ready_callbacks(0.0)
+        except TimeoutException:
+            # After its last callback the executor ends its look with a time-out, and has not looked anew.
+            resumed, self._resumed = self._resumed, False
+            return resumed and self.one()
+        self._resumed = True
+        handler()
+        handler.result()
+        return True
+
+    def end(self) -> None:
+        """Shut the executor down."""
+        self._executor.shutdown(timeout_sec=0.0)
+
+
+def _loop(nodes: Sequence[Any], chores: Sequence[Chores], reception: Reception) -> None:
     context = rclpy.get_default_context()
     rest = IDLE_CHORES / len(nodes)
-    busy = False
-    chores = time.monotonic()
+    looked = sampled = time.monotonic()
     turn = 0
     wait_set: Any = None
     size = -1
@@ -128,8 +170,10 @@ def _loop(nodes: Sequence[Any], executors: Sequence[SingleThreadedExecutor]) -> 
         if len(inputs) != size:
             size = len(inputs)
             wait_set = WaitSet(size, 0, 0, 0, 0, 0, context.handle)
-        wake = min(chores + rest, *(node.due() for node in nodes))
-        pause = wake - time.monotonic()
+        now = time.monotonic()
+        calm = now > sampled + CALM
+        wake = now if calm and reception.waiting else min(looked + rest, *(node.due() for node in nodes))
+        pause = wake - now
         worked: list[Any] = []
         if inputs:
             wait_set.clear_entities()
@@ -147,30 +191,22 @@ def _loop(nodes: Sequence[Any], executors: Sequence[SingleThreadedExecutor]) -> 
         worked += [node for node in nodes if node.due() <= now and node.work()]
         for node in worked:
             node.report()
-        busy = busy or bool(worked)
-        if now >= chores + rest or (worked and now >= chores):
-            chores = now
-            # After something was done more may wait: look again after the next sample.
-            if _chore(executors[turn]):
-                nodes[turn].report()
-            else:
-                rest = (CHORES if busy else IDLE_CHORES) / len(nodes)
-                busy = False
-                chores = time.monotonic() + rest
-                turn = (turn + 1) % len(executors)
-
-
-def _chore(executor: SingleThreadedExecutor) -> bool:
-    """Run one callback that is ready; whether there was one."""
-    try:
-        handler, _, _ = executor.wait_for_ready_callbacks(0.0)
-    except TimeoutException:
-        return False
-    handler()
-    handler.result()
-    return True
+        if worked:
+            sampled = now
+        look = now >= looked + rest or (worked and now >= looked)
+        if look and chores[turn].one():
+            # More may wait: look again after the next sample.
+            looked = now
+            nodes[turn].report()
+            continue
+        if look:
+            rest = (IDLE_CHORES if calm else CHORES) / len(nodes)
+            looked = time.monotonic() + rest
+            turn = (turn + 1) % len(chores)
+        if reception.waiting and (worked or calm):
+            reception.serve().report()
 
 
 def first_line(error: Exception) -> str:
-    """The first line of an error's text."""
+    """First line of an error's text."""
     return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,23 +1,23 @@
-"""Node `manifold`: one process that hosts the controllers (or simulators) of several valves."""
+"""Runs the node `manifold`: one process with the controllers (or simulators) of several valves."""
 
 import re
 import sys
 from typing import Any
 
-from valve_control.nodes.adapter import ParameterSet
+from valve_control.nodes.adapter import ParameterSet, admit
 from valve_control.nodes.controller import Controller
 from valve_control.nodes.loop import Worker, run
 from valve_control.nodes.valve_simulator import ValveSimulator
-from valve_control.parameters import build
-from valve_control.parameters.table import MANIFOLD, ParameterError, Values
+from valve_control.parameter import ParameterError, Values, items, word
+from valve_control.parameters.table import MANIFOLD, NODES
 
 KINDS: dict[str, Any] = {"controller": Controller, "valve_simulator": ValveSimulator}
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*$")
 
 
 def names(values: Values) -> list[str]:
-    """Names of the valves. Raises ParameterError unless each can be a namespace and none comes twice."""
-    valves = [str(name) for name in build.items(values, "valves")]
+    """Names of the valves. Raises ParameterError unless each is a valid namespace and none comes twice."""
+    valves = [str(name) for name in items(values, "valves")]
     for name in valves:
         if not NAME.match(name):
             raise ParameterError(
@@ -31,12 +31,12 @@ def names(values: Values) -> list[str]:
 
 
 class Manifold(Worker):
-    """Holds the list of valves; each has a node of its own, `<namespace>/<valve>/controller`."""
+    """Node with the list of valves; each valve has a node of its own, `<namespace>/<valve>/controller`."""
 
     def __init__(self) -> None:
         super().__init__("manifold")
         self._values: Values = {}
-        ParameterSet(self, MANIFOLD, self._fixed, self._apply)
+        ParameterSet(self, MANIFOLD, self._fixed, self._apply, alone=False)
 
     def _fixed(self, values: Values) -> list[str]:
         if self._values and values != self._values:
@@ -47,23 +47,25 @@ class Manifold(Worker):
         self._values = values
 
     def host(self) -> list[Any]:
-        """Make the nodes of all valves."""
-        kind = build.word(self._values, "node")
+        """Create the nodes of all valves."""
+        kind = word(self._values, "node")
         space = self.get_namespace().rstrip("/")
         made = []
         valves = names(self._values)
+        hosted = {f"{space}/{name}/{kind}": NODES[kind] for name in valves}
+        admit(self, {self.get_fully_qualified_name(): MANIFOLD, **hosted})
         # What one valve's samples bring into the caches serves the others too.
-        own = {"rehearses": len(valves) == 1} if kind == "controller" else {}
+        own = {"warms": len(valves) == 1} if kind == "controller" else {}
         for name in valves:
             # Remapping of the manifold's own name and namespace is not meant for the nodes in it.
             remap = ["--ros-args", "-r", f"__ns:={space}/{name}", "-r", f"__node:={kind}"]
-            made.append(KINDS[kind](cli_args=remap, **own))
+            made.append(KINDS[kind](alone=False, cli_args=remap, **own))
         self.get_logger().info(f"{len(made)} x {kind}: {', '.join(valves)}")
         return made
 
 
 def make() -> list[Any]:
-    """The manifold and the nodes in it."""
+    """Create the manifold and the nodes of its valves."""
     manifold = Manifold()
     return [manifold, *manifold.host()]
 

@@ -1,4 +1,4 @@
-"""Live replay: the topics of a bag, published to running nodes."""
+"""Plays a bag to running nodes: publishes the recorded topics at their times, or in lockstep."""
 
 import signal
 import sys
@@ -28,7 +28,7 @@ DRAIN = 0.2  # s at the end, for what is still on its way
 
 
 class Played(NamedTuple):
-    """What was published and what came back."""
+    """What was published, how late, and in lockstep the voltages that came back."""
 
     published: int
     elapsed: float  # s
@@ -130,7 +130,7 @@ def _timed(
 
 
 def _in_lockstep(node: Node, valve: Valve, quiet: bool) -> Played:
-    """One command and one reading at a time; the next when the voltage has come."""
+    """Publish one command and one reading at a time; the next when the voltage has come."""
     signals = align(valve)
     command = node.create_publisher(Float64, f"{valve.topics.namespace}/spool_command", SAMPLES)
     position = node.create_publisher(Float64, f"{valve.topics.namespace}/spool_position", SAMPLES)

@@ -1,4 +1,4 @@
-"""What Linux offers against late samples: memory lock, real-time scheduler, CPU affinity."""
+"""Asks Linux for what keeps samples in time: memory lock, real-time scheduler, CPU affinity."""
 
 import ctypes
 import os
@@ -6,15 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from valve_control.parameters import build
-from valve_control.parameters.table import ParameterError, Values
+from valve_control import parameter
+from valve_control.parameter import ParameterError, Values, number
 
 MCL_CURRENT, MCL_FUTURE = 1, 2
 POLICIES = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_RR: "SCHED_RR"}
 
 
 class Request(NamedTuple):
-    """What the parameters ask for."""
+    """What the parameters ask the kernel for."""
 
     lock_memory: bool
     priority: int  # 0: leave the scheduler
@@ -22,8 +22,8 @@ class Request(NamedTuple):
 
 
 def request(values: Values) -> Request:
-    """Request from a node's values. Raises ParameterError."""
-    text = build.word(values, "realtime.cpus").strip()
+    """Request from a node's parameter values. Raises ParameterError."""
+    text = parameter.word(values, "realtime.cpus").strip()
     try:
         cpus = tuple(int(word) for word in text.split(",")) if text else ()
     except ValueError:
@@ -33,13 +33,11 @@ def request(values: Values) -> Request:
         raise ParameterError(
             f"realtime.cpus names CPU {missing[0]}; this machine has 0 to {(os.cpu_count() or 1) - 1}"
         )
-    return Request(
-        values["realtime.lock_memory"] is True, int(build.number(values, "realtime.priority")), cpus
-    )
+    return Request(values["realtime.lock_memory"] is True, int(number(values, "realtime.priority")), cpus)
 
 
 def obtain(wanted: Request, warn: Callable[[str], None]) -> None:
-    """Ask the kernel for ``wanted``, for all threads of the process; each refusal is one ``warn``."""
+    """Ask the kernel for ``wanted``, for all threads of the process; calls ``warn`` for each refusal."""
     threads = [int(entry.name) for entry in Path("/proc/self/task").iterdir()]
     if wanted.lock_memory:
         libc = ctypes.CDLL(None, use_errno=True)

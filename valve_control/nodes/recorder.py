@@ -1,49 +1,57 @@
-"""Node `recorder`: topics and parameters of the cascade into a rosbag2 bag that outlives its recorder."""
+"""Runs the node `recorder`: writes topics and parameters of the cascade into a bag that survives kills."""
 
-import os
 import re
 import shutil
 import sys
 import time
-from collections.abc import MutableMapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from itertools import count
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from valve_control import parameter
 from valve_control.bags.errors import BagError
 from valve_control.bags.metadata import Qos, Span
 from valve_control.bags.writer import BagWriter, check
-from valve_control.nodes.adapter import ParameterSet, PolledSubscription
-from valve_control.nodes.cascade import EVERYTHING
+from valve_control.nodes.adapter import EVERYTHING, SAMPLES, ParameterSet, PolledSubscription, diagnostics
 from valve_control.nodes.definitions import Definition, Definitions, message_class
 from valve_control.nodes.loop import Failure, Worker, run
-from valve_control.nodes.snapshots import EVENTS, Snapshots
-from valve_control.parameters import build
-from valve_control.parameters.table import RECORDER, ParameterError, Values
+from valve_control.nodes.parameter_capture import EVENTS, ParameterCapture
+from valve_control.parameter import ParameterError, Values, items, word
+from valve_control.parameters.table import RECORDER
 
-CASCADE = (
-    r"(.*/)?(spool_command|spool_position|valve_voltage)",
-    r".*/controller/(state|memory|journal)",
-    "/diagnostics",
-    "/clock",
-)
 EVENT_TYPE = "rcl_interfaces/msg/ParameterEvent"
+# What is recorded unless ``topics`` says otherwise, with the types that the nodes of this package use.
+CASCADE: Mapping[str, str] = {
+    r"(.*/)?(spool_command|spool_position|valve_voltage)": "std_msgs/msg/Float64",
+    r"(.*/)?spool_trajectory": "trajectory_msgs/msg/JointTrajectoryPoint",
+    r".*/controller/(state|journal)": "std_msgs/msg/Float64MultiArray",
+    r".*/controller/memory": "std_msgs/msg/String",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    "/clock": "rosgraph_msgs/msg/Clock",
+}
 POLL = 0.01  # s between two looks at what has come
 LOOK = 0.2  # s between two looks at the graph
 LINGER = 0.2  # s to take the last words of nodes that are stopped together with the recorder
+STATUS_PERIOD = 1.0  # s between two diagnostics, unless something changes
+LAST_WORD = 0.2  # s for the last diagnostics to arrive
 MB = 1e6  # bytes
 
 
 class Settings(NamedTuple):
-    """The parameters in use."""
+    """The recorder's parameters in use."""
 
     folder: Path
     storage: str
     compression: str
     patterns: Sequence[re.Pattern[str]]
+    chosen: bool  # whether the patterns are the user's
     max_bytes: int
     max_seconds: float  # s
     flush_period: float  # s
@@ -53,38 +61,45 @@ class Settings(NamedTuple):
 
 def settings(values: Values) -> Settings:
     """Settings from the recorder's values. Raises ParameterError."""
-    storage, compression = build.word(values, "storage"), build.word(values, "compression")
+    storage, compression = word(values, "storage"), word(values, "compression")
     try:
         check(storage, compression)
     except BagError as error:
         raise ParameterError(str(error)) from error
     patterns = []
-    for text in [str(item) for item in build.items(values, "topics") if item] or CASCADE:
+    chosen = [str(item) for item in items(values, "topics") if item]
+    for text in chosen or CASCADE:
         try:
             patterns.append(re.compile(text))
         except re.error as error:
             raise ParameterError(f"topics has '{text}', which is no regular expression: {error}") from error
-    bag = build.word(values, "bag") or time.strftime("valve_bag_%Y%m%d_%H%M%S")
+    bag = word(values, "bag")
     return Settings(
-        folder=Path(bag).expanduser(),
+        folder=Path(bag).expanduser() if bag else unused(time.strftime("valve_bag_%Y%m%d_%H%M%S")),
         storage=storage,
         compression=compression,
         patterns=patterns,
-        max_bytes=round(build.number(values, "max_size") * MB),
-        max_seconds=build.number(values, "max_duration"),
-        flush_period=build.number(values, "flush_period"),
-        min_free=build.number(values, "min_free") * MB,
-        report_period=build.number(values, "report_period"),
+        chosen=bool(chosen),
+        max_bytes=round(parameter.number(values, "max_size") * MB),
+        max_seconds=parameter.number(values, "max_duration"),
+        flush_period=parameter.number(values, "flush_period"),
+        min_free=parameter.number(values, "min_free") * MB,
+        report_period=parameter.number(values, "report_period"),
     )
 
 
+def unused(name: str) -> Path:
+    """Folder ``name``, or with a number behind it if that exists already."""
+    return next(path for n in count(1) if not (path := Path(f"{name}_{n}" if n > 1 else name)).exists())
+
+
 def span(duration: Duration) -> Span:
-    """Duration as rosbag2 writes it."""
+    """A duration in the form of rosbag2's metadata."""
     return Span(*divmod(duration.nanoseconds, 10**9))
 
 
 def offered(profile: QoSProfile) -> Qos:
-    """Profile of a publisher as rosbag2 writes it."""
+    """A publisher's QoS profile in the form of rosbag2's metadata."""
     return Qos(
         history=profile.history.name.lower(),
         depth=profile.depth,
@@ -99,7 +114,7 @@ def offered(profile: QoSProfile) -> Qos:
 
 
 def wanted(profiles: Sequence[QoSProfile]) -> tuple[ReliabilityPolicy, DurabilityPolicy]:
-    """The most that all publishers offer."""
+    """Strongest QoS that all publishers offer."""
     reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles)
     latched = profiles and all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
     return (
@@ -108,11 +123,17 @@ def wanted(profiles: Sequence[QoSProfile]) -> tuple[ReliabilityPolicy, Durabilit
     )
 
 
+def usual_type(name: str) -> str | None:
+    """Type with which this package's nodes use the topic ``name``, None if they do not use it."""
+    return next((kind for pattern, kind in CASCADE.items() if re.fullmatch(pattern, name)), None)
+
+
 class Recorded:
     """A topic that is recorded."""
 
-    def __init__(self, node: Worker, name: str, message_type: Any) -> None:
+    def __init__(self, node: Worker, name: str, type_name: str, message_type: Any) -> None:
         self.name = name
+        self.type_name = type_name
         self._node = node
         self._type = message_type
         self._publishers: set[bytes] = set()
@@ -123,7 +144,7 @@ class Recorded:
         self.lost = 0
 
     def adapt(self, profiles: Sequence[QoSProfile]) -> list[tuple[Any, dict[str, Any]]]:
-        """Subscribe so that all publishers match; what waited on a subscription that this replaces."""
+        """Subscribe with a QoS that matches all publishers; returns what waited on the old subscription."""
         qos = wanted(profiles)
         if self._qos is not None:
             # Never back to a stricter one: the lax one matches all.
@@ -145,13 +166,13 @@ class Recorded:
         return rest
 
     def count(self, number: int) -> None:
-        """See whether numbers are missing before ``number``."""
+        """Count the numbers that are missing before ``number``."""
         if self._number is not None and number > self._number:
             self._missing += number - self._number - 1
         self._number = number
 
     def look(self, publishers: set[bytes]) -> None:
-        """Numbers tell something only if the same single publisher gave them all."""
+        """Take in who publishes; numbers show losses only if one and the same publisher gave them all."""
         if len(publishers) == 1 and publishers == self._publishers:
             self.lost += self._missing
         else:
@@ -161,7 +182,7 @@ class Recorded:
 
 
 class Recorder(Worker):
-    """Subscribes to what matches as it appears, polls it, and writes it down."""
+    """Subscribes to matching topics as they appear, polls them, and writes their messages into the bag."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
@@ -170,21 +191,26 @@ class Recorder(Worker):
         use = self._settings
         self._topics: dict[str, Recorded] = {}
         self._left_out: set[str] = set()
+        self._strangers: dict[str, dict[bytes, str]] = {}  # topic → publisher of another type → what is said
+        self._gone: list[str] = []  # finished files that are no longer there
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         self._definitions = Definitions()
         self._failed = False
-        self._check_room(use.folder.absolute().parent)
+        if reason := self._short_of_room(use.folder.absolute().parent):
+            raise Failure(reason)
         try:
             self._writer = BagWriter(
                 use.folder, use.storage, use.max_bytes, use.max_seconds, use.compression, self._on_new_file
             )
         except BagError as error:
             raise ParameterError(str(error)) from error
-        self._snapshots = Snapshots(self, self._write_snapshot)
+        self._captured = ParameterCapture(self, self._write_parameters)
         self._record(EVENTS, EVENT_TYPE)
         now = time.monotonic()
         self._next = self._look_at = now
         self._flush_at = now + use.flush_period
         self._report_at = now + use.report_period
+        self._status_at = now
         self._reported = (now, time.process_time(), 0)
         self.get_logger().info(f"records into {use.folder.absolute()}")
 
@@ -200,11 +226,11 @@ class Recorder(Worker):
     # Work
 
     def due(self) -> float:
-        """The next look at what has come."""
+        """Time [s] of the next poll."""
         return self._next
 
     def work(self) -> bool:
-        """Write what has come; now and then flush, look at the graph, report."""
+        """Write waiting messages; now and then flush, look for new topics, publish the status."""
         now = time.monotonic()
         if now < self._next:
             return False
@@ -214,20 +240,24 @@ class Recorder(Worker):
             if now >= self._look_at:
                 self._look_at = now + LOOK
                 self._look()
-            self._snapshots.collect()
+            self._captured.collect()
             if now >= self._flush_at:
                 self._flush_at = now + self._settings.flush_period
+                self._look_at_files()
                 self._writer.flush()
-                self._check_room(self._settings.folder)
+                if reason := self._short_of_room(self._settings.folder):
+                    self._fail(reason)
         except BagError as error:
             self._fail(str(error))
         if now >= self._report_at:
             self._report_at = now + self._settings.report_period
             self._report(now)
+        if now >= self._status_at:
+            self._publish_status()
         return taken
 
     def _take(self) -> bool:
-        """Write all that waits in the order of its arrival."""
+        """Write all waiting messages in the order of their arrival."""
         taken = [
             (info["received_timestamp"] or time.time_ns(), topic, data, info)
             for topic in self._topics.values()
@@ -243,55 +273,104 @@ class Recorder(Worker):
         number = info["publication_sequence_number"]
         topic.count(number)
         if topic.name == EVENTS:
-            self._snapshots.observe(data)
+            self._captured.observe(data)
         self._writer.write(topic.name, received, info["source_timestamp"] or received, number, data)
 
-    def _write_snapshot(self, data: bytes) -> None:
+    def _write_parameters(self, data: bytes) -> None:
         now = time.time_ns()
         self._writer.write(EVENTS, now, now, 0, self._definitions.trimmed(data, EVENT_TYPE))
 
     def _on_new_file(self) -> None:
         self.get_logger().info(f"goes on in {self._writer.path.name}")
-        self._snapshots.write_all()
+        self._captured.write_all()
 
-    def _check_room(self, folder: Path) -> None:
+    def _short_of_room(self, folder: Path) -> str:
+        """One sentence if the disk of ``folder`` has less than min_free, else ""."""
         while not folder.exists():
             folder = folder.parent
         free = shutil.disk_usage(folder).free
-        if free < self._settings.min_free:
-            self._fail(
-                f"the recording ends: the disk of {folder} has {free / MB:.0f} MB free, "
-                f"less than min_free, {self._settings.min_free / MB:g} MB"
-            )
+        if free >= self._settings.min_free:
+            return ""
+        return (
+            f"the recording ends: the disk of {folder} has {free / MB:.0f} MB free, "
+            f"less than min_free, {self._settings.min_free / MB:g} MB"
+        )
+
+    def _look_at_files(self) -> None:
+        """Check that all files are where they were written. Raises BagError if the newest is not."""
+        gone = self._writer.missing()
+        for name in gone:
+            if name not in self._gone:
+                self.get_logger().error(
+                    f"{name}, a finished file of the bag, is no longer in {self._settings.folder.absolute()}"
+                )
+        if gone != self._gone:
+            self._gone = gone
+            self._publish_status()
 
     def _fail(self, reason: str) -> NoReturn:
         self._failed = True
+        self._diagnostics.publish(diagnostics(self, DiagnosticStatus.ERROR, reason, self._figures()))
         raise Failure(reason)
 
     # The graph
 
     def _look(self) -> None:
-        """Subscribe to what is new, and see who publishes."""
-        for name, types in self.get_topic_names_and_types():
+        """Subscribe to new topics, and note who publishes."""
+        for name, _ in self.get_topic_names_and_types():
             if name not in self._topics and any(p.fullmatch(name) for p in self._settings.patterns):
-                self._record(name, types[0])
+                self._meet(name)
         for name, topic in self._topics.items():
             infos = self.get_publishers_info_by_topic(name)
+            self._compare(name, topic.type_name, infos)
+            infos = [info for info in infos if info.topic_type == topic.type_name]
             topic.look({bytes(info.endpoint_gid) for info in infos})
             for data, info in topic.adapt([info.qos_profile for info in infos]) if infos else ():
                 self._write(topic, info["received_timestamp"] or time.time_ns(), data, info)
-        self._snapshots.look()
+        self._captured.look()
+
+    def _meet(self, name: str) -> None:
+        """Record a topic, with the type that this package's nodes use, else with the most frequent one.
+
+        A topic of theirs that nobody publishes with their type waits, unless the user chose the topics.
+        """
+        infos = self.get_publishers_info_by_topic(name)
+        types = Counter(info.topic_type for info in infos)
+        usual = usual_type(name)
+        if usual is not None and usual in types:
+            self._record(name, usual)
+        elif types and (usual is None or self._settings.chosen):
+            self._record(name, types.most_common(1)[0][0])
+        elif usual is not None:
+            self._compare(name, usual, infos)
+
+    def _compare(self, name: str, type_name: str, infos: Sequence[Any]) -> None:
+        """Warn at once of publishers of ``name`` with another type than ``type_name``, which is recorded."""
+        strangers = {
+            bytes(info.endpoint_gid): f"{name} is published as {info.topic_type} by "
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}: these messages are not recorded, "
+            f"the bag takes {type_name}"
+            for info in infos
+            if info.topic_type != type_name
+        }
+        known = self._strangers.get(name, {})
+        self._strangers[name] = strangers
+        for publisher, text in strangers.items():
+            if publisher not in known:
+                self.get_logger().warning(text)
+        if strangers.keys() != known.keys():
+            self._publish_status()
 
     def _record(self, name: str, type_name: str) -> None:
         """Subscribe to a topic and announce it to the bag, unless its type is not installed."""
         if name in self._left_out:
             return
-        infos = self.get_publishers_info_by_topic(name)
+        infos = [i for i in self.get_publishers_info_by_topic(name) if i.topic_type == type_name]
         if not infos and name != EVENTS:
             return
         topic = None
         try:
-            topic = Recorded(self, name, message_class(type_name))
+            topic = Recorded(self, name, type_name, message_class(type_name))
             topic.adapt([info.qos_profile for info in infos])
         except Exception as error:  # rclpy has several kinds for a type that it cannot use
             self._left_out.add(name)
@@ -302,8 +381,7 @@ class Recorder(Worker):
         except LookupError as error:
             self.get_logger().warning(f"{name} is recorded without definition: {error}")
             definition = Definition("", "")
-        hashes = [str(info.topic_type_hash) for info in infos if info.topic_type == type_name]
-        told = [text for text in hashes if text.startswith("RIHS")]
+        told = [text for text in (str(info.topic_type_hash) for info in infos) if text.startswith("RIHS")]
         self._writer.add_topic(
             name,
             type_name,
@@ -326,11 +404,35 @@ class Recorder(Worker):
             f"CPU {100.0 * (used - used_before) / (now - began):.1f} %"
         )
 
+    def _publish_status(self) -> None:
+        """Publish diagnostics: what is recorded, and what is not."""
+        self._status_at = time.monotonic() + STATUS_PERIOD
+        level, text = DiagnosticStatus.OK, "recording"
+        said = [text for strangers in self._strangers.values() for text in strangers.values()]
+        if said:
+            level, text = DiagnosticStatus.WARN, "; ".join(sorted(said))
+        if self._gone:
+            level, text = DiagnosticStatus.ERROR, f"files of the bag were removed: {', '.join(self._gone)}"
+        self._diagnostics.publish(diagnostics(self, level, text, self._figures()))
+
+    def _figures(self) -> dict[str, Any]:
+        return {
+            "bag": self._settings.folder.absolute(),
+            "topics": len(self._topics),
+            "messages": self._writer.message_count,
+            "lost": self._lost(),
+        }
+
+    def deliver(self) -> None:
+        """Wait until the reason of the end has arrived."""
+        if self._failed:
+            self._diagnostics.wait_for_all_acked(Duration(seconds=LAST_WORD))
+
     def _lost(self) -> int:
         return sum(topic.lost for topic in self._topics.values())
 
     def finish(self) -> None:
-        """Take what waits, and end the bag."""
+        """Write waiting messages, and finish the bag."""
         error: BagError | None = None
         try:
             end = time.monotonic() + (0.0 if self._failed else LINGER)
@@ -345,7 +447,7 @@ class Recorder(Worker):
         counts = self._writer.counts
         for name, topic in sorted(self._topics.items()):
             self.get_logger().info(f"{name}: {counts[name]} messages, {topic.lost} lost")
-        for name in self._snapshots.unanswered():
+        for name in self._captured.unanswered():
             self.get_logger().warning(
                 f"the bag lacks the parameters of {name}, which did not answer; it has their changes"
             )
@@ -357,16 +459,8 @@ class Recorder(Worker):
             raise error
 
 
-def use_own_profile(environment: MutableMapping[str, str]) -> None:
-    """Have Fast DDS use the recorder's profile, unless the user has a choice of his own."""
-    own = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
-    if not any(environment.get(name) for name in own):
-        environment[own[0]] = str(Path(__file__).with_name("recorder_dds.xml"))
-
-
 def main() -> int:
     """Entry point of `ros2 run valve_control recorder`."""
-    use_own_profile(os.environ)
     return run(lambda: [Recorder()])
 
 

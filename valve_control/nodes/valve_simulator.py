@@ -1,4 +1,4 @@
-"""Node `valve_simulator`: stands in for amplifier, valve and LVDT, and for their faults."""
+"""Runs the node `valve_simulator`: stands in for amplifier, valve and LVDT, and for their faults."""
 
 import math
 import sys
@@ -13,28 +13,34 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_msgs.msg import Float64
 
-from valve_control.laws.signals import saturate
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     SAMPLES,
     NumberSubscription,
     ParameterSet,
+    acquainted,
     diagnostics,
     encoded,
 )
 from valve_control.nodes.lifecycle import Managed
 from valve_control.nodes.loop import run
+from valve_control.parameter import ParameterError, Values, number, word
 from valve_control.parameters import build
-from valve_control.parameters.table import VALVE, Values
+from valve_control.parameters.table import VALVE
 from valve_control.plant import valve
+from valve_control.plant.amplifier import saturate
 
 POLL = 5e-5  # s between two looks for a late voltage
 STALL = 0.1  # s; a longer pause of the process is skipped, not made good
+MOST_AT_ONCE = 50  # samples
 KNOCK = 0.01  # s between two looks whether the listeners are there
-RESEND = 1.0  # s; lockstep: a reading without an answer for so long is sent again
+MEET = 5.0  # s; lockstep: a controller that is there has so long to become ready for readings
+WAIT = 1.0  # s; lockstep: between two looks at who might answer a reading without an answer
 CORRUPT = b""  # a frame that DDS cannot read and drops: its sequence number is missing at the receiver
 BEYOND = 1.5  # times u_max, a reading out of range
 WEAK = 0.2  # of the gain, a weak solenoid
+WATCH_GRAPH = 0.1  # s between two looks at who publishes
+SLOPES = {"flipped": -1.0, "half": 0.5}  # of an LVDT
 NEVER = math.inf
 
 
@@ -45,11 +51,14 @@ class ValveSimulator(Managed):
                      are due. The voltage of sample k acts from k to k+1. No real valve waits for a process
                      that the operating system has put aside, so that the simulated one holds back sample
                      k+1 for up to `patience`.
-    clock: lockstep  sample k+1 follows as soon as the voltage of sample k is there, and `/clock` goes with
-                     the samples.
+    clock: lockstep  sample k+1 follows as soon as the voltage of sample k is there, however long it takes,
+                     and `/clock` goes with the samples. A reading is sent again only to a controller that was
+                     not there when it was sent: any other has it, and would take it for one more.
+
+    ``alone``: whether the process has no other node.
     """
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, alone: bool = True, **options: Any) -> None:
         super().__init__("valve_simulator", **options)
         self._params: Any = None
         self._state: Any = None
@@ -62,30 +71,40 @@ class ValveSimulator(Managed):
         self._unanswered = 0  # samples in a row
         self._samples = 0
         self._sent: float | None = None
+        self._complete_since = 0.0  # lockstep: when enough listeners had come
+        self._asked: set[bytes] = set()  # lockstep: who was there to answer
+        self._there: set[bytes] = set()  #           and at the last look
         self._fault = ("none", "none")
         self._fault_left = 0
         self._second: Any = None
+        self._rivals = 0  # publishers of the voltage, if there are several
         self._realtime: realtime.Request | None = None
         self._counts = dict.fromkeys(
             ("late_voltages", "voltage_refused", "voltage_timeouts", "samples_skipped", "resent"), 0
         )
         self._clock_message = ClockMessage()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
-        ParameterSet(self, VALVE, self._build, self._apply)
-        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        ParameterSet(self, VALVE, self._build, self._apply, alone)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._diagnose, clock=steady)
+        self.create_timer(WATCH_GRAPH, self._watch_graph, clock=steady)
         if self._values["autostart"]:
             self.autostart()
 
     @staticmethod
     def _build(values: Values) -> tuple[Any, realtime.Request]:
+        if values["clock"] == "lockstep" and values["fault.lvdt"] == "lost":
+            raise ParameterError(
+                "fault.lvdt is lost, but in lockstep no reading can be: choose silent, or clock wall"
+            )
         return build.valve_params(values), realtime.request(values)
 
     def _apply(self, values: Values, built: tuple[Any, realtime.Request]) -> None:
         former, (self._params, wanted) = self._params, built
         self._values = values
-        self._patience = build.number(values, "patience")
-        self._timeout = build.number(values, "voltage_timeout")
-        self._listeners = int(build.number(values, "listeners"))
+        self._patience = number(values, "patience")
+        self._timeout = number(values, "voltage_timeout")
+        self._listeners = int(number(values, "listeners"))
         self._lockstep = values["clock"] == "lockstep"
         if self._state is None or former is None:
             self._rest()
@@ -98,11 +117,11 @@ class ValveSimulator(Managed):
         if self._params.period != self._period:
             self._period = self._params.period
             self._next = time.monotonic() + self._period
-        fault = (build.word(values, "fault.lvdt"), build.word(values, "fault.valve"))
+        fault = (word(values, "fault.lvdt"), word(values, "fault.valve"))
         if fault != self._fault:
             self._fault = fault
             injected = fault != ("none", "none")
-            self._fault_left = int(build.number(values, "fault.samples")) if injected else 0
+            self._fault_left = int(number(values, "fault.samples")) if injected else 0
             if "second_publisher" in fault and self._second is None:
                 self._second = self.create_publisher(Float64, "spool_position", SAMPLES)
             elif "second_publisher" not in fault and self._second is not None:
@@ -115,11 +134,11 @@ class ValveSimulator(Managed):
             realtime.obtain(wanted, self.get_logger().warning)
 
     def _sow(self) -> None:
-        self._seed = int(build.number(self._values, "seed"))
+        self._seed = int(number(self._values, "seed"))
         self._random = np.random.default_rng(self._seed)
 
     def _rest(self) -> None:
-        """Spool at rest in the centre, noise from its beginning."""
+        """Put the spool at rest in the centre, and start the noise from its beginning."""
         self._sow()
         self._state = valve.initial(self._params)
         self._voltage = 0.0
@@ -130,13 +149,13 @@ class ValveSimulator(Managed):
     # Life
 
     def open(self) -> None:
-        """Topics."""
+        """Create publishers and subscriptions."""
         self._voltages = NumberSubscription(self, "valve_voltage", SAMPLES)
         self._positions = self.create_publisher(Float64, "spool_position", SAMPLES)
         self._clock_publisher: Any = None
 
     def close(self) -> None:
-        """Topics left."""
+        """Destroy publishers and subscriptions."""
         assert self._voltages is not None
         self._voltages.destroy()
         self._voltages = None
@@ -145,7 +164,7 @@ class ValveSimulator(Managed):
             self.destroy_publisher(self._clock_publisher)
 
     def begin(self) -> None:
-        """From rest."""
+        """Start from rest."""
         assert self._voltages is not None
         for _ in self._voltages.take():
             pass
@@ -157,11 +176,11 @@ class ValveSimulator(Managed):
     # Work
 
     def inputs(self) -> Sequence[NumberSubscription]:
-        """In lockstep the voltage; on the wall clock it is looked at when the next sample is due."""
+        """Subscription of the voltage in lockstep; on the wall clock none, the next sample is on time."""
         return (self._voltages,) if self.working and self._lockstep and self._voltages is not None else ()
 
     def due(self) -> float:
-        """When the next sample is due, or in lockstep the next look at a party that is missing."""
+        """Time [s] of the next sample, or in lockstep of the next look for a missing party."""
         return self._next if self.working else NEVER
 
     def work(self) -> bool:
@@ -176,7 +195,11 @@ class ValveSimulator(Managed):
             return False
         if self._samples == 0:
             self._next = now
-        while (behind := time.monotonic() - self._next) >= 0.0:
+        # No more at once, so that signals and services have their turn where the period is too short to keep.
+        for _ in range(MOST_AT_ONCE):
+            behind = time.monotonic() - self._next
+            if behind < 0.0:
+                break
             if behind > STALL:
                 skipped = int(behind / self._period)
                 self._counts["samples_skipped"] += skipped
@@ -191,30 +214,49 @@ class ValveSimulator(Managed):
 
     def _work_in_lockstep(self) -> bool:
         if self._samples == 0:
-            if self._positions.get_subscription_count() < self._listeners:
+            if not self._complete():
                 self._next = time.monotonic() + KNOCK
                 return False
         elif self._poll_voltage() or self._sent is None:
             self._advance()
-        elif time.monotonic() >= self._next:
-            self._counts["resent"] += 1
-            self.get_logger().warning(
-                f"lockstep: no voltage for sample {self._samples} within {RESEND:g} s; sent again"
-            )
-            assert self._sent is not None
-            self._publish(self._sent)
-            self._next = time.monotonic() + RESEND
-            return True
         else:
-            return False
+            return time.monotonic() >= self._next and self._ask_newcomer()
         if self._clock_publisher is None:
             self._clock_publisher = self.create_publisher(ClockMessage, "/clock", 1)
         nanoseconds = round(self._samples * self._period * 1e9)
         self._clock_message.clock.sec, self._clock_message.clock.nanosec = divmod(nanoseconds, 10**9)
         self._clock_publisher.publish(self._clock_message)
         self._send()
-        self._next = time.monotonic() + (RESEND if self._sent is not None else 0.0)
+        self._next = time.monotonic() + (WAIT if self._sent is not None else 0.0)
         return True
+
+    def _complete(self) -> bool:
+        """Whether all wanted listeners are there, among them a controller."""
+        self._asked = self._answering()
+        now = time.monotonic()
+        if not self._asked or self._positions.get_subscription_count() < self._listeners:
+            self._complete_since = now
+            return False
+        return now - self._complete_since > MEET or acquainted(self, self._positions, "valve_voltage")
+
+    def _answering(self) -> set[bytes]:
+        """Publishers of voltages."""
+        return {bytes(info.endpoint_gid) for info in self.get_publishers_info_by_topic("valve_voltage")}
+
+    def _ask_newcomer(self) -> bool:
+        """Send the reading again if a controller has come since; returns whether it was sent."""
+        self._next = time.monotonic() + WAIT
+        before, self._there = self._there, self._answering()
+        # At the second look, when discovery has become mutual.
+        new = bool(self._there & before - self._asked)
+        text = f"lockstep: no voltage for sample {self._samples} within {WAIT:g} s"
+        self.get_logger().warning(f"{text}; sent again, to a new controller" if new else f"{text}; waits")
+        if new:
+            assert self._sent is not None
+            self._asked |= self._there
+            self._counts["resent"] += 1
+            self._publish(self._sent)
+        return new
 
     def _advance(self) -> None:
         before = self._state
@@ -239,7 +281,9 @@ class ValveSimulator(Managed):
             elif fault == "not_finite":
                 reading = math.nan
             elif fault == "jump":
-                reading += build.number(self._values, "fault.jump")
+                reading += number(self._values, "fault.jump")
+            elif fault in SLOPES:
+                reading *= SLOPES[fault]
             self._sent = reading
             self._publish(reading)
         self._samples += 1
@@ -252,7 +296,7 @@ class ValveSimulator(Managed):
         self._positions.publish(encoded(reading))
 
     def _take_voltage(self) -> None:
-        """Take the voltage of the sample before; wait for it if the controller answered until now."""
+        """Take the voltage of the last sample; wait for it if the controller answered until now."""
         arrived = self._poll_voltage()
         if not arrived and self._answered and self._sent is not None:
             limit = time.monotonic() + self._patience
@@ -289,6 +333,16 @@ class ValveSimulator(Managed):
                 )
         return arrived
 
+    def _watch_graph(self) -> None:
+        """Warn of a second publisher of voltages: two controllers on one valve fight each other."""
+        publishers = self.count_publishers("valve_voltage") if self._voltages is not None else 0
+        several = publishers if publishers > 1 else 0
+        if several != self._rivals:
+            self._rivals = several
+            if several:
+                self.get_logger().warning(f"{several} publishers on valve_voltage")
+            self._diagnose()
+
     def _diagnose(self) -> None:
         values = {
             "samples": self._samples,
@@ -304,6 +358,8 @@ class ValveSimulator(Managed):
             text = "inactive" if self._voltages is not None else "unconfigured"
         elif self._centring:
             level, text = DiagnosticStatus.ERROR, "no voltage: 0 V, the spring centres the spool"
+        elif self._rivals:
+            level, text = DiagnosticStatus.WARN, f"{self._rivals} publishers on valve_voltage"
         elif self._fault != ("none", "none"):
             level, text = DiagnosticStatus.WARN, "simulating a fault"
         self._diagnostics.publish(diagnostics(self, level, text, values))

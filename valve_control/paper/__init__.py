@@ -1,1 +1,1 @@
-"""The paper's figures and its Table 1, from our valve and our controllers."""
+"""Makes the paper's Table 1 and figures again, with our valve and our controllers."""

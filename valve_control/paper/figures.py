@@ -1,4 +1,4 @@
-"""The paper's figures from our runs."""
+"""Draws the paper's figures from our runs."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -11,9 +11,9 @@ from valve_control.analysis.figures import COLOURS, Line, Plot
 from valve_control.identification import bode
 from valve_control.identification.rational import hold, measured_corners
 from valve_control.identification.response import Response, find_segments, stepped
-from valve_control.paper.jobs import BANDWIDTH, CLOSED_AMPLITUDE, FEEDBACK, OPEN_AMPLITUDE, open_loops
+from valve_control.laws import design
+from valve_control.paper.runs import BANDWIDTH, CLOSED_AMPLITUDE, FEEDBACK, OPEN_AMPLITUDE, open_loops
 from valve_control.paper.traces import Trace
-from valve_control.parameters import design
 from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 Floats = npt.NDArray[np.float64]
@@ -22,7 +22,7 @@ SETTLE = 0.2  # s before a steady sine
 
 
 class Figure(NamedTuple):
-    """One figure and what to say about it."""
+    """One figure, its caption, and sentences about it."""
 
     name: str  # of its files
     title: str
@@ -33,7 +33,7 @@ class Figure(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Response where the amplifier did not saturate, and from where on it did."""
+    """Measured frequency response, and the frequency from which on the amplifier saturated."""
 
     response: Response
     saturated_from: float | None  # Hz
@@ -44,7 +44,7 @@ class Measured(NamedTuple):
         return f, self.response.value / hold(f, self.response.period), False
 
     def said(self, label: str) -> str:
-        """Gain at the lowest frequency, and the corners counted from there."""
+        """One sentence: gain at the lowest frequency, and the corner frequencies counted from there."""
         first = float(np.abs(self.response.value[0]))
         level, phase = map(_hertz, measured_corners(self.response, first))
         text = (
@@ -81,7 +81,7 @@ def _bode(
     lines: Mapping[str, tuple[Floats, npt.NDArray[np.complex128], bool]],
     colours: Mapping[str, str] | None = None,
 ) -> list[Plot]:
-    """Magnitude and phase of responses, by label: frequency [Hz], response, dashed."""
+    """Draw magnitude and phase of responses, by label: frequency [Hz], response, whether dashed."""
     return [
         Plot(
             title,
@@ -99,7 +99,7 @@ def _hertz(frequency: float | None) -> str:
 
 
 def figure_1(runs: Mapping[str, Trace], u_max: float) -> Figure:
-    """Response of the valve and both approximations."""
+    """Draw Fig. 1: response of the valve and its two models."""
     run = runs["response_open_loop"]
     found = measured(run, run.voltage, u_max)
     label = f"calibrated valve, {OPEN_AMPLITUDE:g} V"
@@ -127,7 +127,7 @@ def _compensated(transfer: TransferFunction, frequency: Floats) -> npt.NDArray[n
 
 
 def figure_3(runs: Mapping[str, Trace], gain: float, u_max: float) -> Figure:
-    """Responses with each compensator and under feedback."""
+    """Draw Fig. 3: responses with each compensator and with feedback."""
     labels = {name: label for name, (label, _) in open_loops(gain).items()}
     labels |= {name: name.upper() for name in FEEDBACK}
     lines = {}
@@ -167,7 +167,7 @@ def figure_3(runs: Mapping[str, Trace], gain: float, u_max: float) -> Figure:
 
 
 def figure_4(runs: Mapping[str, Trace], gain: float) -> Figure:
-    """A sine of 6 Hz under the open-loop laws."""
+    """Draw Fig. 4: a sine of 6 Hz under the open-loop laws."""
     plots = []
     notes = []
     first = runs["sine_open_loop"]
@@ -184,7 +184,7 @@ def figure_4(runs: Mapping[str, Trace], gain: float) -> Figure:
 
 
 def feedback_figures(runs: Mapping[str, Trace]) -> list[Figure]:
-    """Figs. 5, 6 and 7: reference, errors, voltages of PID, ARC and OARC."""
+    """Draw Figs. 5, 6 and 7: reference, errors, voltages of PID, ARC and OARC."""
     traces = {name: runs[f"table1_{name}"] for name in FEEDBACK}
     first = traces["pid"]
     rate = np.gradient(first.command, first.period)
@@ -219,7 +219,7 @@ def feedback_figures(runs: Mapping[str, Trace]) -> list[Figure]:
 
 
 def figures(runs: Mapping[str, Trace], gain: float, u_max: float) -> list[Figure]:
-    """All figures; ``gain`` [V/V]: static, of the valve; ``u_max`` [V]: limit of the amplifier."""
+    """Draw all figures; ``gain`` [V/V]: static, of the valve; ``u_max`` [V]: limit of the amplifier."""
     return [
         figure_1(runs, u_max),
         figure_3(runs, gain, u_max),

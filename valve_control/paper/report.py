@@ -1,4 +1,4 @@
-"""Table 1 and the figures as files and as one page."""
+"""Writes Table 1 and the figures as files and as one HTML page."""
 
 import html
 from collections.abc import Mapping, Sequence
@@ -12,14 +12,14 @@ from valve_control.analysis import page
 from valve_control.analysis.figures import draw_plots
 from valve_control.analysis.indices import PAPER_TABLE_1, Indices, indices
 from valve_control.paper.figures import Figure
-from valve_control.paper.jobs import FEEDBACK
+from valve_control.paper.runs import FEEDBACK
 from valve_control.paper.traces import Trace
 
 NEAR = 0.05  # relative deviation that counts as reproduced
 
 
 def table_1(runs: Mapping[str, Trace]) -> dict[str, Any]:
-    """Indices of PID, ARC and OARC, the paper's, their ratios, and how near they are."""
+    """Indices of PID, ARC and OARC beside the paper's, their ratios, and how near they are."""
     rows: dict[str, Any] = {}
     found = {}
     for name in FEEDBACK:
@@ -68,7 +68,7 @@ def rows_of(table: Mapping[str, Any]) -> list[list[str]]:
 
 
 def verdicts(table: Mapping[str, Any]) -> list[str]:
-    """What is and what is not reproduced, in sentences."""
+    """Sentences on what of the paper is reproduced and what is not."""
     count = sum(len(table[name]["ratio"]) for name in FEEDBACK)
     texts = [
         f"rms log error {table['rms_log_error']:.4f}; {table['within_5_percent']} of {count} numbers within "

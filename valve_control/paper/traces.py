@@ -1,18 +1,20 @@
-"""Signals of one run, from the nodes or from offline, as a file between the two halves of the work."""
+"""Saves and loads the signals of one run, so that nodes can record what a later process draws."""
 
+import io
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from valve_control import outputs
 from valve_control.simulation.offline import Run
 
 Array = npt.NDArray[np.float64]
 
 
 class Trace(NamedTuple):
-    """One run."""
+    """Signals of one run."""
 
     source: str  # nodes or offline
     period: float  # s
@@ -28,12 +30,12 @@ class Trace(NamedTuple):
 
 
 def offline(run: Run) -> Trace:
-    """Trace of a run offline."""
+    """Trace of an offline run."""
     return Trace("offline", run.period, run.command, run.measurement, run.voltage, 0)
 
 
 def heard(run: Run, measurement: Array, voltage: Array) -> Trace:
-    """Trace of the nodes' messages, NaN where none was heard; ``run``: the same offline, bit for bit."""
+    """Trace of the nodes' messages, NaN where none was received; ``run``: the same run offline."""
     missing = int(np.count_nonzero(np.isnan(measurement)) + np.count_nonzero(np.isnan(voltage)))
     return offline(run)._replace(
         source="nodes",
@@ -46,8 +48,9 @@ def heard(run: Run, measurement: Array, voltage: Array) -> Trace:
 def save(path: Path, trace: Trace) -> None:
     """Write ``trace`` as NPZ. Raises OSError."""
     fields: dict[str, Any] = trace._asdict()
-    with path.open("wb") as stream:
-        np.savez_compressed(stream, allow_pickle=False, **fields)
+    stream = io.BytesIO()
+    np.savez_compressed(stream, allow_pickle=False, **fields)
+    outputs.write(str(path), stream.getvalue())
 
 
 def load(path: Path) -> Trace:

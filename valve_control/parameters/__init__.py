@@ -1,1 +1,1 @@
-"""Every parameter with type, default, range, unit and text; what is built from them. No ROS."""
+"""Lists every parameter with type, default, range and unit, and builds laws and valve from values. No ROS."""

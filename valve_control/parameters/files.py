@@ -1,21 +1,17 @@
-"""Parameters from ROS 2 YAML files and from --set, for the command line."""
+"""Reads parameters from ROS 2 YAML files and from --set for the command line, and writes such files."""
 
-from collections.abc import Mapping, Sequence
+import difflib
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
-from valve_control import outputs
-from valve_control.parameters.table import (
-    NODES,
-    Parameter,
-    ParameterError,
-    Table,
-    Value,
-    Values,
-    lookup,
-)
+from valve_control import inputs, outputs
+from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, lookup
+from valve_control.parameters.table import NODES, is_of_ros
 
 
 def config_folder() -> Path:
@@ -39,7 +35,7 @@ def _flat(tree: dict[Any, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _number(value: Any) -> Any:
-    """YAML 1.1 reads 1.44e6 as a word, ROS as a number."""
+    """Turn a word into a number if it is one: YAML 1.1 reads 1.44e6 as a word, ROS as a number."""
     if isinstance(value, str):
         try:
             return float(value)
@@ -49,7 +45,7 @@ def _number(value: Any) -> Any:
 
 
 def from_yaml(parameter: Parameter, value: Any) -> Value:
-    """A value of a YAML file, of the type that ROS would give it. Raises ParameterError."""
+    """Value of a YAML file in the type that ROS would give it. Raises ParameterError."""
     if isinstance(parameter.default, float):
         value = _number(value)
     elif parameter.type_name == "list of doubles" and isinstance(value, list):
@@ -63,7 +59,7 @@ def save(path: Path, node: str, values: Values) -> None:
 
 
 def as_yaml(sections: Mapping[str, Values], comments: Sequence[str] = ()) -> str:
-    """Values by node (its full name, or a pattern) as the text of a ROS 2 parameter file."""
+    """Text of a ROS 2 parameter file; ``sections``: values by full name of a node, or by a pattern."""
     trees: dict[str, Any] = {}
     for node, values in sections.items():
         tree: dict[str, Any] = {}
@@ -72,86 +68,178 @@ def as_yaml(sections: Mapping[str, Values], comments: Sequence[str] = ()) -> str
             branch = tree
             for group in groups:
                 branch = branch.setdefault(group, {})
-            branch[last] = value
+            branch[last] = _written(value)
         trees[node] = {"ros__parameters": tree}
-    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-    head = "".join(f"# {line}\n" for line in comments)
-    return head + yaml.dump(trees, Dumper=dumper, sort_keys=False, default_flow_style=None, width=110)
+    head = "".join(f"# {line}\n" for comment in comments for line in comment.splitlines())
+    return head + yaml.dump(trees, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110)
 
 
-def load(path: str) -> dict[str, Values]:
-    """Checked values of a ROS 2 parameter file, by node name. Raises ParameterError.
+class _Dumper(yaml.SafeDumper):
+    """Writes YAML as the parser of ROS 2 takes it: no anchors; quoted words, so that "2" and "y" stay so."""
 
-    A section is named after a node of this package (`controller`, with or without a namespace before
-    it) or is a wildcard (`/**`), whose parameters go to each node that has them.
-    """
+    def ignore_aliases(self, data: Any) -> bool:
+        """True: what occurs twice is written twice."""
+        return True
+
+    def represent_float(self, data: float) -> yaml.ScalarNode:
+        """Write a subnormal number, which the parser takes for a word, as 0.0."""
+        subnormal = 0.0 < abs(data) < sys.float_info.min
+        return super().represent_float(math.copysign(0.0, data) if subnormal else data)
+
+
+class _Word(str):
+    """A value that is a string, written in quotes; names are not."""
+
+
+_Dumper.add_representer(float, _Dumper.represent_float)
+
+_Dumper.add_representer(
+    _Word, lambda dumper, word: dumper.represent_scalar("tag:yaml.org,2002:str", word, style='"')
+)
+
+
+def _written(value: Value) -> Any:
+    if isinstance(value, list):
+        return [_Word(v) if isinstance(v, str) else v for v in value]
+    return _Word(value) if isinstance(value, str) else value
+
+
+class Section(NamedTuple):
+    """What a parameter file has for one node, or for all whose full names match a pattern."""
+
+    pattern: str  # such as /controller, /**/controller or /**
+    values: dict[str, Any]  # by the parameters' full names, not yet checked
+
+    @property
+    def node(self) -> str:
+        """The node's name without namespace; it has an asterisk if it stands for several."""
+        return self.pattern.rsplit("/", 1)[-1]
+
+
+def sections(path: str) -> list[Section]:
+    """Sections of a ROS 2 parameter file in their order. Raises ParameterError."""
+    inputs.check(path, "parameter file")
     try:
-        tree = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        text = Path(path).expanduser().read_text(encoding="utf-8")
+        tree = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     except (OSError, UnicodeDecodeError) as error:
         raise ParameterError(
             f"parameter file {path} cannot be read: {getattr(error, 'strerror', None) or error}"
         ) from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ParameterError(f"parameter file {path} is not YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(tree, dict):
+    if not isinstance(tree, dict) or not tree:
         raise ParameterError(f"parameter file {path} must hold 'node: ros__parameters: …' sections")
-    result: dict[str, Values] = {name: {} for name in NODES}
-    for section, content in tree.items():
-        if not isinstance(content, dict) or not isinstance(content.get("ros__parameters"), dict):
-            raise ParameterError(f"section '{section}' of {path} has no 'ros__parameters:' below it")
-        node = str(section).split("/")[-1]
-        if "*" not in node and node not in NODES:
+    return list(_sections(path, tree, ""))
+
+
+def _sections(path: str, tree: dict[Any, Any], above: str) -> Iterator[Section]:
+    for key, content in tree.items():
+        pattern = f"{above}/{str(key).lstrip('/')}"
+        if not isinstance(content, dict):
+            raise ParameterError(f"section '{pattern}' of {path} has no 'ros__parameters:' below it")
+        if "ros__parameters" not in content:
+            yield from _sections(path, content, pattern)
             continue
-        targets = list(NODES) if "*" in node else [node]
-        for name, value in _flat(content["ros__parameters"]).items():
-            if name in ("use_sim_time", "start_type_description_service"):
+        values = content["ros__parameters"]
+        if not isinstance(values, dict):
+            raise ParameterError(f"section '{pattern}' of {path} has no parameters below 'ros__parameters:'")
+        yield Section(pattern, _flat(values))
+
+
+def load(path: str, notes: list[str] | None = None, nodes: Mapping[str, Table] = NODES) -> dict[str, Values]:
+    """Checked values of a ROS 2 parameter file, by node name. Raises ParameterError.
+
+    A section is named after one of ``nodes`` (`controller`, with or without a namespace before
+    it) or is a wildcard (`/**`), whose parameters go to each node that has them. ``notes`` gets a sentence
+    about the sections of other nodes; a file that has nothing else is refused.
+    """
+    result: dict[str, Values] = {name: {} for name in nodes}
+    found = sections(path)
+    others: list[str] = []
+    for section in found:
+        if "*" not in section.node and section.node not in nodes:
+            others.append(section.pattern)
+            continue
+        targets = list(nodes) if "*" in section.node else [section.node]
+        for name, value in section.values.items():
+            if is_of_ros(name):
                 continue
             try:
-                _assign(result, targets, name, value)
+                _assign(result, {node: nodes[node] for node in targets}, name, value)
             except ParameterError as error:
                 raise ParameterError(f"{path}: {error}") from error
+    _tell_others(path, others, len(others) == len(found), notes, nodes)
     return result
 
 
-def _assign(result: dict[str, Values], targets: list[str], name: str, value: Any) -> None:
-    owners = [node for node in targets if any(p.name == name for p in NODES[node])]
+def _tell_others(
+    path: str, others: Sequence[str], alone: bool, notes: list[str] | None, nodes: Mapping[str, Table]
+) -> None:
+    """Raise ParameterError for sections that were meant for one of ``nodes``; note the others."""
+    for section in others:
+        near = difflib.get_close_matches(section.split("/")[-1], nodes, n=1, cutoff=0.7)
+        if near:
+            raise ParameterError(f"{path}: there is no node '{section}'; did you mean {near[0]}?")
+    told = ", ".join(f"'{section}'" for section in others)
+    if alone:
+        raise ParameterError(f"{path} has parameters for {told} alone; the nodes are {', '.join(nodes)}")
+    if others and notes is not None:
+        notes.append(f"{path}: {told} is no node of this package; its parameters are left out")
+
+
+def _assign(result: dict[str, Values], targets: Mapping[str, Table], name: str, value: Any) -> None:
+    owners = [node for node, table in targets.items() if any(p.name == name for p in table)]
     if not owners:
         lookup(_joined(targets), name)
     for node in owners:
-        result[node][name] = from_yaml(lookup(NODES[node], name), value)
+        result[node][name] = from_yaml(lookup(targets[node], name), value)
 
 
-def _joined(nodes: list[str]) -> Table:
-    return tuple(parameter for node in nodes for parameter in NODES[node])
+def _joined(nodes: Mapping[str, Table]) -> Table:
+    return tuple(parameter for table in nodes.values() for parameter in table)
 
 
 def given(
-    paths: Sequence[str], direct: Mapping[str, Mapping[str, Any]], settings: Sequence[str]
+    paths: Sequence[str],
+    direct: Mapping[str, Mapping[str, Any]],
+    settings: Sequence[str],
+    notes: list[str] | None = None,
+    nodes: Mapping[str, Table] = NODES,
 ) -> dict[str, dict[str, Any]]:
-    """Values by node from parameter files, options of their own, and --set; later ones win.
+    """Values by node from parameter files, options of their own (``direct``) and --set; later ones win.
 
+    ``nodes``: which there are, with their parameters; ``notes`` gets what is to be told of the files.
     Raises ParameterError.
     """
-    changes: dict[str, dict[str, Any]] = {node: {} for node in NODES}
+    changes: dict[str, dict[str, Any]] = {node: {} for node in nodes}
     for path in paths:
-        for node, values in load(path).items():
+        for node, values in load(path, notes, nodes).items():
             changes[node].update(values)
     for node, options in direct.items():
         changes[node].update({name: value for name, value in options.items() if value is not None})
+    told: dict[str, str] = {}
     for text in settings:
-        name, by_node = parse_setting(text)
+        name, by_node = parse_setting(text, nodes)
+        if told.setdefault(name, text) != text:
+            raise ParameterError(f"--set {told[name]} and --set {text} contradict each other")
         for node, value in by_node.items():
+            option = direct.get(node, {}).get(name)
+            if option is not None and option != value:
+                raise ParameterError(
+                    f"--set {text} contradicts the option for {name}, {option}; give one of them"
+                )
             changes[node][name] = value
     return changes
 
 
-def parse_setting(text: str) -> tuple[str, dict[str, Value]]:
+def parse_setting(text: str, nodes: Mapping[str, Table] = NODES) -> tuple[str, dict[str, Value]]:
     """``name=value`` of --set as (name, value by node); whole numbers may stand for doubles."""
     name, equals, word = text.partition("=")
     if not equals:
         raise ParameterError(f"--set takes name=value, not '{text}'")
     name = name.strip()
-    parameter = lookup(_joined(list(NODES)), name)
+    parameter = lookup(_joined(nodes), name)
     value: Any
     if isinstance(parameter.default, str):
         value = word.strip()
@@ -166,7 +254,7 @@ def parse_setting(text: str) -> tuple[str, dict[str, Value]]:
             value = [float(v) if type(v) is int else v for v in value]
     by_node = {
         node: from_yaml(lookup(table, name), value)
-        for node, table in NODES.items()
+        for node, table in nodes.items()
         if any(p.name == name for p in table)
     }
     return name, by_node

@@ -1,101 +1,11 @@
-"""The parameters of all nodes in one table; descriptors, YAML, command line and README come from it."""
+"""Lists the parameters of all nodes; descriptors, YAML, command line and reference are made from it."""
 
-import difflib
-import math
-from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from valve_control.laws import reshaping
+from valve_control.laws.common import SAMPLE_PERIOD, U_MAX
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import Parameter, Table
+from valve_control.plant import models
 
-Value = bool | int | float | str | list[float] | list[str]
-Values = dict[str, Value]
-
-
-class ParameterError(ValueError):
-    """A parameter that cannot be taken; the message is one sentence for the user."""
-
-
-class Parameter(NamedTuple):
-    """One parameter. Its type is that of its default."""
-
-    name: str
-    default: Value
-    unit: str
-    text: str
-    low: float = -math.inf
-    high: float = math.inf
-    choices: tuple[str, ...] = ()
-    length: int = 0  # of an array, 0: any
-
-    @property
-    def type_name(self) -> str:
-        """Type in words."""
-        if isinstance(self.default, bool):
-            return "bool"
-        if isinstance(self.default, list):
-            return f"list of {self._entry[1]}"
-        return {int: "integer", float: "double", str: "string"}[type(self.default)]
-
-    @property
-    def _entry(self) -> tuple[type, str]:
-        """Type of an array's entries, and its name."""
-        assert isinstance(self.default, list)
-        return (str, "strings") if isinstance(self.default[0], str) else (float, "doubles")
-
-    def check(self, value: object) -> Value:
-        """``value`` itself if it can be taken. Raises ParameterError otherwise."""
-        if isinstance(self.default, (bool, str)):
-            if type(value) is not type(self.default):
-                raise ParameterError(self._wrong_type(value))
-            assert isinstance(value, (bool, str))
-            if self.choices and value not in self.choices:
-                raise ParameterError(f"{self.name} is '{value}'; it must be {one_of(self.choices)}")
-            return value
-        if isinstance(self.default, list):
-            if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
-                raise ParameterError(self._wrong_type(value))
-            entries = list(value)
-            if any(type(v) is not self._entry[0] for v in entries):
-                raise ParameterError(self._wrong_type(entries))
-            if self.length and len(entries) != self.length:
-                raise ParameterError(f"{self.name} has {len(entries)} entries; it must have {self.length}")
-            if self._entry[0] is float:
-                for i, number in enumerate(entries):
-                    self._check_range(number, f"{self.name}[{i}]")
-            return entries
-        if type(value) is not type(self.default):
-            raise ParameterError(self._wrong_type(value))
-        assert isinstance(value, (int, float))
-        self._check_range(value, self.name)
-        return value
-
-    def _wrong_type(self, value: object) -> str:
-        doubles = self.type_name.endswith(("double", "doubles"))
-        hint = " (write 120.0, not 120)" if doubles else ""
-        return f"{self.name} is {value!r}; it must be a {self.type_name}{hint}"
-
-    def _check_range(self, number: float, name: str) -> None:
-        if not math.isfinite(number):
-            raise ParameterError(f"{name} is {number}; it must be finite")
-        if not self.low <= number <= self.high:
-            unit = "" if self.unit == "-" else f" {self.unit}"
-            raise ParameterError(
-                f"{name} is {number:g}{unit}; it must lie between {self.low:g} and {self.high:g}{unit}"
-            )
-
-
-Table = tuple[Parameter, ...]
-
-
-def one_of(words: Iterable[str]) -> str:
-    """``words`` as "a, b or c"."""
-    *most, last = [f"'{word}'" for word in words]
-    return f"{', '.join(most)} or {last}" if most else last
-
-
-THETA = "[a1 1/s, a0 1/s², b0 1/s², b0·dn V/s²]"
-THETA_INITIAL = [20.0, 1200.0, 1200.0, 0.0]
-THETA_MIN = [5.0, 500.0, 900.0, -6000.0]
-THETA_MAX = [150.0, 3000.0, 2500.0, 6000.0]
-BIG = 1e12
 AUTOSTART = Parameter(
     "autostart", True, "", "configure and activate at the start; false waits for lifecycle transitions"
 )
@@ -110,90 +20,25 @@ FAULT_SAMPLES = Parameter(
     "fault.samples", 0, "", "samples that an injected fault lasts; 0: until it is set to none", 0, 10**9
 )
 
-SAMPLE_PERIOD = Parameter("sample_period", 0.001, "s", "sample period ΔT of LVDT and controller", 1e-5, 0.1)
-U_MAX = Parameter("u_max", 10.0, "V", "limit of the solenoid voltage", 0.1, 100.0)
-
-
-def _estimates(law: str, gamma: list[float]) -> Table:
-    return (
-        Parameter(
-            f"{law}.gamma",
-            gamma,
-            "",
-            "diagonal of the adaptation rate matrix Γ of (15)",
-            0.0,
-            BIG,
-            length=4,
-        ),
-        Parameter(
-            f"{law}.theta_initial",
-            THETA_INITIAL,
-            "",
-            f"initial estimates θ̂(0): {THETA}; setting it starts the estimates anew",
-            -1e9,
-            1e9,
-            length=4,
-        ),
-        Parameter(
-            f"{law}.theta_min",
-            THETA_MIN,
-            "",
-            f"lower bounds of θ, (5): {THETA}",
-            -1e9,
-            1e9,
-            length=4,
-        ),
-        Parameter(
-            f"{law}.theta_max",
-            THETA_MAX,
-            "",
-            f"upper bounds of θ, (5): {THETA}",
-            -1e9,
-            1e9,
-            length=4,
-        ),
-        Parameter(
-            f"{law}.robust_term",
-            "none",
-            "",
-            "robust term: none, or the smooth quadratic one that satisfies (23), (42), (50)",
-            choices=("none", "quadratic"),
-        ),
-    )
-
-
-def _custom_model(prefix: str) -> Table:
-    return (
-        Parameter(
-            f"{prefix}numerator",
-            [1502.057],
-            "",
-            "custom model, numerator in s, highest power first",
-            -BIG,
-            BIG,
-        ),
-        Parameter(
-            f"{prefix}denominator",
-            [1.0, 58.771, 1657.206],
-            "",
-            "custom model, denominator in s, highest power first",
-            -BIG,
-            BIG,
-        ),
-    )
-
-
 CONTROLLER: Table = (
     Parameter(
         "controller",
         "arc",
         "",
         "control law; changing it while running is bumpless",
-        choices=("arc", "oarc", "pid", "compensator", "open_loop"),
+        choices=tuple(LAWS),
     ),
     SAMPLE_PERIOD,
     U_MAX,
     Parameter("command_limit", 10.0, "V", "commands are limited to ± this", 0.1, 100.0),
+    Parameter(
+        "command.interpolation",
+        "hold",
+        "",
+        "between commands that are slower than the LVDT, by their time stamps: hold; linear: a straight line "
+        "to the newest, which takes a command period; extrapolate: to where the next one will be",
+        choices=("hold", "linear", "extrapolate"),
+    ),
     Parameter(
         "transfer_time",
         0.05,
@@ -223,6 +68,15 @@ CONTROLLER: Table = (
     Parameter("neutral_rate", 20.0, "V/s", "largest rate on the return to neutral", 0.01, 1e5),
     Parameter("neutral_accel", 400.0, "V/s²", "largest acceleration on the return to neutral", 0.1, 1e7),
     Parameter("saturation_limit", 1.0, "s", "saturation that lasts longer is reported", 0.001, 1e6),
+    Parameter(
+        "oscillation_limit",
+        1.0,
+        "V",
+        "amplitude from which a sustained oscillation of the voltage that the command does not explain is "
+        "reported; 0.0: none",
+        0.0,
+        1000.0,
+    ),
     Parameter(
         "lvdt.hold_samples",
         20,
@@ -266,6 +120,45 @@ CONTROLLER: Table = (
         100.0,
     ),
     Parameter(
+        "lvdt.period_limit",
+        0.15,
+        "-",
+        "readings whose period is further off sample_period than this share are not controlled; from 2 % on "
+        "it is reported",
+        0.02,
+        1000.0,
+    ),
+    Parameter(
+        "lvdt.disturbance",
+        5.0,
+        "V",
+        "largest friction and offset together; readings that defy a larger voltage, or that run against the "
+        "voltage, have the wrong sign or slope; 0.0: readings are not compared with the voltage",
+        0.0,
+        100.0,
+    ),
+    Parameter(
+        "lvdt.excitation",
+        0.1,
+        "V",
+        "standard deviation of voltage and reading in motion, from which they are compared",
+        0.001,
+        100.0,
+    ),
+    Parameter(
+        "lvdt.slow", 1.0, "V/s", "readings that move slower are not compared with the voltage", 0.01, 1e4
+    ),
+    Parameter(
+        "lvdt.hold_off",
+        0.3,
+        "s",
+        "0 V after a jump of the readings, or after their disagreement with the voltage; twice as long after "
+        "each further one, until motion has shown that they agree",
+        0.001,
+        1e6,
+    ),
+    Parameter("lvdt.hold_off_limit", 60.0, "s", "longest of these times", 0.001, 1e6),
+    Parameter(
         "lockstep",
         False,
         "",
@@ -277,100 +170,11 @@ CONTROLLER: Table = (
         "",
         "file of ~/save_parameters, absolute or relative to the folder in which the node was started",
     ),
+    Parameter("load_file", "", "", "file of ~/load_parameters, likewise; empty: that of save_file"),
     AUTOSTART,
     *REALTIME,
-    Parameter("reshaping.natural_frequency", 314.0, "rad/s", "natural frequency ω_n of (8)", 1.0, 1e5),
-    Parameter("reshaping.damping", 0.8, "-", "damping ratio ξ_n of (8)", 0.1, 10.0),
-    Parameter("reshaping.max_rate", 250.0, "V/s", "largest reference rate, (7)", 0.1, 1e5),
-    Parameter("reshaping.max_accel", 12000.0, "V/s²", "largest reference acceleration, (6)", 1.0, 1e7),
-    Parameter("arc.k1", 120.0, "1/s", "gain k1 of (18)", 1e-3, 1e5),
-    Parameter("arc.k2", 120.0, "1/s", "gain k2 of (20)", 1e-3, 1e5),
-    *_estimates("arc", [2.0, 110.0, 120.0, 500.0]),
-    Parameter("arc.epsilon", 1e6, "V²/s³", "ε2 of (23) for the quadratic robust term", 1e-9, BIG),
-    Parameter("arc.disturbance_bound", 1000.0, "V/s²", "bound δ_d of (5)", 0.0, 1e9),
-    Parameter("arc.velocity_cutoff", 150.0, "Hz", "cut-off of the velocity estimate's low-pass", 1.0, 1e5),
-    Parameter("oarc.k1", 308.0, "1/s", "observer gain k1 of (28)", 1e-3, 1e6),
-    Parameter("oarc.k2", 48400.0, "1/s²", "observer gain k2 of (28)", 1e-3, BIG),
-    Parameter("oarc.ks1", 120.0, "1/s", "gain ks1 of (39)", 1e-3, 1e5),
-    Parameter("oarc.ks2", 120.0, "1/s", "gain ks2 of (48)", 1e-3, 1e5),
-    Parameter(
-        "oarc.z2_weight",
-        1.44e6,
-        "1/s²",
-        "weight ρ of z2² in V2; 1.0 is the paper, θ3(0)² puts z2 on the scale of V/s",
-        1e-3,
-        BIG,
-    ),
-    *_estimates("oarc", [2.0, 110.0, 120.0, 4000.0]),
-    Parameter("oarc.epsilon1", 1e3, "V²/s", "ε11 of (42) for the quadratic robust term", 1e-9, BIG),
-    Parameter("oarc.epsilon2", 1e3, "V²/s", "ε21 of (50) for the quadratic robust term", 1e-9, BIG),
-    Parameter("oarc.disturbance_bound", 5.0, "V/s", "bound on |ε_u,2| of (34)", 0.0, 1e9),
-    Parameter(
-        "pid.form",
-        "paper",
-        "",
-        "paper: (56) as printed; reference: model terms from the reference, as (55) supposes; "
-        "plain: static feedforward, filtered derivative, no reshaping",
-        choices=("paper", "reference", "plain"),
-    ),
-    Parameter("pid.kp", 3.837, "V/V", "proportional gain", 0.0, 1e6),
-    Parameter("pid.ki", 70.901, "1/s", "integral gain", 0.0, 1e9),
-    Parameter("pid.kd", 0.093, "s", "derivative gain", 0.0, 1e3),
-    Parameter(
-        "pid.break_frequency",
-        0.0,
-        "Hz",
-        "above 0, kp, ki and kd are computed from (55) with all poles here (7.0 is the paper)",
-        0.0,
-        1e4,
-    ),
-    Parameter(
-        "pid.theta", [20.0, 1200.0, 1200.0], "", "model terms θ1(0), θ2(0), θ3(0) of (56)", 0.0, 1e9, length=3
-    ),
-    Parameter(
-        "pid.static_feedforward", 1.18, "V/V", "feedforward of the command in the plain form", 0.0, 1e3
-    ),
-    Parameter("pid.derivative_cutoff", 374.0, "Hz", "cut-off of the derivative's low-pass", 1.0, 1e5),
-    Parameter(
-        "compensator.design",
-        "printed_fourth_order",
-        "",
-        "printed_second_order: (12), printed_fourth_order: (13), or designed from compensator.model",
-        choices=("printed_second_order", "printed_fourth_order", "designed"),
-    ),
-    Parameter(
-        "compensator.model",
-        "fourth_order",
-        "",
-        "valve model that a designed compensator cancels: (2), (3) or custom",
-        choices=("second_order", "fourth_order", "custom"),
-    ),
-    Parameter(
-        "compensator.bandwidth", 25.0, "Hz", "wanted -3 dB bandwidth of a designed compensator", 0.1, 1e4
-    ),
-    Parameter(
-        "compensator.order",
-        0,
-        "",
-        "poles of the Bessel filter that a designed compensator leaves; 0: one more than it must have",
-        0,
-        6,
-    ),
-    Parameter(
-        "compensator.cancel_zeros",
-        True,
-        "",
-        "whether a designed compensator cancels the stable zeros of the model too; (13) does not",
-    ),
-    *_custom_model("compensator."),
-    Parameter(
-        "open_loop.static_gain",
-        46882988.0 / 56553725.0,
-        "V/V",
-        "static gain of the valve that the open loop divides by; that of (3)",
-        1e-6,
-        1e6,
-    ),
+    *reshaping.PARAMETERS,
+    *(parameter for law in LAWS.values() for parameter in law.parameters),
 )
 
 VALVE: Table = (
@@ -383,7 +187,7 @@ VALVE: Table = (
         "linear model of the valve: second_order (2), fourth_order (3) or custom",
         choices=("second_order", "fourth_order", "custom"),
     ),
-    *_custom_model(""),
+    *models.custom_parameters(""),
     Parameter("gain_scale", 1.0, "-", "multiplies the gain of the model", 0.01, 100.0),
     Parameter("seed", 1, "", "seed of the LVDT noise", 0, 2**31 - 1),
     Parameter(
@@ -443,7 +247,8 @@ VALVE: Table = (
         "fault.lvdt",
         "none",
         "",
-        "injected fault of the LVDT; a lost reading is sent as a frame that DDS cannot read",
+        "injected fault of the LVDT; a lost reading is sent as a frame that DDS cannot read; flipped and "
+        "half are of sign and gain",
         choices=(
             "none",
             "lost",
@@ -452,6 +257,8 @@ VALVE: Table = (
             "out_of_range",
             "not_finite",
             "jump",
+            "flipped",
+            "half",
             "second_publisher",
         ),
     ),
@@ -486,6 +293,15 @@ COMMAND: Table = (
         "lockstep (the first at once, each further one per reading, none lost)",
         choices=("timer", "spool_position", "lockstep"),
     ),
+    Parameter(
+        "message",
+        "command",
+        "",
+        "what is published: command: numbers on spool_command; trajectory: with their derivatives on "
+        "spool_trajectory",
+        choices=("command", "trajectory"),
+    ),
+    Parameter("every", 1, "", "sample periods from one message to the next", 1, 1000),
     Parameter("listeners", 1, "", "subscriptions to wait for before the command begins", 0, 100),
     Parameter("delay", 0.5, "s", "pause between their arrival and the beginning", 0.0, 1e6),
     Parameter("duration", 6.0, "s", "length; afterwards the last command is held", 0.001, 1e6),
@@ -553,6 +369,7 @@ RECORDER: Table = (
     Parameter("report_period", 5.0, "s", "time between two lines about the progress", 0.1, 1e6),
 )
 
+ROS = ("use_sim_time", "start_type_description_service")
 NODES: dict[str, Table] = {
     "controller": CONTROLLER,
     "valve_simulator": VALVE,
@@ -562,24 +379,6 @@ NODES: dict[str, Table] = {
 }
 
 
-def defaults(table: Table) -> Values:
-    """All parameters of ``table`` at their defaults."""
-    return {p.name: p.default for p in table}
-
-
-def lookup(table: Table, name: str) -> Parameter:
-    """Parameter ``name``. Raises ParameterError with the nearest names if there is none."""
-    for parameter in table:
-        if parameter.name == name:
-            return parameter
-    near = difflib.get_close_matches(name, [p.name for p in table], n=2)
-    hint = f"; did you mean {one_of(near)}?" if near else ""
-    raise ParameterError(f"there is no parameter '{name}'{hint}")
-
-
-def updated(table: Table, values: Mapping[str, Value], changes: Mapping[str, Any]) -> Values:
-    """``values`` with ``changes`` checked one by one; nothing is changed in place."""
-    result = dict(values)
-    for name, value in changes.items():
-        result[name] = lookup(table, name).check(value)
-    return result
+def is_of_ros(name: str) -> bool:
+    """Whether ``name`` is a parameter that ROS itself gives to every node."""
+    return name in ROS or name.startswith("qos_overrides.")

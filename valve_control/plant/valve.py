@@ -1,4 +1,4 @@
-"""One sample of the valve as a pure scalar step: linear model, input disturbances, amplifier, LVDT.
+"""Simulates one sample of the valve as a pure step: linear model, input disturbances, amplifier, LVDT.
 
 The linear part is the observability form of its transfer function, whose first two states are spool
 position and velocity, discretised exactly for a voltage that is held over the period. Friction and flow
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from valve_control.laws.signals import saturate
+from valve_control.plant.amplifier import saturate
 from valve_control.plant.models import TransferFunction
 
 
@@ -26,7 +26,7 @@ class Row(NamedTuple):
 
 
 class Disturbance(NamedTuple):
-    """Friction, flow force and drift, all as voltages at the input."""
+    """Friction, flow force and drift, all as voltages at the valve's input."""
 
     coulomb: float  # V      Coulomb friction
     static_ratio: float  # -      static over Coulomb friction, at least 1
@@ -64,9 +64,9 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """State of valve and LVDT. ``history`` is a ring and is overwritten in place.
+    """State of valve and LVDT. ``history`` is a ring of past samples and is overwritten in place.
 
-    Each row is a past position, and where a third of a period at its velocity leads to.
+    Each of its rows holds a position [V], and where a third of a period at the velocity of then leads to [V].
     """
 
     x: Row  # position [V], velocity [V/s] and two inner states
@@ -77,7 +77,7 @@ class State(NamedTuple):
 
 
 class ModelError(ValueError):
-    """A transfer function that cannot stand for a valve."""
+    """Says why a transfer function cannot be that of a valve."""
 
 
 def realisation(
@@ -112,12 +112,9 @@ def design(
     u_max: float,
     gain_scale: float,
     disturbance: Disturbance,
-    lvdt_noise: float,
-    lvdt_resolution: float,
-    lvdt_bias: float,
-    lvdt_delay: float,
+    lvdt: Lvdt,
 ) -> Params:
-    """Valve with ``model``, discretised exactly at ``period`` [s]; ``lvdt_*`` in V, the delay in s."""
+    """Valve with ``model``, discretised exactly at ``period`` [s]."""
     a, b = realisation(model)
     n = len(b)
     augmented = np.zeros((n + 1, n + 1))
@@ -129,9 +126,19 @@ def design(
     full[:n, 4] = transition[:n, n]
     rows = [Row(*(float(v) for v in row[:4])) for row in full]
     column = Row(*(float(v) for v in full[:, 4]))
-    lvdt = Lvdt(lvdt_noise, lvdt_resolution, lvdt_bias, lvdt_delay / period)
     row0, row1, row2, row3 = rows
-    return Params(row0, row1, row2, row3, column, gain_scale, u_max, period, disturbance, lvdt)
+    return Params(
+        row0=row0,
+        row1=row1,
+        row2=row2,
+        row3=row3,
+        input=column,
+        gain_scale=gain_scale,
+        u_max=u_max,
+        period=period,
+        disturbance=disturbance,
+        lvdt=lvdt,
+    )
 
 
 def initial(p: Params) -> State:
@@ -165,7 +172,7 @@ def delayed(delay: float, history: npt.NDArray[np.float64], newest: int) -> floa
 
 
 def reading(lvdt: Lvdt, position: float, noise: float) -> float:
-    """What the LVDT shows [V] of ``position`` [V]; ``noise`` is a standard normal number."""
+    """Reading [V] of the LVDT at ``position`` [V]; ``noise`` is a standard normal number."""
     shown = position + lvdt.bias + lvdt.noise * noise
     if lvdt.resolution > 0.0:
         shown = lvdt.resolution * math.floor(shown / lvdt.resolution + 0.5)
@@ -210,19 +217,24 @@ def friction(
     motions show hysteresis (Dahl 1968; LuGre of Canudas de Wit et al. 1995 with stiffness 1/presliding and
     without bristle damping).
     """
-    if d.presliding > 0.0:
-        # Backward Euler: z⁺·(1 + a·|v|) = z + a·v. The difference that moves the spool gives the sign of v.
-        a = period / d.presliding
-        moving = free_velocity - mobility * level * bristle
-        sign = math.copysign(1.0, moving)
-        b = 1.0 + a * (mobility * level - sign * free_velocity)
-        root = math.sqrt(b * b + 4.0 * a * abs(moving))
-        speed = 2.0 * abs(moving) / (b + root) if b > 0.0 else (root - b) / (2.0 * a)
-        bristle = (bristle + a * sign * speed) / (1.0 + a * speed)
-        return level * bristle, bristle
-    damping = level / d.velocity_scale
-    linear = damping * free_velocity / (1.0 + mobility * damping)
-    return max(-level, min(level, linear)), 0.0
+    # Each division serves both shapes: a batch would wait for those of both, whichever a valve has.
+    bristles = d.presliding > 0.0
+    above, below = (period, d.presliding) if bristles else (level, d.velocity_scale)
+    a = above / below
+    # Backward Euler: z⁺·(1 + a·|v|) = z + a·v. The difference that moves the spool gives the sign of v.
+    moving = free_velocity - mobility * level * bristle
+    sign = math.copysign(1.0, moving)
+    b = 1.0 + a * (mobility * level - sign * free_velocity)
+    root = math.sqrt(b * b + 4.0 * a * abs(moving))
+    above, below = (2.0 * abs(moving), b + root) if b > 0.0 else (root - b, 2.0 * a)
+    speed = above / below
+    above, below = (
+        (bristle + a * sign * speed, 1.0 + a * speed) if bristles else (a * free_velocity, 1.0 + mobility * a)
+    )
+    ratio = above / below
+    if bristles:
+        return level * ratio, ratio
+    return max(-level, min(level, ratio)), 0.0
 
 
 def move(p: Params, x: Row, bristle: float, time: float, level: float, voltage: float) -> tuple[Row, float]:
@@ -248,7 +260,7 @@ def move(p: Params, x: Row, bristle: float, time: float, level: float, voltage: 
 
 
 def step(p: Params, s: State, voltage: float) -> State:
-    """Valve one period later, with ``voltage`` [V] held over it."""
+    """State of the valve one period later, with ``voltage`` [V] held over it."""
     level = 0.0
     if p.disturbance.coulomb > 0.0:
         level = friction_level(p.disturbance, s.x.x1)

@@ -1,1 +1,1 @@
-"""Runs out of bags: valves, parameters, aligned signals; analysed, compared and replayed."""
+"""Analyses, compares and replays recorded runs: the signals and parameters of valves in a bag."""

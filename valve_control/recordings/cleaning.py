@@ -1,4 +1,4 @@
-"""One time base for the signals of a valve, and what of them cannot be used."""
+"""Puts the signals of a valve on one time base and leaves out readings that cannot be used."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -15,6 +15,8 @@ LEAD = ("spool_position", "valve_voltage", "spool_command")  # whose part is cho
 SMALL_DISORDER = 0.1  # s by which messages may be out of order
 CLOCK_STEPS = 3  # times that a clock may have been set back; more means a file that is not sorted
 SAME_CLOCK = 1e-3  # s, or half a period, by which delays to the recorder may differ between topics
+PIECES = 20  # of a recording
+PROMPT = 10.0  # % of them in which one message at least is recorded at once
 PUBLISHERS = 8  # that are told apart on one topic
 BACKLOG = 1000  # numbers by which a publisher may have gone on
 
@@ -25,6 +27,7 @@ class Samples(NamedTuple):
     topic: str
     time: Integers  # ns, source time if the bag has it
     log_time: Integers  # ns, when it was recorded
+    sent: Integers  # ns, by its publisher's clock; when it was recorded if the bag does not have it
     sequence: Integers
     value: Floats  # V
     has_source_time: bool
@@ -34,13 +37,14 @@ class Samples(NamedTuple):
         return self._replace(
             time=self.time[chosen],
             log_time=self.log_time[chosen],
+            sent=self.sent[chosen],
             sequence=self.sequence[chosen],
             value=self.value[chosen],
         )
 
 
 class Cleaned(NamedTuple):
-    """The signals by part: spool_command, spool_position, valve_voltage."""
+    """Signals by part: spool_command, spool_position, valve_voltage."""
 
     recorded: dict[str, Samples]  # everything
     timed: dict[str, Samples]  # of one publisher
@@ -48,12 +52,12 @@ class Cleaned(NamedTuple):
 
 
 def seconds(stamp: Integers, begin: int | Integers = 0) -> Floats:
-    """Nanoseconds since ``begin`` as seconds."""
+    """Time [s] from ``begin`` to ``stamp`` [ns]."""
     return (stamp - begin).astype(np.float64) * 1e-9
 
 
 def clean(sources: Mapping[str, Source], series: Mapping[str, Series], problems: list[str]) -> Cleaned:
-    """Signals of one valve on one time base; what is left out is said in ``problems``."""
+    """Put the signals of one valve on one time base; what is left out is named in ``problems``."""
     raw = {part: _samples(source, series[source.topic], problems) for part, source in sources.items()}
     raw = _in_order_of_recording(raw, problems)
     recorded = _on_one_clock(raw, problems)
@@ -79,7 +83,8 @@ def _samples(source: Source, series: Series, problems: list[str]) -> Samples:
             f"{series.error}"
         )
     known = bool(np.any(series.publish_time != series.log_time))
-    return Samples(source.topic, series.publish_time, series.log_time, series.sequence, value, known)
+    sent = series.publish_time
+    return Samples(source.topic, sent, series.log_time, sent, series.sequence, value, known)
 
 
 def _steps_back(time: Integers, least: float = SMALL_DISORDER) -> Integers:
@@ -128,7 +133,7 @@ def _on_one_clock(raw: dict[str, Samples], problems: list[str]) -> dict[str, Sam
     if any(samples.has_source_time for samples in filled):
         without = [samples.topic for samples in filled if not samples.has_source_time]
         backwards = [samples.topic for samples in filled if len(_steps_back(samples.time))]
-        delays = {s.topic: float(np.median(seconds(s.log_time, s.time))) for s in filled}
+        delays = {s.topic: _delay(s) for s in filled}
         apart = max(delays.values()) - min(delays.values())
         intervals = [float(np.median(np.diff(s.time))) * 1e-9 for s in filled if len(s.time) > 1]
         limit = max(SAME_CLOCK, 0.5 * max(intervals, default=0.0))
@@ -155,8 +160,19 @@ def _on_one_clock(raw: dict[str, Samples], problems: list[str]) -> dict[str, Sam
     return result
 
 
+def _delay(samples: Samples) -> float:
+    """Time [s] from publisher to recorder, with the difference of their clocks.
+
+    The shortest of pieces in which messages were recorded at once; what waits for a busy recorder says
+    nothing of clocks.
+    """
+    delays = seconds(samples.log_time, samples.time)
+    shortest = [piece.min() for piece in np.array_split(delays, min(PIECES, len(delays)))]
+    return float(np.percentile(shortest, PROMPT))
+
+
 def _one_publisher(samples: Samples, problems: list[str]) -> Samples:
-    """Of publishers whose messages are interleaved, told by their numbers, the one with the most."""
+    """Messages of the publisher with the most, where several are interleaved, told apart by their numbers."""
     sequence = samples.sequence
     falls = int(np.count_nonzero(np.diff(sequence) <= 0)) if np.any(sequence) else 0
     if len(sequence) <= 20 or falls <= max(10, 0.02 * len(sequence)):

@@ -1,40 +1,91 @@
-"""Several bags side by side."""
+"""Compares runs of several bags, shifted in time so that their motions coincide: JSON, PNG and HTML."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from valve_control.analysis.figures import COLOURS, Line, Plot, Trace, draw_traces
+import numpy as np
+
+from valve_control.analysis.figures import COLOURS, Band, Line, Plot, Trace, draw_traces
 from valve_control.analysis.indices import Indices
+from valve_control.analysis.overlay import Motion, shift
 from valve_control.analysis.page import figure, notes, page
+from valve_control.recordings.analysis import NONE, Analysis, Spell, modes_dict
+from valve_control.recordings.modes import Mode
 from valve_control.recordings.recording import Aligned
-from valve_control.recordings.report import index_table
-from valve_control.recordings.study import NONE, Study
+from valve_control.recordings.report import BANDS, index_table, listed, time_in
+
+ERROR_PLOT = 1  # the plot in which the modes are marked
+STRIP = 0.03  # part of its height for each run
+STRIPS = 0.3  # part of its height for all
+MARKED = "strips below the error: degraded pale, safe dark"
+OPACITY = {Mode.DEGRADED: 0.35, Mode.SAFE: 1.0, Mode.INACTIVE: 0.1, Mode.UNKNOWN: 0.1}
 
 
 class BagRun(NamedTuple):
-    """One valve of one bag."""
+    """One valve of one bag, with its results."""
 
     name: str  # bag and valve
     controller: str
     indices: Indices
     signals: Aligned | None
     left_out: list[str]
+    only_ok: Indices  # of what the controller did in the mode ok
+    time_in: dict[str, float]  # s in the other modes
+    spells: list[Spell]
+    modes: dict[str, Any] | None  # for JSON
+    shift: float | None = None  # s, to lie over the first run; None without readings
+    by: str = ""  # what shows that
 
 
-def runs(path: str, study: Study) -> list[BagRun]:
+def runs(path: str, analysis: Analysis) -> list[BagRun]:
     """The valves of a bag."""
     bag = Path(path).stem if Path(path).is_file() else Path(path).resolve().name
-    many = len(study.valves) > 1
+    many = len(analysis.valves) > 1
     return [
         BagRun(
-            f"{bag}/{name}" if many else bag,
-            valve.controller,
-            valve.parts[0].indices if valve.parts else NONE,
-            valve.signals,
-            [f"{bag}: {text}" for text in (*study.left_out, *valve.left_out)],
+            name=f"{bag}/{name}" if many else bag,
+            controller=valve.controller,
+            indices=valve.parts[0].indices if valve.parts else NONE,
+            signals=valve.signals,
+            left_out=[f"{bag}: {text}" for text in (*analysis.left_out, *valve.left_out)],
+            only_ok=valve.parts[0].only_ok if valve.parts else NONE,
+            time_in=valve.parts[0].time_in if valve.parts else {},
+            spells=valve.spells,
+            modes=modes_dict(valve),
         )
-        for name, valve in study.valves.items()
+        for name, valve in analysis.valves.items()
+    ]
+
+
+def overlaid(runs: Sequence[BagRun]) -> list[BagRun]:
+    """``runs``, each with the time [s] that lays its motion over that of the first one with readings."""
+    first = next((run.signals for run in runs if run.signals is not None), None)
+    if first is None:
+        return list(runs)
+    return [
+        run if run.signals is None else run._replace(shift=moved, by=by)
+        for run in runs
+        for moved, by in (_overlay(run.signals, first) if run.signals is not None else (0.0, ""),)
+    ]
+
+
+def _overlay(signals: Aligned, over: Aligned) -> tuple[float, str]:
+    if signals is over:
+        return 0.0, ""
+    both = (signals, over)
+    commanded = all(np.isfinite(s.command).all() for s in both)
+    moved, alike = shift(*(Motion(s.time, s.command if commanded else s.measurement, s.period) for s in both))
+    what = "command" if commanded else "measurement"
+    return moved, what if alike else f"beginning of the {what}'s motion"
+
+
+def moves(names: Sequence[str], runs: Sequence[BagRun]) -> list[str]:
+    """By how much each run was shifted to lie over the first, in words."""
+    return [
+        f"{name}: moved by {run.shift:+.3f} s to lie over the first by its {run.by}"
+        for name, run in zip(names, runs, strict=True)
+        if run.shift is not None and run.by
     ]
 
 
@@ -52,38 +103,73 @@ def as_dict(name: str, run: BagRun) -> dict[str, Any]:
         "name": name,
         "controller": run.controller or None,
         "indices": run.indices._asdict(),
+        "indices_only_ok": run.only_ok._asdict(),
+        "modes": run.modes,
+        "shift_s": run.shift,
+        "overlaid_by": run.by or None,
         "left_out": run.left_out,
     }
 
 
+def _strips(runs: Sequence[BagRun]) -> list[Band]:
+    """A strip below the error of each run whose controller was not ok: degraded pale, safe dark."""
+    height = min(STRIP, STRIPS / max(1, len(runs)))
+    return [
+        Band(
+            max(spell.start, float(time[0])) + run.shift,
+            min(spell.end, float(time[-1]) + run.signals.period) + run.shift,
+            COLOURS[i % len(COLOURS)],
+            OPACITY[spell.interval.mode],
+            ERROR_PLOT,
+            i * height,
+            (i + 1) * height,
+        )
+        for i, run in enumerate(runs)
+        if run.signals is not None and run.shift is not None
+        for time in (run.signals.time,)
+        for spell in listed(run.spells, BANDS)
+        if spell.start <= time[-1] and spell.end > time[0]
+    ]
+
+
 def draw(path: Path, names: Sequence[str], runs: Sequence[BagRun]) -> None:
-    """Overlaid traces as PNG. Raises OSError."""
+    """Draw the ``overlaid`` runs as the PNG file ``path``. Raises OSError."""
     traces = {
-        name: Trace(run.signals.time, run.signals.command, run.signals.measurement, run.signals.voltage)
+        name: Trace(
+            run.signals.time + run.shift, run.signals.command, run.signals.measurement, run.signals.voltage
+        )
         for name, run in zip(names, runs, strict=True)
-        if run.signals is not None
+        if run.signals is not None and run.shift is not None
     }
-    draw_traces(path, {"recorded": traces}, "valve_control: bags")
+    strips = _strips(runs)
+    title = "valve_control: bags" + (f"\n{MARKED}" if strips else "")
+    draw_traces(path, {"recorded": traces}, title, strips, own_commands=True)
 
 
 def html(names: Sequence[str], runs: Sequence[BagRun]) -> str:
-    """Table and overlaid figures as a page."""
-    rows = [(name, run.controller, run.indices, "") for name, run in zip(names, runs, strict=True)]
+    """Table and figures of ``overlaid`` runs as an HTML page."""
+    rows = []
     positions, errors, voltages = [], [], []
     for i, (name, run) in enumerate(zip(names, runs, strict=True)):
-        if run.signals is None:
+        rows.append((name, run.controller, run.indices, time_in(run.time_in)))
+        if run.time_in:
+            rows.append((f"{name}, only ok", run.controller, run.only_ok, ""))
+        if run.signals is None or run.shift is None:
             continue
         s, colour = run.signals, COLOURS[i % len(COLOURS)]
-        positions.append(Line(f"{name}: command", s.time, s.command, colour, True))
-        positions.append(Line(name, s.time, s.measurement, colour))
-        errors.append(Line(name, s.time, s.measurement - s.command, colour))
-        voltages.append(Line(name, s.time, s.voltage, colour))
+        time = s.time + run.shift
+        positions.append(Line(f"{name}: command", time, s.command, colour, True))
+        positions.append(Line(name, time, s.measurement, colour))
+        errors.append(Line(name, time, s.measurement - s.command, colour))
+        voltages.append(Line(name, time, s.voltage, colour))
     plots = [Plot("spool position [V]", positions), Plot("error [V]", errors), Plot("voltage [V]", voltages)]
     left_out = notes([text for run in runs for text in run.left_out])
+    strips = _strips(runs)
+    how = notes([*moves(names, runs), *([MARKED] if strips else [])])
     return page(
         "valve_control: bags compared",
         {
             "Indices": index_table(rows) + left_out,
-            "Signals, each from its first command on": figure(plots, "time [s]"),
+            "Signals, overlaid by their motion": how + figure(plots, "time [s]", bands=strips),
         },
     )

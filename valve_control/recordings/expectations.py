@@ -1,4 +1,4 @@
-"""Conditions on the results of a study, such as ``e_rms<0.02``, for continuous integration."""
+"""Checks results against conditions such as ``e_rms<0.02``, for continuous integration."""
 
 import difflib
 import math
@@ -21,7 +21,7 @@ OPERATORS: dict[str, Callable[[float, float], bool]] = {
 
 
 class Outcome(NamedTuple):
-    """One expectation on one valve."""
+    """Whether one condition holds on one valve."""
 
     text: str
     valve: str
@@ -30,7 +30,7 @@ class Outcome(NamedTuple):
 
 
 def figures(valve: Mapping[str, Any]) -> dict[str, float | None]:
-    """Numbers of one valve's results by name; ``e_rms`` and the like are those of the whole run."""
+    """Results of one valve by name, for conditions; ``e_rms`` and the like are those of the whole run."""
     flat: dict[str, float | None] = {}
 
     def add(prefix: str, value: Any) -> None:
@@ -49,7 +49,7 @@ def figures(valve: Mapping[str, Any]) -> dict[str, float | None]:
 
 
 def check(text: str, valves: Mapping[str, Mapping[str, Any]]) -> list[Outcome]:
-    """``name op number`` on every valve, or on one as ``valve.name op number``; a missing number is not met.
+    """Check ``name op number`` on every valve, or ``valve.name op number`` on one; a missing number fails.
 
     Raises BagError if the text is no condition or there is no such number.
     """
@@ -60,6 +60,8 @@ def check(text: str, valves: Mapping[str, Mapping[str, Any]]) -> list[Outcome]:
         limit = float(found[3])
     except ValueError:
         raise BagError(f"--expect takes a condition such as 'e_rms<0.02', not '{text}'") from None
+    if not math.isfinite(limit):
+        raise BagError(f"--expect {text}: {found[3]} is no limit; compare with a finite number")
     name, sign = found[1], found[2]
     chosen = dict(valves)
     for valve in valves:

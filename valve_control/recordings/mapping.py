@@ -1,5 +1,6 @@
-"""Which topic plays which part: `spool_position`, `spool_command` and `valve_voltage` of each valve."""
+"""Finds out which topics of a bag are position, command and voltage of which valve."""
 
+import math
 import re
 import struct
 from collections.abc import Sequence
@@ -11,6 +12,8 @@ from valve_control.bags.cdr import Decoder, normal
 from valve_control.bags.errors import BagError
 
 PARTS = ("spool_command", "spool_position", "valve_voltage")
+TRAJECTORY = "spool_trajectory"  # plays the part of the command where there are no others
+POSITION = "positions[0]"
 ONLY = "valve"  # name of a valve whose topics stand in no namespace
 STATE_TYPE = "std_msgs/msg/Float64MultiArray"
 TRIED = 100  # messages in which a field is looked for
@@ -18,7 +21,7 @@ SCALE = re.compile(r"^(?P<source>[^*]+)\*(?P<factor>[^*]+)$")
 
 
 class Source(NamedTuple):
-    """A number of a topic's messages, in volts after multiplication."""
+    """A numeric field of a topic, with the factor that makes volts of it."""
 
     topic: str
     field: str
@@ -30,7 +33,7 @@ class Source(NamedTuple):
 
 
 class ValveTopics(NamedTuple):
-    """Where the signals of one valve are."""
+    """Topics of one valve: its signals, state and journal."""
 
     name: str
     namespace: str
@@ -40,13 +43,15 @@ class ValveTopics(NamedTuple):
 
     @property
     def memory(self) -> str:
-        """Topic of the controller's accounts of what it remembers, beside its journal; "" without one."""
+        """Topic of the controller's state snapshots, beside its journal; "" without one."""
         return f"{self.journal.removesuffix('/journal')}/memory" if self.journal else ""
 
     @property
     def plain(self) -> bool:
-        """Whether all parts are played by the topics that a controller has."""
-        return all(str(source) == f"{self.namespace}/{part}.data" for part, source in self.sources.items())
+        """Whether all signals come from the topics that a controller itself uses."""
+        own = {part: {f"{self.namespace}/{part}.data"} for part in PARTS}
+        own["spool_command"].add(f"{self.namespace}/{TRAJECTORY}.{POSITION}")
+        return all(str(source) in own[part] for part, source in self.sources.items())
 
 
 def parse_map(text: str) -> tuple[str, str, Source]:
@@ -66,8 +71,12 @@ def parse_map(text: str) -> tuple[str, str, Source]:
             if scaled is None:
                 raise ValueError
             source, factor = scaled["source"].strip(), float(scaled["factor"])
+            if factor == 0.0 or not math.isfinite(factor):
+                raise ValueError
         except ValueError:
-            raise BagError(f"--map {text}: what follows * must be a number") from None
+            raise BagError(
+                f"--map {text}: what follows * must be a number of volts per unit, finite and not 0"
+            ) from None
     topic, _, field = source.partition(".")
     topic = topic if topic.startswith("/") else f"/{topic}"
     normal(field or "data")
@@ -93,8 +102,22 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
                 bag.problems.append(f"{wrong}; it is left out")
             else:
                 sources.setdefault(_name(namespace), {})[part] = found
+    for name in bag.topics:
+        namespace, _, part = name.rpartition("/")
+        parts = sources.get(_name(namespace), {})
+        commands = parts.get("spool_command")
+        if part != TRAJECTORY or not parts or not _spoken(bag, name):
+            continue
+        if (commands is None or not _spoken(bag, commands.topic)) and not _wrong_field(
+            bag, Source(name, POSITION)
+        ):
+            parts["spool_command"] = Source(name, POSITION)
+    mapped: dict[tuple[str, str], str] = {}
     for text in maps:
         valve, part, source = parse_map(text)
+        if mapped.setdefault((valve, part), text) != text:
+            before = mapped[valve, part]
+            raise BagError(f"--map {text}: {part} of {valve} is mapped already, by --map {before}")
         bag.topic(source.topic)
         wrong = _wrong_field(bag, source)
         if wrong:
@@ -136,8 +159,13 @@ def _own_topics(bag: Bag, namespace: str) -> list[str]:
     ]
 
 
+def _spoken(bag: Bag, topic: str) -> bool:
+    """Whether there is a message on ``topic``."""
+    return next(iter(bag.messages(topic)), None) is not None
+
+
 def _wrong_field(bag: Bag, source: Source) -> str:
-    """Why ``source`` is no number of its topic's first messages, "" if it is one of any."""
+    """Why ``source`` is no number in its topic's first messages, "" if it is one in any of them."""
     topic = bag.topic(source.topic)
     error = ""
     try:

@@ -1,12 +1,12 @@
-"""Parameters of the nodes as a bag holds them: rcl_interfaces/ParameterEvent on /parameter_events."""
+"""Reads the nodes' parameters and their changes from /parameter_events in a bag."""
 
-import struct
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from valve_control.bags.bag import Series
-from valve_control.bags.cdr import jazzy
-from valve_control.parameters.table import NODES, ParameterError, Values, defaults, lookup, updated
+from valve_control.bags.cdr import UNDECODABLE, jazzy
+from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
+from valve_control.parameters.table import NODES
 
 TOPIC = "/parameter_events"
 TYPE = "rcl_interfaces/msg/ParameterEvent"
@@ -26,14 +26,14 @@ FIELDS = {
 
 
 class Change(NamedTuple):
-    """Parameters that took new values at one moment."""
+    """Parameters of a node that changed at one moment."""
 
     time: int  # ns, source time
     values: dict[str, Any]  # what differs from before
 
 
 class Node(NamedTuple):
-    """One node's parameters over time."""
+    """Parameters of one node over time."""
 
     name: str  # with its namespace
     kind: str  # controller, valve_simulator, command_source or ""
@@ -42,7 +42,7 @@ class Node(NamedTuple):
 
     @property
     def namespace(self) -> str:
-        """The part of its name before the last slash."""
+        """Namespace of the node, the part of its name before the last slash."""
         return self.name.rpartition("/")[0]
 
     @property
@@ -117,12 +117,12 @@ def _event(raw: bytes) -> Any:
     decode = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
     try:
         return decode(raw[4:], 0, definition.cls, jazzy())[0]
-    except (struct.error, ValueError, IndexError):
+    except UNDECODABLE:
         return None
 
 
 class _Nothing:
-    """Differs from every value."""
+    """Value that differs from every other."""
 
 
 def _plain(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Signals of the valves in a bag, cleaned and aligned to the LVDT's readings."""
+"""Loads a bag as valves with their signals, cleaned and aligned to the LVDT readings."""
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.bags.bag import Bag, Series
-from valve_control.bags.cdr import Decoder, jazzy
+from valve_control.bags.cdr import UNDECODABLE, Decoder, jazzy
 from valve_control.bags.errors import BagError
-from valve_control.recordings import parameters
+from valve_control.recordings import modes, parameters
 from valve_control.recordings.cleaning import Samples, clean, seconds
 from valve_control.recordings.mapping import STATE_TYPE, ValveTopics, find_valves
 from valve_control.supervision.journal import Block, block
-from valve_control.supervision.memory import Account, account
+from valve_control.supervision.state_snapshot import Account, account
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -25,6 +25,7 @@ LAG_ROWS = 200  # accounts on ~/state by which answers are matched with readings
 LONGEST_LAG = 12  # readings
 STATE_FIELDS = (
     "sample",
+    "mode",
     "measurement",
     "voltage",
     "lyapunov",
@@ -48,7 +49,7 @@ class Aligned(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the controller said of itself on ~/state."""
+    """Content of the controller's ~/state messages."""
 
     stamp: Integers  # ns
     labels: list[str]  # of the first message
@@ -56,7 +57,7 @@ class State(NamedTuple):
 
 
 class Valve(NamedTuple):
-    """Everything recorded of one valve."""
+    """Everything that was recorded of one valve."""
 
     name: str
     topics: ValveTopics
@@ -69,11 +70,12 @@ class Valve(NamedTuple):
     since: int  # ns, the beginning of the part that was asked for; journal and accounts begin with the bag
     controller: parameters.Node | None
     simulator: parameters.Node | None
+    modes: list[modes.Interval]  # without a gap; [] if they are not known
     problems: list[str]
 
     @property
     def lockstep(self) -> bool:
-        """Whether wall time means nothing, since everyone waited for everyone."""
+        """Whether the run was in lockstep, so that wall time means nothing."""
         return self.controller is not None and self.controller.initial.get("lockstep") is True
 
     @property
@@ -86,7 +88,7 @@ class Valve(NamedTuple):
 
 
 class Recording(NamedTuple):
-    """A bag as a control engineer sees it."""
+    """A loaded bag: its valves, with signals in volts and seconds."""
 
     bag: Bag
     valves: dict[str, Valve]
@@ -102,10 +104,11 @@ def load(
     told: Callable[[Bag], Callable[[int], None]] | None = None,
     journals: bool = False,
 ) -> Recording:
-    """Read a bag, or its part from ``start`` to ``end`` [s] after its beginning.
+    """Load a bag, or its part from ``start`` to ``end`` [s] after its beginning.
 
-    ``told`` makes, from the opened bag, what hears the bytes done; ``journals`` are those of the controllers,
-    which only a shadow replay needs. Raises BagError if nothing can be analysed.
+    ``told`` takes the opened bag and returns a function that is called with the number of bytes read since
+    its last call; ``journals``: load the controllers' journals too, which only a shadow replay needs. Raises
+    BagError if nothing can be analysed.
     """
     bag = Bag(path)
     topics = find_valves(bag, maps)
@@ -118,8 +121,10 @@ def load(
                 wanted[source.topic].append(source.field)
     labels = {name: _labels(bag, name) for name in states}
     for name in states:
-        wanted[name] = [f"data[{label}]" for label in STATE_FIELDS]
-    raw = {parameters.TOPIC}
+        terms = [f"data[{label}]" for label in STATE_FIELDS]
+        wanted[name] = [*terms, *(field for field in wanted.get(name, ()) if field not in terms)]
+    diagnostics = modes.diagnostic_topics(bag)
+    raw = {parameters.TOPIC, *diagnostics}
     if journals:
         raw |= {topic for valve in topics.values() for topic in (valve.journal, valve.memory)}
     raw &= set(bag.topics)
@@ -137,8 +142,9 @@ def load(
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
     if start is not None:
         nodes = {name: node.from_time(first) for name, node in nodes.items()}
+    said = modes.words([series[name] for name in diagnostics], bag.problems)
     valves = {
-        name: _valve(valve, series, labels.get(valve.state, []), nodes, since)
+        name: _valve(valve, series, labels.get(valve.state, []), nodes, said, since)
         for name, valve in topics.items()
     }
     if not any(len(s.time) for valve in valves.values() for s in valve.signals.values()):
@@ -174,7 +180,7 @@ def _journal(notes: Series | None, problems: list[str]) -> list[Block]:
         try:
             message: Any = kind.deserialize_cdr_le(raw[4:], 0, kind.cls, jazzy())[0]
             blocks.append(block(message.data))
-        except (struct.error, ValueError, IndexError):
+        except UNDECODABLE:
             unreadable += 1
     if unreadable:
         problems.append(f"{unreadable} messages on ~/journal are no journal and are left out")
@@ -202,6 +208,7 @@ def _valve(
     series: dict[str, Series],
     labels: list[str],
     nodes: dict[str, parameters.Node],
+    said: dict[str, list[modes.Word]],
     since: int,
 ) -> Valve:
     problems: list[str] = []
@@ -215,7 +222,7 @@ def _valve(
     if topics.state and len(series[topics.state].log_time):
         got = series[topics.state]
         named = {label: got.values[f"data[{label}]"] for label in STATE_FIELDS}
-        state = State(got.publish_time, labels, named)
+        state = State(got.publish_time if _by_source(signals) else got.log_time, labels, named)
     for part in ("spool_command", "spool_position", "valve_voltage"):
         if part not in signals:
             problems.append(f"{topics.name} has no {part}; what needs it is left out")
@@ -231,19 +238,43 @@ def _valve(
                 f"the bag does not have {node.missing} parameters of {node.name} from its beginning"
             )
     return Valve(
-        topics.name,
-        topics,
-        signals,
-        cleaned.timed,
-        cleaned.recorded,
-        state,
-        journal,
-        accounts,
-        since,
-        kinds.get("controller"),
-        kinds.get("valve_simulator"),
-        problems,
+        name=topics.name,
+        topics=topics,
+        signals=signals,
+        timed=cleaned.timed,
+        recorded=cleaned.recorded,
+        state=state,
+        journal=journal,
+        accounts=accounts,
+        since=since,
+        controller=kinds.get("controller"),
+        simulator=kinds.get("valve_simulator"),
+        modes=_modes(topics, said, state, cleaned.timed, since),
+        problems=problems,
     )
+
+
+def _by_source(signals: Mapping[str, Samples]) -> bool:
+    """Whether the times of ``signals`` are those at which they were sent, not recorded."""
+    return any(samples.has_source_time for samples in signals.values())
+
+
+def _modes(
+    topics: ValveTopics,
+    said: dict[str, list[modes.Word]],
+    state: State | None,
+    signals: dict[str, Samples],
+    since: int,
+) -> list[modes.Interval]:
+    """The controller's modes from the first to the last message of its signals."""
+    filled = [samples.time for samples in signals.values() if len(samples.time)]
+    if not filled:
+        return []
+    begin, end = min(int(time[0]) for time in filled), max(int(time[-1]) for time in filled) + 1
+    told = modes.of_controller(said, topics.namespace, topics.state)
+    none = np.empty(0, dtype=np.int64)
+    stamp, mode = (none, np.empty(0)) if state is None else (state.stamp, state.values["mode"])
+    return modes.history(told, stamp, mode, max(begin, since), end, _by_source(signals))
 
 
 def at_time(signals: Aligned, stamp: int) -> float:
@@ -254,7 +285,7 @@ def at_time(signals: Aligned, stamp: int) -> float:
 
 
 def align(valve: Valve) -> Aligned:
-    """Command, measurement and voltage at each LVDT reading from the first command on.
+    """Pair command, measurement and voltage at each LVDT reading from the first command on.
 
     The command is the newest one sent before the voltage that answers the reading; the voltage is the one in
     force until the next reading. Raises BagError without readings.
@@ -295,20 +326,20 @@ def align(valve: Valve) -> Aligned:
     if valve.lockstep:
         time = (np.arange(len(stamp), dtype=np.float64) - first) * period
     return Aligned(
-        time[first:],
-        stamp[first:],
-        period,
-        command[first:],
-        measurement[first:],
-        voltage[first:],
-        latency,
-        int(np.count_nonzero(missed[first:])),
-        not valve.lockstep,
+        time=time[first:],
+        stamp=stamp[first:],
+        period=period,
+        command=command[first:],
+        measurement=measurement[first:],
+        voltage=voltage[first:],
+        latency=latency,
+        unanswered=int(np.count_nonzero(missed[first:])),
+        wall=not valve.lockstep,
     )
 
 
 def _lag(valve: Valve, stamp: Integers, voltages: Samples) -> int:
-    """How many readings come between a reading and its voltage, as ~/state shows; 0 where it does not."""
+    """Number of readings between a reading and its voltage, as ~/state shows; 0 if it does not."""
     if valve.state is None:
         return 0
     measured, given = valve.state.values["measurement"], valve.state.values["voltage"]

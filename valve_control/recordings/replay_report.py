@@ -1,18 +1,19 @@
-"""Shadow and what-if replays as text, columns, JSON and HTML."""
+"""Reports shadow and what-if replays as text, CSV columns, JSON and HTML."""
 
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.analysis import limit_cycle
 from valve_control.analysis.figures import Line, Plot
 from valve_control.analysis.indices import indices, rms
 from valve_control.analysis.page import figure, notes, page, table
 from valve_control.analysis.segments import Segment
 from valve_control.analysis.tables import HEADER, index_row
+from valve_control.recordings.analysis import segment_indices
 from valve_control.recordings.report import index_table
 from valve_control.recordings.shadow import Shadow
-from valve_control.recordings.study import segment_indices
 from valve_control.recordings.what_if import WhatIf
 
 Floats = npt.NDArray[np.float64]
@@ -134,6 +135,7 @@ def what_if_dict(result: WhatIf, bag: str, valve: str) -> dict[str, Any]:
         "true_error": result.run.true_error,
         "measurement_distance_rms_V": result.distance,
         "theta": result.run.theta,
+        **limit_cycle.as_dict(result.run.saturated, result.run.limit_cycle),
         "warning": result.run.warning or None,
         "left_out": result.left_out,
     }
@@ -148,6 +150,9 @@ def what_if_text(result: WhatIf) -> str:
         index_row(f"what-if {result.run.controller}", simulated),
         f"simulated minus recorded measurement: {result.distance:.4g} V rms",
     ]
+    cycle = limit_cycle.in_words(result.run.saturated, result.run.limit_cycle)
+    if cycle:
+        lines.append(f"simulated: {cycle}")
     return "\n".join([*lines, *(f"note: {text}" for text in result.left_out)])
 
 

@@ -1,52 +1,75 @@
-"""A study as text for a terminal, as CSV, and as an HTML page."""
+"""Reports the analysis of a bag as text for a terminal, as CSV, and as an HTML page."""
 
+import html
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.analysis.figures import Line, Plot
+from valve_control import outputs
+from valve_control.analysis.figures import Band, Line, Plot
 from valve_control.analysis.indices import Indices
 from valve_control.analysis.page import figure, notes, page, table
 from valve_control.analysis.tables import HEADER, index_row
+from valve_control.recordings.analysis import (
+    Analysis,
+    Part,
+    Spell,
+    ValveAnalysis,
+    about_bag,
+    change_text,
+    estimates,
+    guarantee_use,
+    modes_dict,
+)
 from valve_control.recordings.cleaning import seconds
+from valve_control.recordings.modes import Mode
 from valve_control.recordings.recording import at_time
-from valve_control.recordings.study import Study, ValveStudy, about_bag, estimates, guarantee_use
 
 Floats = npt.NDArray[np.float64]
-LISTED = 12  # motions in the terminal; all of them are in JSON and HTML
+LISTED = 12  # motions, and intervals of modes, in the terminal; all of them are in JSON and HTML
+REASONS = 3  # of one interval in the terminal
+BANDS = 500  # in one figure
+COLOURS = {Mode.DEGRADED: "#E69F00", Mode.SAFE: "#CC0000", Mode.INACTIVE: "#777777", Mode.UNKNOWN: "#777777"}
+SILENT = "nothing was heard of the controller"
 DETAIL = 1.0  # s before and after the largest error, shown sample by sample
 
 
-def text(study: Study) -> str:
-    """The study as tables for a terminal."""
-    about = about_bag(study)
+def text(analysis: Analysis) -> str:
+    """The analysis as tables for a terminal."""
+    about = about_bag(analysis)
     lines = [
         f"{about['path']}: {about['storage']}{', ' + about['compression'] if about['compression'] else ''}, "
         f"{about['bytes'] / 1e6:.1f} MB, {about['duration_s']:.3f} s from {about['start']}"
     ]
-    for name, valve in study.valves.items():
+    for name, valve in analysis.valves.items():
         lines += ["", *_valve_lines(name, valve)]
-    if study.left_out:
-        lines += ["", *(f"note: {note}" for note in study.left_out)]
+    if analysis.left_out:
+        lines += ["", *(f"note: {note}" for note in analysis.left_out)]
     return "\n".join(lines)
 
 
-def _valve_lines(name: str, valve: ValveStudy) -> list[str]:
+def _valve_lines(name: str, valve: ValveAnalysis) -> list[str]:
     period = valve.signals.period if valve.signals is not None else np.nan
-    lines = [f"{name}: controller {valve.controller or 'unknown'}, sample period {1e3 * period:.4g} ms"]
+    head = f"{name}: controller {valve.controller or 'unknown'}, sample period {1e3 * period:.4g} ms"
+    if any(other.whole for other in valve.pace.others):
+        head += f", LVDT readings every {1e3 * valve.pace.measured:.4g} ms"
+    lines = [head]
     if valve.parts:
         lines.append(HEADER)
         motions = [part for part in valve.parts if part.segment.kind == "motion"]
         shown = [part for part in valve.parts if part.segment.kind != "motion" or part in motions[:LISTED]]
         for part in shown:
-            lines.append(index_row(part.segment.name, part.indices))
+            remark = time_in(part.time_in)
+            lines.append(index_row(part.segment.name, part.indices) + (f"  {remark}" if remark else ""))
+            if part.segment.kind == "run":
+                lines += [index_row(label, values) for label, values in parts_of_modes(part)]
         if len(motions) > LISTED:
             lines.append(f"({len(motions) - LISTED} more motions in --json and --html)")
-        for part in shown:
-            if part.change:
-                lines.append(f"{part.segment.name}: {part.change}")
+    lines += _change_lines(valve)
+    lines += _mode_lines(valve)
     lines.append(
         f"{'':16}{'messages':>10}{'rate [Hz]':>11}{'jitter p99, max [ms]':>22}{'gaps':>7}"
         f"{'longest [ms]':>14}{'lost':>7}"
@@ -70,7 +93,110 @@ def _valve_lines(name: str, valve: ValveStudy) -> list[str]:
     return [*lines, *(f"note: {note}" for note in valve.left_out)]
 
 
-def _timing_rows(valve: ValveStudy) -> list[list[str]]:
+def parts_of_modes(part: Part) -> list[tuple[str, Indices]]:
+    """Indices of a part without the samples in some modes, by name; [] if all of it is ok."""
+    if not part.time_in:
+        return []
+    rows = [("without safe", part.without_safe), ("only ok", part.only_ok)]
+    return rows if set(part.time_in) > {"degraded"} else rows[1:]
+
+
+def time_in(spent: dict[str, float]) -> str:
+    """Time in modes in words."""
+    return ", ".join(f"{mode} {duration:.3f} s" for mode, duration in spent.items())
+
+
+def _change_lines(valve: ValveAnalysis) -> list[str]:
+    """Every change of parameters of controller and simulator, in order of time."""
+    told = []
+    for node in (valve.valve.controller, valve.valve.simulator):
+        for i, change in enumerate(node.changes if node is not None else [], start=1):
+            name = f"after change {i}" if node is valve.valve.controller else node.name if node else ""
+            when = "" if valve.signals is None else f" (at {at_time(valve.signals, change.time):.3f} s)"
+            told.append((change.time, f"{name}: {change_text(change)}{when}"))
+    return [line for _, line in sorted(told, key=lambda entry: entry[0])]
+
+
+def listed(spells: list[Spell], most: int) -> list[Spell]:
+    """Spells that are not ok, in order of time; of more than ``most`` the gravest and longest."""
+    found = [spell for spell in spells if spell.listed and spell.interval.mode is not Mode.OK]
+    found.sort(key=lambda spell: (spell.interval.mode is not Mode.SAFE, spell.start - spell.end))
+    return sorted(found[:most], key=lambda spell: spell.start)
+
+
+def _reasons(spell: Spell, most: int | None = None) -> str:
+    reasons = spell.interval.reasons
+    if spell.interval.mode is Mode.UNKNOWN:
+        return SILENT
+    if not reasons:
+        return "(the reason is not recorded)"
+    more = len(reasons) - len(reasons[:most])
+    return "; ".join(reasons[:most]) + (f" (and {more} more)" if more else "")
+
+
+def _mode_lines(valve: ValveAnalysis) -> list[str]:
+    about = modes_dict(valve)
+    if about is None:
+        return []
+    grave = listed(valve.spells, LISTED)
+    if not grave:
+        return ["modes: ok throughout"]
+    told = []
+    for mode in Mode:
+        entry = about[mode.name.lower()]
+        if mode is not Mode.OK and entry["intervals"]:
+            times = f"{entry['intervals']} time{'s' if entry['intervals'] > 1 else ''}"
+            told.append(f"{mode.name.lower()} {times}, {entry['duration_s']:.3f} s")
+    share = f"ok {100.0 * about['ok']['share']:.1f} % of the time" if about["ok"]["share"] is not None else ""
+    lines = [f"modes: {'; '.join(filter(None, [share, *told]))}"]
+    lines.append(f"{'':14}{'from [s]':>10}{'to [s]':>10}{'lasts [s]':>11}")
+    for spell in grave:
+        name, lasts = spell.interval.mode.name.lower(), spell.end - spell.start
+        row = f"{name:14}{spell.start:10.3f}{spell.end:10.3f}{lasts:11.3f}"
+        lines.append(f"{row}  {_reasons(spell, REASONS)}")
+    more = sum(about[mode.name.lower()]["intervals"] for mode in Mode if mode is not Mode.OK) - len(grave)
+    if more:
+        lines.append(f"({more} more in --json and --html)")
+    return lines
+
+
+def mode_bands(spells: list[Spell], begin: float, end: float) -> list[Band]:
+    """Bands for a figure from ``begin`` to ``end`` [s], where the mode is not ok."""
+    return [
+        Band(max(spell.start, begin), min(spell.end, end), COLOURS[spell.interval.mode])
+        for spell in listed(spells, BANDS)
+        if spell.start < end and spell.end > begin
+    ]
+
+
+def _mode_section(valve: ValveAnalysis) -> str:
+    rows = [
+        (
+            spell.interval.mode.name.lower(),
+            f"{spell.start:.3f}",
+            f"{spell.end:.3f}",
+            f"{spell.end - spell.start:.3f}",
+            str(spell.samples),
+            _reasons(spell),
+        )
+        for spell in listed(valve.spells, len(valve.spells))
+    ]
+    if not rows:
+        return "<p>ok throughout</p>"
+    head = ["mode", "from [s]", "to [s]", "lasts [s]", "samples", "reasons"]
+    return f"<p>{html.escape(_mode_lines(valve)[0])}</p>" + table(head, rows)
+
+
+def legend(modes: Iterable[Mode]) -> str:
+    """What the colours of the bands mean."""
+    marks = (
+        f'<span style="background:{COLOURS[mode]}55;padding:0 .5em">{mode.name.lower()}</span>'
+        for mode in modes
+    )
+    return f"<p>Bands: {' '.join(marks)}</p>"
+
+
+def _timing_rows(valve: ValveAnalysis) -> list[list[str]]:
     return [
         [
             part,
@@ -86,7 +212,7 @@ def _timing_rows(valve: ValveStudy) -> list[list[str]]:
     ]
 
 
-def write_csv(path: Path, valve: ValveStudy) -> None:
+def write_csv(path: Path, valve: ValveAnalysis) -> None:
     """Aligned signals of one valve, one reading a line. Raises OSError."""
     assert valve.signals is not None
     signals = valve.signals
@@ -98,31 +224,28 @@ def write_csv(path: Path, valve: ValveStudy) -> None:
         "error_V": signals.measurement - signals.command,
         "voltage_V": signals.voltage,
     }
-    with path.open("w", encoding="utf-8") as stream:
-        stream.write(",".join(columns) + "\n")
-        row = "%.9f,%d,%.17g,%.17g,%.17g,%.17g\n"
-        for start in range(0, len(signals.time), 100_000):
-            piece = zip(
-                *(column[start : start + 100_000].tolist() for column in columns.values()), strict=True
-            )
-            stream.writelines(row % numbers for numbers in piece)
+    lines = [",".join(columns) + "\n"]
+    row = "%.9f,%d,%.17g,%.17g,%.17g,%.17g\n"
+    for start in range(0, len(signals.time), 100_000):
+        piece = zip(*(column[start : start + 100_000].tolist() for column in columns.values()), strict=True)
+        lines.append("".join(row % numbers for numbers in piece))
+    outputs.write(str(path), "".join(lines))
 
 
-def write_html(path: Path, study: Study) -> None:
+def write_html(path: Path, analysis: Analysis) -> None:
     """The report as one self-contained page. Raises OSError."""
-    path.write_text(
-        page(f"{Path(str(study.recording.bag.path)).name}: valve report", _sections(study)), encoding="utf-8"
-    )
+    title = f"{Path(str(analysis.recording.bag.path)).name}: valve report"
+    outputs.write(str(path), page(title, _sections(analysis)))
 
 
-def _sections(study: Study) -> dict[str, str]:
-    about = about_bag(study)
+def _sections(analysis: Analysis) -> dict[str, str]:
+    about = about_bag(analysis)
     sections = {
         "Bag": table(["", ""], [(key, _plain(value)) for key, value in about.items() if key != "topics"])
         + table(["topic", "type"], list(about["topics"].items()))
-        + notes(study.left_out)
+        + notes(analysis.left_out)
     }
-    for name, valve in study.valves.items():
+    for name, valve in analysis.valves.items():
         sections.update(_valve_sections(name, valve))
     return sections
 
@@ -139,7 +262,7 @@ def index_table(rows: list[tuple[str, str, Indices, str]]) -> str:
     )
 
 
-def _valve_sections(name: str, valve: ValveStudy) -> dict[str, str]:
+def _valve_sections(name: str, valve: ValveAnalysis) -> dict[str, str]:
     sections: dict[str, str] = {}
     if valve.parts and valve.signals is not None:
         time = valve.signals.time
@@ -151,13 +274,21 @@ def _valve_sections(name: str, valve: ValveStudy) -> dict[str, str]:
                     f"{part.segment.name}, {begin:.2f} to {end:.2f} s",
                     part.controller,
                     part.indices,
-                    part.change,
+                    "; ".join(filter(None, [part.change, time_in(part.time_in)])),
                 )
             )
+            if part.segment.kind == "run":
+                rows += [(label, part.controller, values, "") for label, values in parts_of_modes(part)]
         sections[f"{name}: indices"] = index_table(rows) + notes(valve.left_out)
+        if valve.spells:
+            sections[f"{name}: modes"] = _mode_section(valve)
         changes = valve.valve.controller.changes if valve.valve.controller is not None else []
         marks = [at_time(valve.signals, change.time) for change in changes]
-        sections[f"{name}: signals"] = figure(_signal_plots(valve), "time [s]", marks=marks)
+        bands = mode_bands(valve.spells, float(time[0]), float(time[-1]) + valve.signals.period)
+        shown = sorted({spell.interval.mode for spell in listed(valve.spells, BANDS)})
+        sections[f"{name}: signals"] = (legend(shown) if shown else "") + figure(
+            _signal_plots(valve), "time [s]", marks=marks, bands=bands
+        )
         detail = _detail(valve)
         if detail:
             sections[f"{name}: around the largest error, sample by sample"] = detail
@@ -170,7 +301,9 @@ def _valve_sections(name: str, valve: ValveStudy) -> dict[str, str]:
             if len(s.frequency)
         ]
         if spectra:
-            sections[f"{name}: spectra"] = figure(spectra, "frequency [Hz]", logarithmic_x=True)
+            sections[f"{name}: spectra"] = notes(
+                [text for text in valve.left_out if "spectra" in text]
+            ) + figure(spectra, "frequency [Hz]", logarithmic_x=True)
     elif valve.left_out:
         sections[f"{name}: left out"] = notes(valve.left_out)
     head = ["signal", "messages", "rate [Hz]", "jitter p99 [ms]", "max [ms]", "gaps", "longest [ms]", "lost"]
@@ -186,7 +319,7 @@ def _valve_sections(name: str, valve: ValveStudy) -> dict[str, str]:
     return sections
 
 
-def _changes(valve: ValveStudy, node: Any) -> str:
+def _changes(valve: ValveAnalysis, node: Any) -> str:
     rows = [
         ("" if valve.signals is None else f"{at_time(valve.signals, change.time):.3f}", name, value)
         for change in node.changes
@@ -195,7 +328,7 @@ def _changes(valve: ValveStudy, node: Any) -> str:
     return table(["time [s]", "parameter", "new value"], rows)
 
 
-def _signal_plots(valve: ValveStudy) -> list[Plot]:
+def _signal_plots(valve: ValveAnalysis) -> list[Plot]:
     signals = valve.signals
     assert signals is not None
     plots = [
@@ -231,7 +364,7 @@ def _signal_plots(valve: ValveStudy) -> list[Plot]:
     return plots
 
 
-def _detail(valve: ValveStudy) -> str:
+def _detail(valve: ValveAnalysis) -> str:
     signals = valve.signals
     assert signals is not None
     error = signals.measurement - signals.command
@@ -249,10 +382,11 @@ def _detail(valve: ValveStudy) -> str:
         ),
         valve=valve.valve._replace(state=None),
     )
-    return figure(_signal_plots(cut), "time [s]")
+    bands = mode_bands(valve.spells, worst - DETAIL, worst + DETAIL)
+    return figure(_signal_plots(cut), "time [s]", bands=bands)
 
 
-def _timing_figure(valve: ValveStudy) -> str:
+def _timing_figure(valve: ValveAnalysis) -> str:
     plots = []
     begin = int(valve.signals.stamp[0]) if valve.signals is not None else 0
     for part, samples in valve.valve.signals.items():

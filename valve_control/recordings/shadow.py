@@ -1,4 +1,4 @@
-"""Shadow replay: a controller sees the recorded command and LVDT and says which voltage it would have given.
+"""Shadow replay: gives a controller the recorded commands and readings and compares its voltages.
 
 The controller's journal tells which reading it answered under which command, and all else that it took in:
 with the recorded parameters a shadow is that controller once more, and gives its voltages bit for bit.
@@ -14,14 +14,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control import parameter
 from valve_control.bags.errors import BagError
+from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, ParameterError, defaults, updated
+from valve_control.parameters.table import CONTROLLER
 from valve_control.recordings.cleaning import Samples, seconds
 from valve_control.recordings.recording import Valve
-from valve_control.supervision.journal import COLUMNS, Block, Event, observe
-from valve_control.supervision.memory import recall, remember
+from valve_control.supervision.journal import COLUMNS, COUNTED, Block, Event, observe
+from valve_control.supervision.state_snapshot import restore, snapshot
 from valve_control.supervision.supervisor import Supervisor
+from valve_control.supervision.trajectory import Motion
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -33,7 +36,7 @@ REPORT = 10_000  # samples between two words of progress
 
 
 class Shadow(NamedTuple):
-    """Recorded and shadow voltage at each step of the controller."""
+    """Recorded and replayed voltage at each step of the controller."""
 
     time: Floats  # s, from the first of them
     controller: str  # law at the beginning
@@ -46,12 +49,12 @@ class Shadow(NamedTuple):
 
     @property
     def differing(self) -> int:
-        """Samples whose voltage is not that of the recording, bit for bit."""
+        """Number of samples whose voltages differ, by any bit."""
         return int(np.count_nonzero(np.isfinite(self.recorded) & (self.voltage != self.recorded)))
 
     @property
     def first_difference(self) -> int | None:
-        """The first of them."""
+        """Index of the first of them."""
         where = np.flatnonzero(np.isfinite(self.recorded) & (self.voltage != self.recorded))
         return int(where[0]) if len(where) else None
 
@@ -70,7 +73,9 @@ def replay(valve: Valve, overrides: Mapping[str, Any], told: Callable[[int], Non
 
 
 class _Replay:
-    """A supervisor with the parameters of each moment."""
+    """Runs a supervisor with the recorded parameters of each moment."""
+
+    exact = False  # whether the valve got the very voltages that the supervisor gives without overrides
 
     def __init__(self, valve: Valve, overrides: Mapping[str, Any]) -> None:
         self._valve = valve
@@ -81,6 +86,7 @@ class _Replay:
         self._supervisor = Supervisor()
         self._values = defaults(CONTROLLER)
         self._supervisor.apply(self._values, build.law_params(self._values))
+        self._supervisor.answered = self._faithful and self.exact
 
     def run(self, told: Callable[[int], None] | None) -> Shadow:
         rows: list[Row] = []
@@ -97,9 +103,18 @@ class _Replay:
         command, measurement, recorded, voltage = (np.array(c) for c in list(zip(*rows, strict=True))[1:])
         time = seconds(stamp, int(stamp[0]))
         if lockstep:
-            time = np.arange(len(rows), dtype=np.float64) * build.number(self._values, "sample_period")
+            time = np.arange(len(rows), dtype=np.float64) * parameter.number(self._values, "sample_period")
         faithful = self._faithful and bool(np.any(np.isfinite(recorded)))
-        return Shadow(time, law, measurement, command, recorded, voltage, faithful, self._left_out)
+        return Shadow(
+            time=time,
+            controller=law,
+            measurement=measurement,
+            command=command,
+            recorded=recorded,
+            voltage=voltage,
+            faithful=faithful,
+            left_out=self._left_out,
+        )
 
     def _rows(self) -> Iterator[Row]:
         raise NotImplementedError
@@ -112,7 +127,7 @@ class _Replay:
         return time, math.nan if command is None else command, reading, recorded, voltage
 
     def _use(self, recorded: Mapping[str, Any]) -> None:
-        """Take recorded parameters into use, under those that are given. Raises ParameterError for these."""
+        """Take recorded parameters into use, and over them the given ones. Raises ParameterError."""
         known = {parameter.name for parameter in CONTROLLER}
         wanted = {name: value for name, value in recorded.items() if name in known}
         try:
@@ -134,7 +149,9 @@ class _Replay:
 
 
 class _ByJournal(_Replay):
-    """What the controller's journal says that it took in, in that order, from its first account on."""
+    """Replays what the controller's journal lists, in its order, from its first snapshot on."""
+
+    exact = True
 
     def _rows(self) -> Iterator[Row]:
         blocks = self._valve.journal
@@ -201,16 +218,20 @@ class _ByJournal(_Replay):
             if not self._known and told.command is not None:
                 self._supervisor.command(told.command)
             self._known = True
-        elif not self._known or remember(self._supervisor, told.run, told.row) != told.text:
+        elif not self._known or snapshot(self._supervisor, told.run, told.row) != told.text:
             self._mismatches += self._known
-            self._known = recall(self._supervisor, told.text)
+            self._known = restore(self._supervisor, told.text)
             self._refused += not self._known
 
     def _step(self, row: list[float]) -> float | None:
-        """Give the supervisor what ``row`` tells; the voltage [V], None if the row has none."""
+        """Pass on to the supervisor what ``row`` lists; returns the voltage [V], None if the row has none."""
         supervisor, event = self._supervisor, Event(int(row[EVENT]))
-        if event is Event.COMMAND or not math.isnan(row[COMMAND]):
-            supervisor.command(row[COMMAND])
+        if event is Event.TRAJECTORY:
+            supervisor.trajectory(Motion(row[COMMAND], row[READING], row[NUMBER]), row[ELAPSED])
+        elif event is Event.TRAJECTORY_REFUSED:
+            supervisor.trajectory_refused(int(row[COMMAND]), int(row[READING]), int(row[NUMBER]))
+        elif event is Event.COMMAND or not math.isnan(row[COMMAND]):
+            supervisor.command(row[COMMAND], row[ELAPSED] if event is Event.COMMAND else 0.0)
         match event:
             case Event.READING:
                 number, elapsed = int(row[NUMBER]), row[ELAPSED]
@@ -230,12 +251,14 @@ class _ByJournal(_Replay):
                 supervisor.reset()
             case Event.COMMAND_GONE:
                 supervisor.command_gone()
-            case Event.COMMAND_PUBLISHERS | Event.LVDT_PUBLISHERS:
+            case Event.TRAJECTORY_GONE:
+                supervisor.trajectory_gone()
+            case _ if event in COUNTED:
                 observe(supervisor, event, int(row[NUMBER]))
         return None
 
     def _compare(self, answered: list[float]) -> None:
-        """Whether what was heard on the topic is what the journal says."""
+        """Whether the voltages on the topic are those in the journal."""
         if self._voltages is None:
             return
         heard = self._voltages.value.tolist()
@@ -253,7 +276,7 @@ class _ByJournal(_Replay):
 
 
 class _ByTimes(_Replay):
-    """Each reading in turn, under the newest command sent before it was answered, as far as times tell."""
+    """Replays each reading in turn, with the newest command sent before it was answered, by the times."""
 
     def _rows(self) -> Iterator[Row]:
         node = self._valve.controller
@@ -276,6 +299,7 @@ class _ByTimes(_Replay):
         readings, commands = (self._valve.recorded[part] for part in ("spool_position", "spool_command"))
         answered, recorded = self._answers(readings)
         taken, last = 0, int(readings.time[0])
+        intervals = np.diff(commands.time, prepend=commands.time[:1]) * 1e-9
         columns = (
             readings.time,
             readings.value,
@@ -286,8 +310,10 @@ class _ByTimes(_Replay):
         for time, reading, number, count, voltage in zip(*(c.tolist() for c in columns), strict=True):
             while changes and changes[0].time < time:
                 self._use(changes.pop(0).values)
-            for command in commands.value[taken:count].tolist():
-                self._supervisor.command(command)
+            for command, interval in zip(
+                commands.value[taken:count].tolist(), intervals[taken:count].tolist(), strict=True
+            ):
+                self._supervisor.command(command, interval)
             taken = max(taken, count)
             elapsed = 0.0 if self._values["lockstep"] is True else (time - last) * 1e-9
             last = time
@@ -295,7 +321,7 @@ class _ByTimes(_Replay):
             yield self._row(time, reading, voltage, answer)
 
     def _answers(self, readings: Samples) -> tuple[Integers, Floats]:
-        """When each reading was answered [ns], and by what [V]: itself and NaN where it was not."""
+        """Time [ns] and voltage [V] of each reading's answer: its own time and NaN where it has none."""
         given = self._voltages
         if given is None or len(given.time) == 0:
             return readings.time, np.full(len(readings.time), np.nan)

@@ -1,4 +1,4 @@
-"""What-if replay: the closed loop simulated again from the recorded command, beside the recorded run."""
+"""What-if replay: simulates the closed loop again from the recorded command, with other parameters."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -8,7 +8,8 @@ import numpy.typing as npt
 
 from valve_control.analysis.indices import rms
 from valve_control.bags.errors import BagError
-from valve_control.parameters.table import CONTROLLER, VALVE, Values, defaults, updated
+from valve_control.parameter import Values, defaults, updated
+from valve_control.parameters.table import CONTROLLER, VALVE
 from valve_control.recordings.parameters import Node
 from valve_control.recordings.recording import Aligned, Valve
 from valve_control.simulation import offline
@@ -17,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class WhatIf(NamedTuple):
-    """Recorded and simulated run on one grid of samples."""
+    """Recorded and simulated run, sampled at the same times."""
 
     time: Floats  # s
     recorded: Aligned  # on that grid

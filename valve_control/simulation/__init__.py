@@ -1,1 +1,1 @@
-"""Command shapes, the compiled closed loop, and offline runs."""
+"""Simulates closed loops: one run, batches of many valves, and studies of robustness."""

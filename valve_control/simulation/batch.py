@@ -1,8 +1,8 @@
-"""Many valves at once, each with its own law, plant and noise: indices in bounded memory, or traces.
+"""Simulates many valves at once, each with its own law, plant and noise; gives indices or whole signals.
 
-Valves go through one compiled loop in blocks of eight, which the compiler turns into SIMD: within a sample
-every valve waits for its own divisions and square roots, eight of them wait together. Blocks are shared out
-to threads. Every valve has the noise of its own seed, with the bits of numpy's generator as in
+Valves go through one compiled loop in blocks of eight, which the compiler turns into SIMD instructions: most
+of a sample is waiting for divisions and square roots, and eight valves wait together. Threads share the
+blocks. Every valve has the noise of its own seed, with the bits of numpy's generator as in
 ``offline.simulate``, so that its run is the same there and here, whatever block and number of threads.
 """
 
@@ -16,85 +16,61 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.compiling import compile_function
+from valve_control import closed_loop
+from valve_control.compiling import LANES, compile_function, explained
+from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
 from valve_control.plant import valve
-from valve_control.simulation import closed_loop
+from valve_control.simulation import measures
+from valve_control.simulation.measures import INDICES, Measures
 
 Array = npt.NDArray[np.float64]
-Words = npt.NDArray[np.uint64]
 Valves = npt.NDArray[np.int64]
 Records = npt.NDArray[np.void]  # one row a valve, fields as in the NamedTuple, all float64
-LANES = 8  # valves of a block: the doubles of one AVX-512 register
 SPAN = 256  # samples of noise made at a time: they stay in the nearest cache
 
 
 class Motion(NamedTuple):
-    """State of a spool."""
+    """Mechanical state of one spool."""
 
     x: valve.Row  # position [V], velocity [V/s] and two inner states
     bristle: float  # -  deflection of the bristles over that of sliding
     time: float  # s
 
 
-class Tally(NamedTuple):
-    """Sums from which the indices come."""
-
-    e_max: float  # V
-    e_final: float  # V   largest of the last two seconds
-    e_squares: float  # V²
-    true_max: float  # V   of the true position
-    true_squares: float  # V²
-    u_squares: float  # V²
-    change_squares: float  # V²  of the voltage from sample to sample
-    saturated: float  # -   samples at ±u_max
-    voltage: float  # V   of the sample before
-
-
 class Work(NamedTuple):
-    """What changes from sample to sample; the first six are handed over between the loops of a sample."""
+    """What changes from sample to sample; the first eight are passed between the loops within a sample."""
 
     noise: float  # -  standard normal
     position: float  # V  that the LVDT sees, after its delay
-    command: float  # V
+    command: float  # V  of the upper level
+    led: float  # V  as the law gets it
     measurement: float  # V
     true_position: float  # V
+    voltage: float  # V
     level: float  # V  of friction
-    tally: Tally
+    tally: Any  # what is measured
     motion: Motion
     law: Any
 
 
+HANDED_OVER = (0.0,) * 8  # the numbers at the beginning of Work
 # Where they stand in a block.
-NOISE, POSITION, COMMAND, LEVEL = (
-    LANES * Work._fields.index(name) for name in ("noise", "position", "command", "level")
+NOISE, POSITION, COMMAND, LED, LEVEL = (
+    LANES * Work._fields.index(name) for name in ("noise", "position", "command", "led", "level")
 )
 
 
 class Lane(NamedTuple):
-    """Everything about one valve."""
+    """Parameters and state of one valve, which takes one lane of a SIMD block."""
 
     work: Work
     law: Any
     valve: valve.Params
 
 
-class Results(NamedTuple):
-    """One entry per valve; NaN where a run did not stay finite."""
-
-    e_M: Array  # V  (I2)
-    e_F: Array  # V  (I3)
-    e_rms: Array  # V  (I1)
-    u_rms: Array  # V  (I4)
-    c_u: Array  # -  (I5)
-    true_e_M: Array  # V  of the true position
-    true_e_rms: Array  # V
-    saturated: Array  # -  share of the samples at ±u_max
-    finite: npt.NDArray[np.bool_]
-
-
 class Batch(NamedTuple):
-    """What is run: one law on as many valves, N, as there are seeds.
+    """What is simulated: one law on as many valves, N, as there are seeds.
 
     ``commands`` [V] of n samples: shape (n), the same for all valves, or (N, n), one row a valve. They go to
     the law as they are; ``offline.simulate`` clips them to command_limit before.
@@ -105,78 +81,95 @@ class Batch(NamedTuple):
     valve_params: Records | valve.Params
     seeds: Sequence[int] | npt.NDArray[np.int64]  # of the LVDTs' noise
     commands: Array
-
-
-def law_step(p: Any, s: Any, command: float, measurement: float, offset: float) -> Any:
-    """Stands for the step of the law; replaced before the loop runs."""
-    raise NotImplementedError
+    measures: Measures = INDICES
+    led: Array | None = None  # V, of the same shape: with the lead of ``command_lead``; None: ``commands``
 
 
 def law_initial(p: Any, start: Start) -> Any:
-    """Stands for the beginning of the law."""
+    """Placeholder for the law's ``initial``."""
     raise NotImplementedError
 
 
 def load(like: Any, block: Array, lane: int) -> Any:
-    """Stands for ``lanes.load``."""
+    """Placeholder for ``simd_layout.load``."""
     raise NotImplementedError
 
 
 def store(value: Any, block: Array, lane: int) -> None:
-    """Stands for ``lanes.store``."""
+    """Placeholder for ``simd_layout.store``."""
     raise NotImplementedError
 
 
-def fill(words: Words, noise: Array) -> None:
-    """Stands for ``normal.fill``."""
+def fill(generators: Any, noise: Array) -> None:
+    """Placeholder for ``noise.fill``."""
     raise NotImplementedError
+
+
+def count(tally: Any, now: measures.Now) -> Any:
+    """Placeholder for the update of the measures."""
+    raise NotImplementedError
+
+
+def one_sample(p: Any, source: Any, law: Any, plant: Any, measure: Any, given: float, noise: float) -> Any:
+    """Placeholder for ``closed_loop.sample``."""
+    raise NotImplementedError
+
+
+def read_delayed(p: valve.Params, position: float, noise: float) -> float:
+    """LVDT reading [V] of a ``position`` [V] for which the LVDT's delay is known."""
+    return valve.reading(p.lvdt, position, noise)
+
+
+def counted(p: measures.Now, tally: Any, now: closed_loop.Sample, position: float) -> tuple[Any, bool]:
+    """Update the measures with this sample; ``p`` has what ``now`` lacks."""
+    here = measures.Now(
+        p.command, now.reading, p.position, now.voltage, p.first, p.final, p.time, p.u_max, p.period
+    )
+    return count(tally, here), False
 
 
 def begin(like: Lane, block: Array, noise: Array) -> None:
-    """Put the valves of ``block``, whose parameters are there, at rest and the laws at their readings."""
+    """Put the valves of ``block`` at rest and start their laws from the first readings."""
     for j in range(LANES):
         lane = load(like, block, j)
         first = valve.reading(lane.valve.lvdt, 0.0, noise[j, 0])
         law = law_initial(lane.law, Start(first, 0.0, first, 0.0, 0.0))
         motion = Motion(valve.Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
-        tally = Tally(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        store(Work(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, tally, motion, law), block, j)
+        store(Work(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, like.work.tally, motion, law), block, j)
 
 
-def sample(lane: Lane, changed: float, final: float) -> Work:
-    """One sample of one valve: read, step, count, move.
+def sample(lane: Lane, first: bool, final: bool) -> Work:
+    """Compute one sample of one valve: read, step the law, measure, move the spool.
 
-    ``changed``: 0.0 at the first sample, else 1.0; ``final``: 1.0 within the last two seconds, else 0.0.
+    ``first``: at the first sample; ``final``: within the last two seconds.
     """
     w, p = lane.work, lane.valve
-    measurement = valve.reading(p.lvdt, w.position, w.noise)
-    voltage, law, _ = law_step(lane.law, w.law, w.command, measurement, 0.0)
-    error = abs(measurement - w.command)
-    true_error = abs(w.motion.x.x0 - w.command)
-    change = changed * (voltage - w.tally.voltage)
-    t = w.tally
-    tally = Tally(
-        max(t.e_max, error),
-        max(t.e_final, final * error),
-        t.e_squares + error * error,
-        max(t.true_max, true_error),
-        t.true_squares + true_error * true_error,
-        t.u_squares + voltage * voltage,
-        t.change_squares + change * change,
-        t.saturated + (1.0 if abs(voltage) >= p.u_max else 0.0),
-        voltage,
+    at = measures.Now(w.command, 0.0, w.motion.x.x0, 0.0, first, final, w.motion.time, p.u_max, p.period)
+    parts = closed_loop.Parts(0.0, lane.law, p, at)
+    now, _, law, tally, _ = one_sample(parts, 0.0, w.law, w.position, w.tally, w.led, w.noise)
+    x, bristle = valve.move(p, w.motion.x, w.motion.bristle, w.motion.time, w.level, now.voltage)
+    return Work(
+        w.noise,
+        w.position,
+        w.command,
+        w.led,
+        now.reading,
+        w.motion.x.x0,
+        now.voltage,
+        w.level,
+        tally,
+        Motion(x, bristle, w.motion.time + p.period),
+        law,
     )
-    x, bristle = valve.move(p, w.motion.x, w.motion.bristle, w.motion.time, w.level, voltage)
-    motion = Motion(x, bristle, w.motion.time + p.period)
-    return Work(w.noise, w.position, w.command, measurement, w.motion.x.x0, w.level, tally, motion, law)
 
 
 def run_block(
     like: Lane,
     block: Array,
-    words: Words,
+    generators: Any,
     noise: Array,
     commands: Array,
+    led: Array,
     stride: int,
     valves: Valves,
     history: Array,
@@ -185,17 +178,18 @@ def run_block(
 ) -> None:
     """Run the ``valves`` of one block, whose parameters are in ``block``.
 
-    ``words`` (LANES×4): generators, which fill ``noise`` (LANES×SPAN) again and again; ``commands`` [V]:
-    those of valve i begin at i·``stride``; ``history`` (LANES×m×2): rings as in ``valve.State``, for delayed
-    LVDTs; ``last_begin``: sample at which the last two seconds begin; ``traces`` (N×n×3, or 0×n×3 for none)
-    takes position, measurement and voltage [V], and has as many samples as the run.
+    ``generators``: from ``noise.seeded``, which fill ``noise`` (LANES×SPAN) again and again; ``commands`` and
+    ``led`` [V]: those of valve i begin at i·``stride``; ``history`` (LANES×m×2): rings as in ``valve.State``,
+    for delayed LVDTs; ``last_begin``: sample at which the last two seconds begin; ``traces`` (N×n×3, or 0×n×3
+    for none) receives position, measurement and voltage [V], and has as many samples as the run. Arrays that
+    come in records would make a sample 5 to 10 % slower.
     """
     record = traces.shape[0] > 0
     length = history.shape[1]
     for k in range(traces.shape[1]):
         i = k % SPAN
         if i == 0:
-            fill(words, noise)
+            fill(generators, noise)
         if k == 0:
             begin(like, block, noise)
         for j in range(LANES):
@@ -210,29 +204,40 @@ def run_block(
             block[NOISE + j] = noise[j, i]
             block[POSITION + j] = position
             block[COMMAND + j] = commands[valves[j] * stride + k]
+            block[LED + j] = led[valves[j] * stride + k]
             block[LEVEL + j] = level
-        changed = 1.0 if k > 0 else 0.0
-        final = 1.0 if k >= last_begin else 0.0
+        first, final = k == 0, k >= last_begin
         for j in range(LANES):
-            store(sample(load(like, block, j), changed, final), block, j)
+            store(sample(load(like, block, j), first, final), block, j)
         if record:
             for j in range(LANES):
                 lane = load(like, block, j)
                 traces[valves[j], k, 0] = lane.work.true_position
                 traces[valves[j], k, 1] = lane.work.measurement
-                traces[valves[j], k, 2] = lane.work.tally.voltage
+                traces[valves[j], k, 2] = lane.work.voltage
 
 
 @cache
-def _compiled(law: types.ModuleType) -> Callable[..., None]:
-    from valve_control.simulation import lanes, normal
+def _compiled(law: types.ModuleType, chosen: Measures) -> Callable[..., None]:
+    from valve_control.simulation import noise, simd_layout
 
-    access = {"load": lanes.load, "store": lanes.store}
+    access = {"load": simd_layout.load, "store": simd_layout.store}
     start = compile_function(begin, {**access, "law_initial": compile_function(law.initial)})
-    counted = compile_function(sample, {"law_step": compile_function(law.step)})
+    parts = {
+        "next_command": compile_function(closed_loop.command_given),
+        "read": compile_function(read_delayed),
+        "law_step": compile_function(law.step),
+        "measured": compile_function(counted, {"count": compile_function(chosen.update)}),
+    }
+    one = compile_function(closed_loop.sample, parts)
     return compile_function(
         run_block,
-        {**access, "begin": start, "fill": compile_function(normal.fill), "sample": counted},
+        {
+            **access,
+            "begin": start,
+            "fill": compile_function(noise.fill),
+            "sample": compile_function(sample, {"one_sample": one}),
+        },
         nogil=True,
     )
 
@@ -271,25 +276,26 @@ def _rows(name: str, params: Records | tuple[Any, ...], like: Any, count: int) -
     return np.broadcast_to(flat, (count, flat.shape[1]))
 
 
-class Job(NamedTuple):
-    """A batch made ready."""
+class Prepared(NamedTuple):
+    """A batch that is checked and laid out for the compiled loop."""
 
     like: Lane
     width: int  # numbers of a lane
     law: types.ModuleType
+    measures: Measures
     law_rows: Array
     valve_rows: Array
     seeds: Valves
-    words: Words  # N×4  generators
     delays: Array  # periods, of the LVDTs
     commands: Array  # V  one after the other
+    led: Array  # V  likewise
     stride: int  # between the commands of one valve and the next
     samples: int
     period: float  # s
 
 
-def _commands(batch: Batch, count: int) -> Array:
-    commands = np.asarray(batch.commands, dtype=np.float64)
+def _commands(given: Array, count: int) -> Array:
+    commands = np.asarray(given, dtype=np.float64)
     if commands.ndim not in (1, 2) or commands.shape[:-1] not in ((), (count,)) or commands.size == 0:
         raise ValueError(f"commands of {count} valves have shape (n) or ({count}, n), not {commands.shape}")
     if not np.all(np.isfinite(commands)):
@@ -297,26 +303,22 @@ def _commands(batch: Batch, count: int) -> Array:
     return commands
 
 
-def _ready(batch: Batch) -> Job:
-    from valve_control.simulation.normal import states_of
-
-    if batch.controller not in closed_loop.LAWS:
-        raise ValueError(
-            f"there is no controller '{batch.controller}'; there are {', '.join(closed_loop.LAWS)}"
-        )
-    law = closed_loop.LAWS[batch.controller]
+def _prepared(batch: Batch) -> Prepared:
+    if batch.controller not in LAWS:
+        raise ValueError(f"there is no controller '{batch.controller}'; there are {', '.join(LAWS)}")
+    law = LAWS[batch.controller].module
     seeds = np.asarray(batch.seeds)
     if seeds.ndim != 1 or len(seeds) == 0 or seeds.dtype.kind not in "iu" or np.any(seeds < 0):
         raise ValueError("seeds must be whole numbers, none below 0, one for each of at least one valve")
     seeds = seeds.astype(np.int64)
     count = len(seeds)
-    commands = _commands(batch, count)
+    commands = _commands(batch.commands, count)
+    led = commands if batch.led is None else _commands(batch.led, count)
+    if led.shape != commands.shape:
+        raise ValueError(f"commands have shape {commands.shape}, with their lead {led.shape}")
     samples = commands.shape[-1]
-    like = Lane(
-        Work(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, template(Tally), template(Motion), template(law.State)),
-        template(law.Params),
-        template(valve.Params),
-    )
+    states = (template(batch.measures.tally), template(Motion), template(law.State))
+    like = Lane(Work._make([*HANDED_OVER, *states]), template(law.Params), template(valve.Params))
     law_rows = _rows("law_params", batch.law_params, like.law, count)
     valve_rows = _rows("valve_params", batch.valve_params, like.valve, count)
     laws = law_rows.view(_dtype_of(like.law))[:, 0]
@@ -328,85 +330,70 @@ def _ready(batch: Batch) -> Job:
         if np.any(laws[name] != plants[name]):
             raise ValueError(f"{name} differs between law and valve")
     width = _dtype_of(like).itemsize // 8
-    return Job(
-        like,
-        width,
-        law,
-        law_rows,
-        valve_rows,
-        seeds,
-        states_of(seeds),
-        plants["lvdt"]["delay"],
-        commands.ravel(),
-        0 if commands.ndim == 1 else samples,
-        samples,
-        float(periods[0]),
+    return Prepared(
+        like=like,
+        width=width,
+        law=law,
+        measures=batch.measures,
+        law_rows=law_rows,
+        valve_rows=valve_rows,
+        seeds=seeds,
+        delays=plants["lvdt"]["delay"],
+        commands=commands.ravel(),
+        led=led.ravel(),
+        stride=0 if commands.ndim == 1 else samples,
+        samples=samples,
+        period=float(periods[0]),
     )
 
 
-def _run_lanes(job: Job, start: int, traces: Array) -> Array:
-    """Tallies of the valves from ``start`` on, at most LANES; the last one fills up a last block."""
-    valves = np.minimum(np.arange(start, start + LANES), len(job.seeds) - 1)
-    rows = np.concatenate([job.law_rows[valves], job.valve_rows[valves]], axis=1)
-    block = np.zeros((job.width, LANES))
-    block[job.width - rows.shape[1] :] = rows.T
-    _compiled(job.law)(
-        job.like,
-        block.ravel(),
-        job.words[valves],
-        np.empty((LANES, SPAN)),
-        job.commands,
-        job.stride,
-        valves,
-        np.zeros((LANES, int(np.max(job.delays[valves])) + 2, 2)),
-        job.samples - max(1, min(job.samples, round(2.0 / job.period) + 1)),
-        traces,
+def _run_lanes(ready: Prepared, start: int, traces: Array) -> Array:
+    """Tallies of up to LANES valves from ``start`` on; a block with fewer repeats the last valve."""
+    valves = np.minimum(np.arange(start, start + LANES), len(ready.seeds) - 1)
+    rows = np.concatenate([ready.law_rows[valves], ready.valve_rows[valves]], axis=1)
+    block = np.zeros((ready.width, LANES))
+    block[ready.width - rows.shape[1] :] = rows.T
+    from valve_control.simulation import noise
+
+    _compiled(ready.law, ready.measures)(
+        like=ready.like,
+        block=block.ravel(),
+        generators=noise.seeded(ready.seeds[valves]),
+        noise=np.empty((LANES, SPAN)),
+        commands=ready.commands,
+        led=ready.led,
+        stride=ready.stride,
+        valves=valves,
+        history=np.zeros((LANES, int(np.max(ready.delays[valves])) + 2, 2)),
+        last_begin=ready.samples - max(1, min(ready.samples, round(2.0 / ready.period) + 1)),
+        traces=traces,
     )
     at = Work._fields.index("tally")
-    return block[at : at + len(Tally._fields)].T[: len(job.seeds) - start]
+    return block[at : at + len(ready.measures.tally._fields)].T[: len(ready.seeds) - start]
 
 
-def _results(tallies: Array, samples: int) -> Results:
-    """Indices from sums."""
-    t = Tally(*tallies.T)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        finite = np.isfinite(t.e_squares + t.true_squares + t.u_squares)
-        u_rms = np.sqrt(t.u_squares / samples)
-        change = np.sqrt(t.change_squares / max(1, samples - 1))
-        numbers = (
-            t.e_max,
-            t.e_final,
-            np.sqrt(t.e_squares / samples),
-            u_rms,
-            np.where(u_rms == 0.0, 0.0, change / u_rms),
-            t.true_max,
-            np.sqrt(t.true_squares / samples),
-            t.saturated / samples,
-        )
-    return Results._make([*(np.where(finite, column, np.nan) for column in numbers), finite])
-
-
-def simulate(batch: Batch, threads: int | None = None, traces: Array | None = None) -> Results:
-    """Run every valve of ``batch`` on ``threads`` (all cores).
+def simulate(batch: Batch, threads: int | None = None, traces: Array | None = None) -> Any:
+    """Simulate every valve of ``batch`` on ``threads`` threads (default: all cores).
 
     ``traces`` (N×n×3) takes position, measurement and voltage [V] of each valve; without it memory does not
     grow with the length of a run. Ctrl-C ends it as soon as the blocks that are running are through. Raises
     ValueError for a batch that does not fit together.
     """
-    job = _ready(batch)
+    ready = _prepared(batch)
     if threads is not None and threads < 1:
         raise ValueError(f"threads is {threads}; it must be at least 1")
-    shape = (len(job.seeds), job.samples, 3)
+    shape = (len(ready.seeds), ready.samples, 3)
     if traces is None:
-        traces = np.empty((0, job.samples, 3))
+        traces = np.empty((0, ready.samples, 3))
     elif traces.shape != shape or traces.dtype != np.float64 or not traces.flags.c_contiguous:
         raise ValueError(f"traces must be a C-contiguous array of float64 with shape {shape}")
     # One sample in this thread, because Ctrl-C reaches no other: the first time it compiles for a while.
-    _run_lanes(job, 0, np.empty((0, 1, 3)))
+    with explained(f"the law '{batch.controller}' of the package {LAWS[batch.controller].package}"):
+        _run_lanes(ready, 0, np.empty((0, 1, 3)))
     pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
     try:
-        starts = range(0, len(job.seeds), LANES)
-        tallies = np.concatenate(list(pool.map(lambda start: _run_lanes(job, start, traces), starts)))
+        starts = range(0, len(ready.seeds), LANES)
+        tallies = np.concatenate(list(pool.map(lambda start: _run_lanes(ready, start, traces), starts)))
     finally:
         pool.shutdown(cancel_futures=True)
-    return _results(tallies, job.samples)
+    return batch.measures.results(tallies.T, ready.samples)

@@ -1,20 +1,26 @@
-"""A whole run offline: law, valve and command as the nodes run them, without middleware."""
+"""Simulates one whole run offline: law, valve and command as in the nodes, without middleware."""
 
-import warnings
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from valve_control import closed_loop
 from valve_control.analysis.indices import Indices, indices, rms
+from valve_control.analysis.limit_cycle import LimitCycle, limit_cycle
+from valve_control.compiling import explained
+from valve_control.laws import command_lead
+from valve_control.laws.law import Law
+from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
+from valve_control.parameter import ParameterError, Values, number, word
 from valve_control.parameters import build, stability
-from valve_control.parameters.table import ParameterError, Values
 from valve_control.plant import valve
-from valve_control.simulation import closed_loop, scenarios
 
 Array = npt.NDArray[np.float64]
+PROBES = (0.3, 1.0)  # V  steps with which a valve is tried
+PROBE = 1.0  # s  length of a trial, and how long a limit cycle has to be there at its end
+PROBE_END = 0.2  # s
 
 
 class Run(NamedTuple):
@@ -22,7 +28,7 @@ class Run(NamedTuple):
 
     controller: str
     period: float  # s
-    command: Array  # V
+    command: Array  # V, of the upper level
     position: Array  # V, true
     measurement: Array  # V
     voltage: Array  # V
@@ -30,6 +36,8 @@ class Run(NamedTuple):
     theta: list[float] | None  # θ̂ at the end, of laws that adapt
     indices: Indices  # error from the measurement, as in the paper
     true_error: dict[str, float]  # from the true position
+    saturated: float  # -  share of the samples at the limit of the voltage
+    limit_cycle: LimitCycle | None
     warning: str  # "" if none
 
     @property
@@ -38,54 +46,8 @@ class Run(NamedTuple):
         return np.arange(len(self.command), dtype=np.float64) * self.period
 
 
-def commands(values: Values) -> Array:
-    """Command [V] of each sample from the command source's values. Raises ParameterError."""
-    period = build.number(values, "sample_period")
-    n = max(1, round(build.number(values, "duration") / period))
-    if values["scenario"] == "array":
-        array = read_commands(build.word(values, "command_file"))
-        return np.concatenate([array[:n], np.full(max(0, n - len(array)), array[-1])])
-    shape = build.shape(values)
-    return np.array([scenarios.command(shape, k * period) for k in range(n)])
-
-
-def read_commands(path: str) -> Array:
-    """One column of commands [V] from a CSV or NPY file. Raises ParameterError."""
-    if not path:
-        raise ParameterError("scenario 'array' needs command_file, a CSV or NPY file")
-    try:
-        if Path(path).suffix == ".npy":
-            array: npt.NDArray[Any] = np.load(path, allow_pickle=False)
-        else:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # an empty file is refused below
-                array = np.loadtxt(path, delimiter=",", comments="#", ndmin=1)
-    except OSError as error:
-        raise ParameterError(f"command file {path} cannot be read: {error.strerror or error}") from error
-    except (ValueError, EOFError) as error:
-        reason = str(error).splitlines()[0].rstrip(".")
-        raise ParameterError(
-            f"command file {path} must hold one number a line (CSV) or a one-dimensional array (NPY): "
-            f"{reason}"
-        ) from error
-    try:
-        numbers: Array = np.asarray(array, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ParameterError(f"command file {path} must hold numbers, not {array.dtype}") from error
-    if numbers.ndim == 2 and 1 in numbers.shape:
-        numbers = numbers.ravel()
-    if numbers.ndim != 1 or numbers.size == 0:
-        raise ParameterError(
-            f"command file {path} must hold one column of numbers; its shape is {numbers.shape}"
-        )
-    if not np.all(np.isfinite(numbers)):
-        first = int(np.flatnonzero(~np.isfinite(numbers))[0])
-        raise ParameterError(f"command file {path} has {numbers[first]} in entry {first + 1}")
-    return numbers
-
-
 def check_agreement(controller_values: Values, valve_values: Values) -> None:
-    """Raise ParameterError unless controller and valve agree on sample period and limit of the voltage."""
+    """Raise ParameterError unless controller and valve have the same sample period and voltage limit."""
     for name in ("sample_period", "u_max"):
         if controller_values[name] != valve_values[name]:
             raise ParameterError(
@@ -101,33 +63,48 @@ def simulate(
     compiled: bool = True,
     noise_start: int = 0,
 ) -> Run:
-    """Run the loop over ``command`` [V], one entry per sample. Raises ParameterError.
+    """Simulate the loop over ``command`` [V], one entry per sample. Raises ParameterError.
 
     ``noise_start``: how many LVDT readings the simulator had already made when the controller joined.
     """
     check_agreement(controller_values, valve_values)
     if noise_start < 0:
         raise ParameterError(f"noise_start is {noise_start}; it must be 0 or more")
-    name = build.word(controller_values, "controller")
-    law = closed_loop.LAWS[name]
+    name = word(controller_values, "controller")
+    law = LAWS[name]
     law_params = build.law_params(controller_values)
     valve_params = build.valve_params(valve_values)
-    limit = build.number(controller_values, "command_limit")
+    limit = number(controller_values, "command_limit")
     command = np.clip(np.ascontiguousarray(command, dtype=np.float64), -limit, limit)
     period = valve_params.period
     n = len(command)
-    random = np.random.default_rng(int(build.number(valve_values, "seed")))
+    random = np.random.default_rng(int(number(valve_values, "seed")))
     noise = random.standard_normal(noise_start + n)[noise_start:]
     signals = np.zeros((n, len(closed_loop.SIGNALS)))
-    labels = closed_loop.term_labels(law)
+    labels = law.term_labels
     terms = np.zeros((n, len(labels)))
     valve_state = valve.initial(valve_params)
     first = valve.read(valve_params, valve_state, noise[0])
-    law_state = law.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
-    law_state, _ = closed_loop.loop_for(law, compiled)(
-        law_params, law_state, valve_params, valve_state, command, noise, signals, terms
-    )
+    law_state = law.module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
+    with explained(f"the law '{name}' of the package {law.package}"):
+        end = closed_loop.run_valve(
+            law.module,
+            closed_loop.parts(law_params, valve_params),
+            closed_loop.parts(law_state, valve_state),
+            command_lead.applied(command_lead.build(controller_values), command),
+            noise,
+            signals,
+            terms,
+            compiled,
+        )
     position, measurement, voltage = signals.T
+    least = number(controller_values, "oscillation_limit")
+    warnings_found = [
+        stability.warning(law, law_params),
+        stability.valve_warning(law, law_params, valve_params),
+    ]
+    if not warnings_found[1]:
+        warnings_found.append(_probe(law, law_params, valve_params, least, compiled))
     true_error = position - command
     return Run(
         controller=name,
@@ -137,8 +114,50 @@ def simulate(
         measurement=measurement,
         voltage=voltage,
         terms={label: terms[:, i] for i, label in enumerate(labels)},
-        theta=list(law_state.theta) if name in ("arc", "oarc") else None,
+        theta=list(end.law.theta) if law.adapts else None,
         indices=indices(measurement - command, voltage, period),
         true_error={"e_M": float(np.max(np.abs(true_error))), "e_rms": rms(true_error)},
-        warning=stability.warning(name, law, law_params),
+        saturated=float(np.mean(np.abs(voltage) >= valve_params.u_max)),
+        limit_cycle=limit_cycle(voltage, command, period, least, compiled),
+        warning="; ".join(filter(None, warnings_found)),
     )
+
+
+def _probe(law: Law, law_params: Any, plant: valve.Params, least: float, compiled: bool) -> str:
+    """One sentence if a step brings the loop around ``plant`` into a limit cycle, else "".
+
+    The poles know nothing of saturation, friction and adaptation, with which a loop that is stable for small
+    motions can go on for ever after a larger one. Tried without noise and drift.
+    """
+    if not law.feedback or least == 0.0:
+        return ""
+    quiet = plant._replace(
+        disturbance=plant.disturbance._replace(gain_drift=0.0, stiffness_drift=0.0),
+        lvdt=plant.lvdt._replace(noise=0.0),
+    )
+    n = round(PROBE / plant.period)
+    for height in PROBES:
+        signals = np.zeros((n, len(closed_loop.SIGNALS)))
+        command = np.full(n, height)
+        command[0] = 0.0
+        rest = valve.initial(quiet)
+        first = valve.read(quiet, rest, 0.0)
+        begun = law.module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
+        closed_loop.run_valve(
+            law.module,
+            closed_loop.parts(law_params, quiet),
+            closed_loop.parts(begun, rest),
+            command,
+            np.zeros(n),
+            signals,
+            np.zeros((0, len(law.term_labels))),
+            compiled,
+        )
+        cycle = limit_cycle(signals[:, 2], command, plant.period, least, compiled)
+        if cycle is not None and cycle.end > PROBE - PROBE_END:
+            return (
+                f"on this valve a step of {height:g} V brings {law.name} into a limit cycle at "
+                f"{cycle.frequency:.3g} Hz with {cycle.amplitude:.2g} V, although its poles at rest are "
+                "stable; lower the gains"
+            )
+    return ""

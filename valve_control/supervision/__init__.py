@@ -1,1 +1,1 @@
-"""What stands between a law and a machine: believable readings, timeouts, takeover, faults; no ROS."""
+"""Keeps a law safe on a machine: rejects bad readings, bridges gaps, switches off, swaps laws. No ROS."""

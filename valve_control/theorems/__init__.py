@@ -1,1 +1,1 @@
-"""Both theorems as experiments on thousands of random valves, and the sample period the print asks for."""
+"""Tests both theorems on thousands of random valves, and the sample period that the printed law needs."""

@@ -1,4 +1,4 @@
-"""Theorems 1 B and 2 B as an experiment: parametric uncertainty only (d̃ = 0), z1 goes to zero.
+"""Tests Theorems 1 B and 2 B: with parametric uncertainty only (d̃ = 0), z1 must go to zero.
 
 The valves lie inside the package's default ranges of θ, the estimates start at the paper's θ̂(0). In
 continuous time z1 → 0; in samples the held voltage is itself a disturbance of order ΔT. The estimates need
@@ -7,20 +7,21 @@ limit shows within seconds. ARC's velocity is the true one. ±U_MAX is wide, sin
 saturation.
 """
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from valve_control.laws import reshaping
+from valve_control import closed_loop
+from valve_control.laws import registry, reshaping
 from valve_control.laws.projection import Theta
 from valve_control.laws.signals import Start
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, defaults, updated
-from valve_control.simulation import closed_loop
+from valve_control.parameter import defaults, updated
+from valve_control.parameters.table import CONTROLLER
 from valve_control.theorems import bench, robust
-from valve_control.theorems.bench import Array, Motion, Plant, Progress
+from valve_control.theorems.bench import Array, Course, Motion, Plant, Progress, Spool, Wanted
 
 PERIODS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5)  # s
 DURATION = 30.0  # s
@@ -38,7 +39,7 @@ LAWS = ("arc", "oarc")
 
 
 class Cell(NamedTuple):
-    """All valves under one law, motion and sample period."""
+    """Results of all valves under one law, motion and sample period."""
 
     law: str
     motion: str
@@ -74,7 +75,7 @@ class Cell(NamedTuple):
 
 
 class Order(NamedTuple):
-    """What is left of z1 over ΔT."""
+    """How the error z1 that is left depends on ΔT."""
 
     law: str
     motion: str
@@ -83,8 +84,8 @@ class Order(NamedTuple):
     order: float  # -  slope of log residual over log ΔT
 
 
-class Study(NamedTuple):
-    """Theorems 1 B and 2 B on random valves."""
+class Experiment(NamedTuple):
+    """Results for Theorems 1 B and 2 B on random valves."""
 
     seed: int
     valves: int
@@ -111,60 +112,84 @@ def _rate(windows: Array) -> float:
 
 
 def draw(seed: int, number: int) -> Theta:
-    """Valve ``number`` of a seed: around (2), inside the default ranges."""
+    """Parameters of valve ``number`` of a seed: around (2), inside the default ranges."""
     rng = np.random.default_rng([seed, number])
     low, high = [20.0, 900.0, 1000.0, -600.0], [100.0, 2200.0, 2000.0, 600.0]
     return Theta(*(float(v) for v in rng.uniform(low, high)))
 
 
+class Valve(NamedTuple):
+    """A valve without friction and limits, at one sample period."""
+
+    step: Plant
+    truth: Theta
+
+
 given = law_step = bench.missing  # of robust.LAWS, put in by loop_for
 
 
+def driven(p: Any, s: Any, wanted: Wanted, spool: Spool, offset: float) -> Any:
+    """Step of the law, with the motion as its reference."""
+    s = given(p, s, reshaping.State(wanted.position, wanted.rate), spool.x1, spool.x2)
+    return law_step(p, s, wanted.command, spool.x1, offset)
+
+
+def moved(p: Valve, s: Spool, voltage: float) -> Spool:
+    """State of the valve one period later, exact."""
+    return bench.moved(p.step, s, p.truth.b0 * voltage + p.truth.b0dn)
+
+
+def saturations(p: float, count: float, now: closed_loop.Sample, spool: Spool) -> tuple[float, bool]:
+    """Count the samples at the limit of the voltage."""
+    return count + (1.0 if now.voltage != now.terms.unsaturated_voltage else 0.0), False
+
+
+def shown(spool: Spool, now: closed_loop.Sample) -> tuple[float, float, float, float, float]:
+    """Signals of a sample: the error z1 [V] and the estimates."""
+    return now.terms.z1, now.terms.a1, now.terms.a0, now.terms.b0, now.terms.b0dn
+
+
+class Outcome(NamedTuple):
+    """Results of one run."""
+
+    z1: Array  # V  largest |z1| of each window
+    theta: Array  # windows×4  θ̂ at the end of each
+    saturated: float  # -  share of the samples
+
+
+def loop_for(law: str, compiled: bool = True) -> Callable[..., Outcome]:
+    """``run_valve`` under ``law``, compiled or in plain Python."""
+    functions = {name: getattr(robust.LAWS[law], name) for name in ("given", "law_step")}
+    stepped = bench.loop_with(driven, functions, compiled)
+    loop = bench.loop_on_motion(stepped, saturations, moved, shown, compiled)
+    return functools.partial(run_valve, loop)
+
+
 def run_valve(
+    loop: Callable[..., Any],
     p: Any,
     s: Any,
     motion: Motion,
-    valve: Plant,
-    truth: Theta,
+    valve: Valve,
     x1: float,
-    samples: int,
+    windows: int,
     per_window: int,
-    z1_out: Array,
-    theta_out: Array,
-) -> float:
-    """Run one valve from rest at ``x1`` [V]; returns the share of samples in saturation.
-
-    ``z1_out`` (windows) takes the largest |z1| [V] of each window, ``theta_out`` (windows×4) θ̂ at its end.
-    """
-    x2 = 0.0
-    saturated = 0
-    for k in range(samples):
-        position, rate, accel = bench.reference(motion, k * p.period)
-        s = given(p, s, reshaping.State(position, rate), x1, x2)
-        command = bench.command_for(p.reshaping, position, rate, accel)
-        voltage, s, terms = law_step(p, s, command, x1, 0.0)
-        if voltage != terms.unsaturated_voltage:
-            saturated += 1
-        window = k // per_window
-        z1_out[window] = max(z1_out[window], abs(terms.z1))
-        for i in range(4):
-            theta_out[window, i] = s.theta[i]
-        force = truth.b0 * voltage + truth.b0dn
-        x1, x2 = (
-            valve.m11 * x1 + valve.m12 * x2 + valve.g1 * force,
-            valve.m21 * x1 + valve.m22 * x2 + valve.g2 * force,
-        )
-    return saturated / samples
-
-
-def loop_for(law: str, compiled: bool = True) -> Callable[..., Any]:
-    """``run_valve`` with the functions of ``law``, compiled or in plain Python."""
-    functions = {name: getattr(robust.LAWS[law], name) for name in ("given", "law_step")}
-    return bench.loop_with(run_valve, functions, compiled)
+) -> Outcome:
+    """Run one valve from rest at ``x1`` [V] for so many ``windows`` of ``per_window`` samples."""
+    samples = windows * per_window
+    seen = np.zeros((samples, 5))
+    parts = closed_loop.Parts(Course(motion, p.reshaping, p.period), p, valve, 0.0)
+    begin = closed_loop.Parts(0.0, s, Spool(x1, 0.0), 0.0)
+    numbers = np.arange(samples, dtype=np.float64)
+    end = loop(parts, begin, numbers, np.zeros(samples), seen, np.zeros((0, len(s))))
+    z1 = np.abs(seen[:, 0]).reshape(windows, per_window).max(axis=1)
+    # The estimates at the end of a window are those with which the next one begins.
+    theta = np.vstack([seen[per_window::per_window, 1:], end.law.theta])
+    return Outcome(z1, theta, float(end.measure / samples))
 
 
 class Task(NamedTuple):
-    """All valves of one cell."""
+    """Work for one process: all valves of one cell."""
 
     law: str
     motion: str
@@ -177,11 +202,11 @@ class Task(NamedTuple):
 def run_cell(task: Task) -> Cell:
     """Run all valves of one cell."""
     changes = {"sample_period": task.period, "u_max": U_MAX, f"{task.law}.gamma": GAMMA}
-    p: Any = build.LAW_PARAMS[task.law](updated(CONTROLLER, defaults(CONTROLLER), changes))
+    p: Any = registry.LAWS[task.law].build(updated(CONTROLLER, defaults(CONTROLLER), changes))
     p = p._replace(reshaping=bench.unlimited(task.period))
     if task.law == "arc":
         p = p._replace(velocity=bench.KEEPS_VELOCITY)
-    law = closed_loop.LAWS[task.law]
+    law = registry.LAWS[task.law].module
     motion = MOTIONS[task.motion]
     per_window = round(WINDOW / task.period)
     windows = max(1, round(task.duration / WINDOW))
@@ -196,35 +221,25 @@ def run_cell(task: Task) -> Cell:
         x1 = motion.start
         holding = (truth.a0 * x1 - truth.b0dn) / truth.b0
         s = law.initial(p, Start(x1, holding, x1, 0.0, 0.0))
-        saturated[i] = loop(
-            p,
-            s,
-            motion,
-            bench.plant(truth, task.period),
-            truth,
-            x1,
-            windows * per_window,
-            per_window,
-            z1[i],
-            theta[i],
-        )
+        outcome = loop(p, s, motion, Valve(bench.plant(truth, task.period), truth), x1, windows, per_window)
+        z1[i], saturated[i] = outcome.z1, outcome.saturated
         start[i] = np.subtract(p.theta_initial, truth) / width
-        theta[i] = (theta[i] - np.array(truth)) / width
+        theta[i] = (outcome.theta - np.array(truth)) / width
     distance = np.linalg.norm(theta, axis=2) / np.linalg.norm(start, axis=1)[:, None]
     return Cell(task.law, task.motion, task.period, z1, distance, np.abs(theta[:, -1]), saturated)
 
 
-def study(
+def experiment(
     valves: int = 40,
     seed: int = 1,
     laws: Sequence[str] = LAWS,
     motions: Sequence[str] = tuple(MOTIONS),
     periods: Sequence[float] = PERIODS,
     duration: float = DURATION,
-    jobs: int = 1,
+    processes: int = 1,
     progress: Progress | None = None,
-) -> Study:
-    """Theorems 1 B and 2 B on ``valves`` random valves per law, motion and sample period [s].
+) -> Experiment:
+    """Test Theorems 1 B and 2 B on ``valves`` random valves per law, motion and sample period [s].
 
     ``progress(done, all)`` counts cells.
     """
@@ -234,8 +249,8 @@ def study(
         for motion in motions
         for period in periods
     ]
-    if jobs > 1:
+    if processes > 1:
         for law in laws:
             run_cell(Task(law, motions[0], 1e-3, seed, 1, WINDOW))  # fills numba's cache
-    cells = bench.work(run_cell, tasks, jobs, progress)
-    return Study(seed, valves, duration, WINDOW, tuple(cells))
+    cells = bench.work(run_cell, tasks, processes, progress)
+    return Experiment(seed, valves, duration, WINDOW, tuple(cells))

@@ -1,17 +1,18 @@
-"""What the studies share: motions, the second-order plant of (17), its exact steps, work on all cores."""
+"""Holds what the experiments share: motions, exact steps of the plant (17), work on all cores."""
 
 import cmath
 import math
 import multiprocessing
 import types
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import scipy.integrate
 
+from valve_control import closed_loop, interrupts
 from valve_control.compiling import compile_function
 from valve_control.laws import reshaping, velocity
 from valve_control.laws.projection import Theta
@@ -26,7 +27,7 @@ WIDE = 1e12  # V/s and V/s²; limits of a reshaping that never limits
 
 
 def missing(*_: Any) -> Any:
-    """Stands for a function of a law in a loop; replaced before the loop runs."""
+    """Placeholder for a law's function in a loop; replaced before the loop runs."""
     raise NotImplementedError
 
 
@@ -65,10 +66,54 @@ def reference(m: Motion, time: float) -> tuple[float, float, float]:
     )
 
 
-def command_for(p: reshaping.Params, position: float, rate: float, accel: float) -> float:
-    """Command [V] for which (8) gives just this ``accel`` [V/s²]: the reshaping passes the motion on."""
+def command_for(p: reshaping.Params, position: Any, rate: Any, accel: Any) -> Any:
+    """Command [V] for which (8) gives just this ``accel`` [V/s²]: the reshaping passes the motion on.
+
+    Numbers, or arrays with an entry per sample.
+    """
     wn = p.natural_frequency
     return position + 2.0 * p.damping / wn * rate + accel / (wn * wn)
+
+
+class Course(NamedTuple):
+    """A motion in the form of a command source, for a law with this reshaping."""
+
+    motion: Motion
+    reshaping: reshaping.Params
+    period: float  # s
+
+
+class Wanted(NamedTuple):
+    """Reference at one sample, and the command that brings the law's reference there."""
+
+    time: float  # s
+    position: float  # V
+    rate: float  # V/s
+    command: float  # V
+
+
+class Spool(NamedTuple):
+    """State of the second-order valve."""
+
+    x1: float  # V
+    x2: float  # V/s
+
+
+def course(p: Course, state: float, number: float) -> tuple[Wanted, float]:
+    """Command source: the command of sample ``number``."""
+    time = number * p.period
+    position, rate, accel = reference(p.motion, time)
+    return Wanted(time, position, rate, command_for(p.reshaping, position, rate, accel)), state
+
+
+def read(p: Any, s: Spool, noise: float) -> Spool:
+    """Sensors that show position and velocity without error."""
+    return s
+
+
+def moved(p: Plant, s: Spool, force: float) -> Spool:
+    """State of the valve after one step with ``force`` [V/s²] held over it."""
+    return Spool(p.m11 * s.x1 + p.m12 * s.x2 + p.g1 * force, p.m21 * s.x1 + p.m22 * s.x2 + p.g2 * force)
 
 
 def unlimited(period: float) -> reshaping.Params:
@@ -104,6 +149,12 @@ def order(x: Array, y: Array) -> float:
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
+def quantile(values: Array, share: float) -> float:
+    """Quantile of the finite entries; NaN if there is none."""
+    known = values[np.isfinite(values)]
+    return float(np.quantile(known, share)) if len(known) else math.nan
+
+
 def loop_with(
     loop: Callable[..., Any], functions: Mapping[str, Callable[..., Any]], compiled: bool
 ) -> Callable[..., Any]:
@@ -114,13 +165,32 @@ def loop_with(
     return types.FunctionType(loop.__code__, {**loop.__globals__, **functions}, loop.__name__)
 
 
+def loop_on_motion(
+    law_step: Callable[..., Any],
+    measured: Callable[..., Any],
+    plant_step: Callable[..., Any],
+    shown: Callable[..., Any],
+    compiled: bool,
+) -> Callable[..., Any]:
+    """The closed loop on a ``Course``, made of these functions, with a valve that is read without error."""
+    functions: dict[str, Callable[..., Any]] = {
+        "next_command": course,
+        "read": read,
+        "law_step": law_step,
+        "measured": measured,
+        "plant_step": plant_step,
+        "shown": shown,
+    }
+    return closed_loop.build(functions, compiled)
+
+
 def work(
     function: Callable[[Task], Result],
     tasks: Sequence[Task],
-    jobs: int,
+    processes: int,
     progress: Progress | None = None,
 ) -> list[Result]:
-    """Results of all ``tasks`` in their order, in ``jobs`` processes, or here if that is 1."""
+    """Results of all ``tasks`` in their order, computed in ``processes`` processes, or here if that is 1."""
     results: dict[int, Result] = {}
 
     def done(index: int, result: Result) -> None:
@@ -128,11 +198,11 @@ def work(
         if progress is not None:
             progress(len(results), len(tasks))
 
-    if jobs <= 1:
+    if processes <= 1:
         for i, task in enumerate(tasks):
             done(i, function(task))
     else:
-        with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+        with interrupts.pool(processes, multiprocessing.get_context("spawn")) as pool:
             numbers: dict[Any, int] = {pool.submit(function, task): i for i, task in enumerate(tasks)}
             for future in as_completed(numbers):
                 done(numbers[future], future.result())

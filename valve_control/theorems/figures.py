@@ -1,4 +1,4 @@
-"""Figures of the studies, as PNG or SVG by the ending of the file."""
+"""Draws the results of the experiments as PNG or SVG files."""
 
 import io
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ import numpy as np
 
 from valve_control import outputs
 from valve_control.analysis.figures import COLOURS
-from valve_control.theorems import adaptive, robust, sampling
+from valve_control.theorems import adaptive, learning, loop, robust, sampling
 from valve_control.theorems.tables import percent
 
 PERIOD_AXIS = "sample period ΔT [ms]"
@@ -41,7 +41,7 @@ def _save(figure: Any, paths: Sequence[Path]) -> None:
 
 
 def draw_theorems(
-    paths: Sequence[Path], bound: robust.Study, error: adaptive.Study, sample_period: float = 1e-4
+    paths: Sequence[Path], bound: robust.Experiment, error: adaptive.Experiment, sample_period: float = 1e-4
 ) -> None:
     """Runs above the bound, sampling error, z1 over time at ``sample_period`` [s], z1 that is left.
 
@@ -100,5 +100,39 @@ def draw_sample_period(paths: Sequence[Path], limits: sampling.Limits) -> None:
     figure.suptitle(
         "OARC, gains of the paper, on model (3); dashed: sampled loop unstable from here", fontsize=10
     )
+    figure.tight_layout()
+    _save(figure, paths)
+
+
+def draw_dcarc(paths: Sequence[Path], study: loop.Study, learned: learning.Experiment) -> None:
+    """Unstable valves over the size of their box, poles over small-gain bound, error over speed of learning.
+
+    Raises OSError if a path cannot be written.
+    """
+    figure, (broken, bound, speed) = _new(3, 15.0)
+    for i, name in enumerate(dict.fromkeys(c.gains for c in study.cells)):
+        cells = [c for c in study.cells if (c.gains, c.box) == (name, "wide")]
+        for theta, line in (("learned", "o-"), ("worst", "o:")):
+            share = [percent(c.unstable(theta), study.valves) for c in cells]
+            text = f"{name}, θ1 {'learned' if theta == 'learned' else 'any'}"
+            broken.plot([c.scale for c in cells], share, line, color=COLOURS[i], label=text)
+        cell = cells[len(cells) // 2]
+        text = f"{name}, {cell.scale:g} times"
+        bound.plot(cell.bound, cell.learned, ".", ms=3, color=COLOURS[i], label=text)
+    broken.set(xlabel="size of the wide box of valves", ylabel="unstable valves [%]")
+    bound.axhline(1.0, color="k", lw=0.8)
+    bound.axvline(1.0, color="k", lw=0.8)
+    bound.set(xscale="log", xlabel="small-gain bound, below 1: proven", ylabel="largest modulus of the poles")
+    for i, kind in enumerate(dict.fromkeys(c.kind for c in learned.cells)):
+        chosen = [c for c in learned.cells if c.kind == kind]
+        noises = [c.noise for c in chosen]
+        for what, line in ((np.median, "o-"), (np.max, "o:")):
+            text = f"{kind}, {'median' if what is np.median else 'worst'}"
+            speed.loglog(noises, [what(c.ratio) for c in chosen], line, color=COLOURS[i], label=text)
+    speed.axhline(1.0, color="k", lw=0.8)
+    speed.set(xlabel="fit_noise over the shipped one (left: fast)", ylabel="error over that without learning")
+    for axis in (broken, bound, speed):
+        axis.grid(True, alpha=0.3)
+        axis.legend(fontsize=8)
     figure.tight_layout()
     _save(figure, paths)

@@ -1,4 +1,4 @@
-"""Theorems 1 A and 2 A as an experiment: V2 against (25) and (52) on random valves.
+"""Tests Theorems 1 A and 2 A on random valves: V2 must stay below its bound, (25) or (52).
 
 Each case is a second-order valve inside its assumed ranges, a motion, a bounded disturbance d̃ and a start.
 Every law meets the same cases at every sample period. The laws' own ``step`` runs; the reshaping passes
@@ -17,13 +17,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from valve_control.laws import arc, guarantee, oarc, reshaping, velocity
+from valve_control import closed_loop
+from valve_control.laws import arc, lyapunov_bound, oarc, registry, reshaping, velocity
 from valve_control.laws.projection import Theta, span
 from valve_control.laws.signals import Start
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, defaults, updated
+from valve_control.parameter import defaults, updated
+from valve_control.parameters.table import CONTROLLER
 from valve_control.theorems import bench
-from valve_control.theorems.bench import Array, Motion, Plant, Progress
+from valve_control.theorems.bench import Array, Course, Motion, Plant, Progress, Spool, Wanted
 
 PERIODS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5)  # s
 SUBSTEP = 2e-5  # s
@@ -37,7 +38,7 @@ CHUNK = 250  # valves in one task
 
 
 class Push(NamedTuple):
-    """Disturbance d̃ with |d̃| <= size."""
+    """A disturbance d̃ with |d̃| <= size."""
 
     kind: float  # index into KINDS
     size: float  # V/s²  δ_d
@@ -46,7 +47,7 @@ class Push(NamedTuple):
 
 
 class Case(NamedTuple):
-    """One valve with everything that happens to it."""
+    """One valve with motion, disturbance and start."""
 
     truth: Theta  # θ
     lower: Theta  # θmin
@@ -62,7 +63,7 @@ class Case(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Numbers of one run; what a run that saturated never came to is NaN."""
+    """Results of one run, one row of an array of floats; NaN for what a run that saturated did not reach."""
 
     ratio: float  # -   largest V2 over its bound, after the first sample
     settled: float  # -   the same once the bound has forgotten V2(0), after SETTLED
@@ -74,7 +75,7 @@ class Outcome(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """All runs of one law at one sample period; arrays have an entry per valve."""
+    """Results of all runs of one law at one sample period; arrays have an entry per valve."""
 
     law: str
     period: float  # s
@@ -125,8 +126,7 @@ class Cell(NamedTuple):
 
     def quantile(self, share: float) -> float:
         """Margin V2/bound that ``share`` of the checked runs stay below; NaN if there is none."""
-        known = self.ratio[np.isfinite(self.ratio)]
-        return float(np.quantile(known, share)) if len(known) else math.nan
+        return bench.quantile(self.ratio, share)
 
 
 def largest(values: Array) -> float:
@@ -144,8 +144,8 @@ class Scaling(NamedTuple):
     order: float  # -  slope of log shift over log ΔT
 
 
-class Study(NamedTuple):
-    """Theorems 1 A and 2 A on random valves."""
+class Experiment(NamedTuple):
+    """Results for Theorems 1 A and 2 A on random valves."""
 
     seed: int
     valves: int
@@ -233,7 +233,7 @@ def disturbance(push: Push, levels: Array, time: float, direction: float) -> flo
 @functools.cache
 def _scaled(law: str, period: float) -> Any:
     changes = {"sample_period": period, "u_max": U_MAX, f"{law}.robust_term": "quadratic"}
-    p: Any = build.LAW_PARAMS[law](updated(CONTROLLER, defaults(CONTROLLER), changes))
+    p: Any = registry.LAWS[law].build(updated(CONTROLLER, defaults(CONTROLLER), changes))
     return p._replace(reshaping=bench.unlimited(period))
 
 
@@ -351,7 +351,7 @@ def oarc_gain(terms: oarc.Terms, b0: float) -> float:
 
 
 class Law(NamedTuple):
-    """One law as the experiment needs it; the fields but ``text`` and ``case`` stand in ``run_valve``."""
+    """What the experiment needs of one law; all fields but ``text`` and ``case`` go into ``run_valve``."""
 
     text: str
     case: Callable[[Case, float], tuple[Any, Any, float, float]]
@@ -364,14 +364,14 @@ class Law(NamedTuple):
 
 
 _ARC = Law(
-    "ARC, true velocity",
-    functools.partial(arc_case, filtered=False),
-    arc.step,
-    arc_given,
-    arc_lyapunov,
-    arc_direction,
-    arc_growth,
-    arc_gain,
+    text="ARC, true velocity",
+    case=functools.partial(arc_case, filtered=False),
+    law_step=arc.step,
+    given=arc_given,
+    lyapunov=arc_lyapunov,
+    direction=arc_direction,
+    growth=arc_growth,
+    gain=arc_gain,
 )
 LAWS = {
     "arc": _ARC,
@@ -380,14 +380,14 @@ LAWS = {
         case=functools.partial(arc_case, filtered=True),
     ),
     "oarc": Law(
-        "OARC",
-        oarc_case,
-        oarc.step,
-        oarc_given,
-        oarc_lyapunov,
-        oarc_direction,
-        oarc_growth,
-        oarc_gain,
+        text="OARC",
+        case=oarc_case,
+        law_step=oarc.step,
+        given=oarc_given,
+        lyapunov=oarc_lyapunov,
+        direction=oarc_direction,
+        growth=oarc_growth,
+        gain=oarc_gain,
     ),
 }
 SWITCHED = Law._fields[2:]
@@ -396,77 +396,130 @@ SWITCHED = Law._fields[2:]
 law_step = given = lyapunov = direction = growth = gain = bench.missing  # of a Law, put in by loop_for
 
 
-def run_valve(
-    p: Any,
-    s: Any,
-    motion: Motion,
-    push: Push,
-    levels: Array,
-    valve: Plant,
-    b0: float,
-    b0dn: float,
-    x1: float,
-    x2: float,
-    samples: int,
-    substeps: int,
-) -> Outcome:
-    """Run one case to its end, or until the voltage saturates.
+class Valve(NamedTuple):
+    """A valve with its disturbance."""
 
-    ``b0`` [1/s²] and ``b0dn`` [V/s²]: of the true valve; ``x1`` [V], ``x2`` [V/s]: its start;
-    ``valve``: its exact step over one of ``substeps`` parts of a period.
-    """
-    period = p.period
+    step: Plant  # over one of ``substeps`` parts of a period
+    part: float  # s
+    substeps: int
+    b0: float  # 1/s²
+    b0dn: float  # V/s²
+    push: Push
+    levels: Array
+
+
+def valve_of(case: Case, period: float) -> Valve:
+    """The valve of ``case`` for a sample ``period`` [s], over which its disturbance changes every SUBSTEP."""
+    substeps = max(1, round(period / SUBSTEP))
     part = period / substeps
-    allowed = growth(p)
-    before = bound = peak = saturated = 0.0
-    ratio = settled = time = excess = loop_gain = math.nan
-    for k in range(samples):
-        now = k * period
-        position, rate, accel = bench.reference(motion, now)
-        s = given(p, s, reshaping.State(position, rate), x1, x2)
-        command = bench.command_for(p.reshaping, position, rate, accel)
-        voltage, s, terms = law_step(p, s, command, x1, 0.0)
-        v2 = lyapunov(p, terms, x2)
-        if k == 0:
-            bound = v2
-        else:
-            bound = guarantee.advance(p.guarantee, bound, allowed, True)
-            if not v2 <= ratio * bound:
-                ratio, time = v2 / bound, now
-            if now > SETTLED and not v2 <= settled * bound:
-                settled = v2 / bound
-            beyond = v2 - guarantee.advance(p.guarantee, before, allowed, True)
-            beyond /= p.guarantee.gain * allowed
-            if not beyond <= excess:
-                excess = beyond
-        before = v2
-        peak = max(peak, abs(terms.unsaturated_voltage))
-        if voltage != terms.unsaturated_voltage:
-            saturated = 1.0
-            break
-        gained = gain(terms, b0) * period
+    truth = case.truth
+    return Valve(bench.plant(truth, part), part, substeps, truth.b0, truth.b0dn, case.push, case.levels)
+
+
+class Given(NamedTuple):
+    """Output of the law's step: voltage, and the direction in which a disturbance does most harm."""
+
+    voltage: float  # V
+    towards: float
+    time: float  # s
+
+
+class Watch(NamedTuple):
+    """Parameters with which V2 is compared with its bound."""
+
+    law: Any  # Params
+    b0: float  # 1/s²  of the true valve
+
+
+class Seen(NamedTuple):
+    """V2 and its bound until now, and what was found."""
+
+    first: bool  # before the first sample
+    before: float  # V2 at the sample before
+    bound: float
+    outcome: Outcome
+
+
+def driven(p: Any, s: Any, wanted: Wanted, spool: Spool, offset: float) -> Any:
+    """Step of the law, with the motion as its reference."""
+    s = given(p, s, reshaping.State(wanted.position, wanted.rate), spool.x1, spool.x2)
+    voltage, s, terms = law_step(p, s, wanted.command, spool.x1, offset)
+    return Given(voltage, direction(p, terms), wanted.time), s, terms
+
+
+def pushed(p: Valve, s: Spool, now: Given) -> Spool:
+    """State of the valve one period later, under its disturbance."""
+    for i in range(p.substeps):
+        push = disturbance(p.push, p.levels, now.time + i * p.part, now.towards)
+        s = bench.moved(p.step, s, p.b0 * now.voltage + p.b0dn + push)
+    return s
+
+
+def watched(p: Watch, s: Seen, now: closed_loop.Sample, spool: Spool) -> tuple[Seen, bool]:
+    """Compare V2 with its bound; a run ends where the voltage saturates."""
+    o, terms = s.outcome, now.terms
+    ratio, settled, time, excess, loop_gain = o.ratio, o.settled, o.time, o.excess, o.loop_gain
+    allowed = growth(p.law)
+    v2 = lyapunov(p.law, terms, spool.x2)
+    bound = v2
+    if not s.first:
+        bound = lyapunov_bound.advance(p.law.lyapunov_bound, s.bound, allowed, True)
+        if not v2 <= ratio * bound:
+            ratio, time = v2 / bound, now.voltage.time
+        if now.voltage.time > SETTLED and not v2 <= settled * bound:
+            settled = v2 / bound
+        beyond = v2 - lyapunov_bound.advance(p.law.lyapunov_bound, s.before, allowed, True)
+        beyond /= p.law.lyapunov_bound.gain * allowed
+        if not beyond <= excess:
+            excess = beyond
+    peak = max(o.peak, abs(terms.unsaturated_voltage))
+    over = now.voltage.voltage != terms.unsaturated_voltage
+    if not over:
+        gained = gain(terms, p.b0) * p.law.period
         if not gained <= loop_gain:
             loop_gain = gained
-        towards = direction(p, terms)
-        for i in range(substeps):
-            force = b0 * voltage + b0dn + disturbance(push, levels, now + i * part, towards)
-            x1, x2 = (
-                valve.m11 * x1 + valve.m12 * x2 + valve.g1 * force,
-                valve.m21 * x1 + valve.m22 * x2 + valve.g2 * force,
-            )
-    return Outcome(ratio, settled, time, excess, loop_gain, peak, saturated)
+    outcome = Outcome(ratio, settled, time, excess, loop_gain, peak, 1.0 if over else 0.0)
+    return Seen(False, v2, bound, outcome), over
 
 
-def loop_for(law: str, compiled: bool = True) -> Callable[..., Any]:
-    """``run_valve`` with the functions of ``law``, compiled or in plain Python.
+def nothing(spool: Spool, now: closed_loop.Sample) -> tuple[float]:
+    """Empty row: no signal is recorded."""
+    return (0.0,)
+
+
+def loop_for(law: str, compiled: bool = True) -> Callable[..., Outcome]:
+    """``run_valve`` under ``law``, compiled or in plain Python.
 
     Laws that share their types must share their functions too: numba's cache goes by the types.
     """
-    return bench.loop_with(run_valve, {name: getattr(LAWS[law], name) for name in SWITCHED}, compiled)
+    functions = {name: getattr(LAWS[law], name) for name in SWITCHED}
+    stepped = bench.loop_with(driven, functions, compiled)
+    measured = bench.loop_with(watched, functions, compiled)
+    loop = bench.loop_on_motion(stepped, measured, pushed, nothing, compiled)
+    return functools.partial(run_valve, loop)
+
+
+def run_valve(
+    loop: Callable[..., Any],
+    p: Any,
+    s: Any,
+    motion: Motion,
+    valve: Valve,
+    spool: Spool,
+    samples: int,
+) -> Outcome:
+    """Run one case for so many ``samples``, or until the voltage saturates; ``spool``: where it starts."""
+    parts = closed_loop.Parts(Course(motion, p.reshaping, p.period), p, valve, Watch(p, valve.b0))
+    none = Outcome(math.nan, math.nan, math.nan, math.nan, math.nan, 0.0, 0.0)
+    begin = closed_loop.Parts(0.0, s, spool, Seen(True, 0.0, 0.0, none))
+    numbers = np.arange(samples, dtype=np.float64)
+    end = loop(parts, begin, numbers, numbers, np.zeros((samples, 1)), np.zeros((0, len(s))))
+    outcome: Outcome = end.measure.outcome
+    return outcome
 
 
 class Task(NamedTuple):
-    """A block of cases of one law at one sample period."""
+    """Work for one process: a block of cases of one law at one sample period."""
 
     law: str
     period: float  # s
@@ -477,42 +530,27 @@ class Task(NamedTuple):
 
 
 def run_block(task: Task) -> Array:
-    """Outcomes of a block of cases, one a row."""
+    """Run a block of cases; returns their outcomes, one a row."""
     loop = loop_for(task.law)
-    substeps = max(1, round(task.period / SUBSTEP))
+    samples = round(task.duration / task.period)
     rows = []
     for number in range(task.first, task.first + task.valves):
         case = draw(task.seed, number)
         p, s, x1, x2 = LAWS[task.law].case(case, task.period)
-        rows.append(
-            loop(
-                p,
-                s,
-                case.motion,
-                case.push,
-                case.levels,
-                bench.plant(case.truth, task.period / substeps),
-                case.truth.b0,
-                case.truth.b0dn,
-                x1,
-                x2,
-                round(task.duration / task.period),
-                substeps,
-            )
-        )
+        rows.append(loop(p, s, case.motion, valve_of(case, task.period), Spool(x1, x2), samples))
     return np.array(rows)
 
 
-def study(
+def experiment(
     valves: int = 2000,
     seed: int = 1,
     laws: Sequence[str] = tuple(LAWS),
     periods: Sequence[float] = PERIODS,
     duration: float = DURATION,
-    jobs: int = 1,
+    processes: int = 1,
     progress: Progress | None = None,
-) -> Study:
-    """Theorems 1 A and 2 A on ``valves`` random valves per law and sample period [s].
+) -> Experiment:
+    """Test Theorems 1 A and 2 A on ``valves`` random valves per law and sample period [s].
 
     ``progress(done, all)`` counts blocks of runs.
     """
@@ -523,14 +561,14 @@ def study(
         for period in periods
         for first in firsts
     ]
-    if jobs > 1:
+    if processes > 1:
         for law in laws:
             run_block(Task(law, periods[0], seed, 0, 1, periods[0]))  # fills numba's cache for all processes
-    blocks = bench.work(run_block, tasks, jobs, progress)
+    blocks = bench.work(run_block, tasks, processes, progress)
     kinds = np.arange(valves, dtype=np.float64) % len(KINDS)
     adaptation = np.array([draw(seed, number).adaptation for number in range(valves)])
     cells = []
     for i in range(0, len(tasks), len(firsts)):
         rows = np.concatenate(blocks[i : i + len(firsts)])
         cells.append(Cell(tasks[i].law, tasks[i].period, kinds, adaptation, *rows.T))
-    return Study(seed, valves, duration, tuple(cells))
+    return Experiment(seed, valves, duration, tuple(cells))

@@ -1,4 +1,4 @@
-"""How short a sample period the output feedback law needs, over the weight ρ of z2 (ρ = 1 is the print)."""
+"""Finds how short the sample period of OARC must be, for several weights ρ of z2 (ρ = 1 is the print)."""
 
 import itertools
 import math
@@ -9,8 +9,9 @@ import numpy as np
 import scipy.optimize
 
 from valve_control.laws import oarc
+from valve_control.parameter import Values, defaults, number, updated
 from valve_control.parameters import build, stability
-from valve_control.parameters.table import NODES, Values, defaults, updated
+from valve_control.parameters.table import NODES
 from valve_control.simulation import offline
 from valve_control.theorems import bench
 from valve_control.theorems.bench import Array, Progress
@@ -22,7 +23,7 @@ CHATTER = 1.5  # c_u over that of the weight that chatters least, at the same Δ
 
 
 class Line(NamedTuple):
-    """OARC with one weight over the sample period; arrays have an entry per ΔT."""
+    """Results of OARC with one weight over the sample period; arrays have an entry per ΔT."""
 
     weight: float  # 1/s²  ρ
     periods: Array  # s
@@ -34,7 +35,7 @@ class Line(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """All weights on one valve and one command."""
+    """Results of all weights on one valve and one command."""
 
     valve: str
     duration: float  # s
@@ -52,7 +53,7 @@ class Limits(NamedTuple):
 
 
 class Task(NamedTuple):
-    """One run."""
+    """Work for one process: one run."""
 
     weight: float  # 1/s²
     period: float  # s
@@ -72,9 +73,9 @@ def critical_period(weight: float, gain: float = 1.0) -> float:
     """
 
     def excess(period: float) -> float:
-        p = build.oarc_params(_controller(weight, period))
+        p = oarc.build(_controller(weight, period))
         a1, a0, b0, _ = p.theta_initial
-        return stability.spectral_radius(oarc, p, (a1, a0, gain * b0)) - 1.0
+        return stability.spectral_radius(oarc.LAW, p, (a1, a0, gain * b0)) - 1.0
 
     grid = np.geomspace(PERIODS[0], LONGEST, 25)
     for before, after in itertools.pairwise(grid.tolist()):
@@ -93,8 +94,8 @@ def run_one(task: Task) -> tuple[float, float, float]:
         NODES["command_source"], defaults(NODES["command_source"]), {"duration": task.duration, **setting}
     )
     controller = _controller(task.weight, task.period)
-    run = offline.simulate(controller, valve, offline.commands(source))
-    saturated = float(np.mean(np.abs(run.voltage) >= build.number(controller, "u_max")))
+    run = offline.simulate(controller, valve, build.commands(source))
+    saturated = float(np.mean(np.abs(run.voltage) >= number(controller, "u_max")))
     return run.indices.c_u, run.indices.e_rms, saturated
 
 
@@ -103,15 +104,15 @@ def sample_period_limit(
     periods: Sequence[float] = PERIODS,
     valve: str = "fourth_order",
     duration: float = 6.0,
-    jobs: int = 1,
+    processes: int = 1,
     progress: Progress | None = None,
 ) -> Limits:
-    """OARC with the paper's gains on the smooth trajectory of Fig. 5, each weight ρ at each ΔT [s].
+    """Simulate OARC with the paper's gains on the trajectory of Fig. 5, each weight ρ at each ΔT [s].
 
     ``progress(done, all)`` counts runs.
     """
     tasks = [Task(weight, period, valve, duration) for weight in weights for period in periods]
-    rows = np.array(bench.work(run_one, tasks, jobs, progress)).reshape(len(weights), len(periods), 3)
+    rows = np.array(bench.work(run_one, tasks, processes, progress)).reshape(len(weights), len(periods), 3)
     lines = [
         Line(
             weight,

@@ -1,0 +1,73 @@
+"""Whether two versions of the package compute the same numbers, bit for bit.
+
+python -m benchmarks.same before.json [BAG ...]      in one version: write what it computes
+python -m benchmarks.same before.json [BAG ...]      in the other: compare with what the first wrote
+"""
+
+import hashlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+LAWS = ("arc", "oarc", "pid", "compensator", "open_loop")
+CONFIG = Path(__file__).resolve().parents[1] / "config"
+VALVE = ("--params-file", str(CONFIG / "d3fxe.yaml"))
+
+
+def commands(bags: list[str]) -> dict[str, tuple[str, ...]]:
+    """Commands whose whole JSON output is compared, by a name of each."""
+    made: dict[str, tuple[str, ...]] = {}
+    for law in LAWS:
+        made[f"simulate {law}"] = ("simulate", "--controller", law, *VALVE)
+        sine = ("--scenario", "sine", "--set", "frequency=3.0", "--set", "lvdt.delay=0.0013", "--seed", "7")
+        made[f"simulate {law} sine"] = ("simulate", "--controller", law, *VALVE, *sine)
+        made[f"study {law}"] = ("study", "--controller", law, "--valves", "64", "--folder", "FOLDER")
+    for law in ("arc", "oarc"):
+        quadratic = ("--set", f"{law}.robust_term=quadratic")
+        made[f"simulate {law} quadratic"] = ("simulate", "--controller", law, *VALVE, *quadratic)
+    made["compare"] = ("compare", *VALVE)
+    made["identify"] = ("identify", *VALVE)
+    made["theorems"] = ("theorems", "--valves", "200", "--adaptive-valves", "4")
+    made["calibrate"] = (
+        "calibrate", "paper", "--evaluations", "300", "--set", "duration=6.0", "--search-seed", "1",
+    )  # fmt: skip
+    for bag in bags:
+        made[f"shadow {Path(bag).name}"] = ("replay", bag, "--mode", "shadow")
+    return made
+
+
+def without_times(value: object) -> object:
+    """``value`` without what a clock or a folder put there."""
+    if isinstance(value, dict):
+        return {k: without_times(v) for k, v in value.items() if k not in ("seconds", "folder", "version")}
+    return [without_times(v) for v in value] if isinstance(value, list) else value
+
+
+def main() -> int:
+    """Write or compare; 1 if something differs."""
+    path, bags = Path(sys.argv[1]), sys.argv[2:]
+    before = json.loads(path.read_text()) if path.exists() else None
+    found: dict[str, str] = {}
+    for name, arguments in commands(bags).items():
+        folder = path.with_name(f"{path.stem}_{hashlib.sha256(name.encode()).hexdigest()[:8]}_{len(found)}")
+        filled = [str(folder) if a == "FOLDER" else a for a in arguments]
+        run = [sys.executable, "-m", "valve_control.cli", *filled, "--json", "-"]
+        done = subprocess.run(run, capture_output=True, text=True, check=False)
+        if not done.stdout:
+            found[name] = f"status {done.returncode}: {done.stderr[-300:]}"
+        else:
+            found[name] = json.dumps(without_times(json.loads(done.stdout)), sort_keys=True)
+        if folder.exists():
+            subprocess.run(["rm", "-r", str(folder)], check=True)
+        same = "" if before is None else ("same" if before.get(name) == found[name] else "DIFFERS")
+        print(f"{name:28} {hashlib.sha256(found[name].encode()).hexdigest()[:12]} {same}", flush=True)
+    if before is None:
+        path.write_text(json.dumps(found, indent=1) + "\n")
+        print(f"wrote {path}")
+        return 0
+    return 0 if before == found else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,38 @@
+"""An upper level of a few lines: a command for each reading."""
+
+import signal
+import threading
+
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64
+
+
+class AxisController(Node):
+    """Publishes `spool_command`, paced by `spool_position`."""
+
+    def __init__(self) -> None:
+        super().__init__("axis_controller")
+        self.command = self.create_publisher(Float64, "spool_command", 10)
+        self.create_subscription(Float64, "spool_position", self.on_reading, 10)
+
+    def on_reading(self, reading: Float64) -> None:
+        """One command [V] for each reading [V]."""
+        self.command.publish(Float64(data=1.0 - 0.2 * reading.data))
+
+
+def main() -> None:
+    """Run until SIGINT or SIGTERM; no exception comes into the middle of a callback."""
+    stopped = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stopped.set())
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = AxisController()
+    while not stopped.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+    rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""A law of another package for valve_control."""

@@ -1,0 +1,127 @@
+"""The cascade of an axis: same bits compiled or not and alone or in a batch, its course, its upper level."""
+
+import numpy as np
+import pytest
+
+from valve_control.axis import run
+from valve_control.cli import main
+from valve_control.motion import axis_pid, course
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters.axis import AXIS_NODES
+from valve_control.plant.machine import Reading
+
+
+def settings(controller="open_loop", **changes):
+    """Settings by node; names with __ for a dot, given to every node that has them."""
+    result = run.default_settings()
+    for name, value in {"controller": controller, **changes}.items():
+        dotted = name.replace("__", ".")
+        owners = [node for node, table in AXIS_NODES.items() if any(p.name == dotted for p in table)]
+        assert owners, dotted
+        for node in owners:
+            result[node] = updated(AXIS_NODES[node], result[node], {dotted: value})
+    return result
+
+
+NOISY = {
+    "position__noise": 1e-5,
+    "position__resolution": 5e-6,
+    "position__delay": 0.0015,
+    "pressure__noise": 1e4,
+    "pressure__delay": 0.001,
+    "load__coulomb": 100.0,
+    "lvdt__noise": 0.005,
+}
+
+
+def test_plain_python_and_batches_give_the_bits_of_a_compiled_run():
+    made = run.setup(settings(**NOISY, duration=1.5, pause=0.1, back=False))
+    one = run.simulate(made)
+    plain = run.simulate(made._replace(goals=made.goals[:500]), compiled=False)
+    for name, signal in plain.signals.items():
+        assert np.array_equal(signal, one.signals[name][:500]), name
+    others = [made._replace(seed=seed) for seed in (5, 1, 7)]
+    assert run.simulate_many(others, threads=2)[1] == one.indices
+    assert run.simulate(made).indices == one.indices  # a run leaves nothing behind
+    assert one.indices.e_rms > 0.0 and one.indices.chatter > 0.0
+
+
+def test_an_ideal_valve_follows_its_course_and_settles_within_its_overlap():
+    """Velocity feedforward by the formula of docs/axis.md leaves 1 % of the motion, less at rest."""
+    valve = {"valve": "custom", "numerator": [3.95e5], "denominator": [1.0, 880.0, 3.95e5]}
+    ideal = settings(**valve, open_loop__static_gain=1.0, duration=3.0, pause=0.2)
+    ideal["axis_controller"]["back"] = False
+    made = run.setup(ideal)
+    found = run.simulate(made)
+    assert np.ptp(found.signals["goal"]) == pytest.approx(0.1)
+    assert found.indices.e_max < 0.001
+    assert found.indices.e_end < 0.0005
+
+
+@pytest.mark.parametrize("goals", [[0.3], [0.3, 0.1], [0.2001]])
+def test_courses_keep_their_limits_and_end_at_rest(goals):
+    limits = course.Limits(0.25, 2.0, 40.0)
+    rows = course.point_to_point(0.2, goals, 0.1, limits, 0.001, 3.0)
+    x, v, a = rows.T
+    assert x[0] == 0.2 and x[-1] == pytest.approx(goals[-1], abs=1e-12) and v[-1] == a[-1] == 0.0
+    assert np.max(np.abs(v)) <= 0.25 + 1e-9 and np.max(np.abs(a)) <= 2.0 + 1e-9
+    assert np.max(np.abs(np.diff(a))) <= 40.0 * 0.001 + 1e-9
+    assert np.max(np.abs(np.diff(x) - 0.0005 * (v[1:] + v[:-1]))) < 40.0 * 0.001**3
+    with pytest.raises(ParameterError, match=r"the motion to .* ends at"):
+        course.point_to_point(0.2, goals, 2.99, limits, 0.001, 3.0)
+
+
+def test_a_sine_begins_at_rest_and_its_derivatives_are_its_derivatives():
+    x, v, a = course.sine(0.2, 0.05, 2.0, 1e-4, 2.0).T
+    assert x[0] == 0.2 and v[0] == a[0] == 0.0
+    assert np.max(np.abs(np.gradient(x, 1e-4)[1:-1] - v[1:-1])) < 1e-5
+    assert np.max(np.abs(np.gradient(v, 1e-4)[1:-1] - a[1:-1])) < 1e-3
+    assert np.max(np.abs(x - 0.2)) == pytest.approx(0.05, rel=1e-3)
+
+
+def test_the_upper_level_makes_a_velocity_and_jumps_the_overlap():
+    values = updated(
+        AXIS_NODES["axis_controller"],
+        defaults(AXIS_NODES["axis_controller"]),
+        {"kp": 10.0, "gain_out": 0.1, "gain_in": 0.05, "overlap": 0.3},
+    )
+    p = axis_pid.build(values, 1.0, 1.0)
+
+    def command(position, goal, velocity=0.0):
+        reading = Reading(0.0, position, 0.0, 0.0)
+        return axis_pid.step(p, axis_pid.initial(p), course.Goal(goal, velocity, 0.0), reading)[0]
+
+    assert command(0.1, 0.1) == 0.0
+    assert command(0.1, 0.11) == pytest.approx(0.1 / 0.1 + 0.3)
+    assert command(0.11, 0.1) == pytest.approx(-0.1 / 0.05 - 0.3)
+    assert command(0.1, 0.1, 0.2) == pytest.approx(0.2 / 0.1 + 0.3)
+    assert command(0.1, 0.1 + 1e-5) == pytest.approx(1e-3 + 0.3 * 1e-3 / 0.05)
+    assert command(0.1, 9.9) == 10.0 and command(9.9, 0.1) == -10.0
+
+
+def test_the_integrator_rests_at_the_limit_and_clears_a_standing_error():
+    lapped = {"spool__overlap": [0.0] * 4, "overlap": 0.0}
+    base = settings(ki=20.0, load__force=-2000.0, cylinder__leakage=2e-12, duration=6.0, back=False, **lapped)
+    with_integral = run.simulate(run.setup(base)).indices
+    base["axis_controller"]["ki"] = 0.0
+    assert with_integral.e_end < 0.2 * run.simulate(run.setup(base)).indices.e_end
+
+
+def test_the_command_prints_what_it_finds_and_refuses_in_one_sentence(capfd, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["axis", "--controller", "open_loop", "--duration", "3", "--json", "-"]) == 0
+    assert '"e_rms"' in capfd.readouterr().out
+    refusals = {
+        "beyond the stroke": ["--set", "offset=0.2"],
+        "cylinder.stroke is -1 m": ["--set", "cylinder.stroke=-1"],
+        "there is no parameter 'kpp'": ["--set", "kpp=1"],
+        "the motion to 0.35 m ends at": ["--duration", "0.6"],
+        "the load stalls it": ["--set", "load.force=-1e6"],
+    }
+    files = "ros__parameters: {sample_period: 0.002}"
+    (tmp_path / "p.yaml").write_text(f"/**/controller:\n  {files}\n")
+    refusals["sample_period is 0.001 s for the axis and 0.002 s"] = ["--params-file", "p.yaml"]
+    for words, arguments in refusals.items():
+        assert main(["axis", *arguments]) == 2, arguments
+        said = capfd.readouterr().err
+        assert words in said and said.count("\n") == 1, said

@@ -1,0 +1,44 @@
+"""The exported C of each law equals its Python to the last bit, with every compiler that is there."""
+
+import numpy as np
+import pytest
+from driven import COMPILERS, SANITIZERS, build, case, finite_share, in_c, in_python, random_params, same_bits
+
+from valve_control.laws.registry import LAWS
+
+pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
+FEW = case(400, 100)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_the_c_equals_the_plain_python_and_has_no_undefined_behaviour(tmp_path, name):
+    law = LAWS[name]
+    random = np.random.default_rng(7)
+    sets = [random_params(law, random) for _ in range(12)]
+    voltages, ends = in_python(law, sets, FEW, compiled=False)
+    saturated = [np.any(np.abs(row) == p.u_max) for row, p in zip(voltages, sets, strict=True)]
+    assert finite_share(voltages) > 0.99 and np.mean(saturated) > 0.25
+    programs = [build(law, tmp_path, compiler) for compiler in COMPILERS]
+    programs.append(build(law, tmp_path, COMPILERS[0], *SANITIZERS))
+    for program in programs:
+        found, found_ends = in_c(law, program, sets, FEW)
+        assert same_bits(found, voltages) and same_bits(found_ends, ends), program
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", LAWS)
+def test_a_thousand_sets_of_parameters_give_the_same_bits(tmp_path, name):
+    """10,000 samples each, against the compiled Python, which equals the plain one on some of them."""
+    law = LAWS[name]
+    random = np.random.default_rng(11)
+    sets = [random_params(law, random) for _ in range(1000)]
+    given = case(10_000, 1000, seed=5)
+    voltages, ends = in_python(law, sets, given, compiled=True)
+    assert finite_share(voltages) > 0.99
+    plain, plain_ends = in_python(law, sets[:20], case(2000, 1000, seed=6), compiled=False)
+    for compiler in COMPILERS:
+        program = build(law, tmp_path, compiler)
+        found, found_ends = in_c(law, program, sets, given)
+        assert same_bits(found, voltages) and same_bits(found_ends, ends)
+        found, found_ends = in_c(law, program, sets[:20], case(2000, 1000, seed=6))
+        assert same_bits(found, plain) and same_bits(found_ends, plain_ends)

@@ -1,0 +1,145 @@
+"""``valve-control export``: the folder that it makes, and what it refuses."""
+
+import ctypes
+import json
+import math
+import os
+import shutil
+import subprocess
+
+import pytest
+
+from valve_control.export import settable, sources, unit
+from valve_control.export.library import Library
+from valve_control.export.unit import leaves
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import defaults, updated
+from valve_control.parameters.linear_loop import flatten
+from valve_control.parameters.table import CONTROLLER, VALVE
+
+compiles = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+GAINS = """/controller:
+  ros__parameters:
+    controller: oarc
+    oarc: {ks1: 90.0, robust_term: quadratic}
+"""
+
+
+def make(folder, *words):
+    return subprocess.run(["make", "-C", folder, *words], capture_output=True, text=True, timeout=100)
+
+
+@compiles
+def test_the_contract(run, tmp_path):
+    (tmp_path / "gains.yaml").write_text(GAINS)
+    options = [
+        "--controller",
+        "oarc",
+        "--params-file",
+        "gains.yaml",
+        "--output",
+        "made",
+        "--json",
+        "about.json",
+    ]
+    status, out, err = run("export", *options)
+    assert (
+        status == 0 and err == "" and out.startswith("wrote made/ with oarc.h, oarc.c, check.csv, Makefile")
+    )
+    folder = tmp_path / "made"
+    text = (folder / "oarc.c").read_text()
+    assert ".ks1 = 0x1.6800000000000p+6 /* 90.0 */," in text and "malloc" not in text
+    assert len((folder / "README.md").read_text().splitlines()) == 10
+    done = make(folder, "check")
+    assert done.returncode == 0 and "rows equal to the last bit" in done.stdout, done.stdout + done.stderr
+    assert "-Wall -Wextra -Wconversion -pedantic -Werror" in done.stdout
+    about = json.loads((tmp_path / "about.json").read_text())
+    assert "oarc.epsilon1" in about["settable"] and "oarc.robust_term" in about["new_export"]
+    # The comparison can fail: one bit of a gain is enough.
+    (folder / "oarc.c").write_text(text.replace("0x1.6800000000000p+6", "0x1.6800000000001p+6"))
+    done = make(folder, "check")
+    assert done.returncode != 0 and "rows differ" in done.stdout
+
+
+@compiles
+@pytest.mark.parametrize(
+    "words", [["--plant", "valve", "--set", "lvdt.delay=0.0013", "--set", "friction.coulomb=1.0"],
+              ["--controller", "dcarc", "--float"]],
+)  # fmt: skip
+def test_a_valve_and_a_law_in_float(run, tmp_path, words):
+    assert run("export", *words, "--output", "made")[0] == 0
+    done = make(tmp_path / "made", "check")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert ("within" if "--float" in words else "equal to the last bit") in done.stdout
+
+
+REFUSED = [
+    (["--output", "there"], "there exists; give a name that is not taken yet"),
+    (["--output", "no/where"], "no/where cannot be made: there is no folder"),
+    (["--output", ""], "--output has an empty name"),
+    (["--output", "new", "--set", "oarc.ks1=-1.0"], "oarc.ks1 is -1 1/s; it must lie between"),
+    (["--output", "new", "--controller", "arc", "--plant", "valve"], "contradict each other"),
+    (["--output", "new", "--fmu", "2", "--float"], "an FMU calculates in double"),
+    (["--output", "new.fmu", "--fmu", "2"], "needs a C compiler, and there is no not_there"),
+    (["--output", "new", "--float"], "needs a C compiler, and there is no not_there"),
+    (["--output", "new", "--float", "--set", "oarc.k2=1e12", "--controller", "oarc"], "compiler"),
+]
+
+
+@pytest.mark.parametrize(("words", "reason"), REFUSED, ids=[reason[:30] for _, reason in REFUSED])
+def test_what_cannot_be_done_is_one_sentence_and_nothing_is_written(
+    run, tmp_path, monkeypatch, words, reason
+):
+    (tmp_path / "there").mkdir()
+    monkeypatch.setenv("CC", "not_there")
+    status, out, err = run("export", *words)
+    assert status == 2 and out == "" and reason in err and err.count("\n") == 1
+    assert os.listdir(tmp_path) == ["there"]
+
+
+@pytest.mark.parametrize("name", [*LAWS, "valve"])
+def test_a_setter_does_what_a_new_export_would(name):
+    """For each parameter that can be set: its number in Params, and no other, is the value that is given."""
+    chosen = (
+        unit.plant("valve", defaults(VALVE))
+        if name == "valve"
+        else unit.law(updated(CONTROLLER, defaults(CONTROLLER), {"controller": name}))
+    )
+    found = settable.find(chosen)
+    assert "sample_period" in found.others
+    assert "u_max" in {setter.parameter.name for setter in found.setters}
+    before = dict(leaves(chosen.params))
+    for setter in found.setters:
+        p = setter.parameter
+        value = 0.3 * p.low + 0.7 * min(p.high, p.low + 3.0)
+        whole = value
+        if setter.entry is not None:
+            whole = list(chosen.values[p.name])
+            whole[setter.entry] = value
+        after = dict(leaves(chosen.build({**chosen.values, p.name: whole})))
+        assert after == {**before, setter.path: value}, p.name
+
+
+@compiles
+def test_the_setters_in_c_take_what_lies_in_the_range():
+    chosen = unit.law({**defaults(CONTROLLER), "controller": "oarc"})
+    library = Library(chosen)
+    before = flatten(chosen.params)
+    params = (ctypes.c_double * len(before))(*before)
+    for setter in settable.find(chosen).setters:
+        p = setter.parameter
+        function = getattr(library.functions, sources.setter_name(chosen, setter))
+        function.restype = ctypes.c_bool
+        entry = [] if setter.entry is None else [setter.entry]
+        above, below = math.nextafter(p.high, math.inf), math.nextafter(p.low, -math.inf)
+        for wrong in (above, below, math.nan, math.inf, -math.inf):
+            assert not function(params, *entry, ctypes.c_double(wrong)) and list(params) == before, p.name
+        for value in (p.low, p.high, 0.9 * p.low + 0.1 * p.high):
+            assert function(params, *entry, ctypes.c_double(value))
+            whole = value
+            if entry:
+                whole = [value if i == setter.entry else v for i, v in enumerate(chosen.values[p.name])]
+            assert list(params) == flatten(chosen.build({**chosen.values, p.name: whole})), p.name
+        if entry:
+            assert not function(params, 99, ctypes.c_double(p.low))
+        params = (ctypes.c_double * len(before))(*before)

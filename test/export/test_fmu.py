@@ -1,0 +1,142 @@
+"""FMUs of law and valve: valid for fmpy, and their co-simulation equals the offline run to the last bit."""
+
+import platform
+import shutil
+import zipfile
+
+import numpy as np
+import pytest
+
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import defaults, updated
+from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.simulation import offline
+
+fmpy = pytest.importorskip("fmpy")
+from fmpy.fmi2 import FMU2Slave  # noqa: E402
+from fmpy.fmi3 import FMU3Slave  # noqa: E402
+from fmpy.validation import validate_fmu  # noqa: E402
+
+pytestmark = pytest.mark.skipif(
+    shutil.which("cc") is None or platform.machine() != "x86_64", reason="no C compiler, or no x86-64"
+)
+EXAMPLE = {
+    "friction.coulomb": 1.16,
+    "friction.static_ratio": 1.25,
+    "friction.presliding": 0.0033,
+    "lvdt.noise": 0.0056,
+    "lvdt.resolution": 0.0037,
+    "lvdt.delay": 0.0013,
+}
+OPTIONS = [word for name, value in EXAMPLE.items() for word in ("--set", f"{name}={value}")]
+N = 1000
+COMMAND = np.where(np.arange(N) < 500, 3.0, -1.5 + np.sin(0.05 * np.arange(N)))
+
+
+class Slave:
+    """One FMU of either version, with its variables by name."""
+
+    def __init__(self, path, folder):
+        description = fmpy.read_model_description(str(path))
+        self.references = {v.name: v.valueReference for v in description.modelVariables}
+        place = fmpy.extract(str(path), str(folder))
+        self.two = description.fmiVersion == "2.0"
+        kind = FMU2Slave if self.two else FMU3Slave
+        self.fmu = kind(
+            guid=description.guid if self.two else description.instantiationToken,
+            unzipDirectory=place,
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName="one",
+        )
+        self.fmu.instantiate()
+        if self.two:
+            self.fmu.setupExperiment(startTime=0.0)
+        self.fmu.enterInitializationMode()
+        self.fmu.exitInitializationMode()
+
+    def set(self, **values):
+        references = [self.references[name] for name in values]
+        (self.fmu.setReal if self.two else self.fmu.setFloat64)(references, list(values.values()))
+
+    def get(self, name):
+        return (self.fmu.getReal if self.two else self.fmu.getFloat64)([self.references[name]])[0]
+
+    def step(self, time, step=0.001):
+        self.fmu.doStep(currentCommunicationPoint=time, communicationStepSize=step)
+
+    def end(self):
+        self.fmu.terminate()
+        self.fmu.freeInstance()
+
+
+@pytest.fixture
+def exported(run, tmp_path):
+    def make(version, *options):
+        path = tmp_path / f"{options[1]}_{version}.fmu"
+        status, _, err = run("export", *options, "--fmu", version, "--output", path)
+        assert status == 0, err
+        return path
+
+    return make
+
+
+FEW = [(2, "arc"), (3, "pid"), (3, "valve")]
+OTHERS = [(v, name) for v in (2, 3) for name in (*LAWS, "valve") if (v, name) not in FEW]
+
+
+@pytest.mark.parametrize(
+    ("version", "name"), [*FEW, *(pytest.param(*one, marks=pytest.mark.campaign) for one in OTHERS)]
+)
+def test_fmpy_finds_nothing_wrong_and_simulates_it(exported, version, name):
+    path = exported(version, "--plant" if name == "valve" else "--controller", name)
+    assert validate_fmu(str(path)) == []
+    names = zipfile.ZipFile(path).namelist()
+    assert {f"sources/{name}.c", f"sources/{name}.h", f"sources/fmi{version}.c"} <= set(names)
+    result = fmpy.simulate_fmu(str(path), stop_time=0.1, output_interval=0.001)
+    output = "measurement" if name == "valve" else "voltage"
+    assert len(result) == 101 and np.all(np.isfinite(result[output]))
+
+
+@pytest.mark.parametrize(("version", "name"), [(2, "oarc"), (3, "dcarc")])
+def test_law_and_valve_together_equal_the_offline_run_to_the_last_bit(exported, tmp_path, version, name):
+    """At 1 kHz; each sample the law steps first, and the valve then gets its voltage."""
+    law = Slave(exported(version, "--controller", name), tmp_path / "law")
+    plant = Slave(exported(version, "--plant", "valve", *OPTIONS), tmp_path / "valve")
+    values = updated(VALVE, defaults(VALVE), EXAMPLE)
+    wanted = offline.simulate(
+        updated(CONTROLLER, defaults(CONTROLLER), {"controller": name}), values, COMMAND
+    )
+    noise = np.random.default_rng(values["seed"]).standard_normal(N)
+    readings, voltages = np.zeros(N), np.zeros(N)
+    for k in range(N):
+        plant.set(noise=noise[k])
+        readings[k] = plant.get("measurement")
+        law.set(command=COMMAND[k], measurement=readings[k])
+        law.step(k * 0.001)
+        voltages[k] = law.get("voltage")
+        plant.set(voltage=voltages[k])
+        plant.step(k * 0.001)
+    law.end()
+    plant.end()
+    assert np.max(np.abs(voltages)) == 10.0  # it saturates
+    assert np.array_equal(readings, wanted.measurement) and np.array_equal(voltages, wanted.voltage)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_what_is_wrong_is_refused(exported, tmp_path, version):
+    law = Slave(exported(version, "--controller", "pid"), tmp_path / "law")
+    law.set(**{"pid.kp": 5.0})
+    assert law.get("pid.kp") == 5.0
+    for wrong in (lambda: law.set(**{"pid.kp": -1.0}), lambda: law.set(command=float("nan")),
+                  lambda: law.set(voltage=1.0), lambda: law.step(0.0, 0.0015)):  # fmt: skip
+        with pytest.raises(Exception, match="fmi|FMI|status"):
+            wrong()
+    assert law.get("pid.kp") == 5.0
+    law.end()
+
+
+def test_the_same_export_gives_the_same_file(exported, tmp_path):
+    path = exported(2, "--controller", "open_loop")
+    first = path.read_bytes()
+    path.unlink()
+    assert exported(2, "--controller", "open_loop").read_bytes() == first

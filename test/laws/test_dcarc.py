@@ -1,0 +1,491 @@
+"""dcarc: inverse, Kalman filter and LQR against other derivations; fit, dead time, saturation, refusals."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.linalg
+import scipy.signal
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from valve_control.commands import arrays, scenarios
+from valve_control.laws import dcarc, dcarc_design, least_squares, reshaping
+from valve_control.laws.least_squares import Weights
+from valve_control.laws.signals import Start
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters import files, stability
+from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.plant import valve
+from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.simulation import offline
+
+PERIOD = 0.001
+THIRD_ORDER = TransferFunction((250.0, 60000.0), (1.0, 120.0, 8000.0, 90000.0))
+MODELS = [SECOND_ORDER, THIRD_ORDER, FOURTH_ORDER]
+ORDERS = ["second", "third", "fourth"]
+REST = Start(0.0, 0.0, 0.0, 0.0, 0.0)
+STILL = {"dcarc.theta_spread": [0.0] * 9}
+NOISES = {"reading": 0.006, "input_noise": 0.5, "walk": 0.1}
+FAST = {"reshaping.max_rate": 1e5, "reshaping.max_accel": 1e7}
+
+
+def values(**changes):
+    return updated(CONTROLLER, defaults(CONTROLLER), {k.replace("__", "."): v for k, v in changes.items()})
+
+
+def custom(model):
+    return {
+        "dcarc.model": "custom",
+        "dcarc.numerator": list(model.numerator),
+        "dcarc.denominator": list(model.denominator),
+    }
+
+
+def params(model=FOURTH_ORDER, **changes):
+    return dcarc.build(values(**custom(model), **changes))
+
+
+def plant(model=FOURTH_ORDER, period=PERIOD, delay=0.0, **changes):
+    made = valve.design(model, period, 10.0, 1.0, stability.FREE, valve.Lvdt(0.0, 0.0, 0.0, delay / period))
+    return made._replace(disturbance=made.disturbance._replace(**changes))
+
+
+def runs(p, v, commands, noise=0.0, start=REST):
+    """Law and valve, sample by sample: positions, voltages, terms and the states of the law."""
+    rng = np.random.default_rng(1)
+    s, x = dcarc.initial(p, start), valve.initial(v)
+    rows, states = [], []
+    for command in commands:
+        reading = valve.read(v, x, 0.0) + noise * float(rng.standard_normal())
+        voltage, s, terms = dcarc.step(p, s, float(command), reading, 0.0)
+        rows.append((x.x.x0, voltage))
+        states.append((terms, s))
+        x = valve.step(v, x, voltage)
+    return np.array(rows), states
+
+
+def sine(amplitude, frequency, samples, period=PERIOD):
+    """A sine that swells within 0.2 s, and the command whose reshaped reference it is."""
+    t = np.arange(samples + 2) * period
+    swell = 0.5 - 0.5 * np.cos(math.pi * np.minimum(t / 0.2, 1.0))
+    wanted = amplitude * swell * np.sin(2.0 * math.pi * frequency * t)
+    p = reshaping.build(values())
+    rate = np.diff(wanted) / period
+    accel = np.diff(rate) / period
+    wn, damping = p.natural_frequency, p.damping
+    command = wanted[:-2] + 2.0 * damping / wn * rate[:-1] + accel / (wn * wn)
+    return wanted[:samples], command[:samples]
+
+
+def rms(x):
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+@pytest.mark.parametrize("model", MODELS, ids=ORDERS)
+def test_inverse_is_the_reciprocal_of_the_model_at_every_frequency(model):
+    """r = exp(jωt): u_r must be r/G(jω) and the first two states of x_r r and dr/dt."""
+    of = dcarc_design.inverted(model)
+    m = len(of.rate)
+    for frequency in (0.5, 5.0, 15.0, 60.0):
+        s = 2j * math.pi * frequency
+        given_r = np.array([1.0, s, s * s])
+        inner = np.linalg.solve(s * np.eye(m) - of.rate[:, :m], of.rate[:, m]) if m else np.zeros(0)
+        whole = np.concatenate([inner, given_r])
+        response = np.polyval(model.numerator, s) / np.polyval(model.denominator, s)
+        assert of.voltage @ whole == pytest.approx(1.0 / response, rel=1e-9)
+        a, b = valve.realisation(model)
+        states = np.linalg.solve(s * np.eye(len(b)) - a, b) / response
+        assert np.allclose(of.state @ whole, states, rtol=1e-8, atol=1e-8 * abs(states[0]))
+
+
+@pytest.mark.parametrize("model", MODELS[1:], ids=ORDERS[1:])
+@pytest.mark.parametrize("time", [PERIOD, 0.5 * PERIOD])
+def test_inner_states_move_as_the_differential_equation_says(model, time):
+    of = dcarc_design.inverted(model)
+    m = len(of.rate)
+    move = dcarc_design._move(of.rate, time)
+    begin, reference, rate = np.array([3e-7, -2e-5])[:m], 0.7, 25.0
+
+    def slope(t, inner):
+        return of.rate[:, :m] @ inner + of.rate[:, m] * (reference + rate * t)
+
+    exact = scipy.integrate.solve_ivp(slope, (0.0, time), begin, rtol=1e-11, atol=1e-18).y[:, -1]
+    state = dcarc.Inverse(*(float(v) for v in (*begin, 0.0)[:2]))
+    assert np.allclose(dcarc.moved(move, state, reference, rate)[:m], exact, rtol=1e-8, atol=1e-15)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=ORDERS)
+@pytest.mark.parametrize("delay", [0.0, 0.0004, 0.001, 0.0023, 0.004])
+def test_kalman_gain_is_where_the_riccati_recursion_ends(model, delay):
+    """The stationary equation of the design against the time-varying filter, run until it stands still."""
+    o = dcarc_design.observed(model, PERIOD, delay, **NOISES)
+    n = len(o.a)
+    order = len(model.denominator) - 1
+    scale = np.concatenate([100.0 ** np.arange(order), np.ones(n - order)])
+    gain = dcarc_design.kalman(o, scale)
+    p = np.diag(scale**2) * 1e-2
+    for _ in range(6000):
+        k = p @ o.c / (o.c @ p @ o.c + o.reading)
+        left = np.eye(n) - np.outer(k, o.c)
+        p = o.a @ (left @ p @ left.T + o.reading * np.outer(k, k)) @ o.a.T + o.process
+    k = p @ o.c / (o.c @ p @ o.c + o.reading)
+    assert np.allclose(gain / scale, k / scale, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=ORDERS)
+@pytest.mark.parametrize("weight", [1e-4, 0.005, 1.0])
+def test_lqr_gain_is_where_the_backward_recursion_ends(model, weight):
+    """Bellman's recursion of the finite horizon, and the cost of the closed loop by its Lyapunov equation."""
+    o = dcarc_design.observed(model, PERIOD, 0.0, **NOISES)
+    n = len(model.denominator) - 1
+    a, b = o.a[:n, :n], o.b[:n]
+    scale = 100.0 ** np.arange(n)
+    gain = dcarc_design.regulator(a, b, weight, scale)
+    q = np.zeros((n, n))
+    q[0, 0] = 1.0
+    s = q
+    for _ in range(20000):
+        k = b @ s @ a / (weight + b @ s @ b)
+        s = q + a.T @ s @ (a - np.outer(b, k))
+    assert np.allclose(gain, k, rtol=1e-6)
+
+    def cost(k):
+        loop = (a - np.outer(b, k)) * scale / scale[:, None]
+        priced = q + weight * np.outer(k * scale, k * scale)
+        return scipy.linalg.solve_discrete_lyapunov(loop.T, priced)[0, 0]
+
+    best = cost(gain)
+    for i in range(n):
+        for factor in (0.97, 1.03):
+            other = gain.copy()
+            other[i] *= factor
+            assert cost(other) >= best * (1.0 - 1e-9)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=ORDERS)
+def test_nominal_valve_follows_the_reference_up_to_the_square_of_the_period(model):
+    """No disturbance, no noise: what is left comes from holding u_r over the period; a flow force shows."""
+    left = []
+    for period, samples in ((PERIOD, 1200), (0.25 * PERIOD, 4800)):
+        wanted, command = sine(0.5, 8.0, samples, period)
+        own = {"sample_period": period, **STILL, **FAST}
+        rows, _ = runs(params(model, **own), plant(model, period), command)
+        left.append(rms(rows[:, 0] - wanted) / rms(wanted))
+        pushed, _ = runs(params(model, **own), plant(model, period, flow_force=0.3), command)
+        assert rms(pushed[:, 0] - wanted) > 5.0 * rms(rows[:, 0] - wanted)
+    assert left[0] < 3e-3 and left[1] < left[0] / 8.0
+
+
+def test_offset_and_flow_force_are_learned():
+    wanted, command = sine(1.0, 3.0, 4000)
+    rows, states = runs(params(**FAST), plant(offset=0.3, flow_force=0.25), command)
+    terms, s = states[-1]
+    assert s.theta.offset == pytest.approx(-0.3, abs=0.05)
+    late = slice(3000, None)
+    fixed, _ = runs(params(**FAST, **STILL), plant(offset=0.3, flow_force=0.25), command)
+    assert rms(rows[late, 0] - wanted[late]) < 0.3 * rms(fixed[late, 0] - wanted[late])
+
+
+def test_friction_is_learned_and_the_error_falls():
+    """Coulomb friction with presliding: with the bristles the error of a 5 Hz sine falls to a third."""
+    wanted, command = sine(1.0, 5.0, 4000)
+    rough = plant(coulomb=1.0, presliding=0.02)
+    rows, states = runs(params(**FAST), rough, command, noise=0.005)
+    errors = [rms((rows[:, 0] - wanted)[k : k + 1000]) for k in (0, 3000)]
+    fixed, _ = runs(params(**FAST, **STILL), rough, command, noise=0.005)
+    t = states[-1][1].theta
+    assert errors[1] < errors[0] and errors[1] < rms((fixed[:, 0] - wanted)[3000:]) / 3.0
+    assert 0.6 < t.bristle1 + t.bristle2 + t.bristle3 < 1.4
+
+
+def test_a_switched_off_term_stays_where_it_is():
+    spread = [0.3, 0.5, 0.0, 0.5, 0.5, 0.4, 0.0, 0.0, 1e-5]
+    initial = [0.0, 0.0, 0.2, 0.0, 0.0, 0.0, -0.1, 0.0, 0.0]
+    p = params(dcarc__theta_spread=spread, dcarc__theta_initial=initial)
+    _, states = runs(p, plant(coulomb=0.8, presliding=0.02, offset=0.4), 2.0 * np.sin(np.arange(1500) * 0.02))
+    theta = states[-1][1].theta
+    assert (theta.bristle2, theta.offset, theta.damping) == (0.2, -0.1, 0.0)
+    assert theta.gain != 0.0 and theta.bristle1 != 0.0
+
+
+def test_weights_rest_in_saturation_and_while_the_reference_rests():
+    _, states = runs(params(), plant(coulomb=0.5, presliding=0.02), np.full(600, 9.9))
+    thetas = [s.theta for _, s in states]
+    voltages = [terms.unsaturated_voltage for terms, _ in states]
+    saturated = [i for i in range(1, 600) if abs(voltages[i]) > 10.0]
+    assert len(saturated) > 20
+    assert all(thetas[i] == thetas[i - 1] for i in saturated)
+    assert any(thetas[i] != thetas[i - 1] for i in range(1, 600))
+    _, still = runs(params(), plant(offset=0.5), np.zeros(500), noise=0.005)
+    assert all(s.theta == params().theta_initial for _, s in still)
+    assert still[-1][0].disturbance == pytest.approx(0.5, abs=0.15)
+
+
+def test_projection_keeps_the_weights_in_their_bounds():
+    """A valve far outside: 4 V of friction, twice the gain; the weights reach their bounds and stay there."""
+    upper = [0.1, 0.3, 0.3, 0.3, 0.3, 0.2, 0.1, 1e-4, 1e-6]
+    p = params(dcarc__theta_min=[-v for v in upper], dcarc__theta_max=upper)
+    v = plant(coulomb=4.0, presliding=0.02, offset=-1.0)._replace(gain_scale=2.0)
+    _, states = runs(p, v, 2.0 * np.sin(np.arange(3000) * 0.02), noise=0.005)
+    thetas = np.array([s.theta for _, s in states])
+    assert np.all(thetas <= upper) and np.all(thetas >= [-v for v in upper])
+    assert np.any(thetas == upper) and np.any(thetas == [-v for v in upper])
+
+
+def test_one_weight_is_the_scalar_kalman_filter():
+    """Alone, a weight and its variance follow the textbook's recursion for y = θ·x + noise."""
+    rng = np.random.default_rng(3)
+    noise, truth = 0.3, 0.7
+    zero = [0.0] * 9
+    low, high = Weights(*[-9.0] * 9), Weights(*[9.0] * 9)
+    theta, variance = Weights(*zero), least_squares.product(*[Weights(0.0, 0.8, *zero[2:])] * 2)
+    information, evidence = 1.0 / 0.64, 0.0
+    for _ in range(50):
+        x = float(rng.normal())
+        y = truth * x + noise * float(rng.normal())
+        regressor = Weights(1.0, x, *zero[2:])
+        px = least_squares.product(variance, regressor)
+        sharpness = 1.0 / (noise**2 + least_squares.dot(px, regressor))
+        error = least_squares.dot(theta, regressor) - y
+        theta = least_squares.moved(theta, px, error * sharpness, low, high)
+        variance = least_squares.learned(variance, px, sharpness, 0.0, variance)
+        information += x * x / noise**2
+        evidence += x * y / noise**2
+    assert theta.bristle1 == pytest.approx(evidence / information, rel=1e-9)
+    assert variance.bristle1 == pytest.approx(1.0 / information, rel=1e-9)
+    assert theta.gain == variance.gain == 0.0
+
+
+@given(st.floats(0.0, 1.0), st.floats(-5.0, 5.0), st.floats(1e-3, 1.0), st.floats(0.0, 1.0))
+def test_a_variance_stays_between_zero_and_that_of_the_beginning(share, x, noise, forget):
+    prior = 2.0
+    variance = share * prior
+    px = variance * x
+    after = least_squares.sharper(variance, px, 1.0 / (noise + px * x), forget, prior)
+    assert -1e-12 <= after <= prior * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0005, 0.001, 0.0027])
+def test_a_known_dead_time_costs_nothing_and_an_unknown_one_does(delay):
+    """The observer gives the position of now; without the dead time in its model it is late."""
+    wanted, command = sine(1.0, 8.0, 1500)
+    v = plant(delay=delay)
+    known, states = runs(params(dcarc__delay=delay, **STILL, **FAST), v, command)
+    unknown, _ = runs(params(**STILL, **FAST), v, command)
+    late = slice(300, None)
+    seen = np.array([terms.position for terms, _ in states])
+    assert rms(seen[late] - known[late, 0]) < 1e-3
+    assert rms(known[late, 0] - wanted[late]) < 1e-3
+    assert rms(unknown[late, 0] - wanted[late]) > 5.0 * rms(known[late, 0] - wanted[late])
+
+
+def test_dead_time_is_in_the_stability_check():
+    """Half a sample that is known leaves the loop stable; five that are not do not."""
+    strong = {"dcarc.voltage_weight": 0.007, "dcarc.disturbance_rate": 6.7}
+    law, p = dcarc.LAW, params(**strong)
+    known = params(dcarc__delay=0.0005, **strong)
+    assert abs(stability.dominant_pole(law, known, plant(delay=0.0005))) < 1.0
+    assert abs(stability.dominant_pole(law, p, plant())) < 1.0
+    assert abs(stability.dominant_pole(law, p, plant(delay=0.005))) > 1.0
+
+
+@pytest.mark.parametrize("model", MODELS, ids=ORDERS)
+@pytest.mark.parametrize("delay", [0.0, 0.0017])
+def test_starts_without_a_bump_in_motion(model, delay):
+    """Taken over at 20 V/s: the first voltage is the one before, and the motion goes on."""
+    p = params(model, dcarc__delay=delay, **STILL)
+    v, y = 20.0, 0.4
+    voltage = p.standing.voltage * (y + v * delay) + p.moving.voltage * v + 0.3
+    s = dcarc.initial(p, Start(y, voltage, y + v * delay, v, v))
+    command = reshaping.steady_command(p.reshaping, y + v * delay, v)
+    got, after, terms = dcarc.step(p, s, command, y, 0.0)
+    assert got == pytest.approx(voltage + 0.5 * PERIOD * v * p.standing.voltage, abs=1e-6)
+    assert terms.velocity == pytest.approx(v) and terms.innovation == pytest.approx(0.0, abs=1e-12)
+    assert after.estimate.state.x0 == pytest.approx(y + v * delay + v * PERIOD, abs=1e-5)
+    assert terms.disturbance == pytest.approx(-0.3)
+
+
+def test_a_gap_is_bridged_by_the_model():
+    """Ten samples without a reading in a sine: the observer is as near as with them, on the nominal valve."""
+    p, v = params(**STILL, **FAST), plant()
+    _, command = sine(0.5, 5.0, 700)
+    s, x = dcarc.initial(p, REST), valve.initial(v)
+    voltage = 0.0
+    for k, given_command in enumerate(command):
+        reading = valve.read(v, x, 0.0)
+        if 500 <= k < 510:
+            s = dcarc.hold(p, s, float(given_command), 99.0, voltage)
+        else:
+            voltage, s, _ = dcarc.step(p, s, float(given_command), reading, 0.0)
+        x = valve.step(v, x, voltage)
+        if k == 510:
+            assert s.estimate.state.x0 == pytest.approx(x.x.x0, abs=1e-4)
+
+
+NUMBERS = [p for p in dcarc.PARAMETERS if isinstance(p.default, float)]
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.data())
+def test_any_parameters_are_refused_in_words_or_give_a_bounded_voltage(data):
+    """Random numbers over the whole of their ranges, and a valve that saturates, rests and jumps."""
+    changes = {}
+    for parameter in NUMBERS:
+        if data.draw(st.booleans()):
+            low, high = max(parameter.low, 1e-9), parameter.high
+            changes[parameter.name] = math.exp(data.draw(st.floats(math.log(low), math.log(high))))
+            changes[parameter.name] = min(max(changes[parameter.name], parameter.low), parameter.high)
+    changes["sample_period"] = data.draw(st.sampled_from([0.00025, 0.001, 0.004]))
+    changes["dcarc.model"] = data.draw(st.sampled_from(["second_order", "fourth_order"]))
+    try:
+        p = dcarc.build(values(**changes))
+    except ParameterError as error:
+        assert "dcarc" in str(error) and "\n" not in str(error)
+        return
+    s = dcarc.initial(p, Start(0.1, 0.5, 0.2, 3.0, -5.0))
+    rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
+    for k in range(150):
+        command = 10.0 * float(np.sign(rng.normal())) if k % 30 < 15 else 0.0
+        voltage, s, terms = dcarc.step(p, s, command, 10.0 * float(np.clip(rng.normal(), -1, 1)), 0.0)
+        assert abs(voltage) <= p.u_max
+        assert all(math.isfinite(term) for term in terms)
+        for low, weight, high in zip(p.theta_min, s.theta, p.theta_max, strict=True):
+            assert low <= weight <= high
+        if k % 50 == 40:
+            s = dcarc.hold(p, s, command, 0.0, voltage)
+
+
+@pytest.mark.parametrize(
+    ("numerator", "denominator", "words"),
+    [
+        ([1000.0], [1.0, 60.0, 2000.0, 50000.0], ["3 poles and 0 zeros", "two fewer"]),
+        ([1.0, 100.0], [1.0, 60.0], ["1 poles", "2 to 4 poles"]),
+        ([1.0, 20.0, 100.0], [1.0, 60.0, 2000.0], ["2 poles and 2 zeros"]),
+        ([1.0] * 4, [1.0] * 6, ["5 poles and 3 zeros"]),
+        ([-10.0, 5000.0], [1.0, 60.0, 2000.0, 50000.0], ["zero at 500 rad/s", "cannot be inverted"]),
+        ([100.0, 500.0], [1.0, 60.0, 2000.0, 50000.0], ["zero at -5 rad/s", "left of -10"]),
+        (
+            [1.0, 20.0, 90000.0],
+            [1.0, 160.0, 5e4, 2e6, 6e7],
+            ["-10 ± 299.8j", "damping ratio of at least 0.1"],
+        ),
+    ],
+)
+def test_a_model_that_cannot_be_taken_is_refused_in_one_sentence(numerator, denominator, words):
+    with pytest.raises(ParameterError) as error:
+        params(TransferFunction(tuple(numerator), tuple(denominator)))
+    for word in words:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"dcarc.delay": 0.0041}, ["dcarc.delay is 0.0041 s", "at most 0.004 s"]),
+        ({"dcarc.theta_min": [-1.0, *[-1.0] * 8]}, ["dcarc.theta_min[0] (gain)", "above -1"]),
+        ({"dcarc.theta_initial": [0.0] * 6 + [2.0, 0.0, 0.0]}, ["dcarc.theta_initial[6] (offset) is 2"]),
+        ({"dcarc.theta_spread": [0.1] * 8}, ["dcarc.theta_spread has 8 entries"]),
+        ({"dcarc.presliding": [0.0, 0.1, 0.2]}, ["dcarc.presliding[0] is 0"]),
+    ],
+)
+def test_wrong_numbers_are_refused_in_one_sentence(changes, words):
+    with pytest.raises(ParameterError) as error:
+        dcarc.build(values(**changes))
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_a_filter_or_regulator_without_solution_is_refused():
+    o = dcarc_design.observed(FOURTH_ORDER, PERIOD, 0.0, 0.006, 0.0, 0.0)
+    with pytest.raises(dcarc_design.DesignError, match="dcarc has no Kalman filter with these noises"):
+        dcarc_design.kalman(o, np.ones(5))
+    with pytest.raises(dcarc_design.DesignError, match=r"dcarc has no LQR with dcarc.voltage_weight 0.1"):
+        dcarc_design.regulator(np.diag([1.1, 0.5]), np.array([0.0, 1.0]), 0.1, np.ones(2))
+
+
+def test_shipped_loop_is_stable_around_its_model_with_2_db_of_margin():
+    p = dcarc.build(values())
+    assert stability.warning(dcarc.LAW, p) == ""
+    for gain in (0.7, 1.0, 1.4):
+        assert abs(stability.dominant_pole(dcarc.LAW, p, plant()._replace(gain_scale=gain))) < 1.0
+
+
+def test_it_halves_the_error_of_oarc_on_a_fast_sine(simulate):
+    """What it is for, on the valve of Table 1 and a fast sine; both follow the reshaped command."""
+    table = {p.name for p in VALVE}
+    real = {
+        "friction.coulomb": 1.16, "friction.static_ratio": 1.25, "friction.stribeck_velocity": 0.017,
+        "friction.presliding": 0.0278, "flow_force": 0.116, "gain_scale": 1.213, "lvdt.noise": 0.0056,
+        "lvdt.resolution": 0.0037,
+    }  # fmt: skip
+    assert set(real) <= table
+    wanted, command = sine(0.6, 10.0, 5000)
+    found = {law: simulate(law, command, valve=real) for law in ("oarc", "dcarc")}
+    error = {law: rms(run.position - wanted) for law, run in found.items()}
+    assert error["dcarc"] < 0.5 * error["oarc"]
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0007])
+@pytest.mark.parametrize("weight", [0.01, 0.17])
+def test_jitter_is_the_speed_at_which_noise_shakes_a_spool_without_friction(delay, weight):
+    """The Lyapunov equation of the design against 60 s of the law's own steps at rest."""
+    noise = math.hypot(0.0056, 0.0037 / math.sqrt(12.0))
+    p = params(**STILL, dcarc__voltage_weight=weight, dcarc__delay=delay)
+    v = plant(delay=delay)
+    rng = np.random.default_rng(3)
+    s, x = dcarc.initial(p, REST), valve.initial(v)
+    speeds = np.zeros(60000)
+    for k in range(len(speeds)):
+        voltage, s, _ = dcarc.step(
+            p, s, 0.0, valve.read(v, x, 0.0) + noise * float(rng.standard_normal()), 0.0
+        )
+        x = valve.step(v, x, voltage)
+        speeds[k] = abs(x.x.x1)
+    assert p.jitter == pytest.approx(float(np.mean(speeds)), rel=0.03)
+
+
+def test_a_bristle_of_a_resting_spool_relaxes_by_the_jitter_and_a_fast_one_does_not():
+    p = params()
+    rest = dcarc.initial(p, REST)._replace(bristles=dcarc.Bristles(1.0, 1.0, 1.0))
+    for _ in range(20):
+        _, bristles = dcarc.desired(p, rest, 0.0)
+        rest = rest._replace(bristles=bristles)
+    for left, presliding in zip(rest.bristles, p.presliding, strict=True):
+        assert left == pytest.approx((1.0 + PERIOD * p.jitter / presliding) ** -20, rel=1e-12)
+        assert left == pytest.approx(math.exp(-20.0 * PERIOD * p.jitter / presliding), rel=0.35)
+    moving = dcarc.initial(p, REST)._replace(reference=reshaping.State(0.0, 10.0))
+    for _ in range(100):
+        moving = moving._replace(bristles=dcarc.desired(p, moving, 0.0)[1])
+    assert np.allclose(moving.bristles, 1.0, atol=1e-3)
+
+
+def test_from_the_third_second_on_a_fast_motion_is_as_exact_as_on_a_valve_without_friction():
+    """Median of eight random valves of the narrow box against the law without adaptation on the model."""
+    tuned = files.load(str(files.config_folder() / "tuned" / "narrow_0.25_dcarc.yaml"))["controller"]
+    made = updated(CONTROLLER, defaults(CONTROLLER), {**tuned, "reshaping.max_rate": 1e5})
+    period = 0.001
+    shape = scenarios.Shape("point_to_point", 1.5, 0.0, 0.0, 1.0, 1.0, 40.0, 2500.0, 0.5, 1.0)
+    wanted = arrays.sampled(shape, period, 6000)
+    rng = np.random.default_rng(8)
+
+    def error(law, numbers, seed):
+        plant = {"lvdt.noise": 0.0056, "lvdt.resolution": 0.0037, "seed": seed, **numbers}
+        run = offline.simulate(law, updated(VALVE, defaults(VALVE), plant), wanted)
+        return rms((run.position - run.terms["reference"])[3000:])
+
+    found = []
+    for seed in range(8):
+        numbers = {
+            "gain_scale": rng.uniform(0.7, 1.4),
+            "friction.coulomb": rng.uniform(0.0, 1.6),
+            "friction.static_ratio": rng.uniform(1.0, 1.6),
+            "friction.stribeck_velocity": 0.017,
+            "friction.presliding": rng.uniform(0.01, 0.04),
+            "flow_force": rng.uniform(-0.5, 0.5),
+            "disturbance.offset": rng.uniform(-0.5, 0.5),
+        }
+        found.append(error(made, numbers, seed))
+    oracle = error(updated(CONTROLLER, made, STILL), {}, 0)
+    assert np.median(found) < 1.2 * oracle

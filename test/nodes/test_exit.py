@@ -1,0 +1,194 @@
+"""Ends of nodes and tools: quiet, with the status that was decided, and with no thread left."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from valve_control.nodes import NODES, TOOLS
+
+THREADS_LEFT = """
+import json, os, signal, sys
+from valve_control.nodes import {node}, loop
+loop._loop = lambda *parts: None  # the life between start and end
+status = {node}.main()
+threads = [open(f"/proc/self/task/{{t}}/comm").read().strip() for t in os.listdir("/proc/self/task")]
+print(json.dumps([status, threads]))
+"""
+
+
+def module(name):
+    return f"valve_control.nodes.{'harness.' * (name in TOOLS)}{name}"
+
+
+def start(name, *arguments, cwd=None):
+    return subprocess.Popen(
+        [sys.executable, "-m", module(name), *arguments],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd,
+    )  # fmt: skip
+
+
+def mask(child, kind):
+    """Whether SIGTERM is in a mask (SigCgt: caught, SigIgn: ignored) of a process that lives."""
+    with open(f"/proc/{child.pid}/status", encoding="ascii") as status:
+        for line in status:
+            if line.startswith(kind):
+                return bool(int(line.split()[1], 16) >> (signal.SIGTERM - 1) & 1)
+    return False  # it has ended
+
+
+def until(condition, what):
+    end = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < end, what
+        time.sleep(0.0005)
+
+
+@pytest.mark.parametrize("node", ["controller", "valve_simulator", "command_source"])
+def test_no_thread_of_the_middleware_outlives_the_node(node):
+    """Such a thread calls into what the exit has taken apart: "pure virtual method called"."""
+    done = subprocess.run(
+        [sys.executable, "-c", THREADS_LEFT.format(node=node)],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    status, threads = json.loads(done.stdout)
+    assert status == 0
+    # The watchdog of the shared memory belongs to the library and stays with every rclpy program.
+    assert [name for name in threads if name.startswith("dds.")] in ([], ["dds.shm.wdog"])
+
+
+@pytest.mark.parametrize(
+    ("node", "number"),
+    [
+        ("valve_simulator", signal.SIGINT),
+        ("controller", signal.SIGTERM),
+        ("recorder", signal.SIGINT),
+        *(
+            pytest.param(node, number, marks=pytest.mark.campaign)
+            for node in NODES
+            for number in (signal.SIGINT, signal.SIGTERM)
+        ),
+    ],
+)
+def test_more_signals_during_the_exit_change_nothing(tmp_path, node, number):
+    arguments = ["--ros-args", "-p", f"bag:={tmp_path / 'bag'}"] if node == "recorder" else []
+    with start(node, *arguments) as child:
+        for line in child.stderr:
+            if "[INFO]" in line or node == "manifold":
+                break
+        while child.poll() is None:
+            child.send_signal(number)
+            time.sleep(0.002)
+        assert child.returncode == 0
+        assert "Traceback" not in child.stderr.read()
+
+
+def test_a_tool_that_is_stopped_stops_its_nodes_whatever_else_comes(tmp_path):
+    with start("lockstep", "--out", str(tmp_path), "--duration", "60") as child:
+        until(lambda: list(tmp_path.glob("*controller*.log")), "no node was started")
+        while child.poll() is None:
+            child.send_signal(signal.SIGINT)
+            time.sleep(0.002)
+        assert child.returncode == 130, child.stderr.read()
+        assert "Traceback" not in child.stderr.read()
+    assert not [p for p in Path("/proc").glob("[0-9]*") if runs_in(p, str(tmp_path))]
+
+
+def runs_in(process, folder):
+    """Whether a living process writes into ``folder``."""
+    try:
+        return folder in os.readlink(process / "fd" / "1")
+    except OSError:
+        return False
+
+
+PROGRAMS = [*NODES, *TOOLS]
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        ("controller", 3),
+        ("demo", 3),
+        *(pytest.param(name, 20, marks=pytest.mark.campaign) for name in PROGRAMS),
+    ],
+)
+def test_ctrl_c_during_the_imports_is_quiet(name, count, tmp_path):
+    moments = random.Random(name)
+    for _ in range(count):
+        with start(name, *(["--out", str(tmp_path)] if name in TOOLS else []), cwd=tmp_path) as child:
+            until(lambda c=child: mask(c, "SigCgt"), f"{name} did not begin")
+            time.sleep(moments.uniform(0.0, 0.6))
+            child.send_signal(signal.SIGINT)
+            out, err = child.communicate(timeout=30.0)
+        assert child.returncode == (130 if name in TOOLS else 0), (child.returncode, err)
+        assert "Traceback" not in err, err
+
+
+STOPPED = """
+import os, signal, sys
+from pathlib import Path
+from valve_control.nodes.harness.processes import run_tool
+__name__ = "valve_control.program"
+
+def below_a_text():
+    eval("os.kill(os.getpid(), signal.SIGINT)")
+
+def in_a_compiled_module():
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except KeyboardInterrupt:
+        raise ImportError("initialization failed")
+
+class Bar:
+    def __init__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        self.shown = True
+
+    def __del__(self):
+        assert self.shown
+
+def in_a_constructor():
+    Bar()
+
+def at_a_collection():
+    import gc  # the exception is swallowed there
+    gc.callbacks.append(lambda phase, info: os.kill(os.getpid(), signal.SIGTERM))
+    gc.collect()
+    while True:
+        pass
+
+sys.exit(run_tool("it", Path(sys.argv[1]), {work}))
+"""
+
+
+@pytest.mark.parametrize(
+    "work", ["below_a_text", "in_a_compiled_module", "in_a_constructor", "at_a_collection"]
+)
+def test_ctrl_c_gives_the_status_wherever_it_comes(tmp_path, work):
+    """Python ends a process by SIGINT whose KeyboardInterrupt was raised below an evaluated text.
+
+    So are namedtuples made; an import of a compiled module turns the exception into another one, and an
+    object whose constructor did not come to its end complains when it is collected.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", STOPPED.format(work=work), str(tmp_path)],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.returncode == 130 and "Traceback" not in done.stderr, done
+
+
+def test_importing_a_node_leaves_signals_alone():
+    done = subprocess.run(
+        [sys.executable, "-c", "import signal, valve_control.nodes.loop as l; "
+         "print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"],
+        capture_output=True, text=True, timeout=60, check=True, env=dict(os.environ),
+    )  # fmt: skip
+    assert done.stdout.strip() == "True"

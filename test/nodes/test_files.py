@@ -1,0 +1,127 @@
+"""Every parameter file that the package writes is read by real nodes as it was meant."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from valve_control.cli import main
+from valve_control.parameter import defaults
+from valve_control.parameters import files
+from valve_control.parameters.table import CONTROLLER
+
+QUICK = ["--set", "steps=12", "--set", "cycles=4", "--set", "frequency=1.0", "--set", "step_time=0.8"]
+SHORT = ["--set", "cycle=2.0", "--set", "start=0.0", "--duration", "2.0"]
+NODES = ("controller", "valve_simulator", "command_source")
+# Each file in turn by rcl's own parser; the nodes wait for their transitions.
+READ = """
+import json, sys
+import rclpy
+from valve_control.nodes.adapter import plain
+from valve_control.nodes.controller import Controller
+from valve_control.nodes.valve_simulator import ValveSimulator
+from valve_control.nodes.command_source import CommandSource
+for path in sys.argv[1:]:
+    rclpy.init(args=["--ros-args", "--params-file", path, "-p", "autostart:=false"])
+    nodes = {n.get_name(): n for n in (Controller(), ValveSimulator(), CommandSource())}
+    print(json.dumps({
+        name: {p: plain(node.get_parameter(p).value) for p in node._parameters if p != "autostart"}
+        for name, node in nodes.items()
+    }))
+    for node in nodes.values():
+        node.destroy_node()
+    rclpy.shutdown()
+"""
+
+
+def read_by_nodes(*paths):
+    done = subprocess.run(
+        [sys.executable, "-c", READ, *map(str, paths)],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def test_files_of_all_commands(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "array.csv").write_text("".join(f"{0.001 * i}\n" for i in range(300)))
+    commands = {
+        "identify": ["identify", *QUICK],
+        "identify_slow": ["identify", *QUICK, "--delay", "--sample-period", "0.002"],
+        "compensator": ["compensator", "--bandwidth", "20"],
+        "compensator_from": ["compensator", "--from", "identify.yaml", "--u-max", "8"],
+        "study": ["study", "--replay", "3"],
+        "study_array": [
+            "study", "--replay", "3", "--command", "array.csv", "--sample-period", "1e-3",
+            "--set", "arc.epsilon=1e-05",
+        ],
+        "calibrate": [
+            "calibrate", "paper", *SHORT, "--evaluations", "1", "--population", "4", "--noise-seeds", "1",
+            "--processes", "1",
+        ],
+    }  # fmt: skip
+    paths = []
+    for name, arguments in commands.items():
+        paths.append(tmp_path / f"{name}.yaml")
+        assert main([*arguments, "--output", paths[-1].name]) == 0, name
+    paths += [p for p in sorted(files.config_folder().glob("*.yaml")) if p.name != "manifold.yaml"]
+    for path, got in zip(paths, read_by_nodes(*paths), strict=True):
+        meant = files.load(str(path))
+        assert any(meant[node] for node in NODES), path
+        for node in NODES:
+            meant[node].pop("autostart", None)
+            for name, value in meant[node].items():
+                found = got[node][name]
+                assert found == value and type(found) is type(value), (path.name, node, name, found, value)
+
+
+HARD = [0.0, -0.0, 2.0, 1e-05, 1e-09, 1e16, 1.5e300, 0.1 + 0.2, 123456789.0]
+WORDS = ["", "y", "No", "nan", ".inf", "2", "1e5", "0x1F", "2,3", "a: b", "# no", 'it\'s "so"', "ü\\n", "~"]
+
+
+@pytest.mark.parametrize("node", ["/controller", "/digger/boom/controller", "/**/controller"])
+def test_numbers_stay_numbers_and_words_stay_words(tmp_path, node):
+    """As ~/save_parameters writes them, whatever their form."""
+    paths = []
+    for i, word in enumerate(WORDS):
+        values = {**defaults(CONTROLLER), "save_file": word, "realtime.cpus": "0"}
+        values["arc.epsilon"] = max(1e-9, HARD[i % len(HARD)] if HARD[i % len(HARD)] < 1e12 else 1e12)
+        values["arc.gamma"] = values["oarc.gamma"] = [0.0, 1e-05, 1e12, 2.0]
+        paths.append(tmp_path / f"{i}.yaml")
+        files.save(paths[-1], node, values)
+        text = paths[-1].read_text()
+        assert "&id" not in text and "*id" not in text
+        assert files.load(str(paths[-1]))["controller"] == values
+    if "digger" not in node:
+        for got, word in zip(read_by_nodes(*paths), WORDS, strict=True):
+            assert got["controller"]["save_file"] == word
+            assert got["controller"]["realtime.cpus"] == "0"
+            assert got["controller"]["arc.gamma"] == [0.0, 1e-05, 1e12, 2.0]
+
+
+def test_numbers_of_every_size_are_doubles_for_rcl(tmp_path):
+    """By rcl's parser alone, since no parameter of the table has such a range.
+
+    It takes numbers below the normal ones for words, so these are written as 0.0.
+    """
+    path = tmp_path / "hard.yaml"
+    numbers = [*HARD, 5e-324, -1e-310, float("inf"), float("-inf")]
+    values = {f"v{i}": number for i, number in enumerate(numbers)}
+    path.write_text(files.as_yaml({"/**": {**values, "list": HARD, "again": HARD}}))
+    script = (
+        "import json, sys, rclpy; rclpy.init(args=['--ros-args', '--params-file', sys.argv[1]]);"
+        "n = rclpy.create_node('n', automatically_declare_parameters_from_overrides=True);"
+        "print(json.dumps({k: v.value if not hasattr(v.value, 'tolist') else v.value.tolist()"
+        " for k, v in n._parameters.items() if k[0] in 'vla'}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    got = json.loads(done.stdout)
+    for name, value in values.items():
+        assert type(got[name]) is float, (name, value, got[name])
+        assert got[name] == (value if abs(value) > 1e-300 else 0.0), (name, value, got[name])
+    assert got["list"] == HARD == got["again"]

@@ -1,0 +1,143 @@
+"""Services beside a running loop: many calls, clients that leave, requests that make no sense."""
+
+import re
+import subprocess
+import sys
+import time
+from contextlib import suppress
+
+from bench import Bench, call, controller, get_double, spin_until
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_parameters
+from std_srvs.srv import Trigger
+
+from valve_control.nodes.harness.processes import wait_until
+from valve_control.nodes.services import Reception
+
+CALLS = 200
+LEAVER = """
+import sys, rclpy
+from std_srvs.srv import Trigger
+rclpy.init()
+node = rclpy.create_node("leaver")
+client = node.create_client(Trigger, sys.argv[1])
+assert client.wait_for_service(20.0)
+client.call_async(Trigger.Request())
+node.destroy_client(client)
+node.destroy_node()
+rclpy.shutdown()
+"""
+
+
+class One:
+    """A node with one service."""
+
+    def __init__(self, service):
+        self.services = [service]
+
+
+def patient_client(ros):
+    """Whose queues hold all calls; the usual ones hold ten."""
+    name = "/controller/set_parameters"
+    client = ros.create_client(SetParameters, name, qos_profile=qos_profile_parameters)
+    spin_until(ros, client.service_is_ready, name)
+    assert get_double(ros, "arc.k1") == 120.0  # from here on both see each other
+    return client
+
+
+def ask(client, name, value):
+    parameter = Parameter(name, value=value).to_parameter_msg()
+    return client.call_async(SetParameters.Request(parameters=[parameter]))
+
+
+def test_pipelined_calls_are_all_answered(ros, tmp_path):
+    with controller(tmp_path):
+        client = patient_client(ros)
+        futures = [ask(client, "arc.k1", 100.0 + k) for k in range(CALLS)]
+        spin_until(ros, lambda: all(future.done() for future in futures), "answers")
+        assert all(future.result().results[0].successful for future in futures)
+        assert get_double(ros, "arc.k1") == 100.0 + CALLS - 1
+
+
+def test_many_changes_share_a_line_of_the_log(ros, tmp_path):
+    with controller(tmp_path):
+        client = patient_client(ros)
+        futures = [ask(client, "arc.k1", 100.0 + k) for k in range(CALLS)]
+        spin_until(ros, lambda: all(future.done() for future in futures), "answers")
+        log = tmp_path / "c.log"
+        spin_until(ros, lambda: f"now arc.k1 = {99.0 + CALLS}" in log.read_text(), "the last value")
+        assert len(re.findall("now arc.k1", log.read_text())) < CALLS / 4
+
+
+def test_an_answer_to_a_client_that_has_left_does_not_hold_up_the_loop(ros):
+    """The least of several times, beside what the same answers cost rclpy's own way.
+
+    A client that leaves at once may take its request with it; then another one comes.
+    """
+    services = [ros.create_service(Trigger, name, lambda _, response: response) for name in ("ours", "plain")]
+    reception = Reception([One(services[0])])
+    took = {"ours": [], "plain": []}
+
+    def served(name):
+        began = time.monotonic()
+        if name == "ours":
+            if not reception.waiting:
+                return False
+            reception.serve()
+        else:
+            with services[1].handle:
+                taken = services[1].handle.service_take_request(Trigger.Request)
+            if taken == (None, None):
+                return False
+            began = time.monotonic()
+            services[1].send_response(Trigger.Response(), taken[1])
+        took[name].append(time.monotonic() - began)
+        return True
+
+    for name in ("ours", "plain") * 8:
+        if len(took[name]) < 4:
+            subprocess.run([sys.executable, "-c", LEAVER, name], check=True, timeout=60)
+            with suppress(RuntimeError):
+                wait_until(lambda name=name: served(name), "a request", [], limit=3.0)
+    reception.close()
+    assert all(len(times) == 4 for times in took.values()), took
+    assert min(took["plain"]) > 0.05 and min(took["ours"]) < 0.1 * min(took["plain"]), took
+
+
+def test_a_request_that_makes_no_sense_is_refused_and_the_node_goes_on(ros, tmp_path):
+    with controller(tmp_path) as child:
+        bench = Bench(ros)
+        bench.connect()
+        strange = ParameterMessage(name="arc.k1", value=ParameterValue(type=200))
+        unknown = Parameter("arc.k7", value=1.0).to_parameter_msg()
+        good = Parameter("arc.k1", value=77.0).to_parameter_msg()
+        request = SetParameters.Request(parameters=[strange, unknown, good])
+        results = call(ros, SetParameters, "/controller/set_parameters", request).results
+        assert [result.successful for result in results] == [False, False, True]
+        assert all(result.reason for result in results[:2]) and "arc.k7" in results[1].reason
+        names = GetParameters.Request(names=["arc.k1"] * 10000)
+        assert call(ros, GetParameters, "/controller/get_parameters", names).values == []
+        assert "10000" in (tmp_path / "c.log").read_text()
+        assert get_double(ros, "arc.k1") == 77.0
+        bench.sample(0.1)
+        assert child.poll() is None
+
+
+def test_a_long_list_of_changes_leaves_the_samples_their_turn(ros, tmp_path):
+    """Each takes about a period; all together they would be a standstill."""
+    with controller(tmp_path):
+        bench = Bench(ros)
+        bench.connect()
+        client = patient_client(ros)
+        value = [ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=v) for v in (1.0, 2.0)]
+        changes = [ParameterMessage(name="arc.k1", value=value[k % 2]) for k in range(400)]
+        future = client.call_async(SetParameters.Request(parameters=changes))
+        sampled = 0
+        while not future.done():
+            bench.sample(0.001 * (sampled % 2))
+            sampled += 1
+        assert sampled > 20
+        assert all(result.successful for result in future.result().results)

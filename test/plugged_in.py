@@ -1,0 +1,87 @@
+"""What a law of another package has to do here; run by test_plugins.py with the example installed."""
+
+import math
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from made import Run, write
+
+from valve_control.export import folder, unit
+from valve_control.laws.registry import LAWS, REFUSED
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.recordings import shadow
+from valve_control.recordings.recording import load
+from valve_control.simulation import batch, offline
+from valve_control.tuning import margins, search, trial
+
+COMMAND = 0.5 * np.sin(2.0 * math.pi * 2.0 * np.arange(2000) * 0.001)
+VALUES = {"lvdt.noise": 0.003, "friction.coulomb": 0.2}
+
+
+def settings(controller="lead", **changes):
+    own = {name.replace("__", "."): value for name, value in changes.items()}
+    return updated(CONTROLLER, defaults(CONTROLLER), {"controller": controller, **own})
+
+
+def test_it_is_one_of_the_laws():
+    assert REFUSED == [] and list(LAWS)[-1] == "lead" and LAWS["lead"].package == "valve_lead_law"
+    assert LAWS["lead"].feedback and not LAWS["lead"].adapts
+
+
+def test_offline_runs_batches_and_plain_python_give_the_same_bits():
+    plant = updated(VALVE, defaults(VALVE), VALUES)
+    runs = [offline.simulate(settings(), plant, COMMAND, compiled) for compiled in (True, False)]
+    assert np.array_equal(runs[0].voltage, runs[1].voltage) and runs[0].warning == ""
+    found = batch.simulate(
+        batch.Batch("lead", build.law_params(settings()), build.valve_params(plant), [1] * 9, COMMAND)
+    )
+    assert found.true_e_M[3] == runs[0].true_error["e_M"]
+    open_loop = offline.simulate(settings("open_loop"), plant, COMMAND)
+    assert runs[0].indices.e_rms < 0.5 * open_loop.indices.e_rms
+
+
+def test_its_margins_are_told_and_its_gains_are_found():
+    plants = [
+        build.valve_params(updated(VALVE, defaults(VALVE), {**VALUES, "gain_scale": g})) for g in (0.8, 1.2)
+    ]
+    motion = trial.Motion("sine", COMMAND)
+    problem = trial.Problem(
+        settings(), [motion], plants, plants, trial.Limits(3.0, 20.0, 0.0005, 10.0, 0.02), False, False, 1
+    )
+    told = margins.margins(LAWS["lead"], build.law_params(settings()), margins.prepared(plants))
+    assert np.all(np.isfinite(told.gain_db)) and told.gain_db[0] > told.gain_db[1] > 3.0
+    found = search.search(LAWS["lead"], problem, search.phases(0.3), 60, 1, lambda done: None)
+    before = trial.error_of(problem, trial.run(LAWS["lead"], problem, [trial.Gains({}, 0.0)])[0])
+    assert min(p.error for p in found.points if p.chatter < 0.3) < 0.7 * before
+
+
+def test_high_gains_are_warned_of():
+    run = offline.simulate(settings(lead__gain=900.0), updated(VALVE, defaults(VALVE), {}), COMMAND[:200])
+    assert "lead with these gains is unstable" in run.warning
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_it_is_exported_to_c_with_the_same_bits(tmp_path):
+    folder.write(tmp_path / "lead", folder.files(unit.law(settings(lead__gain=3.0))))
+    done = subprocess.run(["make", "-C", tmp_path / "lead", "check"], capture_output=True, text=True)
+    assert done.returncode == 0 and "lead: 3002 rows equal to the last bit" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("other", ["arc", "oarc", "dcarc", "pid", "compensator"])
+def test_takeovers_to_and_fro_are_bumpless_and_replayed_bit_for_bit(tmp_path, other):
+    run = Run(controller={"controller": "lead"})
+    run.move(400)
+    for law in (other, "lead"):
+        run.change(controller=law)
+        run.move(400)
+    run.change(lead__gain=3.0)
+    run.move(200)
+    steps = np.abs(np.diff(run.voltages))
+    assert steps[399] < 1e-9 and steps[799] < 1e-9  # the first voltage of a law is the last of the other
+    result = shadow.replay(load(write(tmp_path / "bag", run.messages), journals=True).valves["valve"], {})
+    assert result.faithful and result.differing == 0 and result.left_out == []
+    assert np.array_equal(result.voltage, run.voltages)

@@ -1,0 +1,331 @@
+"""Modes, parameter changes and the readings' rate as the analysis tells them, from bags of known runs."""
+
+import json
+
+import numpy as np
+import pytest
+from made import BEGIN, PERIOD, STATUS, Run, diagnostic, write
+
+from valve_control.recordings import report
+from valve_control.recordings.analysis import analyze, as_dict
+from valve_control.recordings.recording import load
+
+
+class Told(Run):
+    """A run that keeps the mode of each sample."""
+
+    def __init__(self, **options):
+        super().__init__(**options)
+        self.modes = []
+
+    def sample(self, *arguments, **options):
+        super().sample(*arguments, **options)
+        self.modes.append(int(self.supervisor.mode))
+
+
+@pytest.fixture(scope="module")
+def run():
+    """10 readings lost: bridged, degraded for a second. 60 lost, later: safe until it is believed again."""
+    made = Told()
+    made.move(700)
+    made.move(10, lost=True)
+    made.move(1500)
+    made.move(60, lost=True)
+    made.move(1700)
+    return made
+
+
+def not_state(message):
+    return not message.topic.endswith("/state")
+
+
+def not_diagnostics(message):
+    return message.topic != "/diagnostics"
+
+
+def modes_of(path):
+    result = analyze(load(path))
+    return result, as_dict(result)["valves"]["valve"]["modes"]
+
+
+def sample_modes(result, count):
+    """Mode of each sample as the analysis counts it."""
+    valve = result.valves["valve"]
+    found = [int(s.interval.mode) for s in valve.spells for _ in range(s.samples)]
+    assert len(found) == count
+    return np.array(found)
+
+
+def runs_of(modes):
+    """(mode, samples) of each stretch."""
+    edges = [0, *(np.flatnonzero(np.diff(modes)) + 1).tolist(), len(modes)]
+    return [(int(modes[a]), b - a) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+@pytest.mark.parametrize("keep", [lambda m: True, not_state], ids=["both", "diagnostics alone"])
+def test_each_sample_has_the_mode_that_its_supervisor_was_in(run, tmp_path, keep):
+    """A lost reading is no sample of the supervisor: its mode is the one told when the next has come."""
+    result, about = modes_of(write(tmp_path / "bag", run.messages, keep=keep))
+    told = np.array(run.modes)
+    assert {mode for mode, _ in runs_of(told)} == {0, 1, 2}
+    found = sample_modes(result, len(told))
+    # The last of the lost readings is answered by what is said when the gap is over.
+    assert np.count_nonzero(found != told) == 0
+    degraded, safe = about["intervals"]
+    assert degraded["mode"] == "degraded" and degraded["reasons"] == ["LVDT readings lost: bridged"]
+    assert safe["mode"] == "safe" and "60 LVDT readings lost in a row" in safe["reasons"]
+    for interval, mode in ((degraded, 1), (safe, 2)):
+        count = told.tolist().count(mode)
+        assert interval["samples"] == about[interval["mode"]]["samples"] == count
+        assert interval["duration_s"] == pytest.approx(1e-3 * count, abs=2e-3)
+
+
+def test_indices_with_and_without_what_was_not_ok(run, tmp_path):
+    _, about = modes_of(write(tmp_path / "bag", run.messages))
+    told = np.array(run.modes)
+    command = 2.0 * np.sin(2.0 * np.pi * (np.arange(len(told))) * 1e-3)
+    error = np.array(run.readings) - command
+    for key, kept in (("indices_only_ok", told == 0), ("indices_without_safe", told < 2)):
+        assert about[key]["e_M"] == pytest.approx(np.max(np.abs(error[kept])))
+        assert about[key]["e_rms"] == pytest.approx(np.sqrt(np.mean(error[kept] ** 2)))
+        assert about[key]["e_F"] == pytest.approx(np.max(np.abs(error[kept][-2001:])))
+
+
+def test_the_text_and_the_page_show_the_modes(run, tmp_path):
+    result, _ = modes_of(write(tmp_path / "bag", run.messages))
+    lines = report.text(result).splitlines()
+    assert any(line.startswith("only ok") for line in lines)
+    assert any(line.startswith("without safe") for line in lines)
+    assert any(line.startswith("safe ") and "60 LVDT readings lost in a row" in line for line in lines)
+    assert any(line.startswith("modes: ok ") and "safe 1 time" in line for line in lines)
+    report.write_html(tmp_path / "r.html", result)
+    page = (tmp_path / "r.html").read_text()
+    assert "60 LVDT readings lost in a row" in page
+    shapes = json.loads("[" + page.split('"shapes":[', 1)[1].split("]", 1)[0] + "]")
+    told = [i for i in as_dict(result)["valves"]["valve"]["modes"]["intervals"] if i["samples"]]
+    drawn = [(shape["x0"], shape["x1"]) for shape in shapes if shape["type"] == "rect"]
+    assert drawn == [pytest.approx((max(0.0, interval["start_s"]), interval["end_s"])) for interval in told]
+
+
+def test_without_diagnostics_the_state_tells_the_modes_but_no_reasons(run, tmp_path):
+    result, about = modes_of(write(tmp_path / "bag", run.messages, keep=not_diagnostics))
+    told, found = np.array(run.modes), sample_modes(result, len(run.modes))
+    # ~/state has every tenth sample.
+    assert [mode for mode, _ in runs_of(found)] == [mode for mode, _ in runs_of(told)]
+    assert np.count_nonzero(found != told) <= 10 * len(runs_of(told))
+    assert all(interval["reasons"] == [] for interval in about["intervals"])
+    assert "reason is not recorded" in report.text(result)
+
+
+def test_a_run_that_is_ok_throughout_says_so(tmp_path):
+    """What comes before the first command is no part of the run."""
+    made = Run()
+    for _ in range(300):
+        made.sample()  # "no command yet"
+    made.move(1200)
+    result, about = modes_of(write(tmp_path / "bag", made.messages))
+    assert "modes: ok throughout" in report.text(result)
+    assert about["ok"]["samples"] == 1200 and about["degraded"]["intervals"] == 0
+    assert about["intervals"][-1]["reasons"] == ["no command yet"] and about["intervals"][-1]["end_s"] < 0.001
+
+
+def test_a_word_that_the_recorder_missed_is_made_good_by_the_state(run, tmp_path):
+    """The word that control is back is not in the bag; the next one comes up to a second later."""
+    words = [m for m in run.messages if m.topic == "/diagnostics"]
+    after_safe = next(i for i, m in enumerate(words) if b"lost in a row" in m.data) + 1
+    missed = words[after_safe]
+    result, about = modes_of(write(tmp_path / "bag", run.messages, keep=lambda m: m is not missed))
+    told, found = np.array(run.modes), sample_modes(result, len(run.modes))
+    assert np.count_nonzero(found != told) <= 10
+    assert about["safe"]["intervals"] == 1
+
+
+def test_a_controller_that_fell_silent_is_not_taken_for_ok(run, tmp_path):
+    """It was killed: the LVDT is read for five seconds more."""
+    messages = list(run.messages)
+    last = max(m.time for m in messages)
+    reading = next(m for m in reversed(messages) if m.topic == "/spool_position")
+    messages += [
+        reading._replace(time=last + i * PERIOD, log_time=last + i * PERIOD, sequence=reading.sequence + i)
+        for i in range(1, 5001)
+    ]
+    result, about = modes_of(write(tmp_path / "bag", messages))
+    assert about["unknown"]["intervals"] == 1
+    assert about["unknown"]["duration_s"] == pytest.approx(5.0, abs=0.02)
+    assert "nothing was heard of the controller" in report.text(result)
+
+
+def test_of_two_valves_each_has_its_own_modes(tmp_path):
+    boom, arm = Run(namespace="/boom"), Run(2, namespace="/arm")
+    boom.move(300)
+    boom.move(60, lost=True)
+    boom.move(200)
+    arm.move(560)
+    about = as_dict(analyze(load(write(tmp_path / "bag", boom.messages + arm.messages))))["valves"]
+    assert about["boom"]["modes"]["safe"]["intervals"] == 1
+    assert about["arm"]["modes"]["safe"]["intervals"] == 0
+
+
+def test_an_inactive_controller_and_words_of_other_nodes(run, tmp_path):
+    """A battery that tells a mode of its own, and a controller that was deactivated for half a second."""
+    made = Run()
+    made.move(1000)
+    made.clock += 1_000_000
+    made.send("/diagnostics", STATUS, diagnostic("/controller", 0, "inactive", mode="safe"))
+    made.send("/diagnostics", STATUS, diagnostic("/battery", 2, "empty", mode="safe"))
+    made.send("/diagnostics", STATUS, b"\0\1\0\0mode\0")
+    made.clock += 500 * PERIOD
+    made.diagnose()
+    made.move(1000)
+    loaded = load(write(tmp_path / "bag", made.messages))
+    about = as_dict(analyze(loaded))["valves"]["valve"]["modes"]
+    inactive = about["intervals"][-1]
+    assert inactive["mode"] == "inactive" and inactive["duration_s"] == pytest.approx(0.5, abs=0.01)
+    assert about["safe"]["intervals"] == 0
+    assert any("1 messages of /diagnostics could not be decoded" in text for text in loaded.problems)
+
+
+def test_a_part_of_the_time_knows_the_mode_at_its_beginning(run, tmp_path):
+    """The word that the readings were bridged was said before the part begins."""
+    bag = write(tmp_path / "bag", run.messages, keep=not_state)
+    about = as_dict(analyze(load(bag, start=1.2, end=1.5)))["valves"]["valve"]["modes"]
+    assert about["degraded"]["share"] == pytest.approx(1.0)
+    assert about["intervals"][0]["reasons"] == ["LVDT readings lost: bridged"]
+
+
+def test_what_switched_off_is_the_first_reason(tmp_path):
+    """Bridged readings are still reported when many are lost."""
+    made = Run()
+    made.move(500)
+    made.move(10, lost=True)
+    made.move(300)
+    made.move(60, lost=True)
+    made.move(300)
+    _, about = modes_of(write(tmp_path / "bag", made.messages))
+    assert [i["reasons"] for i in about["intervals"]] == [
+        ["LVDT readings lost: bridged"],
+        ["60 LVDT readings lost in a row", "LVDT readings lost: bridged"],
+        ["LVDT readings lost: bridged"],
+    ]
+
+
+def test_without_any_word_of_a_controller_modes_are_not_known(run, tmp_path):
+    result, about = modes_of(
+        write(tmp_path / "bag", run.messages, keep=lambda m: not_state(m) and not_diagnostics(m))
+    )
+    assert about is None and "modes" not in report.text(result)
+
+
+# Changes of parameters
+
+
+def test_successive_changes_are_all_listed(tmp_path):
+    """Three between two samples, one before the first command, one after the last reading."""
+    made = Run()
+    for _ in range(5):
+        made.sample()
+    made.change(arc__k2=90.0)
+    made.move(500)
+    for k1 in (110.0, 100.0, 95.0):
+        made.change(arc__k1=k1)
+    made.move(500)
+    made.change(controller="pid")
+    made.flush()
+    result = analyze(load(write(tmp_path / "bag", made.messages)))
+    text = report.text(result)
+    for i, change in enumerate(
+        ("arc.k2 = 90.0", "arc.k1 = 110.0", "arc.k1 = 100.0", "arc.k1 = 95.0", "controller = pid"), start=1
+    ):
+        assert f"after change {i}: {change} (at " in text
+    valve = as_dict(result)["valves"]["valve"]
+    parts = [(s["name"], s["change"]) for s in valve["segments"] if s["kind"] == "parameters"]
+    assert parts == [
+        ("after change 1", "arc.k2 = 90.0"),
+        ("after change 4", "arc.k1 = 110.0; arc.k1 = 100.0; arc.k1 = 95.0"),
+    ]
+    assert len(valve["changes"]) == 5
+
+
+# Readings of another rate
+
+
+def slower(messages, factor, begin=BEGIN, end=10**19):
+    """The same run with its time from ``begin`` to ``end`` [ns] stretched."""
+
+    def moved(time):
+        return time + round((factor - 1.0) * (min(max(time, begin), end) - begin))
+
+    return [m._replace(time=moved(m.time), log_time=moved(m.log_time)) for m in messages]
+
+
+@pytest.fixture(scope="module")
+def steady():
+    made = Run()
+    made.move(3000)
+    return made
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.8, 1.03, 1.25, 2.0])
+def test_readings_of_another_rate_are_reported_with_both_numbers(steady, tmp_path, factor):
+    result = analyze(load(write(tmp_path / "bag", slower(steady.messages, factor))))
+    valve = as_dict(result)["valves"]["valve"]
+    told = f"LVDT readings come every {factor:.4g} ms, sample_period is 1 ms"
+    assert told in report.text(result) and any(told in text for text in valve["left_out"])
+    period = valve["lvdt_period"]
+    assert period["measured_s"] == pytest.approx(1e-3 * factor, rel=1e-3)
+    assert period["sample_period_s"] == 0.001 and valve["sample_period_s"] == 0.001
+    assert period["deviation"] == pytest.approx(factor - 1.0, abs=1e-3)
+    assert len(period["other_rates"]) == 1
+    # The command is a sine of 1 Hz when a reading a millisecond comes.
+    spectrum = result.valves["valve"].voltage_spectrum
+    assert spectrum.frequency[-1] == pytest.approx(500.0 / factor, rel=1e-3)
+    report.write_html(tmp_path / "r.html", result)
+    page = (tmp_path / "r.html").read_text()
+    indices, spectra = page.index("valve: indices<"), page.index("valve: spectra<")
+    assert page.index(told, indices) < page.index("valve: signals<") and told in page[spectra:]
+
+
+def test_the_right_rate_is_not_reported_despite_losses_jitter_and_pauses(steady, tmp_path):
+    """5 % lost on the way to the recorder, jitter of 0.4 ms, three standstills of 80 ms, then caught up."""
+    random = np.random.default_rng(3)
+    messages, busy = [], 0
+    for i, m in enumerate(sorted(steady.messages, key=lambda m: m.time)):
+        if m.topic == "/spool_position":
+            if random.random() < 0.05:
+                continue
+            if m.sequence in (800, 1700, 2300):
+                busy = m.time + 80 * PERIOD
+            sent = max(m.time + int(random.exponential(4e5)), busy + i)
+            m = m._replace(time=sent, log_time=sent + 100_000)
+        messages.append(m)
+    valve = as_dict(analyze(load(write(tmp_path / "bag", messages))))["valves"]["valve"]
+    assert valve["timing"]["spool_position"]["lost"] > 100
+    assert valve["lvdt_period"]["other_rates"] == []
+    assert valve["lvdt_period"]["deviation"] == pytest.approx(0.0, abs=5e-3)
+
+
+def test_a_rate_that_is_wrong_for_a_while_is_reported_with_its_time(steady, tmp_path):
+    """Every second from 1.0 to 2.0 s."""
+    begin, end = BEGIN + 1000 * PERIOD, BEGIN + 1500 * PERIOD
+    result = analyze(load(write(tmp_path / "bag", slower(steady.messages, 2.0, begin, end))))
+    (other,) = as_dict(result)["valves"]["valve"]["lvdt_period"]["other_rates"]
+    assert other["measured_s"] == pytest.approx(2e-3, rel=0.01)
+    assert other["start_s"] == pytest.approx(1.0, abs=0.06)
+    assert other["end_s"] == pytest.approx(2.0, abs=0.12)
+    assert "LVDT readings come every 2 ms from 0.9" in report.text(result).replace("from 1.0", "from 0.9")
+
+
+def test_a_sample_period_that_was_changed_with_the_readings_is_none(steady, tmp_path):
+    """From 1.5 s on both are 2 ms; before, and after, they agree."""
+    made = Run()
+    made.move(1500)
+    made.change(sample_period=0.002)
+    turn = made.clock
+    made.move(1500)
+    valve = as_dict(analyze(load(write(tmp_path / "bag", slower(made.messages, 2.0, turn)))))["valves"][
+        "valve"
+    ]
+    assert valve["lvdt_period"]["other_rates"] == []
+    kept = as_dict(analyze(load(write(tmp_path / "kept", made.messages))))["valves"]["valve"]
+    (other,) = kept["lvdt_period"]["other_rates"]
+    assert (other["measured_s"], other["sample_period_s"]) == pytest.approx((0.001, 0.002))

@@ -1,0 +1,93 @@
+"""Laws with tuned gains on random valves: what is compared, and with what."""
+
+import numpy as np
+import pytest
+
+from valve_control.laws import reshaping
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters import files
+from valve_control.parameters.table import CONTROLLER
+from valve_control.simulation import batch, comparison
+from valve_control.simulation.comparison import PERIOD, Setup
+
+TUNED = files.config_folder() / "tuned"
+
+
+def test_unreshaped_commands_make_the_reference_the_wanted_motion():
+    """Through the law's own reshaping (8)-(11), which reaches the motion to rounding."""
+    values = updated(
+        CONTROLLER,
+        defaults(CONTROLLER),
+        {**comparison.NO_LIMITS, "controller": "oarc", "reshaping.natural_frequency": 350.0},
+    )
+    law = LAWS["oarc"]
+    params = law.build(values)
+    for name, wanted in comparison.motions().items():
+        shaping = params.reshaping
+        sent = comparison.unreshaped(shaping, wanted)
+        state, reached = reshaping.State(wanted[0], 0.0), []
+        for command in sent:
+            reached.append(state.reference)
+            state = reshaping.advance(shaping, state, reshaping.acceleration(shaping, state, command))
+        assert np.max(np.abs(np.array(reached) - wanted[:-2])) < 1e-9, name
+
+
+def test_tuned_gains_of_both_boxes_are_found_by_name():
+    for box in comparison.BOXES:
+        found = {setup.name: setup for setup in comparison.setups(TUNED, box, 0.25)}
+        assert {"dcarc", "pid_reference"} <= found.keys()
+        assert found["dcarc"].preview == 0.0
+        assert box == "wide" or found["pid_plain"].preview > 0.001
+        for name, setup in found.items():
+            assert setup.values["controller"] == name.split("_")[0]
+
+
+def test_errors_of_one_valve_are_those_of_its_own_run():
+    """A setup a plant, as a batch of different laws' gains, against each one alone."""
+    plants = batch.records(comparison.valves(3, 5, True))
+    setups = [Setup("dcarc", {"controller": "dcarc", "dcarc.delay": d}, 0.0) for d in (0.0, 3e-4, 1e-3)]
+    together = comparison.measured(setups, plants, 7)
+    alone = comparison.measured(setups[1], plants, 7)
+    assert np.array_equal(together.rms[:, 1], alone.rms[:, 1])
+    assert not np.array_equal(together.rms[:, 2], alone.rms[:, 2])
+
+
+def test_order_of_laws_on_valves_that_were_not_tuned_on():
+    """The oracle leads, dcarc has less than half of the better PID's error, and a lag costs every law."""
+    found = comparison.compare(comparison.setups(TUNED, "narrow", 0.25), 8, 31, False)
+    size = {
+        text: {name: comparison.geometric(np.median(e.rms, axis=1)) for name, e in by_name.items()}
+        for text, by_name in found.items()
+    }
+    ahead, bare = size["with preview"], size["command alone"]
+    assert min(ahead, key=ahead.__getitem__) == comparison.ORACLE
+    assert ahead["dcarc"] < 0.5 * min(ahead["pid_plain"], ahead["pid_reference"])
+    assert all(bare[name] > 2.0 * ahead[name] for name in ahead)
+    # At equal chatter, by which alone errors compare.
+    for name, errors in found["with preview"].items():
+        assert name == comparison.ORACLE or 0.2 < np.mean(errors.chatter) < 0.27
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("{}", "has no preview_s"), ("[1]", "has no preview_s"), ('{"preview_s": "soon"}', "has no preview_s")],
+)
+def test_gains_that_cannot_be_read_are_said(tmp_path, text, words):
+    (tmp_path / "narrow_0.25_pid.yaml").write_text(files.as_yaml({"/**/controller": {"controller": "pid"}}))
+    (tmp_path / "narrow_0.25_pid.json").write_text(text)
+    with pytest.raises(ParameterError, match=words):
+        comparison.setups(tmp_path, "narrow", 0.25)
+    with pytest.raises(ParameterError, match=r"no gains are tuned for the wide box .* has narrow_0.25"):
+        comparison.setups(tmp_path, "wide", 0.25)
+
+
+def test_gains_without_a_law_are_said(tmp_path):
+    (tmp_path / "narrow_0.25_x.yaml").write_text(files.as_yaml({"/**/controller": {"pid.kp": 3.0}}))
+    with pytest.raises(ParameterError, match="names no controller"):
+        comparison.setups(tmp_path, "narrow", 0.25)
+
+
+def test_time_of_the_motions():
+    for wanted in comparison.motions().values():
+        assert len(wanted) == round(comparison.DURATION / PERIOD) + 2 and wanted[0] == 0.0

@@ -1,0 +1,216 @@
+"""Studies: numbered valves that can be run again, and folders that outlive a stop."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from valve_control.cli import main
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters import build
+from valve_control.parameters.table import NODES
+from valve_control.simulation import offline, robustness
+
+
+def small(valves=20, seed=1, controller="oarc", lead=0.0):
+    settings = {node: defaults(table) for node, table in NODES.items()}
+    changes = {"controller": controller, "reshaping.lead": lead}
+    settings["controller"] = updated(NODES["controller"], settings["controller"], changes)
+    source = updated(NODES["command_source"], settings["command_source"], {"duration": 0.5, "start": 0.0})
+    return robustness.Study({**settings, "command_source": source}, valves, seed)
+
+
+@pytest.mark.parametrize("lead", [0.0, 0.005])
+def test_every_valve_can_be_run_again_alone(lead):
+    chosen = small(lead=lead)
+    found = robustness.run_chunk(chosen, 0, 20)
+    assert len(np.unique(found.period)) == 3
+    for number in (0, 7, 19):
+        settings = robustness.settings_of_number(chosen, number)
+        command = build.commands(settings["command_source"])
+        run = offline.simulate(settings["controller"], settings["valve_simulator"], command)
+        assert found.results.e_M[number] == run.indices.e_M
+        assert found.results.e_rms[number] == pytest.approx(run.indices.e_rms, rel=1e-12)
+
+
+def test_valve_is_the_same_in_a_longer_study_and_in_a_later_part():
+    whole, part = robustness.run_chunk(small(), 0, 20), robustness.run_chunk(small(), 12, 8)
+    assert np.array_equal(whole.points[12:], part.points)
+    for a, b in zip(whole.results, part.results, strict=True):
+        assert np.array_equal(a[12:], b, equal_nan=True)
+
+
+def test_stopped_study_goes_on_and_is_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr(robustness, "CHUNK", 8)
+
+    def stop(valves):
+        if valves >= 16:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        robustness.run(small(), tmp_path / "a", stop)
+    assert len(list((tmp_path / "a").glob("valves_*.npz"))) == 2
+    again = robustness.run(small(), tmp_path / "a", lambda valves: None)
+    anew = robustness.run(small(), tmp_path / "b", lambda valves: None)
+    for a, b in zip(again.results, anew.results, strict=True):
+        assert len(a) == 20 and np.array_equal(a, b, equal_nan=True)
+    with pytest.raises(ParameterError, match="other parameters"):
+        robustness.run(small(seed=2), tmp_path / "a", lambda valves: None)
+
+
+def test_worst_come_first_and_what_is_not_finite_before_them():
+    found = robustness.run_chunk(small(), 0, 20)
+    finite = found.results.finite.copy()
+    finite[4] = False
+    found = found._replace(results=found.results._replace(finite=finite))
+    numbers = robustness.worst(found, "e_rms", 3)
+    assert numbers[0] == 4 and numbers[1] == np.argmax(np.where(finite, found.results.e_rms, 0.0))
+    assert found.unstable(1e9).sum() == 1
+    assert robustness.summary(found)["valves"] == 20
+
+
+def test_a_command_that_comes_to_rest_has_the_limit_of_rest():
+    settings = {node: defaults(table) for node, table in NODES.items()}
+    assert robustness.fitting_limit(robustness.Study(settings, 1, 1)) == robustness.LIMIT
+
+
+def test_scaled_model_has_its_poles_and_gain_scaled():
+    from valve_control.plant.models import MODELS
+
+    model = MODELS["fourth_order"]
+    fast = robustness.faster(model, 1.1, 1.25)
+    assert fast.static_gain == pytest.approx(1.1 * model.static_gain)
+    assert np.sort(np.roots(fast.denominator)) == pytest.approx(1.25 * np.sort(np.roots(model.denominator)))
+    assert np.sort(np.roots(fast.numerator)) == pytest.approx(1.25 * np.sort(np.roots(model.numerator)))
+
+
+def test_chunks_of_long_runs_are_small():
+    chosen = small()
+    assert robustness.chunk_of(chosen) == robustness.CHUNK
+    source = {**chosen.settings["command_source"], "duration": 3600.0}
+    assert robustness.chunk_of(chosen._replace(settings={**chosen.settings, "command_source": source})) == 8
+
+
+def test_damaged_folder_is_said_in_one_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr(robustness, "CHUNK", 8)
+    robustness.run(small(8), tmp_path, lambda valves: None)
+    part = tmp_path / "valves_00000000.npz"
+    part.write_bytes(part.read_bytes()[:300])
+    with pytest.raises(ParameterError, match="valves_00000000.npz is damaged; delete it"):
+        robustness.run(small(8), tmp_path, lambda valves: None)
+    (tmp_path / "study.json").write_text("{")
+    with pytest.raises(ParameterError, match=r"study.json is damaged"):
+        robustness.run(small(8), tmp_path, lambda valves: None)
+
+
+def test_folder_of_another_version_is_refused(tmp_path, monkeypatch):
+    robustness.open_folder(small(), tmp_path)
+    monkeypatch.setattr(robustness, "sources_digest", lambda: "0" * 16)
+    with pytest.raises(ParameterError, match="another version"):
+        robustness.open_folder(small(), tmp_path)
+
+
+def test_fixed_quantities_keep_their_values_also_in_parts():
+    chosen = small()
+    box = [q for q in robustness.BOX if q.name not in ("gain", "lvdt.delay")]
+    values = {**chosen.settings["valve_simulator"], "lvdt.delay": 0.0007, "friction.presliding": 0.02}
+    chosen = chosen._replace(box=box, settings={**chosen.settings, "valve_simulator": values})
+    found = robustness.run_chunk(chosen, 0, 10)
+    assert found.points.shape == (10, len(robustness.BOX) - 2)
+    settings = robustness.settings_of_number(chosen, 9)
+    assert settings["valve_simulator"]["lvdt.delay"] == 0.0007
+    run = offline.simulate(
+        settings["controller"], settings["valve_simulator"], build.commands(settings["command_source"])
+    )
+    assert found.results.e_M[9] == run.indices.e_M
+
+
+def test_command_prints_replays_and_draws(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(robustness, "CHUNK", 8)
+    monkeypatch.chdir(tmp_path)
+    options = ["--set", "duration=0.3", "--study-seed", "3"]
+    assert main(["study", *options, "--valves", "12", "--figure", "study.svg", "--json", "study.json"]) == 0
+    assert "(unstable): " in capsys.readouterr().out and (tmp_path / "study.svg").stat().st_size > 1000
+    result = json.loads((tmp_path / "study.json").read_text())
+    assert result["valves"] == 12 and len(list((tmp_path / result["folder"]).glob("valves_*.npz"))) == 2
+    assert main(["study", *options, "--valves", "16"]) == 0
+    assert "12 of 16 valves" not in capsys.readouterr().err  # both chunks were whole
+    assert main(["study", *options, "--replay", "5", "--output", "worst.yaml", "--json", "five.json"]) == 0
+    assert "seed = 8" in capsys.readouterr().out
+    assert main(["simulate", "--params-file", "worst.yaml", "--json", "again.json"]) == 0
+    five, again = (json.loads((tmp_path / name).read_text()) for name in ("five.json", "again.json"))
+    assert five["indices"] == again["indices"]
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--set", "friction.coulomb=1.0"], "the study varies friction.coulomb from 0 to 2 V"),
+        (["--set", "lvdt.noise=0.0", "--fix", "lvdt.delay"], "the study varies lvdt.noise"),
+        (["--fix", "friction"], "no such quantity"),
+        (["--seed", "2"], "--study-seed"),
+        (["--set", "seed=2"], "--study-seed"),
+        (["--study-seed", "-1"], "must lie between 0 and"),
+        (["--valves", "0"], "--valves is 0"),
+        (["--valves", "3000000000"], "there is no valve 2999999999"),
+        (["--threads", "0"], "--threads is 0"),
+        (["--limit", "nan"], "--limit is nan"),
+        (["--replay", "-1"], "numbered from 0"),
+        (["--output", "x.yaml"], "say which with --replay"),
+        (["--figure", "x.jpg"], "must end in .png or .svg"),
+        (["--command", "c.csv"], "give --sample-period too"),
+        (["--set", "u_max=5.0", "--folder", "taken"], "cannot be written"),
+        (["--sample-period", "0.05"], "reshaping.natural_frequency"),
+        (["--duration", "100"], "--fix drift.gain"),
+    ],
+)
+def test_bad_input_is_one_sentence(options, text, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").write_text("")
+    np.savetxt("c.csv", np.zeros(100))
+    assert main(["study", *options]) in (1, 2)
+    printed = capsys.readouterr().err
+    assert text in printed and len(printed.splitlines()) == 1
+
+
+def test_what_a_file_says_of_the_box_is_not_dropped_without_a_word(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.yaml").write_text(
+        "valve_simulator: {ros__parameters: {friction: {coulomb: 1.0}, lvdt: {noise: 0.001}}}"
+    )
+    options = ["study", "--params-file", "p.yaml", "--replay", "3", "--json", "a.json"]
+    assert main([*options, "--fix", "lvdt.noise"]) == 0
+    assert capsys.readouterr().err.startswith("note: the study varies friction.coulomb, whatever p.yaml says")
+
+
+def test_command_array_is_run_whole_at_one_sample_period(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("c.csv", np.sin(np.arange(700) * 0.01))
+    common = ["study", "--command", "c.csv", "--set", "sample_period=0.002", "--replay", "3"]
+    assert main([*common, "--output", "v.yaml", "--json", "a.json"]) == 0
+    assert main(["simulate", "--params-file", "v.yaml", "--json", "b.json"]) == 0
+    a, b = (json.loads((tmp_path / name).read_text()) for name in ("a.json", "b.json"))
+    assert a["indices"] == b["indices"] and b["duration"] == pytest.approx(1.4)
+
+
+def test_ctrl_c_ends_a_study_at_once_and_loses_nothing(tmp_path):
+    command = [sys.executable, "-m", "valve_control.cli", "study", "--valves", "1000000", "--folder", "kept"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 120.0
+        while len(list(tmp_path.glob("kept/valves_*.npz"))) < 2 and time.monotonic() < deadline:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        began = time.monotonic()
+        _, printed = process.communicate(timeout=60.0)
+        assert time.monotonic() - began < 10.0
+    assert process.returncode == 130
+    last = printed.splitlines()[-1]
+    files = list(tmp_path.glob("kept/*"))
+    assert last.startswith(
+        f"stopped; {robustness.CHUNK * (len(files) - 1)} of 1000000 valves are in kept;"
+    ), printed
+    assert all(path.suffix in (".npz", ".json") for path in files)

@@ -1,0 +1,106 @@
+"""A supervisor on the simulated valve of the examples, under an upper level that is slower than the loop."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from valve_control.analysis.indices import rms
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import build, files
+from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.plant import valve
+from valve_control.supervision.supervisor import Supervisor
+from valve_control.supervision.trajectory import Motion
+
+PERIOD = 0.001
+SETTLED = 400  # samples
+D3FXE = files.load(str(files.config_folder() / "d3fxe.yaml"))["valve_simulator"]
+
+
+class Made(NamedTuple):
+    """A run, one entry a sample."""
+
+    command: np.ndarray  # V  as the law got it
+    voltage: np.ndarray  # V
+    position: np.ndarray  # V
+    wanted: np.ndarray  # V
+    supervisor: Supervisor
+
+    @property
+    def chatter(self):
+        """c_u after the beginning."""
+        moving = self.voltage[SETTLED:]
+        return rms(np.diff(moving)) / rms(moving)
+
+    @property
+    def error(self):
+        """True rms error [V] after the beginning."""
+        return rms((self.position - self.wanted)[SETTLED:])
+
+
+def sine(time, amplitude=1.0, frequency=3.0):
+    """Fades in, so that the motion begins within the limits."""
+    ease = min(1.0, time / 0.3)
+    return amplitude * ease * ease * (3.0 - 2.0 * ease) * math.sin(2.0 * math.pi * frequency * time)
+
+
+def settings(**changes):
+    named = {name.replace("__", "."): value for name, value in changes.items()}
+    return updated(CONTROLLER, defaults(CONTROLLER), {"lvdt.max_rate": 1000.0, **named})
+
+
+def run(send, every, shape=sine, samples=2000, jitter=0.0, plant=D3FXE, **changes):
+    """Every ``every`` samples ``send`` (supervisor, time, seconds since the last) is called.
+
+    ``jitter`` [s]: standard deviation of the way to the controller.
+    """
+    values = settings(**changes)
+    supervisor = Supervisor()
+    supervisor.apply(values, build.law_params(values))
+    p = build.valve_params(updated(VALVE, defaults(VALVE), plant))
+    s = valve.initial(p)
+    random = np.random.default_rng(5)
+    sent = np.arange(0, samples, every) * PERIOD
+    arrives = np.maximum.accumulate(sent + np.abs(jitter * random.standard_normal(len(sent))))
+    got, next_one, last = [], 0, None
+    for k in range(samples):
+        now = k * PERIOD
+        while next_one < len(sent) and arrives[next_one] <= now + 1e-9:
+            time = float(sent[next_one])
+            send(supervisor, time, 0.0 if last is None else time - last)
+            last = time
+            next_one += 1
+        reading = valve.read(p, s, float(random.standard_normal()))
+        voltage = supervisor.sample(reading, k + 1)
+        got.append((supervisor.telemetry()[2], voltage, s.x.x0, shape(now)))
+        s = valve.step(p, s, voltage)
+    return Made(*np.array(got).T, supervisor)
+
+
+def bare(shape=sine):
+    """An upper level that sends numbers."""
+    return lambda supervisor, time, interval: supervisor.command(shape(time), interval)
+
+
+def moving(shape=sine):
+    """An upper level that sends trajectories: the derivatives by differences of 0.1 ms."""
+    h = 1e-4
+
+    def send(supervisor, time, interval):
+        before, here, after = (shape(max(0.0, t)) for t in (time - h, time, time + h))
+        point = Motion(here, (after - before) / (2.0 * h), (after - 2.0 * here + before) / (h * h))
+        assert supervisor.trajectory(point, interval)
+
+    return send
+
+
+def lag(made, frequency=3.0):
+    """Seconds by which the command that the law got is behind the one that is wanted."""
+    cycle = round(1.0 / frequency / PERIOD)
+    cycles = (len(made.command) - SETTLED) // cycle
+    part = slice(len(made.command) - cycles * cycle, None)
+    t = np.arange(len(made.command))[part] * PERIOD
+    turning = np.exp(-2j * math.pi * frequency * t)
+    phase = np.angle(np.sum(made.wanted[part] * turning) / np.sum(made.command[part] * turning))
+    return float(phase) / (2.0 * math.pi * frequency)

@@ -1,0 +1,163 @@
+"""Readings of another rate: measured, reported, and off beyond what the gains were checked for."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from valve_control.laws.registry import LAWS
+from valve_control.laws.signals import Start
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import build, files
+from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.plant import valve
+from valve_control.supervision import rate
+from valve_control.supervision.record import Mode
+from valve_control.supervision.state_snapshot import restore, snapshot
+from valve_control.supervision.supervisor import Supervisor
+
+PERIOD = 0.001
+PARAMS = rate.Params(PERIOD, 0.15)
+
+
+def after(times, p=PARAMS, numbers=None):
+    """State after readings at ``times``."""
+    numbers = range(len(times)) if numbers is None else numbers
+    state = rate.UNKNOWN
+    for k in range(1, len(times)):
+        state = rate.step(p, state, times[k] - times[k - 1], numbers[k] - numbers[k - 1])
+    return state
+
+
+def supervisor(**changes):
+    made = Supervisor()
+    values = updated(CONTROLLER, defaults(CONTROLLER), changes)
+    made.apply(values, build.law_params(values))
+    return made
+
+
+def feed(made, seconds, period, began=0):
+    count = round(seconds / period)
+    for k in range(count):
+        made.command(0.0)
+        made.sample(1e-4 * (k % 2), began + k, period)
+    return began + count
+
+
+@given(st.floats(0.4, 2.5), st.floats(0.0, 0.5), st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_the_period_is_measured_whatever_jitter_and_loss(factor, share_lost, seed):
+    random = np.random.default_rng(seed)
+    kept = np.flatnonzero(random.random(4000) >= share_lost)
+    times = factor * PERIOD * kept + 0.001 * random.random(len(kept))
+    assert rate.measured(after(np.sort(times), numbers=kept)) == pytest.approx(factor * PERIOD, rel=0.011)
+
+
+def test_standstills_of_the_sender_are_no_false_alarm():
+    """A simulator that is held up for 0.1 s skips samples without a gap in their numbers."""
+    steps = np.full(20000, PERIOD)
+    steps[::250] += 0.1
+    state = rate.UNKNOWN
+    for step in steps:
+        state = rate.step(PARAMS, state, step, 1)
+        assert state.level == 0
+
+
+@pytest.mark.parametrize(
+    ("factor", "level"),
+    [
+        (1.0, 0),
+        (0.985, 0),
+        (1.015, 0),
+        (0.97, 1),
+        (1.03, 1),
+        (0.87, 1),
+        (1.13, 1),
+        (0.8, 2),
+        (1.2, 2),
+        (0.5, 2),
+        (2.0, 2),
+    ],
+)
+def test_level(factor, level):
+    assert after(factor * PERIOD * np.arange(10000)).level == level
+
+
+def test_a_sender_that_makes_good_what_it_lacks_is_no_false_alarm():
+    """Half a second 6 % too slow, then as fast as needed: what a simulator on a busy desktop does."""
+    slow = np.concatenate([np.full(500, 1.06), np.full(100, 0.7), np.full(2000, 1.0)]) * PERIOD
+    state = rate.UNKNOWN
+    for step in np.tile(slow, 10):
+        state = rate.step(PARAMS, state, step, 1)
+        assert state.level == 0
+
+
+@pytest.mark.parametrize("controller", list(LAWS))
+def test_deviation_is_reported_with_both_numbers_and_ends(controller):
+    made = supervisor(controller=controller)
+    number = feed(made, 2.0, PERIOD)
+    assert made.mode is Mode.OK
+    number = feed(made, 5.0, 1.05 * PERIOD, number)
+    assert made.mode is Mode.DEGRADED
+    assert made.reason == "LVDT readings come every 1.05 ms, sample_period is 1 ms"
+    feed(made, 2.0, PERIOD, number)
+    assert made.mode is Mode.OK
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.8, 1.2, 2.0])
+def test_beyond_the_limit_the_voltage_is_off_until_the_period_is_right(factor):
+    made = supervisor(controller="arc")
+    number = feed(made, 1.5, factor * PERIOD)
+    assert made.mode is Mode.SAFE and made.voltage == 0.0
+    assert f"every {factor:g} ms, sample_period is 1 ms" in made.reason
+    number = feed(made, 5.0, factor * PERIOD, number)
+    assert made.mode is Mode.SAFE and made.counts["safe_stops"] == 1
+    feed(made, 2.0, PERIOD, number)
+    assert made.mode is Mode.OK
+
+
+def test_a_new_sample_period_is_measured_anew():
+    made = supervisor(controller="pid")
+    number = feed(made, 2.0, 2.0 * PERIOD)
+    assert made.mode is Mode.SAFE
+    values = {**made.values, "sample_period": 2.0 * PERIOD}
+    made.apply(values, build.law_params(values))
+    feed(made, 2.0, 2.0 * PERIOD, number)
+    assert made.mode is Mode.OK
+
+
+def test_what_was_measured_is_remembered():
+    made = supervisor(controller="arc")
+    number = feed(made, 5.1, 1.05 * PERIOD)
+    again = supervisor(controller="arc")
+    assert restore(again, snapshot(made))
+    for one in (made, again):
+        feed(one, 1.0, PERIOD, number)
+    assert snapshot(made) == snapshot(again)
+
+
+@pytest.mark.parametrize("name", ["arc", "oarc", "pid", "pid_plain"])
+def test_shipped_gains_are_stable_within_the_limit(name, config):
+    """Impulse response of the loop at another period than the law's, as a linear loop that must die out."""
+    values = updated(CONTROLLER, defaults(CONTROLLER), files.load(str(config / f"{name}.yaml"))["controller"])
+    law = LAWS[values["controller"]].module
+    params = build.law_params(values)
+    theta = (
+        params.theta_initial[:3] if "theta_initial" in params._fields else (params.a1, params.a0, params.b0)
+    )
+    if "gamma" in params._fields:
+        params = params._replace(gamma=type(params.gamma)(0.0, 0.0, 0.0, 0.0))
+    limit = values["lvdt.period_limit"]
+    for factor in np.linspace(1.0 - limit, 1.0 + limit, 7):
+        for gain in (1.0, 1.25):
+            model = {"valve": "custom", "numerator": [gain * theta[2]], "denominator": [1.0, *theta[:2]]}
+            actual = {"sample_period": float(factor * params.period)}
+            plant = build.valve_params(updated(VALVE, defaults(VALVE), {**model, **actual}))
+            state, spool = law.initial(params, Start(0.0, 0.0, 0.0, 0.0, 0.0)), valve.initial(plant)
+            position = []
+            for k in range(3000):
+                position.append(valve.read(plant, spool, 0.0))
+                voltage, state, _ = law.step(params, state, 1e-3 if k < 10 else 0.0, position[-1], 0.0)
+                spool = valve.step(plant, spool, voltage)
+            largest = np.abs(position)
+            assert max(largest[-500:]) < 1e-3 * max(largest[:500]), (factor, gain)

@@ -1,0 +1,211 @@
+"""Trajectories of the upper level: the reference is the trajectory itself, within (6) and (7)."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from slow import PERIOD, SETTLED, bare, moving, run, settings, sine
+
+from valve_control.commands import scenarios
+from valve_control.laws import reshaping
+from valve_control.parameter import updated
+from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER
+from valve_control.supervision import trajectory
+from valve_control.supervision.record import Mode
+from valve_control.supervision.supervisor import BOTH, Supervisor
+from valve_control.supervision.trajectory import Motion
+
+RESHAPING_LAWS = ("arc", "oarc", "pid")
+STROKE = scenarios.Shape("point_to_point", 1.5, 0.0, 0.1, 1.0, 1.0, 40.0, 2000.0, 0.4, 1.0)
+
+
+def stroke(time):
+    return scenarios.command(STROKE, time)
+
+
+def sines(time):
+    return sine(time) + 0.3 * sine(time, 1.0, 9.0) + 0.1 * sine(time, 1.0, 15.0)
+
+
+def made(**changes):
+    values = settings(**changes)
+    supervisor = Supervisor()
+    supervisor.apply(values, build.law_params(values))
+    return supervisor
+
+
+def test_the_reference_is_the_trajectory_itself():
+    """(8) inverted: what remains is the error of the Euler step."""
+    p = reshaping.Params(314.0, 0.8, 1e9, 1e9, PERIOD)
+    w = 2.0 * math.pi * 9.0
+    s = reshaping.State(0.0, w)
+    worst = 0.0
+    for k in range(1000):
+        t = k * PERIOD
+        wanted = math.sin(w * t), w * math.cos(w * t), -w * w * math.sin(w * t)
+        if k > 100:
+            worst = max(worst, abs(s.reference - wanted[0]))
+        s = reshaping.advance(p, s, reshaping.acceleration(p, s, reshaping.command_of(p, *wanted)))
+    assert worst < 2.5e-3  # the lag of a bare command makes 0.28 here
+
+
+@given(st.lists(st.tuples(st.floats(-10, 10), st.floats(-1e4, 1e4), st.floats(-1e6, 1e6)), max_size=60))
+def test_limits_hold_whatever_the_trajectory(points):
+    p = reshaping.Params(314.0, 0.8, 250.0, 12000.0, PERIOD)
+    s = reshaping.State(0.0, 0.0)
+    for point in points:
+        accel = reshaping.acceleration(p, s, reshaping.command_of(p, *point))
+        s = reshaping.advance(p, s, accel)
+        assert abs(s.rate) <= 250.0 * (1.0 + 1e-9) and abs(accel) <= 12000.0 * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("shape", [sine, sines, stroke])
+@pytest.mark.parametrize("law", ["arc", "oarc"])
+def test_the_error_is_well_below_that_of_bare_commands_at_the_same_chatter(law, shape):
+    without, with_derivatives = (run(send(shape), 1, shape, controller=law) for send in (bare, moving))
+    assert with_derivatives.error < 0.6 * without.error
+    assert with_derivatives.chatter < 1.05 * without.chatter
+    assert with_derivatives.supervisor.mode is Mode.OK
+
+
+@pytest.mark.parametrize("shape", [sine, sines, stroke])
+@pytest.mark.parametrize("law", ["arc", "oarc", "pid", "compensator", "open_loop"])
+def test_100_hz_are_nearly_as_good_as_1_khz(law, shape):
+    fast, slow = (run(moving(shape), every, shape, controller=law) for every in (1, 10))
+    assert slow.error < 1.2 * fast.error
+    assert slow.supervisor.mode is Mode.OK
+
+
+def test_a_law_that_does_not_reshape_gets_the_position():
+    made_run = run(moving(), 1, controller="open_loop")
+    assert np.allclose(made_run.command[SETTLED:], made_run.wanted[SETTLED:], atol=1e-9)
+
+
+def test_points_that_stop_leave_the_spool_at_rest_and_then_bring_it_to_neutral():
+    supervisor = made(controller="open_loop", command_timeout=0.1)
+    for k in range(5):
+        supervisor.trajectory(Motion(0.01 * k, 10.0, 0.0), PERIOD if k else 0.0)
+        supervisor.sample(0.001 * (k % 3), k + 1)
+    got = []
+    for k in range(5, 1200):
+        supervisor.sample(0.001 * (k % 3), k + 1)
+        got.append(supervisor.telemetry()[2])
+    assert got[0] == pytest.approx(0.05) and got[1] == pytest.approx(0.06)  # it goes on for two intervals
+    assert got[2] == got[50] == pytest.approx(0.06)
+    assert "command_silent" in supervisor.conditions and got[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+REFUSED = {
+    "no derivatives": (
+        lambda s: s.trajectory_refused(1, 0, 0),
+        "1 position, 0 velocities and 0 accelerations",
+    ),
+    "two joints": (lambda s: s.trajectory_refused(2, 2, 2), "2 positions, 2 velocities and 2 accelerations"),
+    "nothing": (lambda s: s.trajectory_refused(0, 0, 0), "must have one of each"),
+    "nan": (lambda s: s.trajectory(Motion(0.1, math.nan, 0.0), PERIOD), "velocity nan refused"),
+    "infinite": (lambda s: s.trajectory(Motion(math.inf, 0.0, 0.0), PERIOD), "position inf refused"),
+    "backwards": (lambda s: s.trajectory(Motion(0.1, 0.0, 0.0), -0.02), "0.02 s before that of the last one"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_a_point_that_cannot_be_used_is_refused_in_one_sentence_and_the_last_one_holds(what):
+    send, text = REFUSED[what]
+    supervisor = made(controller="open_loop")
+    supervisor.trajectory(Motion(0.05, 0.0, 0.0))
+    supervisor.sample(0.0, 1)
+    before = supervisor.state.trajectory
+    send(supervisor)
+    supervisor.sample(0.001, 2)
+    assert supervisor.state.trajectory == before and supervisor.command_in_force == 0.05
+    assert text in supervisor.reason and supervisor.reason.count(".") <= 1
+    assert supervisor.mode is Mode.DEGRADED and supervisor.counts["command_refused"] == 1
+    for k in range(3, 1100):
+        supervisor.trajectory(Motion(0.05, 0.0, 0.0), PERIOD)
+        supervisor.sample(0.001 * (k % 3), k)
+    assert supervisor.mode is Mode.OK
+
+
+def test_a_time_that_was_set_back_is_taken_once_the_trajectory_is_silent():
+    supervisor = made(controller="open_loop", command_timeout=0.05)
+    supervisor.trajectory(Motion(0.05, 0.0, 0.0))
+    for k in range(1, 100):
+        accepted = supervisor.trajectory(Motion(0.02, 0.0, 0.0), -3600.0)
+        assert accepted == (k > 51)
+        if accepted:
+            break
+        supervisor.sample(0.001 * (k % 3), k)
+    assert supervisor.state.trajectory.point.position == 0.02
+
+
+def test_both_at_once_the_trajectory_commands_and_it_is_said():
+    supervisor = made(controller="open_loop", command_timeout=0.05)
+    supervisor.command(0.02)
+    supervisor.sample(0.0, 1)
+    assert supervisor.command_in_force == 0.02
+    for k in range(2, 40):
+        supervisor.trajectory(Motion(0.05, 0.0, 0.0), PERIOD)
+        supervisor.command(0.02, PERIOD)
+        supervisor.sample(0.001 * (k % 3), k)
+        assert supervisor.command_in_force == 0.05
+        assert BOTH in supervisor.reason and supervisor.mode is Mode.DEGRADED
+    for k in range(40, 200):  # the trajectory ends: commands count once it is silent
+        supervisor.command(0.02, PERIOD)
+        supervisor.sample(0.001 * (k % 3), k)
+        assert (supervisor.command_in_force == 0.02) == (k > 89)
+    assert "command_silent" not in supervisor.conditions
+
+
+@pytest.mark.parametrize("gone", ["trajectory_gone", "command_gone"])
+def test_when_who_sent_the_trajectory_leaves_commands_count_at_once(gone):
+    supervisor = made(controller="open_loop")
+    supervisor.trajectory(Motion(0.05, 0.0, 0.0))
+    supervisor.sample(0.0, 1)
+    getattr(supervisor, gone)()
+    supervisor.sample(0.001, 2)
+    supervisor.command(0.02)
+    supervisor.sample(0.0, 3)
+    assert supervisor.command_in_force == 0.02 and not supervisor.has_trajectory
+
+
+def test_positions_beyond_the_limit_are_limited_and_stand_there():
+    supervisor = made(controller="open_loop", command_limit=2.0)
+    supervisor.trajectory(Motion(2.5, 40.0, 0.0))
+    assert supervisor.counts["command_limited"] == 1
+    assert trajectory.motion(supervisor.state.trajectory, 0.001, 2.0) == Motion(2.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("law", RESHAPING_LAWS)
+def test_takeovers_under_a_trajectory_are_as_under_commands(law):
+    """To another law and back, through a fault and back, in the middle of a motion."""
+    found = []
+    for send in (bare, moving):
+        motion = send(sine)
+        largest = 0.0
+
+        def watched(supervisor, time, interval, motion=motion):
+            motion(supervisor, time, interval)
+            k = round(time / PERIOD)
+            if k in (700, 1100):
+                name = "compensator" if k == 700 else law
+                values = updated(CONTROLLER, supervisor.values, {"controller": name})
+                supervisor.apply(values, build.law_params(values))
+
+        result = run(watched, 1, controller=law, plant={"lvdt.noise": 0.001})
+        assert result.supervisor.mode is Mode.OK
+        steps = np.abs(np.diff(result.voltage))
+        largest = max(steps[699], steps[700], steps[1099], steps[1100])
+        found.append(largest)
+    assert found[1] <= 1.5 * found[0] + 0.1
+
+
+@pytest.mark.parametrize("every", [1, 5, 10])
+def test_points_that_come_unevenly_do_not_shake_the_voltage(every):
+    """By 0.7 ms: at 1 kHz two come for one sample and none for another."""
+    even, uneven = (run(moving(), every, controller="oarc", jitter=jitter) for jitter in (0.0, 0.0007))
+    assert uneven.chatter < 1.15 * even.chatter
+    shaken = run(bare(), every, controller="oarc", jitter=0.0007)
+    assert uneven.chatter < 0.7 * shaken.chatter

@@ -1,0 +1,166 @@
+"""The command line of a node, judged before anything runs with it."""
+
+import pytest
+
+from valve_control.parameter import ParameterError
+from valve_control.parameters.arguments import addressed, check, help_text, matches, refuse_stray
+from valve_control.parameters.table import COMMAND, CONTROLLER, MANIFOLD, VALVE
+
+ONE = {"/controller": CONTROLLER}
+BOOM = {"/boom/controller": CONTROLLER}
+TWO = {"/manifold": MANIFOLD, "/boom/controller": CONTROLLER, "/arm/controller": CONTROLLER}
+
+
+@pytest.mark.parametrize(
+    ("pattern", "node", "whether"),
+    [
+        ("/controller", "/controller", True),
+        ("controller", "/controller", True),
+        ("/controller", "/boom/controller", False),
+        ("/**/controller", "/controller", True),
+        ("/**/controller", "/digger/boom/controller", True),
+        ("/*/controller", "/controller", False),
+        ("/*/controller", "/boom/controller", True),
+        ("/**", "/boom/controller", True),
+        ("/**/valve_simulator", "/controller", False),
+    ],
+)
+def test_sections_reach_the_nodes_that_ros_gives_them_to(pattern, node, whether):
+    assert matches(pattern, node) is whether
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["controller:=oarc"], ["'controller:=oarc'", "--ros-args -p name:=value"]),
+        (["--params-file", "a.yaml"], ["'--params-file a.yaml'", "--ros-args --params-file a.yaml"]),
+        (["-p", "u_max:=5.0"], ["--ros-args -p u_max:=5.0"]),
+        (["oarc"], ["'oarc'", "--ros-args"]),
+        (["--ros-args", "-p", "u_max:=5.0", "--", "oarc"], ["'oarc'"]),
+    ],
+)
+def test_stray_arguments_are_refused(arguments, words):
+    with pytest.raises(ParameterError) as error:
+        refuse_stray(arguments)
+    assert all(word in str(error.value) for word in words), error.value
+
+
+@pytest.mark.parametrize("arguments", [["-h"], ["--ros-args", "-p", "u_max:=5.0", "--", "--help"]])
+def test_help_names_every_parameter(arguments):
+    text = help_text("controller", "Runs one law.", arguments)
+    assert "Runs one law." in text
+    assert all(f"  {parameter.name} = " in text and parameter.text in text for parameter in CONTROLLER)
+
+
+@pytest.mark.parametrize("arguments", [[], ["--ros-args", "--help"], ["help"]])
+def test_help_is_given_only_if_it_is_asked_for(arguments):
+    """Behind --ros-args words belong to ROS, which refuses this one."""
+    assert help_text("controller", "Runs one law.", arguments) == ""
+
+
+def test_arguments_for_ros_are_no_stray_ones():
+    refuse_stray([])
+    refuse_stray(["--ros-args", "-r", "__ns:=/boom", "--log-level", "debug", "-p", "u_max:=5.0", "--"])
+
+
+@pytest.mark.parametrize(
+    ("nodes", "setting", "words"),
+    [
+        (ONE, "controler:=oarc", ["'controler'", "did you mean 'controller'?"]),
+        (ONE, "controller:controler:=oarc", ["'controler'", "did you mean 'controller'?"]),
+        (ONE, "/**:controler:=oarc", ["'controler'"]),
+        (ONE, "amplitude:=1.0", ["'amplitude'"]),
+        (ONE, "boom:u_max:=5.0", ["no node of this process", "/controller"]),
+        (BOOM, "controller:u_max:=5.0", ["no node of this process", "/boom/controller"]),
+        (TWO, "valve:=[boom]", ["'valve'", "'valves'"]),
+        (TWO, "/boom/controller:valves:=[a]", ["'valves'"]),
+    ],
+)
+def test_unknown_parameters_of_the_command_line_are_refused(nodes, setting, words):
+    for flag in ("-p", "--param"):
+        with pytest.raises(ParameterError) as error:
+            check(["--ros-args", flag, setting], nodes)
+        assert all(word in str(error.value) for word in words), error.value
+        assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "setting"),
+    [
+        (ONE, "arc.k1:=100.0"),
+        (ONE, "controller:arc.k1:=100.0"),
+        (ONE, "use_sim_time:=true"),
+        (ONE, "start_type_description_service:=false"),
+        (ONE, "qos_overrides./spool_position.subscription.depth:=5"),
+        (TWO, "valves:=[boom, arm]"),
+        (TWO, "controller:=pid"),
+        (TWO, "/arm/controller:controller:=pid"),
+    ],
+)
+def test_parameters_of_the_process_are_taken(nodes, setting):
+    assert check(["--ros-args", "-p", setting], nodes) == []
+
+
+def judged(tmp_path, nodes, text):
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    return check(["--ros-args", "--params-file", str(path)], nodes)
+
+
+@pytest.mark.parametrize("section", ["/controller", "controller", "/**/controller"])
+def test_unknown_parameter_in_a_section_for_the_node_is_refused(tmp_path, section):
+    with pytest.raises(ParameterError, match=r"p\.yaml.*'arc\.k11'; did you mean"):
+        judged(tmp_path, ONE, f"{section}:\n  ros__parameters:\n    arc: {{k11: 1.0}}\n")
+
+
+def test_all_unknown_parameters_are_named(tmp_path):
+    with pytest.raises(ParameterError) as error:
+        judged(tmp_path, ONE, "controller:\n  ros__parameters: {arc: {k11: 1.0}, u_maximum: 5.0, xyzzy: 1}\n")
+    assert all(f"'{name}'" in str(error.value) for name in ("arc.k11", "u_maximum", "xyzzy", "u_max"))
+
+
+def test_nested_namespaces_are_read_as_ros_reads_them(tmp_path):
+    text = "boom:\n  controller:\n    ros__parameters: {controler: pid}\n"
+    with pytest.raises(ParameterError, match="'/boom/controller'.*'controler'"):
+        judged(tmp_path, BOOM, text)
+
+
+def test_wildcard_for_several_nodes_warns_of_what_no_node_of_the_package_has(tmp_path):
+    text = "/**:\n  ros__parameters: {use_sim_time: true, amplitude: 1.0, controler: pid, robot: x}\n"
+    (warning,) = judged(tmp_path, ONE, text)
+    assert "'controler' (did you mean 'controller'" in warning and "'robot'" in warning
+    assert "amplitude" not in warning and "use_sim_time" not in warning
+
+
+def test_file_for_other_nodes_warns(tmp_path):
+    (warning,) = judged(tmp_path, ONE, "/**/valve_simulator:\n  ros__parameters: {gain_scale: 1.0}\n")
+    assert "nothing for /controller" in warning and "'/**/valve_simulator'" in warning
+
+
+def test_file_for_the_node_of_another_valve_is_refused(tmp_path):
+    """It was meant for this node; with its defaults instead, nobody would see why it is slow."""
+    text = "/boom/controller:\n  ros__parameters: {u_max: 5.0}\n"
+    with pytest.raises(ParameterError, match="nothing for /controller.*__ns"):
+        judged(tmp_path, ONE, text)
+    assert judged(tmp_path, BOOM, text) == []
+
+
+def test_shared_files_are_taken_without_a_word(tmp_path, config):
+    nodes = {**TWO, **ONE, "/valve_simulator": VALVE, "/command_source": COMMAND}
+    for path in config.glob("*.yaml"):
+        assert judged(tmp_path, nodes, path.read_text(encoding="utf-8")) == []
+    shared = "/boom/controller: {ros__parameters: {u_max: 5.0}}\n/other: {ros__parameters: {speed: 1}}\n"
+    assert judged(tmp_path, BOOM, shared) == []
+
+
+def test_values_for_a_node_are_those_of_its_sections_the_last_one_counting(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text(
+        "/**: {ros__parameters: {u_max: 4.0, amplitude: 1.0, use_sim_time: true}}\n"
+        "/**/controller: {ros__parameters: {u_max: 5.0, arc: {epsilon: 1.44e6}}}\n"
+        "/arm/controller: {ros__parameters: {u_max: 6.0}}\n"
+    )
+    assert addressed(str(path), "/boom/controller", CONTROLLER) == {"u_max": 5.0, "arc.epsilon": 1.44e6}
+    assert addressed(str(path), "/arm/controller", CONTROLLER)["u_max"] == 6.0
+    with pytest.raises(ParameterError, match="nothing for"):
+        addressed(str(path), "/valve_simulator/x", MANIFOLD)

@@ -1,0 +1,217 @@
+"""What the command once took without a word, or answered with a traceback: one sentence each."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent / "recordings"))
+from made import Run, write
+
+QUICK = ["--set", "steps=12", "--set", "cycles=4"]
+STATE = "/controller/state"
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bags")
+    for law in ("arc", "oarc", "dcarc", "pid", "compensator"):
+        made = Run(controller={"controller": law})
+        made.move(3000)
+        write(folder / law, made.messages)
+    return folder
+
+
+def refused(called, *words):
+    status, out, err = called
+    assert status == 2 and out == "", out + err
+    assert len(err.strip().splitlines()) == 1, err
+    for word in words:
+        assert word in err, err
+
+
+@pytest.mark.parametrize("law", ["arc", "oarc", "dcarc", "pid", "compensator"])
+def test_identify_of_a_closed_loop_says_what_it_is(run, bags, law):
+    status, _, err = run("identify", bags / law, "--band", "1", "100")
+    assert len(err.strip().splitlines()) <= 1
+    if law != "compensator" and status != 0:
+        assert "closed loop" in err and "open_loop" in err, err
+
+
+def test_voltages_of_any_kind_have_segments_or_none():
+    from valve_control.identification.response import find_segments
+
+    random = np.random.default_rng(1)
+    for _ in range(300):
+        count = int(random.integers(2, 400))
+        voltage = np.cumsum(random.standard_normal(count)) * random.uniform(0.0, 1.0)
+        voltage += random.standard_normal(count) * random.uniform(0.0, 3.0)
+        voltage[random.random(count) < random.uniform(0.0, 0.3)] = np.nan
+        voltage[0] = 0.0
+        for segment in find_segments(voltage, 0.001):
+            assert 0 <= segment.first < segment.end <= count
+
+
+def test_any_term_of_the_state_can_play_a_part(run, bags):
+    played = f"spool_position={STATE}.data[z1]"
+    status, out, err = run("analyze", bags / "arc", "--map", played, "--json", "-")
+    assert status == 0, err
+    assert f"{STATE}.data[z1]" in out
+
+
+@pytest.mark.parametrize(
+    ("command", "suffix"),
+    [
+        (["simulate", "--duration", "0.1"], "x.xyz"),
+        (["simulate", "--duration", "0.1"], "x"),
+        (["compare", "--duration", "0.1"], "x.jpg"),
+        (["compare", "{bag}", "{bag}"], "x.xyz"),
+        (["simulate", "--duration", "0.1"], "/dev/full"),
+        (["study", "--replay", "1"], "x"),
+        (["compensator"], "/dev/full"),
+    ],
+)
+def test_figures_are_png_or_svg(run, bags, tmp_path, command, suffix):
+    refused(run(*[a.format(bag=bags / "arc") for a in command], "--figure", suffix), suffix, ".png or .svg")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_svg_is_svg(run, tmp_path):
+    assert run("simulate", "--duration", "0.1", "--figure", "x.SVG")[0] == 0
+    assert (tmp_path / "x.SVG").read_text().startswith("<?xml")
+
+
+def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
+    other = "camera:\n  ros__parameters: {rate: 30.0}\n"
+    (tmp_path / "typing.yaml").write_text("controler:\n  ros__parameters: {arc: {k1: 99.0}}\n")
+    (tmp_path / "other.yaml").write_text(other)
+    (tmp_path / "both.yaml").write_text(other + "controller:\n  ros__parameters: {arc: {k1: 99.0}}\n")
+    refused(run("simulate", "--params-file", "typing.yaml"), "controler", "did you mean controller")
+    refused(run("simulate", "--params-file", "other.yaml"), "camera", "alone")
+    refused(run("identify", "--params-file", "other.yaml"), "camera", "alone")
+    status, _, err = run("simulate", "--duration", "0.1", "--params-file", "both.yaml")
+    assert status == 0 and "note: both.yaml" in err and "camera" in err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--map", "spool_position=/spool_position*nan"], ["finite and not 0"]),
+        (["--map", "spool_position=/spool_position*inf"], ["finite and not 0"]),
+        (["--map", "spool_position=/spool_position*0"], ["finite and not 0"]),
+        (["--map", "spool_position=/spool_position*-0.0"], ["finite and not 0"]),
+        (
+            ["--map", "spool_position=/spool_position", "--map", "spool_position=/spool_position*2"],
+            ["mapped already"],
+        ),
+        (["--expect", "e_rms<nan"], ["no limit"]),
+        (["--expect", "e_rms<inf"], ["no limit"]),
+        (["--expect", "e_rms!=-inf"], ["no limit"]),
+    ],
+)
+def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
+    refused(run("analyze", bags / "arc", *options), *words)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["simulate", "--command", "c.csv", "--scenario", "sine"], ["contradict"]),
+        (["identify", "--command", "c.csv", "--scenario", "sweep"], ["contradict"]),
+        (["simulate", "--command", "c.csv", "--set", "scenario=sine"], ["contradicts"]),
+        (["simulate", "--seed", "3", "--set", "seed=4"], ["contradicts"]),
+        (["simulate", "--set", "arc.k1=100", "--set", "arc.k1=90"], ["contradict"]),
+        (["simulate", "--set", "valve=custom", "--set", "numerator=[-1502.0]"], ["must be positive"]),
+        (["compensator", "--numerator", "-1500", "--denominator", "1", "58", "1650"], ["be positive"]),
+        (["identify", "--set", "valve=second_order", "--order", "4", *QUICK], ["not support", "--order 2"]),
+        (["identify", "--set", "valve=second_order", "--order", "3", *QUICK], ["not support", "--order 2"]),
+        (["simulate", "--command", "/dev/zero"], ["device"]),
+        (["simulate", "--params-file", "/dev/zero"], ["device"]),
+        (["calibrate", "/dev/zero"], ["device"]),
+        (["compensator", "--from", "/dev/zero"], ["device"]),
+        (["calibrate", "paper", "--processes", "10000"], ["10000", "cores"]),
+        (["theorems", "--processes", "10000"], ["10000", "cores"]),
+        (["study", "--threads", "10000"], ["10000", "cores"]),
+    ],
+)
+def test_contradictions_and_endless_inputs(run, tmp_path, arguments, words):
+    (tmp_path / "c.csv").write_text("0.0\n0.5\n1.0\n")
+    refused(run(*arguments), *words)
+    assert [p.name for p in tmp_path.iterdir()] == ["c.csv"]
+
+
+def test_an_output_does_not_take_the_place_of_an_input(run, bags, tmp_path, config):
+    (tmp_path / "c.csv").write_text("0.0\n0.5\n1.0\n")
+    (tmp_path / "p.yaml").write_text((config / "arc.yaml").read_text())
+    (tmp_path / "t.csv").write_text("controller,e_rms\npid,0.05\n")
+    os.link(tmp_path / "c.csv", tmp_path / "same.csv")
+    os.symlink(tmp_path / "p.yaml", tmp_path / "link.yaml")
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    inside = sorted(p.name for p in (bags / "arc").iterdir())
+    for arguments in (
+        ["simulate", "--command", "c.csv", "--csv", "c.csv"],
+        ["simulate", "--command", "c.csv", "--csv", "same.csv"],
+        ["simulate", "--params-file", "p.yaml", "--json", "./p.yaml"],
+        ["simulate", "--params-file", "link.yaml", "--json", "p.yaml"],
+        ["identify", "--params-file", "p.yaml", "--output", "link.yaml"],
+        ["compensator", "--from", "p.yaml", "--output", "p.yaml"],
+        ["calibrate", "t.csv", "--output", "t.csv"],
+        ["analyze", bags / "arc", "--csv", bags / "arc" / "metadata.yaml"],
+        ["analyze", bags / "arc", "--html", bags / "arc" / "report.html"],
+        ["replay", bags / "arc", "--json", bags / "arc" / "r.json"],
+        ["compare", bags / "arc", bags / "pid", "--figure", bags / "pid" / "x.png"],
+    ):
+        refused(run(*arguments), "input")
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+    assert sorted(p.name for p in (bags / "arc").iterdir()) == inside
+
+
+def test_an_output_that_cannot_take_it_says_so(tmp_path):
+    """Standard output or a file on a full disk: one sentence, status 1, also from the end of the process."""
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "valve_control.cli", "parameters"],
+            stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False,
+        )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == ["valve-control: output cannot be written: No space left on device"]
+    done = subprocess.run(
+        [sys.executable, "-m", "valve_control.cli", "simulate", "--duration", "0.1", "--json", "/dev/full"],
+        capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 1 and "/dev/full cannot be written" in done.stderr
+    assert "Traceback" not in done.stderr and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "low", "high"),
+    [
+        (["--scenario", "sine"], 0.6, 3.1),
+        (["--scenario", "step"], 0.15, 0.15),
+        (["--limit", "0.3"], 0.3, 0.3),
+    ],
+)
+def test_the_limit_of_a_study_fits_the_motion(run, options, low, high):
+    """A sine always has a following error; most of its loops are stable all the same."""
+    status, out, err = run("study", *options, "--valves", "64", "--folder", "kept", "--json", "-")
+    assert status == 0, err
+    result = json.loads(out)
+    assert low <= result["limit"] <= high
+    assert result["unstable"] < 0.2
+
+
+@pytest.mark.parametrize(("word", "meant"), [("arcc", "arc"), ("controler", "controller"), ("zzz", "")])
+def test_parameters_of_no_such_name(run, word, meant):
+    status, out, err = run("parameters", word)
+    assert (status, out) == (2, "") and f"no parameter has '{word}' in its name" in err and meant in err
+
+
+def test_an_option_that_does_not_exist_names_the_nearest(run):
+    refused(
+        run("simulate", "--duraton", "3"), "valve-control simulate", "--duraton 3", "did you mean --duration?"
+    )
+    refused(run("simulate", "-q"), "-q (see valve-control simulate --help)")

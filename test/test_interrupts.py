@@ -1,0 +1,170 @@
+"""Ctrl-C at any moment of the command: status 130, no traceback, no process left."""
+
+import contextlib
+import os
+import pathlib
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+# What a user types, with a word on standard error when the command has begun.
+BEGUN = (
+    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    "from valve_control import cli, interrupts; "
+    "interrupts.watch(); print('begun', file=sys.stderr, flush=True); sys.exit(cli.main())"
+)
+
+
+def start(*arguments, cwd):
+    child = subprocess.Popen(
+        [sys.executable, "-c", BEGUN, *map(str, arguments)],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd,
+        start_new_session=True,
+    )  # fmt: skip
+    assert child.stderr.readline() == "begun\n"
+    return child
+
+
+def living(group):
+    """Process ids of the group ``group`` that have not ended (one that nobody has waited for has)."""
+    found = []
+    for stat in pathlib.Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, its_group = stat.read_text().rpartition(")")[2].split()[:3]
+            if int(its_group) == group and state != "Z":
+                found.append(int(stat.parent.name))
+    return found
+
+
+def stopped(child):
+    """Ctrl-C as a terminal gives it, to all processes of the command, again and again until it has ended."""
+    while child.poll() is None:
+        os.killpg(child.pid, signal.SIGINT)
+        time.sleep(0.003)
+    out, err = child.communicate(timeout=30.0)
+    assert "Traceback" not in err and "KeyboardInterrupt" not in err, err
+    until = time.monotonic() + 5.0
+    while living(child.pid):
+        assert time.monotonic() < until, f"processes {living(child.pid)} outlive the command"
+        time.sleep(0.01)
+    return child.returncode, out, err
+
+
+RECORDS = """
+import math, os, signal, threading
+from typing import NamedTuple
+from valve_control import interrupts
+from valve_control.compiling import compile_function
+
+class Pair(NamedTuple):
+    first: float
+    second: float
+
+class Pairs(NamedTuple):
+    one: Pair
+    two: Pair
+
+def work(n):
+    x = 0.0
+    for i in range(n):
+        x += math.sin(x + i)
+    return Pairs(Pair(x, 1.0), Pair(2.0, x))
+
+if __name__ == "__main__":
+    compiled = compile_function(work, nogil=True)
+    compiled(10)
+    interrupts.GRACE = 0.0  # past: it is raised in libraries too
+    interrupts.watch()
+    threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+    try:
+        while True:
+            compiled(2_000_000)
+    except KeyboardInterrupt:
+        print("stopped")
+"""
+
+
+def test_a_compiled_function_is_not_interrupted_while_it_makes_its_record(tmp_path):
+    """It would end the process with a segmentation fault; its signals are delivered just then."""
+    (tmp_path / "records.py").write_text(RECORDS)
+    for _ in range(3):
+        done = subprocess.run(
+            [sys.executable, "records.py"],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+            cwd=tmp_path,
+        )
+        assert (done.returncode, done.stdout) == (0, "stopped\n"), done
+
+
+SLOW = """
+import multiprocessing, os, time
+from valve_control import interrupts
+
+class Process(multiprocessing.context.SpawnProcess):
+    def start(self):
+        super().start()
+        time.sleep(0.5)
+
+class Context(multiprocessing.context.SpawnContext):
+    Process = Process
+
+if __name__ == "__main__":
+    with interrupts.pool(3, Context()) as pool:
+        before = {child.pid for child in multiprocessing.active_children()}
+        list(pool.map(int, range(30)))
+        print(len(before), {child.pid for child in multiprocessing.active_children()} == before)
+"""
+
+
+def test_a_pool_has_all_its_processes_before_signals_come_through(tmp_path):
+    """One that is started later, when the first have nothing to do, prints a traceback at Ctrl-C."""
+    (tmp_path / "slow.py").write_text(SLOW)
+    done = subprocess.run(
+        [sys.executable, "slow.py"], capture_output=True, text=True, timeout=60, check=True, cwd=tmp_path
+    )
+    assert done.stdout == "3 True\n"
+
+
+@pytest.mark.parametrize("count", [6, pytest.param(100, marks=pytest.mark.campaign)])
+def test_any_moment_of_a_run(tmp_path, count):
+    moments = random.Random(count)
+    for _ in range(count):
+        child = start("simulate", "--duration", "1200", "--json", "out.json", cwd=tmp_path)
+        time.sleep(moments.uniform(0.0, 2.0))
+        status, out, err = stopped(child)
+        assert (status, err) == (130, "") or (status, (tmp_path / "out.json").exists()) == (0, True)
+        assert status == 0 or list(tmp_path.iterdir()) == [], err
+        for path in tmp_path.iterdir():
+            path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "longest"),
+    [
+        (("compare", "--duration", "300"), 2.5),
+        (("identify",), 1.2),
+        (("study", "--valves", "100000", "--folder", "kept"), 3.0),
+        (("calibrate", "paper", "--processes", "3", "--set", "duration=2.0", "--set", "cycle=2.0"), 4.0),
+        (("theorems", "--processes", "3"), 6.0),
+        (("paper", "--offline", "--out", "made"), 3.0),
+    ],
+    ids=lambda a: a[0] if isinstance(a, tuple) else "",
+)
+@pytest.mark.parametrize("count", [1, pytest.param(20, marks=pytest.mark.campaign)])
+def test_any_moment_of_other_commands(tmp_path, arguments, longest, count):
+    moments = random.Random(count)
+    stati = []
+    for _ in range(count):
+        child = start(*arguments, cwd=tmp_path)
+        time.sleep(moments.uniform(0.0, longest))
+        status, _, err = stopped(child)
+        assert status in (130, 0), err
+        stati.append(status)
+    assert stati.count(130) >= count / 3, "the command was over before Ctrl-C came"

@@ -1,0 +1,156 @@
+"""Laws of other packages: the example of the docs, built and installed, and packages that are broken."""
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLE = ROOT / "docs" / "examples" / "lead_law"
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """Folder with the example, built and installed as pip does it."""
+    folder = tmp_path_factory.mktemp("site")
+    source = tmp_path_factory.mktemp("source") / "lead_law"
+    subprocess.run(["cp", "-r", EXAMPLE, source], check=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps",
+         "--no-build-isolation", "--target", folder, source],
+        capture_output=True, text=True, timeout=200,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def run(folder, *arguments, module="valve_control.cli"):
+    environment = {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT / 'test' / 'recordings'}"}
+    return subprocess.run(
+        [sys.executable, "-m", module, *map(str, arguments)],
+        capture_output=True, text=True, timeout=400, env=environment,
+    )  # fmt: skip
+
+
+def test_the_example_is_short():
+    files = [path for path in EXAMPLE.rglob("*") if path.suffix in (".py", ".toml")]
+    assert len((EXAMPLE / "valve_lead_law" / "lead.py").read_text().splitlines()) < 100 and len(files) == 3
+
+
+def test_the_example_does_what_the_package_s_own_laws_do(installed):
+    done = run(installed, ROOT / "test" / "plugged_in.py", "-q", "-p", "no:cacheprovider", module="pytest")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_example_on_the_command_line(installed, tmp_path):
+    listed = run(installed, "parameters", "lead.")
+    assert listed.returncode == 0 and "lead.gain = 2.0 V/V" in listed.stdout
+    done = run(installed, "simulate", "--controller", "lead", "--set", "lead.gain=3.0", "--json", "-")
+    assert done.returncode == 0 and json.loads(done.stdout)["indices"]["e_rms"] < 0.2, done.stderr
+    study = run(
+        installed,
+        "study",
+        "--controller",
+        "lead",
+        "--valves",
+        16,
+        "--folder",
+        tmp_path / "kept",
+        "--json",
+        "-",
+    )
+    assert study.returncode == 0 and json.loads(study.stdout)["controller"] == "lead", study.stderr
+    assert run(ROOT, "simulate", "--controller", "lead").returncode == 2
+
+
+def test_the_example_can_be_launched(installed):
+    words = 'print(launching.law_option("lead"), launching.law_value("lead"))'
+    code = f"from valve_control.parameters import launching; {words}"
+    environment = {**os.environ, "PYTHONPATH": str(installed)}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
+    assert done.returncode == 0 and done.stdout == "-p controller:=lead\n", done.stderr
+    without = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert without.returncode == 1 and "controller is 'lead'; it must be 'arc'" in without.stderr
+
+
+LAW = """
+import sys
+from typing import NamedTuple
+from valve_control.laws.law import Law
+from valve_control.parameter import Parameter, number
+
+class Params(NamedTuple):
+    u_max: float
+    period: float
+
+class State(NamedTuple):
+    last: float
+
+class Terms(NamedTuple):
+    reference: float
+    z1: float
+    unsaturated_voltage: float
+
+def initial(p, start):
+    return State(start.voltage)
+
+def step(p, s, command, measurement, offset):
+    voltage = command + offset
+    return voltage, State(voltage), Terms(command, measurement - command, command)
+
+def hold(p, s, command, measurement, voltage):
+    return s
+
+def build(values):
+    return Params(number(values, "u_max"), number(values, "sample_period"))
+
+LAW = Law("mine", "broken", sys.modules[__name__], (), build, reshapes=lambda p: False,
+          steady_command=lambda p, start: start.voltage)
+"""
+
+
+def package(folder, text, name="mine", target="my_law:LAW"):
+    (folder / "my_law.py").write_text(textwrap.dedent(text))
+    information = folder / "my_package-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text(f"[valve_control.laws]\n{name} = {target}\n")
+
+
+BROKEN = [
+    ('Law("mine"', 'Law("arc"', "the name is taken by a law of valve_control"),
+    ('Law("mine"', 'Law("My law"', "its name is 'My law'; it must be one word in lower case"),
+    ("import sys\n", "import sys\nimport not_there\n", "it cannot be imported: ModuleNotFoundError"),
+    ("command, measurement, offset)", "command)", "must take (params, state, command, measurement, offset)"),
+    ("def hold(", "def held(", "my_law has no function hold(params, state, command"),
+    ("class Terms", "class Others", "my_law has no NamedTuple Terms"),
+    ("    u_max: float\n", "", "my_law.Params has no field u_max"),
+    ("last: float", "last: list", "my_law.State.last must be a float or a NamedTuple of floats"),
+    ("State(voltage), Terms", "Terms", "its step must return (voltage, state, terms)"),
+    ("command + offset", "command + float('nan')", "it must be a finite float"),
+    ("command + offset", "1.0 / (command - command)", "its first step fails: ZeroDivisionError"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "reason"), BROKEN, ids=[reason[:30] for _, _, reason in BROKEN])
+def test_a_broken_law_is_named_in_one_sentence_and_the_rest_works(tmp_path, old, new, reason):
+    text = LAW.replace(old, new)
+    assert text != LAW
+    package(tmp_path, text)
+    done = run(tmp_path, "simulate", "--controller", "pid", "--duration", "0.1", "--json", "-")
+    assert done.returncode == 0 and json.loads(done.stdout)["controller"] == "pid"
+    (line,) = [line for line in done.stderr.splitlines() if "left out" in line]
+    assert line.startswith("valve-control: the law 'mine' of the package my_package is left out: "), line
+    assert reason in line and "Traceback" not in done.stderr
+
+
+def test_a_law_that_does_not_compile_is_named_with_its_package(tmp_path):
+    package(tmp_path, LAW.replace("voltage = command + offset", "voltage = eval('command') + offset"))
+    done = run(tmp_path, "simulate", "--controller", "mine", "--duration", "0.1")
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "the law 'mine' of the package my_package does not compile: " in done.stderr

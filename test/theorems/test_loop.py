@@ -1,0 +1,153 @@
+"""Stability of dcarc's loop over boxes of valves: the matrices, the small-gain bound, what breaks it."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from valve_control.laws import dcarc
+from valve_control.laws.registry import LAWS
+from valve_control.laws.signals import Start
+from valve_control.parameters import stability
+from valve_control.plant import valve
+from valve_control.theorems import loop
+
+VALVES = 150
+NOMINAL = loop.Valves(*(np.array([v]) for v in (1.0, 1.0, 1.0, 0.0, 0.0)))
+
+
+@pytest.fixture(scope="module")
+def study():
+    return loop.study(VALVES, 3)
+
+
+@pytest.mark.parametrize("gains", loop.SHIPPED)
+def test_poles_are_those_of_the_law_s_own_step(gains):
+    """Matrices from the law's numbers against differences of single steps; whole dead times are exact."""
+    p = loop.shipped()[gains]
+    valves = loop.draw(4, 3, "wide", 1.0)._replace(delay=np.array([0.0, 1e-3, 2e-3]))
+    found = loop.radii(loop.feedback(p), loop.sampled(valves), valves.gain)
+    for i, radius in enumerate(found):
+        plant = valve.design(
+            loop.model(valves.poles[i], valves.zeros[i]),
+            loop.PERIOD,
+            10.0,
+            float(valves.gain[i]),
+            stability.FREE._replace(flow_force=float(valves.flow[i])),
+            stability.IDEAL._replace(delay=valves.delay[i] / loop.PERIOD),
+        )
+        assert radius == pytest.approx(abs(stability.dominant_pole(LAWS["dcarc"], p, plant)), abs=1e-9)
+
+
+def test_the_weight_of_the_gain_is_a_factor_of_the_loop():
+    """A law whose θ1 rests at 0.4 on a valve has the poles of the same law on one of 1.4 times the gain."""
+    p = loop.params({})
+    plant = valve.design(loop.model(1.1, 0.9), loop.PERIOD, 10.0, 0.8, stability.FREE, stability.IDEAL)
+    shifted = p._replace(theta_initial=p.theta_initial._replace(gain=0.4))
+    valves = loop.Valves(*(np.array([v]) for v in (0.8, 1.1, 0.9, 0.0, 0.0)))
+    found = loop.radii(loop.feedback(p), loop.sampled(valves), valves.gain * 1.4)[0]
+    assert found == pytest.approx(abs(stability.dominant_pole(LAWS["dcarc"], shifted, plant)), abs=1e-9)
+
+
+def test_no_valve_that_small_gain_proves_stable_has_a_pole_outside(study):
+    for cell in study.cells:
+        proven = cell.bound < 1.0
+        assert np.all(cell.learned[proven] < 1.0)
+        if cell.scale == 0.5:
+            assert np.mean(proven) > 0.75
+
+
+def test_small_gain_is_sharp_where_only_the_gain_grows():
+    """A change of gain k-1 with T(ω) = -1/(k-1) puts a pole on the circle: the bound is 1 or above there."""
+    law, plants = loop.feedback(loop.params({})), loop.sampled(NOMINAL)
+    gains = np.geomspace(1.0, 20.0, 400)
+    many = loop.Plants(*(np.repeat(part, len(gains), axis=0) for part in plants))
+    radius = loop.radii(law, many, gains)
+    bound = loop.small_gain(law, many, gains, plants)
+    limit = gains[np.argmax(radius >= 1.0)]
+    proven = gains[np.argmax(bound >= 1.0)]
+    assert 1.0 < proven <= limit
+    assert np.all(np.diff(bound) > 0.0)
+
+
+def test_the_shipped_gains_keep_the_narrow_box_whatever_is_learned(study):
+    for gains in loop.SHIPPED:
+        assert study.cell(gains, "narrow", 1.0).unstable("worst") == 0
+
+
+def test_gains_without_margin_break_on_the_wide_box_by_the_speed_of_the_poles(study):
+    shipped, tuned = (study.cell(gains, "wide", 1.0) for gains in ("shipped", "tuned narrow"))
+    assert shipped.unstable("learned") == 0
+    broken = tuned.unstable("learned")
+    assert broken > 0.1 * VALVES
+    assert tuned.rescued["poles"] > 0.9 * broken
+    assert tuned.rescued["gain"] < 0.1 * broken  # θ1 has made it good already
+
+
+def test_a_larger_box_has_more_unstable_valves(study):
+    for gains in loop.SHIPPED:
+        broken = [study.cell(gains, "wide", scale).unstable("worst") for scale in loop.SCALES]
+        assert broken == sorted(broken)
+
+
+def test_what_the_observer_shows_of_a_disturbance_is_the_law_s_own_answer():
+    """Frequency response of d̂ against the law's own predictor and corrector under a sine at the input."""
+    p = loop.params({"dcarc.delay": 0.0007})
+    own = loop.sampled(NOMINAL._replace(delay=np.array([0.0007])))
+    for frequency in (3.0, 25.0):
+        z = loop.circle(np.array([frequency]))
+        expected = loop.shown_disturbance(loop.feedback(p), own, np.ones(1), z)[0, 0]
+        n, rotation = 3000, z[0]
+        x = np.zeros(own.b.shape[1])
+        estimate = dcarc.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0)).estimate
+        seen = np.zeros(n)
+        for k in range(n):
+            shown = dcarc.past_dot(p.model.shown, estimate.past)
+            corrected = dcarc.corrected(p, estimate, float(own.c[0] @ x) - shown)
+            voltage = -dcarc.dot(p.feedback, corrected.state) - corrected.disturbance
+            estimate = dcarc.predicted(p, corrected, voltage, 0.0)
+            seen[k] = corrected.disturbance
+            x = own.a[0] @ x + own.b[0] * (voltage + (rotation**k).real)
+        late = np.arange(2000, 3000)  # whole cycles
+        found = 2.0 * np.mean(seen[late] * np.conj(rotation**late))
+        assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_regressor_is_as_late_as_the_observer_at_low_frequencies():
+    """Both lags have the same mean delay: their phases differ by the third order of the frequency only."""
+    p = loop.params({})
+    slow = np.array([0.5, 1.0, 2.0])
+    z = loop.circle(slow)
+    shown = loop.shown_disturbance(loop.feedback(p), loop.sampled(NOMINAL), np.ones(1), z)[0]
+    late = p.lag_share / (z - 1.0 + p.lag_share)
+    difference = np.abs(np.angle(shown / late))
+    assert difference[1] < 1e-3
+    assert np.log2(difference[2] / difference[1]) == pytest.approx(3.0, abs=0.2)
+
+
+def test_the_lag_expects_what_the_right_valve_shows_up_to_80_hz(study):
+    assert np.min(study.cell("shipped", "narrow", 1.0).teaching) > 80.0
+
+
+def test_cells_in_processes_come_back_in_order(study):
+    names = [(c.gains, c.box, c.scale) for c in study.cells]
+    assert names == [(g, b, s) for g in loop.SHIPPED for b in loop.BOXES for s in loop.SCALES]
+    again = loop.run_cell(loop.Task("shipped", loop.params({}), "wide", 2.0, 3, VALVES))
+    assert np.array_equal(again.learned, study.cell("shipped", "wide", 2.0).learned)
+
+
+def test_valves_are_sampled_as_the_matrix_exponential_says():
+    valves = loop.draw(2, 2, "wide", 1.0)
+    plants = loop.sampled(valves)
+    for i in range(2):
+        a, b = valve.realisation(loop.model(valves.poles[i], valves.zeros[i]))
+        assert np.allclose(
+            plants.a[i, :4, :4] + np.outer(plants.b[i, :4] * valves.gain[i] * valves.flow[i], np.eye(4)[0]),
+            scipy.linalg.expm(a * loop.PERIOD),
+        )
+        assert loop.model(valves.poles[i], valves.zeros[i]).static_gain == pytest.approx(
+            loop.model(1.0, 1.0).static_gain
+        )
+        assert np.max(np.abs(np.linalg.eigvals(a))) == pytest.approx(
+            valves.poles[i] * np.max(np.abs(np.roots(loop.model(1.0, 1.0).denominator)))
+        )
+        assert b[1] > 0.0

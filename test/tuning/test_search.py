@@ -1,0 +1,158 @@
+"""The search: what it may choose, what it keeps, that it is repeatable; and what verification refuses."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from valve_control.laws import reshaping
+from valve_control.laws.free import Free, placed, present
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import files
+from valve_control.parameters.table import CONTROLLER, NODES
+from valve_control.simulation import robustness
+from valve_control.tuning import box, margins, search, trial, tuner, verification
+from valve_control.tuning.search import Point
+from valve_control.tuning.trial import Gains
+
+FREE = [free for law in LAWS.values() for free in law.free]
+SETTINGS = {node: defaults(table) for node, table in NODES.items()}
+LIMITS = trial.Limits(2.0, 15.0, 0.0003, 12.0, 0.02)
+NARROW = ("gain", "speed", "friction.coulomb")
+
+
+def problem(law="pid", valves=4, seed=1, preview=False, **changes):
+    own = {name.replace("__", "."): value for name, value in changes.items()}
+    values = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, **own})
+    study = box.study_of(SETTINGS, [q for q in robustness.BOX if q.name in NARROW], valves, seed)
+    times = np.maximum(0.0, np.arange(1200) * 0.001 - 0.05)
+    wanted = 0.8 * np.sin(2.0 * math.pi * 5.0 * times) * np.clip(times / 0.2, 0.0, 1.0)
+    motion = trial.Motion("sine", wanted)
+    return trial.Problem(
+        values,
+        [motion],
+        box.drawn(study),
+        box.bounding(study),
+        LIMITS,
+        preview,
+        False,
+        seed,
+    )
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS.values() if law.free], ids=lambda law: law.name)
+def test_all_that_may_be_chosen_can_be_built(law):
+    """Both ends and the middle of each range alone: accepted by the table, and found again in the values."""
+    for variant in law.variants:
+        values = updated(CONTROLLER, defaults(CONTROLLER), variant)
+        for free in trial.free_numbers(law, values, preview=False):
+            for share in (0.0, 0.5, 1.0):
+                number = free.from_share(share)
+                there = updated(CONTROLLER, values, placed([(free, number)], values))
+                assert present(free, there) == number
+                assert there != values or present(free, values) == number
+
+
+@given(free=st.sampled_from(FREE), share=st.floats(0.0, 1.0))
+def test_shares_and_numbers_belong_together(free, share):
+    number = free.from_share(share)
+    assert free.low * 0.9995 <= number <= free.high * 1.0005
+    again = free.from_share(free.to_share(number))
+    assert again == pytest.approx(number, rel=2e-4, abs=1e-12)
+
+
+def test_followers_and_entries_of_lists_are_placed():
+    first = Free("dcarc.presliding[0]", 0.002, 0.05, followers=(("dcarc.presliding[2]", 6.25),))
+    second = Free("dcarc.presliding[1]", 0.002, 0.05)
+    made = placed([(first, 0.01), (second, 0.02)], defaults(CONTROLLER))
+    assert made == {"dcarc.presliding": [0.01, 0.02, 0.0625]}
+
+
+@given(st.lists(st.tuples(st.floats(1e-3, 1.0), st.floats(1e-3, 1.0)), min_size=1, max_size=30))
+def test_front_is_what_no_other_point_beats(pairs):
+    points = [Point((), Gains({}, 0.0), error, chatter, 0.0) for error, chatter in pairs]
+    front = search.front(points)
+    assert all(a.chatter > b.chatter and a.error < b.error for a, b in zip(front, front[1:], strict=False))
+    for point in points:
+        beaten = [p for p in front if p.error <= point.error and p.chatter <= point.chatter]
+        assert beaten
+    assert search.knee(front) in front
+
+
+def test_knee_of_two_branches_is_their_corner():
+    corner = [(1.0, 0.1), (0.5, 0.11), (0.1, 0.12), (0.09, 0.4), (0.08, 1.0)]
+    points = [Point((), Gains({}, 0.0), error, chatter, 0.0) for error, chatter in corner]
+    assert search.knee(search.front(points)).error == 0.1
+
+
+def test_search_keeps_the_margins_and_is_the_same_on_any_number_of_threads():
+    p = problem(pid__form="plain")
+    runs = [
+        search.search(LAWS["pid"], p, search.phases(0.3), 120, 3, lambda done: None, threads)
+        for threads in (1, 2)
+    ]
+    assert runs[0] == runs[1]
+    prepared = margins.prepared(p.box)
+    for point in runs[0].points:
+        params = LAWS["pid"].build(trial.values_with(p, point.gains))
+        assert trial.violation(LIMITS, margins.margins(LAWS["pid"], params, prepared)) == 0.0
+    assert runs[0].missed > 0
+    start = trial.run(LAWS["pid"], p, [Gains({}, 0.0)])[0]
+    best = min((q for q in runs[0].points if q.chatter <= 0.3), key=lambda q: q.error)
+    assert best.error < 0.7 * trial.error_of(p, start)
+
+
+def test_a_known_motion_is_followed_without_lag():
+    """Preview inverts the reshaping: the reference of every law that reshapes is the wanted motion."""
+    p = problem("dcarc", preview=True)
+    law = LAWS["dcarc"]
+    params = law.build(p.values)
+    sent = trial.given(law, params, p.values, Gains({}, 0.0), p, p.motions[0].wanted)
+    state, reference = reshaping.State(0.0, 0.0), []
+    for command in sent.tolist():
+        reference.append(state.reference)
+        accel = reshaping.acceleration(params.reshaping, state, command)
+        state = reshaping.advance(params.reshaping, state, accel)
+    assert np.max(np.abs(np.array(reference) - p.motions[0].wanted)) < 1e-9
+
+
+def test_gains_without_margin_are_not_accepted(config):
+    """Those tuned without spread fall into limit cycles on some valves of a box that has one."""
+    values = files.load(str(config / "tuned" / "narrow_0.25_pid_plain.yaml"))["controller"]
+    p = problem("pid", valves=24)._replace(values=updated(CONTROLLER, defaults(CONTROLLER), values))
+    wide = [q for q in robustness.BOX if q.name in ("gain", "speed", "lvdt.delay")]
+    study = box.study_of(SETTINGS, wide, 24, 7)
+    p = p._replace(plants=box.drawn(study), box=box.bounding(study))
+    found = verification.verified(LAWS["pid"], p, Gains({}, 0.0), 0.25)
+    assert len(found.cycling) > 0
+    assert any("unstable" in reason for reason in found.reasons)
+    assert any("limit cycle" in reason for reason in found.reasons)
+
+
+def test_variants_are_those_that_were_not_decided():
+    law = LAWS["pid"]
+    assert len(tuner.variants(law, defaults(CONTROLLER))) == 2
+    plain = updated(CONTROLLER, defaults(CONTROLLER), {"pid.form": "plain"})
+    assert [v["pid.form"] for v in tuner.variants(law, plain)] == ["plain"]
+    placed_poles = updated(CONTROLLER, defaults(CONTROLLER), {"pid.break_frequency": 9.0})
+    assert all(v["pid.break_frequency"] == 0.0 for v in tuner.variants(law, placed_poles))
+
+
+def test_what_swings_at_rest_is_told_from_what_creeps_and_from_noise():
+    times = np.arange(1000) * 0.001
+    noise = np.random.default_rng(1).normal(0.0, 0.008, 1000)
+    positions = {
+        "swings": (0.3 + 0.06 * np.sin(2.0 * math.pi * 30.0 * times) + noise, True),
+        "creeps": (0.3 - 0.3 * np.exp(-times / 0.3) + noise, False),
+        "drifts": (0.3 + 0.3 * times + noise, False),
+        "rests": (0.3 + noise, False),
+        "is lost": (np.full(1000, math.nan), True),
+    }
+    for what, (position, swings) in positions.items():
+        trace = np.stack([position, position, 0.5 + 20.0 * noise], axis=1)
+        assert verification._restless(trace, 0.001, 1.0) == swings, what
+    voltage = 2.0 * np.sign(np.sin(2.0 * math.pi * 40.0 * times))
+    assert verification._restless(np.stack([noise, noise, voltage], axis=1), 0.001, 1.0)

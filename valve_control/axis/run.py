@@ -1,0 +1,204 @@
+"""Runs one axis, or many on several threads, through the compiled loop of ``closed_loop.py``."""
+
+import os
+import types
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control import closed_loop
+from valve_control.axis import cascade
+from valve_control.compiling import compile_function
+from valve_control.laws import command_lead
+from valve_control.laws.registry import LAWS
+from valve_control.laws.signals import Start
+from valve_control.motion import axis_pid, course
+from valve_control.parameter import ParameterError, Values, defaults, number, word
+from valve_control.parameters import axis as parameters
+from valve_control.parameters import build
+from valve_control.parameters.axis import AXIS_NODES
+from valve_control.plant import axis, machine
+
+Array = npt.NDArray[np.float64]
+LAST = 1.0  # s  the end of a run, within which the axis has settled
+
+
+class Setup(NamedTuple):
+    """Everything that is simulated in a run, built and checked."""
+
+    law: str
+    cascade: cascade.Params
+    machine: machine.Params
+    begin: machine.State
+    goals: Array  # rows of Goal
+    seed: int
+
+
+class Indices(NamedTuple):
+    """Quality of a run, of the true position."""
+
+    e_rms: float  # m
+    e_max: float  # m
+    e_end: float  # m  largest in the last second
+    u_rms: float  # V
+    chatter: float  # -  steps of the voltage from sample to sample, rms, over u_rms
+    energy: float  # J  taken from the supply
+
+
+class Run(NamedTuple):
+    """One run with its signals."""
+
+    time: Array  # s
+    signals: dict[str, Array]  # by cascade.SIGNALS
+    indices: Indices
+
+
+def default_settings() -> dict[str, Values]:
+    """Values of all parameters of an axis, by node."""
+    return {node: defaults(table) for node, table in AXIS_NODES.items()}
+
+
+def goals_of(values: Values, position: float) -> Array:
+    """Course from values of ``axis_controller``, for an axis at ``position`` [m]: rows of Goal.
+
+    Raises ParameterError.
+    """
+    period, duration = number(values, "sample_period"), number(values, "duration")
+    centre, stroke = position + number(values, "offset"), number(values, "distance")
+    if word(values, "course") == "sine":
+        return course.sine(centre, stroke, number(values, "frequency"), period, duration)
+    if word(values, "course") == "step":
+        rows = np.zeros((max(1, round(duration / period)), 3))
+        rows[:, 0] = centre
+        rows[round(number(values, "pause") / period) :, 0] = centre + stroke
+        return rows
+    limits = course.Limits(
+        number(values, "max_velocity"), number(values, "max_acceleration"), number(values, "max_jerk")
+    )
+    goals = [centre + stroke, centre] if values["back"] else [centre + stroke]
+    return course.point_to_point(centre, goals, number(values, "pause"), limits, period, duration)
+
+
+def setup(settings: dict[str, Values]) -> Setup:
+    """Build what is simulated from checked values by node. Raises ParameterError."""
+    at, upper, law_values = (settings[name] for name in ("axis_simulator", "axis_controller", "controller"))
+    period = number(at, "sample_period")
+    for node in ("axis_controller", "controller"):
+        other = number(settings[node], "sample_period")
+        if other != period:
+            raise ParameterError(
+                f"sample_period is {period:g} s for the axis and {other:g} s for {node}; they must be equal"
+            )
+    plant = parameters.machine_params(at, settings["valve_simulator"])
+    begin = parameters.start(plant, at)
+    goals = goals_of(upper, number(at, "start.position"))
+    if np.min(goals[:, 0]) < 0.0 or np.max(goals[:, 0]) > plant.axis.cylinder.stroke:
+        raise ParameterError(
+            f"the course goes from {np.min(goals[:, 0]):g} m to {np.max(goals[:, 0]):g} m, beyond the stroke "
+            f"of {plant.axis.cylinder.stroke:g} m"
+        )
+    gains = parameters.velocity_gains(plant.axis, at)
+    lead = command_lead.build(law_values) or command_lead.Params(
+        0.0, 1.0, 1.0, number(law_values, "command_limit"), period
+    )
+    law = word(law_values, "controller")
+    return Setup(
+        law=law,
+        cascade=cascade.Params(axis_pid.build(upper, *gains), lead, build.law_params(law_values)),
+        machine=plant,
+        begin=begin,
+        goals=goals,
+        seed=int(number(at, "seed")),
+    )
+
+
+@cache
+def _loop(law: types.ModuleType, compiled: bool) -> Callable[..., Any]:
+    if compiled:
+        both = compile_function(cascade.step, {"valve_law_step": compile_function(law.step)})
+    else:
+        scope = {**cascade.step.__globals__, "valve_law_step": law.step}
+        both = types.FunctionType(cascade.step.__code__, scope, cascade.step.__name__)
+    return closed_loop.build({**cascade.FUNCTIONS, "law_step": both}, compiled, nogil=True)
+
+
+def indices_of(s: Setup, signals: Array, compiled: bool = True) -> Indices:
+    """Run ``s``; ``signals`` (n×11) receives what ``cascade.shown`` returns at each sample."""
+    law = LAWS[s.law].module
+    n = len(s.goals)
+    noise = np.random.default_rng(s.seed).standard_normal((n, machine.NOISES))
+    first = machine.read(s.machine, s.begin, noise[0])
+    rest = s.begin._replace(history=s.begin.history.copy())
+    states = cascade.State(
+        axis_pid.initial(s.cascade.upper),
+        command_lead.initial(0.0),
+        law.initial(s.cascade.valve_law, Start(first.spool, 0.0, first.spool, 0.0, 0.0)),
+    )
+    period = s.machine.axis.period
+    last = float(n - min(n, round(LAST / period)))
+    end = _loop(law, compiled)(
+        closed_loop.Parts(0.0, s.cascade, s.machine, cascade.Measured(s.machine, last)),
+        closed_loop.Parts(0.0, states, rest, cascade.EMPTY),
+        s.goals,
+        noise,
+        signals,
+        np.zeros((0, 3)),
+    )
+    t = end.measure
+    u_rms = float(np.sqrt(t.voltage_squares / n))
+    steps = float(np.sqrt(t.voltage_steps / n))
+    return Indices(
+        e_rms=float(np.sqrt(t.squares / n)),
+        e_max=t.peak,
+        e_end=t.last,
+        u_rms=u_rms,
+        chatter=steps / u_rms if u_rms > 0.0 else 0.0,
+        energy=t.energy,
+    )
+
+
+def simulate(s: Setup, compiled: bool = True) -> Run:
+    """Run one axis; plain Python (not ``compiled``) gives the same bits."""
+    n = len(s.goals)
+    rows = np.zeros((n, len(cascade.SIGNALS)))
+    indices = indices_of(s, rows, compiled)
+    signals = dict(zip(cascade.SIGNALS, rows.T, strict=True))
+    p = s.machine.axis
+    state = zip(
+        *(signals[name] for name in ("position", "pressure_a", "pressure_b", "pressure_supply")), strict=True
+    )
+    found = [axis.pressures(p, axis.State(x, 0.0, a, b, supply, 0.0, 0.0)) for x, a, b, supply in state]
+    for name, values in zip(("pressure_a", "pressure_b", "pressure_supply"), np.array(found).T, strict=True):
+        signals[name] = values
+    return Run(np.arange(n, dtype=np.float64) * p.period, signals, indices)
+
+
+def warm_up(s: Setup) -> None:
+    """Compile the loop of ``s`` in this thread, because Ctrl-C reaches no other, by a run of one sample."""
+    indices_of(s._replace(goals=s.goals[:1]), np.empty((1, len(cascade.SIGNALS))))
+
+
+def simulate_many(
+    setups: Sequence[Setup], threads: int | None = None, done: Callable[[], object] = lambda: None
+) -> list[Indices]:
+    """Indices of many runs, on ``threads`` threads (default: all cores); ``done`` is called after each.
+
+    Each run has the bits of ``simulate``, whatever the number of threads.
+    """
+
+    def one(s: Setup) -> Indices:
+        found = indices_of(s, np.empty((len(s.goals), len(cascade.SIGNALS))))
+        done()
+        return found
+
+    for name in {s.law for s in setups}:
+        warm_up(next(s for s in setups if s.law == name))
+    pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
+    try:
+        return list(pool.map(one, setups))
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -1,0 +1,190 @@
+"""Finds out what a fast valve buys: random axes under five valves, each with its largest stable gain.
+
+Per axis and valve the proportional gain of the upper level is half of that from which a small step does not
+come to rest (a gain margin of 2). With it the axis follows a motion limited in jerk, and small sines, from
+which the bandwidth is found.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.axis import cascade, run
+from valve_control.motion import course
+from valve_control.parameter import Values, number, updated
+from valve_control.parameters import axis as parameters
+from valve_control.parameters import files
+from valve_control.parameters.axis import AXIS, AXIS_NODES
+
+Array = npt.NDArray[np.float64]
+VALVES = ("open_loop", "pid", "oarc", "dcarc", "servo")
+TUNED = {"pid": "pid_reference", "oarc": "oarc", "dcarc": "dcarc"}  # of config/tuned/narrow_0.25_*.yaml
+SERVO = 2.0 * np.pi * 100.0  # rad/s  of the ideal valve, damped with 0.7
+PERIOD = 0.001  # s
+STEP = 0.005  # m
+RESTLESS = 0.2 * STEP  # m  from peak to peak in the last half second after the step
+GAINS = (1.0, 300.0)  # 1/s  between which the gain is sought
+MARGIN = 2.0
+SINE = 0.002  # m  amplitude of the sines, less where the speed would be
+SHARE = 0.25  # of full speed that sines may take
+FREQUENCIES = np.geomspace(0.5, 60.0, 22)  # Hz
+BOX = {
+    "load.mass": (50.0, 400.0),
+    "load.damping": (200.0, 1500.0),
+    "load.coulomb": (10.0, 300.0),
+    "cylinder.dead_volume_a": (5e-5, 2e-4),
+    "cylinder.dead_volume_b": (5e-5, 2e-4),
+    "cylinder.leakage": (1e-13, 1e-12),
+    "supply.pressure": (100e5, 160e5),
+}  # drawn evenly in logarithm
+LIMITS = course.Limits(0.25, 2.0, 40.0)
+
+
+class Result(NamedTuple):
+    """One axis under one valve."""
+
+    gain: float  # 1/s
+    bandwidth: float  # Hz  where a small sine is at -3 dB or -90°
+    motion: run.Indices
+
+
+def valve_settings(name: str) -> dict[str, Values]:
+    """Settings by node of the valve ``name``, of VALVES, with its controller."""
+    folder = files.config_folder()
+    settings = run.default_settings()
+    paths = [] if name == "servo" else [str(folder / "d3fxe.yaml")]
+    if name in TUNED:
+        paths.append(str(folder / "tuned" / f"narrow_0.25_{TUNED[name]}.yaml"))
+    changes = files.given(paths, {}, [])
+    if name not in TUNED:
+        changes["controller"]["controller"] = "open_loop"
+    if name == "servo":
+        changes["valve_simulator"].update(
+            valve="custom", numerator=[SERVO**2], denominator=[1.0, 1.4 * SERVO, SERVO**2]
+        )
+        changes["controller"]["open_loop.static_gain"] = 1.0
+    for node in ("valve_simulator", "controller"):
+        settings[node] = updated(AXIS_NODES[node], settings[node], changes[node])
+    return settings
+
+
+def random_axis(seed: int) -> Values:
+    """Values of ``axis_simulator`` for the axis number ``seed``."""
+    random = np.random.default_rng(seed)
+    drawn: Values = {name: float(low * (high / low) ** random.random()) for name, (low, high) in BOX.items()}
+    values = updated(AXIS, {p.name: p.default for p in AXIS}, drawn)
+    overlap = float(random.uniform(0.0, 0.05))
+    area_a, area_b, tank, a = 1.257e-3, 7.66e-4, 1e5, 30e5
+    return updated(
+        AXIS,
+        values,
+        {
+            "cylinder.area_a": area_a,
+            "cylinder.area_b": area_b,
+            "spool.overlap": [overlap] * 4,
+            "start.position": float(random.uniform(0.15, 0.3)),
+            "start.pressure_a": a,
+            "start.pressure_b": (a * area_a - tank * (area_a - area_b)) / area_b,
+            "load.static_ratio": 1.4,
+            "position.resolution": 5e-6,
+            "seed": seed,
+        },
+    )
+
+
+class Axis:
+    """One random axis under one valve, whose gain and course can be changed."""
+
+    def __init__(self, base: run.Setup, values: Values) -> None:
+        axis = parameters.axis_params(values)
+        plant = base.machine._replace(axis=axis, sensors=parameters.sensors(values))
+        out, into = parameters.velocity_gains(axis, values)
+        overlap = 0.8 * axis.overlaps.pa * axis.full_scale  # what its user knows of it
+        upper = base.cascade.upper._replace(gain_out=out, gain_in=into, overlap=overlap)
+        self.at = number(values, "start.position")
+        self.speed = min(out, into) * axis.full_scale
+        self._setup = base._replace(
+            machine=plant,
+            begin=parameters.start(plant, values),
+            cascade=base.cascade._replace(upper=upper),
+            seed=int(number(values, "seed")),
+        )
+
+    def follow(self, gain: float, goals: Array) -> tuple[run.Indices, Array]:
+        """Indices and true position [m] with the ``gain`` [1/s] on a course."""
+        upper = self._setup.cascade.upper._replace(kp=gain)
+        setup = self._setup._replace(cascade=self._setup.cascade._replace(upper=upper), goals=goals)
+        signals = np.empty((len(goals), len(cascade.SIGNALS)))
+        return run.indices_of(setup, signals), signals[:, cascade.SIGNALS.index("position")]
+
+
+def largest_gain(axis: Axis) -> float:
+    """Gain [1/s] from which a small step does not come to rest, within 2 %."""
+    goals = np.zeros((1500, 3))
+    goals[:, 0] = axis.at + STEP
+    low, high = GAINS
+    while high > 1.02 * low:
+        gain = float(np.sqrt(low * high))
+        _, x = axis.follow(gain, goals)
+        if np.ptp(x[-500:]) > RESTLESS:
+            high = gain
+        else:
+            low = gain
+    return low
+
+
+def bandwidth(axis: Axis, gain: float) -> float:
+    """Frequency [Hz] at which a small sine is at -3 dB or -90°, whichever is first."""
+    before = (FREQUENCIES[0], 1.0)
+    for f in FREQUENCIES:
+        amplitude = min(SINE, SHARE * axis.speed / (2.0 * np.pi * f))
+        cycles = max(3, round(f))
+        rise = 2.0 * min(0.5, 1.0 / f) + 0.25
+        goals = course.sine(axis.at, amplitude, f, PERIOD, rise + cycles / f)
+        _, x = axis.follow(gain, goals)
+        n = round(cycles / f / PERIOD)
+        turn = np.exp(-2j * np.pi * f * np.arange(len(x)) * PERIOD)[-n:]
+        answer = np.sum((x[-n:] - np.mean(x[-n:])) * turn) / np.sum((goals[-n:, 0] - axis.at) * turn)
+        # 1 at 0 dB and 0°, 0 at -3 dB or -90°.
+        left = min(
+            (abs(answer) - np.sqrt(0.5)) / (1.0 - np.sqrt(0.5)), 1.0 + np.angle(answer) / (0.5 * np.pi)
+        )
+        if left <= 0.0:
+            share = before[1] / (before[1] - left)
+            return float(before[0] * (f / before[0]) ** share)
+        before = (f, left)
+    return float(FREQUENCIES[-1])
+
+
+def judge(base: run.Setup, values: Values) -> Result:
+    """Result of one axis under one valve."""
+    axis = Axis(base, values)
+    gain = largest_gain(axis) / MARGIN
+    goals = course.point_to_point(axis.at, [axis.at + 0.1, axis.at], 0.3, LIMITS, PERIOD, 2.5)
+    return Result(gain, bandwidth(axis, gain), axis.follow(gain, goals)[0])
+
+
+def study(
+    axes: int, threads: int | None = None, done: Callable[[], object] = lambda: None
+) -> dict[str, list[Result]]:
+    """Results by valve of the axes 0 to ``axes`` - 1; ``done`` is called after each axis under a valve."""
+    bases = {name: run.setup(valve_settings(name)) for name in VALVES}
+    for base in bases.values():
+        run.warm_up(base)
+    drawn = [random_axis(seed) for seed in range(axes)]
+
+    def one(job: tuple[str, Values]) -> Result:
+        result = judge(bases[job[0]], job[1])
+        done()
+        return result
+
+    pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
+    try:
+        found = list(pool.map(one, [(name, values) for name in VALVES for values in drawn]))
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return {name: found[i * axes : (i + 1) * axes] for i, name in enumerate(VALVES)}

@@ -1,0 +1,162 @@
+"""Puts all sub-commands into one parser, and turns their errors into one sentence and an exit status."""
+
+import argparse
+import contextlib
+import os
+import sys
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+from valve_control import __version__, interrupts
+from valve_control.bags.errors import BagError
+from valve_control.cli import (
+    axis,
+    calibration,
+    export,
+    identification,
+    paper,
+    recordings,
+    simulate,
+    study,
+    theorems,
+    tune,
+)
+from valve_control.cli.common import Parser
+from valve_control.laws.registry import REFUSED
+from valve_control.parameter import ParameterError
+
+EXAMPLES = """examples:
+  valve-control identify --set lvdt.noise=0.005 --output valve.yaml --figure bode.png
+  valve-control compensator --from valve.yaml --bandwidth 25 --output compensator.yaml
+  valve-control calibrate paper --set duration=9.3 --output my_valve.yaml
+  valve-control parameters arc
+  valve-control simulate --controller oarc --scenario sine --set frequency=6.0 --set amplitude=1.0
+  valve-control simulate --controller arc --params-file config/arc.yaml --json -
+  valve-control compare --params-file config/d3fxe.yaml --figure compare.png
+  valve-control study --controller oarc --valves 10000 --figure study.png
+  valve-control study --controller oarc --replay 4711 --figure worst.png
+  valve-control axis --params-file config/axis/bench.yaml --controller pid --figure axis.png
+  valve-control export --controller oarc --params-file config/d3fxe.yaml --output oarc_in_c
+  valve-control tune --controller dcarc --max-chatter 0.25 --output tuned.yaml
+  valve-control analyze my_bag --html report.html --expect 'e_rms<0.02'
+  valve-control analyze my_bag --map spool_position=/joint_states.position[0]*250
+  valve-control replay my_bag --mode shadow --controller oarc
+  valve-control replay my_bag --mode what-if --set arc.k1=150
+  valve-control compare monday_bag tuesday_bag --html both.html
+  valve-control bag recover my_bag
+  valve-control paper
+  valve-control theorems --figure theorems.png
+"""
+
+
+GROUPS = {
+    "your valve": ("identify", "compensator", "calibrate", "parameters"),
+    "simulate": ("simulate", "compare", "study", "tune", "axis", "axes"),
+    "the machine": ("export",),
+    "recordings": ("analyze", "replay", "bag"),
+    "the paper": ("paper", "theorems"),
+}
+WIDTH = 78  # columns of the list of commands
+
+
+class Commands:
+    """The command's parser ``top`` with one parser for each sub-command; the help groups them by task."""
+
+    def __init__(self) -> None:
+        self.top = Parser(
+            prog="valve-control",
+            usage="valve-control [-h] [--version] COMMAND ...",
+            description="Local control of a proportional directional control valve: identify and simulate "
+            "a valve,\nand analyse recordings. valve-control COMMAND --help tells the options of a command.",
+            epilog=EXAMPLES,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        self.top.add_argument("--version", action="version", version=f"valve-control {__version__}")
+        self._commands = self.top.add_subparsers(
+            dest="task", required=True, metavar="COMMAND", prog="valve-control", help=argparse.SUPPRESS
+        )
+        self.parsers: dict[str, argparse.ArgumentParser] = {}
+        self._texts: dict[str, str] = {}
+        for part in (
+            simulate,
+            recordings,
+            identification,
+            calibration,
+            paper,
+            theorems,
+            study,
+            tune,
+            export,
+            axis,
+        ):
+            part.add_commands(self)
+        for title, names in GROUPS.items():
+            self.top.add_argument_group(title, "\n".join(self._line(name) for name in names))
+
+    def add_parser(self, name: str, help: str, **options: Any) -> argparse.ArgumentParser:
+        """Add and return the parser of the sub-command ``name``; ``help`` is its line in the list."""
+        parser: argparse.ArgumentParser = self._commands.add_parser(name, **options)
+        self.parsers[name], self._texts[name] = parser, help
+        return parser
+
+    def _line(self, name: str) -> str:
+        head = f"{name:<13}"
+        return textwrap.fill(
+            head + self._texts[name], WIDTH, subsequent_indent=" " * len(head), break_on_hyphens=False
+        )
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's argument parser."""
+    return Commands().top
+
+
+def run(argv: Sequence[str]) -> int:
+    """Run the command with ``argv``; returns the exit status."""
+    # For small matrices BLAS threads that wait for each other take four times as long on a busy machine.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    commands = Commands()
+    arguments, stray = commands.top.parse_known_args(argv, argparse.Namespace(line=list(argv)))
+    if stray:
+        commands.parsers[arguments.task].error(f"unrecognized arguments: {' '.join(stray)}")
+    for sentence in REFUSED:
+        print(f"valve-control: {sentence}", file=sys.stderr)
+    try:
+        status = int(arguments.run(arguments) or 0)
+        sys.stdout.flush()
+        return status
+    except (ParameterError, BagError) as error:
+        print(f"valve-control: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        print(
+            f"valve-control: {arguments.task} needs the Python package {error.name} "
+            f"(pip install {error.name})",
+            file=sys.stderr,
+        )
+        return 2
+    except BrokenPipeError:
+        _leave_output()
+        return 1
+    except OSError as error:
+        print(
+            f"valve-control: {error.filename or 'output'} cannot be written: {error.strerror or error}",
+            file=sys.stderr,
+        )
+        _leave_output()
+        return 1
+    except MemoryError:
+        print(f"valve-control: {arguments.task} needs more memory than there is", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return interrupts.STATUS
+
+
+def _leave_output() -> None:
+    """Discard what standard output could not take, so that Python does not try again at its exit."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with contextlib.suppress(OSError):
+            sys.stdout.close()

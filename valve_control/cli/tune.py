@@ -1,0 +1,308 @@
+"""Defines the sub-command `tune`: the best gains of any law for a box of valves, verified."""
+
+import argparse
+import math
+import os
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from valve_control import outputs
+from valve_control.cli.common import Progress, check_outputs, check_processes, say, write_json
+from valve_control.cli.simulate import CONTROLLERS, settings_of, setup_options
+from valve_control.cli.study import box_of
+from valve_control.parameter import ParameterError, Values, number, word
+
+if TYPE_CHECKING:
+    from valve_control.tuning.trial import Limits, Motion, Problem
+    from valve_control.tuning.tuner import Aim, Tuned
+
+PID = "pid"  # that is tuned beside the others
+UNSEEN_SEED = 1_000_003  # added to the seed for valves that the search does not see
+FAILED = 1  # exit status if gains of a law are not accepted
+
+
+def add_commands(commands: Any) -> None:
+    """Add tune to the command's sub-commands."""
+    tune = commands.add_parser(
+        "tune",
+        parents=[setup_options(several=True)],
+        help="the best gains of any law for a valve and its spread, verified",
+        description="Search the gains of one or more laws: small error of the true position at limited "
+        "chatter on valves drawn from the study's box around a valve, with margins of the sampled loop that "
+        "hold all over it. What does not hold on valves, noise and commands that the search did not see is "
+        "not written. --seed is that of the search.",
+    )
+    tune.add_argument(
+        "--controller", metavar="LAW,…", help="laws to tune, or all (default: that of the parameter files)"
+    )
+    group = tune.add_argument_group("what is wanted")
+    group.add_argument("--max-chatter", type=float, metavar="C_U", help="limit of the mean chatter")
+    group.add_argument("--max-error", type=float, metavar="V", help="limit of the error, at least chatter")
+    group.add_argument("--error", choices=("rms", "max"), default="rms", help="what is made small (rms)")
+    group.add_argument(
+        "--preview", action="store_true", help="commands are known ahead (topic spool_trajectory)"
+    )
+    limits = tune.add_argument_group("what has to hold on every valve of the box")
+    limits.add_argument("--gain-margin", type=float, default=3.0, metavar="DB", help="(3 dB)")
+    limits.add_argument("--phase-margin", type=float, default=20.0, metavar="DEG", help="(20 degrees)")
+    limits.add_argument("--delay-margin", type=float, default=0.0005, metavar="S", help="(0.0005 s)")
+    limits.add_argument("--peak", type=float, default=12.0, metavar="DB", help="of the sensitivity (12 dB)")
+    limits.add_argument(
+        "--saturation", type=float, default=0.02, metavar="X", help="mean share of the samples (0.02)"
+    )
+    group = tune.add_argument_group("search")
+    group.add_argument("--valves", type=int, default=8, metavar="N", help="that are simulated (8)")
+    group.add_argument("--unseen", type=int, default=64, metavar="N", help="valves to verify on (64)")
+    group.add_argument(
+        "--fix", action="append", default=[], metavar="NAME", help="quantity of the box that stays as it is"
+    )
+    group.add_argument("--budget", type=int, default=4000, metavar="N", help="sets of gains of a law (4000)")
+    group.add_argument("--alone", action="store_true", help="no PID beside the laws that are asked for")
+    group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
+    output = tune.add_argument_group("what comes out")
+    output.add_argument(
+        "--output", metavar="FILE", help="ROS 2 parameter file; of several laws NAME_LAW.yaml each"
+    )
+    output.add_argument("--json", metavar="FILE", help="everything as JSON; - for standard output alone")
+    output.add_argument("--html", metavar="FILE", help="report as one HTML page")
+    tune.set_defaults(run=_tune)
+
+
+def _tune(arguments: argparse.Namespace) -> int:
+    from valve_control.laws.registry import LAWS
+    from valve_control.tuning import tuner
+
+    _check(arguments)
+    files, arguments.command = arguments.command or [], None
+    names, arguments.controller = arguments.controller, None
+    settings = settings_of(arguments)
+    laws = _laws(names, word(settings["controller"], "controller"))
+    paths = _paths(arguments.output, laws)
+    arguments.command = files
+    check_outputs(arguments, [*paths.values(), arguments.html])
+    problem, unseen = _problems(arguments, settings, files)
+    asked = laws if PID in laws or arguments.alone else [*laws, PID]
+    counts = [len(tuner.variants(LAWS[name], problem.values)) for name in asked]
+    progress = Progress(arguments.budget * sum(counts), "sets of gains")
+    progress(0)
+    seed, aim = arguments.seed or 1, _aim(arguments)
+    found: dict[str, Tuned] = {}
+    missing: dict[str, str] = {}
+    before = 0
+    for name, count in zip(asked, counts, strict=True):
+        told = lambda done, name=name, before=before: progress(before + done, f" ({name})")  # noqa: E731
+        try:
+            found[name] = tuner.tuned(
+                LAWS[name], problem, unseen, aim, arguments.budget, seed, told, arguments.threads
+            )
+        except ParameterError as error:
+            if len(laws) == 1 and name in laws:
+                raise
+            missing[name] = str(error)
+            print(error, file=sys.stderr)
+        before += count * arguments.budget
+    written = {name: path for name, path in paths.items() if name in found and found[name].chosen.holds}
+    result = _result(found, missing, laws, written)
+    for name, path in written.items():
+        _save(path, name, problem.values, found[name], arguments)
+        say(arguments, f"wrote {path}")
+    for name, one in found.items():
+        for reason in one.chosen.verified.reasons:
+            print(f"{name}: not accepted, because {reason}", file=sys.stderr)
+    if arguments.json != "-":
+        _print(found)
+    if arguments.html is not None:
+        from valve_control.tuning import report
+
+        outputs.write(arguments.html, report.page(unseen, aim, found, missing, laws, written))
+        say(arguments, f"wrote {arguments.html}")
+    write_json(arguments, result)
+    return 0 if all(name in found and found[name].chosen.holds for name in laws) else FAILED
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    check_processes("threads", arguments.threads)
+    for name, least in (("valves", 1), ("unseen", 1), ("budget", 1)):
+        if getattr(arguments, name) < least:
+            raise ParameterError(f"--{name} is {getattr(arguments, name)}; it must be at least {least}")
+    if arguments.max_chatter is not None and arguments.max_error is not None:
+        raise ParameterError("--max-chatter and --max-error contradict each other; give one of them")
+    for name in ("max_chatter", "max_error", "peak"):
+        value = getattr(arguments, name)
+        if value is not None and not 0.0 < value < math.inf:
+            raise ParameterError(f"--{name.replace('_', '-')} is {value:g}; it must be above 0, and finite")
+    for name, most in (
+        ("gain_margin", 60.0),
+        ("phase_margin", 120.0),
+        ("delay_margin", 1.0),
+        ("saturation", 1.0),
+    ):
+        value = getattr(arguments, name)
+        if not 0.0 <= value <= most:
+            raise ParameterError(
+                f"--{name.replace('_', '-')} is {value:g}; it must lie between 0 and {most:g}"
+            )
+
+
+def _laws(names: str | None, usual: str) -> list[str]:
+    """Laws that ``names`` asks for. Raises ParameterError."""
+    from valve_control.laws.registry import LAWS
+
+    if names is None:
+        return [usual]
+    if names == "all":
+        return [name for name, law in LAWS.items() if law.free]
+    asked = list(dict.fromkeys(name.strip() for name in names.split(",")))
+    for name in asked:
+        if name not in CONTROLLERS:
+            raise ParameterError(
+                f"--controller {names}: there is no law '{name}'; there are {', '.join(CONTROLLERS)}, and all"
+            )
+        if not LAWS[name].free:
+            raise ParameterError(f"{name} has no gains to choose; there is nothing to tune")
+    return asked
+
+
+def _paths(output: str | None, laws: list[str]) -> dict[str, str]:
+    """Parameter file of each law."""
+    if output is None:
+        return {}
+    if len(laws) == 1:
+        return {laws[0]: output}
+    path = Path(output)
+    return {name: str(path.with_name(f"{path.stem}_{name}{path.suffix}")) for name in laws}
+
+
+def _aim(arguments: argparse.Namespace) -> "Aim":
+    from valve_control.tuning.tuner import Aim
+
+    return Aim(arguments.max_chatter, arguments.max_error)
+
+
+def _limits(arguments: argparse.Namespace) -> "Limits":
+    from valve_control.tuning.trial import Limits
+
+    return Limits(
+        arguments.gain_margin,
+        arguments.phase_margin,
+        arguments.delay_margin,
+        arguments.peak,
+        arguments.saturation,
+    )
+
+
+def _motions(arguments: argparse.Namespace, settings: dict[str, Values], files: list[str]) -> list["Motion"]:
+    """The commands, each of at least one second. Raises ParameterError."""
+    from valve_control.commands import arrays
+    from valve_control.parameters import build
+    from valve_control.tuning import box
+    from valve_control.tuning.trial import Motion
+
+    if files and arguments.scenario is not None:
+        raise ParameterError(
+            f"--command {files[0]} and --scenario {arguments.scenario} contradict each other; "
+            "give one of them"
+        )
+    source = settings["command_source"]
+    motions = [Motion(Path(file).name, arrays.read(file)) for file in files]
+    if not files:
+        motions = [Motion(word(source, "scenario"), build.commands(source))]
+    period = number(source, "sample_period")
+    for motion in motions:
+        if len(motion.wanted) * period < 1.0:
+            raise ParameterError(
+                f"the command {motion.name} lasts {len(motion.wanted) * period:g} s; to tune on it, it must "
+                "last at least 1 s"
+            )
+        if float(motion.wanted.max() - motion.wanted.min()) == 0.0:
+            raise ParameterError(f"the command {motion.name} does not move; there is nothing to tune on")
+        most = motion.wanted[abs(motion.wanted).argmax()]
+        box.check_reach(settings["valve_simulator"], float(most), motion.name)
+    return motions
+
+
+def _problems(
+    arguments: argparse.Namespace, settings: dict[str, Values], files: list[str]
+) -> tuple["Problem", "Problem"]:
+    """What the search sees, and what verification sees. Raises ParameterError."""
+    from valve_control.simulation import offline
+    from valve_control.tuning import box
+    from valve_control.tuning.trial import Problem
+
+    offline.check_agreement(settings["controller"], settings["valve_simulator"])
+    quantities = box_of(arguments)
+    if not quantities:
+        raise ParameterError("every quantity of the box is fixed; there is no spread to tune for")
+    motions = _motions(arguments, settings, files)
+    seed = arguments.seed or 1
+    study = box.study_of(settings, quantities, arguments.valves, seed)
+    other = box.study_of(settings, quantities, arguments.unseen, seed + UNSEEN_SEED)
+    seen = Problem(
+        settings["controller"],
+        motions,
+        box.drawn(study),
+        box.bounding(study),
+        _limits(arguments),
+        arguments.preview,
+        arguments.error == "max",
+        seed,
+    )
+    return seen, seen._replace(plants=box.drawn(other), box=box.bounding(other), seed=seed + UNSEEN_SEED)
+
+
+def _save(path: str, name: str, values: Values, one: "Tuned", arguments: argparse.Namespace) -> None:
+    from valve_control.parameters import files
+    from valve_control.tuning import tuner, verification
+
+    reached = verification.as_dict(one.chosen.verified)
+    about = [
+        "valve-control " + shlex.join(arguments.line),
+        f"On {reached['valves']} valves that the search did not see: e_rms "
+        f"{reached['e_rms']['median']:.4g} V (median), {reached['e_rms']['p95']:.4g} V (95 %), "
+        f"c_u {reached['c_u']:.3f}.",
+    ]
+    chosen = tuner.parameters_of(name, values, one.chosen)
+    outputs.write(path, files.as_yaml({"/**/controller": chosen}, about))
+
+
+def _result(
+    found: dict[str, "Tuned"], missing: dict[str, str], laws: list[str], written: dict[str, str]
+) -> dict[str, Any]:
+    """For JSON; the PID that was not asked for stands beside the laws."""
+    from valve_control.tuning import tuner
+
+    made: dict[str, dict[str, Any]] = {}
+    for name, one in found.items():
+        made[name] = tuner.as_dict(one)
+        made[name]["file"] = written.get(name)
+    result: dict[str, Any] = {"laws": {name: made[name] for name in laws if name in made}}
+    beside = {name: one for name, one in made.items() if name not in laws}
+    if beside:
+        result["beside"] = beside
+    if missing:
+        result["missing"] = missing
+    return result
+
+
+def _print(found: dict[str, "Tuned"]) -> None:
+    from valve_control.tuning import margins, verification
+
+    print(
+        f"{'law':12}{'e_rms [V]':>12}{'95 % [V]':>12}{'c_u':>8}"
+        f"{'gain [dB]':>11}{'phase [deg]':>13}{'delay [ms]':>12}"
+    )
+    for name, one in found.items():
+        reached = verification.as_dict(one.chosen.verified)
+        worst = margins.worst(one.chosen.verified.margins)
+        numbers = (f"{reached['e_rms'][part] or math.nan:12.4f}" for part in ("median", "p95"))
+        print(
+            f"{name:12}{''.join(numbers)}{reached['c_u'] or math.nan:8.3f}{worst.gain_db[0]:11.3g}"
+            f"{worst.phase_deg[0]:13.3g}{1e3 * worst.delay_s[0]:12.3g}"
+            + ("" if one.chosen.holds else "  not accepted")
+        )
+    shown = next(iter(found.values()), None)
+    if shown is not None:
+        valves = verification.as_dict(shown.chosen.verified)["valves"]
+        print(f"on {valves} valves that the search did not see; margins: the least in the box")

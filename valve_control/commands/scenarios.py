@@ -1,0 +1,137 @@
+"""Computes command shapes: the commanded spool position [V] as a function of time [s]."""
+
+import bisect
+import functools
+import math
+from typing import NamedTuple
+
+
+class Shape(NamedTuple):
+    """One command shape; each scenario uses the fields that it needs."""
+
+    scenario: str  # point_to_point, sine, step, sweep, stepped_sine or constant
+    amplitude: float  # V     height, stroke or amplitude
+    offset: float  # V     added to everything
+    start: float  # s     standstill before the motion begins
+    frequency: float  # Hz    sine; start of the sweep; first step
+    end_frequency: float  # Hz    end of the sweep; last step
+    max_velocity: float  # V/s   point to point
+    max_accel: float  # V/s²  point to point
+    cycle: float  # s     point to point: there and back again
+    sweep_time: float  # s     duration of one sweep
+    steps: int = 30  # -     frequencies of the stepped sine
+    cycles: int = 5  # -     least cycles of each
+    step_time: float = 1.0  # s     least time of each
+
+
+class Step(NamedTuple):
+    """One frequency of a stepped sine, from ``start`` to ``end`` [s] after the motion's beginning."""
+
+    start: float  # s
+    end: float  # s
+    frequency: float  # Hz
+
+
+SCENARIOS = {
+    "point_to_point": "smooth motion there and back with limited velocity and acceleration (Fig. 5)",
+    "sine": "sine wave (Fig. 4: 6 Hz)",
+    "step": "step to the amplitude",
+    "sweep": "sine whose frequency rises exponentially from frequency to end_frequency",
+    "stepped_sine": "whole cycles of one frequency after the other, from frequency to end_frequency",
+    "constant": "the offset alone",
+}
+
+
+def stroke_time(distance: float, max_velocity: float, max_accel: float) -> tuple[float, float, float]:
+    """Ramp time [s], cruise time [s] and peak velocity [V/s] of one stroke of ``distance`` [V] >= 0.
+
+    The velocity rises and falls along half a cosine, v = vp·(1 - cos(πt/tr))/2, whose acceleration peaks
+    at π·vp/(2·tr); the two ramps together cover vp·tr.
+    """
+    peak = max_velocity
+    ramp = math.pi * peak / (2.0 * max_accel)
+    if peak * ramp > distance:
+        peak = math.sqrt(2.0 * max_accel * distance / math.pi)
+        ramp = math.pi * peak / (2.0 * max_accel)
+        return ramp, 0.0, peak
+    return ramp, (distance - peak * ramp) / peak, peak
+
+
+def stroke(time: float, distance: float, max_velocity: float, max_accel: float) -> float:
+    """Position [V] on one smooth stroke from 0 to ``distance`` [V] that begins at time 0."""
+    if distance == 0.0 or time <= 0.0:
+        return 0.0
+    size = abs(distance)
+    sign = math.copysign(1.0, distance)
+    ramp, cruise, peak = stroke_time(size, max_velocity, max_accel)
+
+    def rising(t: float) -> float:
+        return 0.5 * peak * (t - ramp / math.pi * math.sin(math.pi * t / ramp))
+
+    if time < ramp:
+        return sign * rising(time)
+    if time < ramp + cruise:
+        return sign * (0.5 * peak * ramp + peak * (time - ramp))
+    if time < 2.0 * ramp + cruise:
+        return sign * (size - rising(2.0 * ramp + cruise - time))
+    return distance
+
+
+def there_and_back(shape: Shape, time: float) -> float:
+    """Position [V] on the strokes of a point-to-point motion that began at time 0, without the offset."""
+    t = time % shape.cycle
+    there = stroke(t, shape.amplitude, shape.max_velocity, shape.max_accel)
+    return there + stroke(t - 0.5 * shape.cycle, -shape.amplitude, shape.max_velocity, shape.max_accel)
+
+
+@functools.cache
+def sine_steps(
+    frequency: float, end_frequency: float, steps: int, cycles: int, step_time: float
+) -> tuple[Step, ...]:
+    """Log-spaced frequencies [Hz], each with whole ``cycles`` that last at least ``step_time`` [s]."""
+    made: list[Step] = []
+    start = 0.0
+    for i in range(steps):
+        f = frequency * (end_frequency / frequency) ** (i / max(1, steps - 1))
+        end = start + max(cycles, math.ceil(step_time * f)) / f
+        made.append(Step(start, end, f))
+        start = end
+    return tuple(made)
+
+
+def steps_of(shape: Shape) -> tuple[Step, ...]:
+    """The steps of a stepped sine."""
+    return sine_steps(shape.frequency, shape.end_frequency, shape.steps, shape.cycles, shape.step_time)
+
+
+def stepped_sine(steps: tuple[Step, ...], time: float) -> float:
+    """Unit sine at ``time`` [s] of a stepped sine that began at time 0; 0 after its end."""
+    i = bisect.bisect_right(steps, time, key=lambda step: step.end)
+    if i == len(steps):
+        return 0.0
+    return math.sin(2.0 * math.pi * steps[i].frequency * (time - steps[i].start))
+
+
+def command(shape: Shape, time: float) -> float:
+    """Command [V] at ``time`` [s] after the beginning."""
+    t = time - shape.start
+    a = shape.amplitude
+    if t < 0.0 or shape.scenario == "constant":
+        return shape.offset
+    if shape.scenario == "step":
+        return shape.offset + a
+    if shape.scenario == "sine":
+        return shape.offset + a * math.sin(2.0 * math.pi * shape.frequency * t)
+    if shape.scenario == "sweep":
+        t = min(t, shape.sweep_time)
+        ratio = math.log(shape.end_frequency / shape.frequency)
+        if ratio == 0.0:
+            return shape.offset + a * math.sin(2.0 * math.pi * shape.frequency * t)
+        length = shape.sweep_time / ratio
+        phase = 2.0 * math.pi * shape.frequency * length * math.expm1(t / length)
+        return shape.offset + a * math.sin(phase)
+    if shape.scenario == "stepped_sine":
+        return shape.offset + a * stepped_sine(steps_of(shape), t)
+    if shape.scenario == "point_to_point":
+        return shape.offset + there_and_back(shape, t)
+    raise ValueError(f"scenario '{shape.scenario}' is not one of {', '.join(SCENARIOS)}")

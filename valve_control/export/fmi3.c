@@ -1,0 +1,261 @@
+/* FMI 3.0 for co-simulation around the sampled steps of model.h. Types and functions are declared here by hand after
+ * the FMI standard, version 3.0.2 (modelica.org, whose headers are under the BSD-2 licence); none of its files is used.
+ */
+#include <math.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "model.h"
+
+typedef void *fmi3Instance;
+typedef void *fmi3FMUState;
+typedef void *fmi3InstanceEnvironment;
+typedef uint32_t fmi3ValueReference;
+typedef double fmi3Float64;
+typedef const char *fmi3String;
+typedef const uint8_t *fmi3Binary;
+typedef enum { fmi3OK, fmi3Warning, fmi3Discard, fmi3Error, fmi3Fatal } fmi3Status;
+typedef void (*fmi3LogMessageCallback)(fmi3InstanceEnvironment, fmi3Status, fmi3String, fmi3String);
+typedef void (*fmi3Callback)(void);
+
+typedef struct {
+    model_t model;
+    fmi3LogMessageCallback log;
+    fmi3InstanceEnvironment environment;
+} instance_t;
+
+static fmi3Status refuse(instance_t *c, const char *text)
+{
+    if (c && c->log)
+        c->log(c->environment, fmi3Error, "logStatusError", text);
+    return fmi3Error;
+}
+
+const char *fmi3GetVersion(void)
+{
+    return "3.0";
+}
+
+fmi3Status fmi3SetDebugLogging(fmi3Instance c, bool on, size_t count, const fmi3String categories[])
+{
+    (void)c, (void)on, (void)count, (void)categories;
+    return fmi3OK;
+}
+
+fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, bool visible,
+                                          bool logging, fmi3InstanceEnvironment environment,
+                                          fmi3LogMessageCallback log)
+{
+    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)environment, (void)log;
+    return 0;
+}
+
+fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, bool visible,
+                                         bool logging, bool events, bool early, const fmi3ValueReference required[],
+                                         size_t count, fmi3InstanceEnvironment environment,
+                                         fmi3LogMessageCallback log, fmi3Callback update)
+{
+    (void)name, (void)resources, (void)visible, (void)logging, (void)early, (void)required, (void)count, (void)update;
+    if (events || !token || strcmp(token, MODEL_TOKEN) != 0)
+        return 0;
+    instance_t *made = calloc(1, sizeof *made);
+    if (!made)
+        return 0;
+    made->log = log;
+    made->environment = environment;
+    model_reset(&made->model);
+    return made;
+}
+
+fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources, bool visible,
+                                               bool logging, fmi3InstanceEnvironment environment,
+                                               fmi3LogMessageCallback log, fmi3Callback update, fmi3Callback lock,
+                                               fmi3Callback unlock)
+{
+    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)environment, (void)log;
+    (void)update, (void)lock, (void)unlock;
+    return 0;
+}
+
+void fmi3FreeInstance(fmi3Instance c)
+{
+    free(c);
+}
+
+fmi3Status fmi3EnterInitializationMode(fmi3Instance c, bool given, fmi3Float64 tolerance, fmi3Float64 start, bool ends,
+                                       fmi3Float64 stop)
+{
+    (void)given, (void)tolerance, (void)ends, (void)stop;
+    ((instance_t *)c)->model.time = start;
+    return fmi3OK;
+}
+
+#define NOTHING_TO_DO(name)                                                                                            \
+    fmi3Status name(fmi3Instance c)                                                                                    \
+    {                                                                                                                  \
+        (void)c;                                                                                                       \
+        return fmi3OK;                                                                                                 \
+    }
+
+NOTHING_TO_DO(fmi3ExitInitializationMode)
+NOTHING_TO_DO(fmi3Terminate)
+NOTHING_TO_DO(fmi3EnterConfigurationMode)
+NOTHING_TO_DO(fmi3ExitConfigurationMode)
+NOTHING_TO_DO(fmi3EvaluateDiscreteStates)
+
+#define NO_SUCH_MODE(name)                                                                                             \
+    fmi3Status name(fmi3Instance c)                                                                                    \
+    {                                                                                                                  \
+        return refuse(c, "co-simulation without events has no such mode");                                             \
+    }
+
+NO_SUCH_MODE(fmi3EnterEventMode)
+NO_SUCH_MODE(fmi3EnterStepMode)
+NO_SUCH_MODE(fmi3EnterContinuousTimeMode)
+
+fmi3Status fmi3Reset(fmi3Instance c)
+{
+    model_reset(&((instance_t *)c)->model);
+    return fmi3OK;
+}
+
+fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t count, fmi3Float64 value[],
+                          size_t values)
+{
+    if (values != count)
+        return refuse(c, "each variable has one value");
+    for (size_t i = 0; i < count; i++)
+        if (!model_get(&((instance_t *)c)->model, vr[i], value + i))
+            return refuse(c, "there is no variable of this value reference");
+    return fmi3OK;
+}
+
+fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t count, const fmi3Float64 value[],
+                          size_t values)
+{
+    if (values != count)
+        return refuse(c, "each variable has one value");
+    for (size_t i = 0; i < count; i++)
+        if (!model_set(&((instance_t *)c)->model, vr[i], value[i]))
+            return refuse(c, "the variable cannot be set, or the value is out of its range");
+    return fmi3OK;
+}
+
+#define NONE(Type, argument)                                                                                           \
+    fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference vr[], size_t count, argument value[],              \
+                             size_t values)                                                                            \
+    {                                                                                                                  \
+        (void)vr, (void)value, (void)values;                                                                           \
+        return count ? refuse(c, "all variables are Float64") : fmi3OK;                                                \
+    }                                                                                                                  \
+    fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference vr[], size_t count, const argument value[],        \
+                             size_t values)                                                                            \
+    {                                                                                                                  \
+        (void)vr, (void)value, (void)values;                                                                           \
+        return count ? refuse(c, "all variables are Float64") : fmi3OK;                                                \
+    }
+
+NONE(Float32, float)
+NONE(Int8, int8_t)
+NONE(UInt8, uint8_t)
+NONE(Int16, int16_t)
+NONE(UInt16, uint16_t)
+NONE(Int32, int32_t)
+NONE(UInt32, uint32_t)
+NONE(Int64, int64_t)
+NONE(UInt64, uint64_t)
+NONE(Boolean, bool)
+NONE(String, fmi3String)
+
+fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t count, size_t sizes[],
+                         fmi3Binary value[], size_t values)
+{
+    (void)vr, (void)sizes, (void)value, (void)values;
+    return count ? refuse(c, "all variables are Float64") : fmi3OK;
+}
+
+fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t count, const size_t sizes[],
+                         const fmi3Binary value[], size_t values)
+{
+    (void)vr, (void)sizes, (void)value, (void)values;
+    return count ? refuse(c, "all variables are Float64") : fmi3OK;
+}
+
+fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference vr[], size_t count, bool value[])
+{
+    (void)vr, (void)value;
+    return count ? refuse(c, "there are no clocks") : fmi3OK;
+}
+
+fmi3Status fmi3SetClock(fmi3Instance c, const fmi3ValueReference vr[], size_t count, const bool value[])
+{
+    (void)vr, (void)value;
+    return count ? refuse(c, "there are no clocks") : fmi3OK;
+}
+
+fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 step, bool keep, bool *event, bool *terminate,
+                      bool *early, fmi3Float64 *last)
+{
+    (void)keep;
+    instance_t *own = c;
+    *event = *terminate = *early = false;
+    *last = time;
+    if (!model_advance(&own->model, step))
+        return refuse(own, "the communication step must be a multiple of the sample period");
+    *last = time + step;
+    return fmi3OK;
+}
+
+/* What a sampled law or plant does not have. */
+#define MISSING(name, ...)                                                                                             \
+    fmi3Status name(fmi3Instance c, __VA_ARGS__)                                                                       \
+    {                                                                                                                  \
+        return refuse(c, #name " is not offered by this FMU");                                                         \
+    }
+
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+MISSING(fmi3GetNumberOfVariableDependencies, fmi3ValueReference vr, size_t *count)
+MISSING(fmi3GetVariableDependencies, fmi3ValueReference vr, size_t elements[], fmi3ValueReference independents[],
+        size_t independent_elements[], int kinds[], size_t count)
+MISSING(fmi3GetFMUState, fmi3FMUState *state)
+MISSING(fmi3SetFMUState, fmi3FMUState state)
+MISSING(fmi3FreeFMUState, fmi3FMUState *state)
+MISSING(fmi3SerializedFMUStateSize, fmi3FMUState state, size_t *size)
+MISSING(fmi3SerializeFMUState, fmi3FMUState state, uint8_t bytes[], size_t size)
+MISSING(fmi3DeserializeFMUState, const uint8_t bytes[], size_t size, fmi3FMUState *state)
+MISSING(fmi3GetDirectionalDerivative, const fmi3ValueReference unknown[], size_t unknowns,
+        const fmi3ValueReference known[], size_t knowns, const fmi3Float64 seed[], size_t seeds,
+        fmi3Float64 sensitivity[], size_t sensitivities)
+MISSING(fmi3GetAdjointDerivative, const fmi3ValueReference unknown[], size_t unknowns,
+        const fmi3ValueReference known[], size_t knowns, const fmi3Float64 seed[], size_t seeds,
+        fmi3Float64 sensitivity[], size_t sensitivities)
+MISSING(fmi3GetIntervalDecimal, const fmi3ValueReference vr[], size_t count, fmi3Float64 intervals[], int qualifiers[])
+MISSING(fmi3GetIntervalFraction, const fmi3ValueReference vr[], size_t count, uint64_t counters[],
+        uint64_t resolutions[], int qualifiers[])
+MISSING(fmi3GetShiftDecimal, const fmi3ValueReference vr[], size_t count, fmi3Float64 shifts[])
+MISSING(fmi3GetShiftFraction, const fmi3ValueReference vr[], size_t count, uint64_t counters[],
+        uint64_t resolutions[])
+MISSING(fmi3SetIntervalDecimal, const fmi3ValueReference vr[], size_t count, const fmi3Float64 intervals[])
+MISSING(fmi3SetIntervalFraction, const fmi3ValueReference vr[], size_t count, const uint64_t counters[],
+        const uint64_t resolutions[])
+MISSING(fmi3SetShiftDecimal, const fmi3ValueReference vr[], size_t count, const fmi3Float64 shifts[])
+MISSING(fmi3SetShiftFraction, const fmi3ValueReference vr[], size_t count, const uint64_t counters[],
+        const uint64_t resolutions[])
+MISSING(fmi3UpdateDiscreteStates, bool *needed, bool *terminate, bool *nominals, bool *values, bool *defined,
+        fmi3Float64 *next)
+MISSING(fmi3CompletedIntegratorStep, bool keep, bool *event, bool *terminate)
+MISSING(fmi3SetTime, fmi3Float64 time)
+MISSING(fmi3SetContinuousStates, const fmi3Float64 states[], size_t count)
+MISSING(fmi3GetContinuousStateDerivatives, fmi3Float64 derivatives[], size_t count)
+MISSING(fmi3GetEventIndicators, fmi3Float64 indicators[], size_t count)
+MISSING(fmi3GetContinuousStates, fmi3Float64 states[], size_t count)
+MISSING(fmi3GetNominalsOfContinuousStates, fmi3Float64 nominals[], size_t count)
+MISSING(fmi3GetNumberOfEventIndicators, size_t *count)
+MISSING(fmi3GetNumberOfContinuousStates, size_t *count)
+MISSING(fmi3GetOutputDerivatives, const fmi3ValueReference vr[], size_t count, const int32_t orders[],
+        fmi3Float64 values[], size_t number)
+MISSING(fmi3ActivateModelPartition, fmi3ValueReference clock, fmi3Float64 time)
+#pragma GCC diagnostic pop

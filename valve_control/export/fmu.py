@@ -1,0 +1,351 @@
+"""A law or a plant as an FMU for co-simulation, FMI 2.0 or 3.0, compiled from its C, with the sources inside.
+
+One communication step is one sample, or a whole number of them. A law takes in command and reading at the
+beginning of the step, and its voltage is that of the same sample. Its state starts at the first step, from
+the first reading.
+"""
+
+import hashlib
+import io
+import platform
+import sys
+import tempfile
+import zipfile
+from importlib import resources
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+from valve_control import __version__
+from valve_control.export import compiler, kinds, sources
+from valve_control.export.sources import Sources
+from valve_control.export.unit import Unit, leaves
+from valve_control.parameter import ParameterError
+
+VERSIONS = (2, 3)
+UNITS = ("V", "V/s", "V/s²", "V·s", "s", "1/s", "1/s²", "V/V", "V²/s²")  # beside those of parameters
+PLACES = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
+MOMENT = (1980, 1, 1, 0, 0, 0)  # of all files in it, so that equal exports are equal files
+
+
+class Variable(NamedTuple):
+    """A number that goes in or out."""
+
+    name: str
+    causality: str  # input, output, local or parameter
+    text: str
+    unit: str
+    get: str  # expression in C
+    set: str = ""  # statement in C that returns whether it could be set
+    start: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+def make(unit: Unit, version: int) -> bytes:
+    """The FMU file of ``unit`` for FMI ``version``. Raises ParameterError."""
+    if sys.platform != "linux" or platform.machine() != "x86_64":
+        raise ParameterError(
+            "an FMU is made for Linux on x86-64, and this is another machine; export the C instead"
+        )
+    compiler.find()
+    made = sources.make(unit)
+    variables = _variables(unit, made)
+    wrapper = resources.files(__package__).joinpath(f"fmi{version}.c").read_text(encoding="utf-8")
+    content = made.header + made.source + wrapper + repr(variables)
+    token = hashlib.sha256(content.encode()).hexdigest()[:32]
+    files = {
+        f"{unit.name}.c": made.source,
+        f"{unit.name}.h": made.header,
+        "model.h": _model(unit, made, variables, token),
+        f"fmi{version}.c": wrapper,
+    }
+    compiled = [f"{unit.name}.c", f"fmi{version}.c"]
+    with tempfile.TemporaryDirectory(prefix="valve_control-export-") as name:
+        folder = Path(name)
+        for file, text in files.items():
+            (folder / file).write_text(text, encoding="utf-8")
+        library = folder / f"{unit.name}.so"
+        options = ["-fPIC", "-shared", "-Wl,-Bsymbolic", f"-I{folder}"]
+        compiler.build([folder / file for file in compiled], library, options)
+        binary = library.read_bytes()
+    describe = _fmi2 if version == 2 else _fmi3
+    entries: dict[str, str | bytes] = {
+        "modelDescription.xml": _xml(describe(unit, variables, token, compiled)),
+        **{f"sources/{file}": text for file, text in files.items()},
+        f"{PLACES[version]}/{unit.name}.so": binary,
+    }
+    if version == 3:
+        entries["sources/buildDescription.xml"] = _xml(_build_description(unit, compiled))
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file, data in entries.items():
+            information = zipfile.ZipInfo(file, MOMENT)
+            information.compress_type = zipfile.ZIP_DEFLATED
+            information.external_attr = (0o755 if file.endswith(".so") else 0o644) << 16
+            archive.writestr(information, data)
+    return stream.getvalue()
+
+
+def _variables(unit: Unit, made: Sources) -> list[Variable]:
+    """All of them; value references count them from 1."""
+    if unit.is_law:
+        listed = [
+            Variable("command", "input", "spool position wanted", "V", "m->in[0]", "m->in[0] = value", 0.0),
+            Variable("measurement", "input", "LVDT reading", "V", "m->in[1]", "m->in[1] = value", 0.0),
+            Variable("voltage", "output", "solenoid voltage", "V", "m->voltage"),
+        ]
+        texts = kinds.field_texts(unit.module.Terms)
+        fields: list[tuple[str, str]] = [
+            (name, f"m->terms.{kinds.identifier(name)}") for name in unit.module.Terms._fields
+        ]
+    else:
+        read = f"{unit.name}_read(&m->p, &m->s, m->in[1])"
+        listed = [
+            Variable("voltage", "input", "solenoid voltage", "V", "m->in[0]", "m->in[0] = value", 0.0),
+            Variable(
+                "noise",
+                "input",
+                "standard normal number of the LVDT",
+                "",
+                "m->in[1]",
+                "m->in[1] = value",
+                0.0,
+            ),
+            Variable("measurement", "output", "LVDT reading", "V", read),
+        ]
+        fields = [(f"state.{path}", f"m->s.{path}") for path, _ in leaves(unit.module.initial(unit.params))]
+        texts = kinds.field_texts(unit.module.State)
+    for name, code in fields:
+        text = texts.get(name.removeprefix("state."), "")
+        first = text.split(" ", 1)[0]
+        known = first in UNITS
+        listed.append(
+            Variable(
+                name, "local", text[len(first) :].strip() if known else text, first if known else "", code
+            )
+        )
+    now = dict(leaves(unit.params))
+    for setter in made.setters:
+        p = setter.parameter
+        entry = "" if setter.entry is None else f"{setter.entry}, "
+        name = p.name if setter.entry is None else f"{p.name}[{setter.entry + 1}]"
+        call = f"{sources.setter_name(unit, setter)}(&m->p, {entry}value)"
+        own = "" if p.unit == "-" else p.unit
+        listed.append(
+            Variable(
+                name, "parameter", p.text, own, f"m->p.{setter.path}", call, now[setter.path], p.low, p.high
+            )
+        )
+    return listed
+
+
+def _model(unit: Unit, made: Sources, variables: list[Variable], token: str) -> str:
+    """model.h: what the wrapper of either version calls."""
+    name = unit.name
+    gets = [
+        f"    case {i}:\n        *value = {v.get};\n        return true;" for i, v in enumerate(variables, 1)
+    ]
+    sets = []
+    for i, v in enumerate(variables, 1):
+        if v.causality == "parameter":
+            sets.append(f"    case {i}:\n        return {v.set};")
+        elif v.set:
+            sets.append(f"    case {i}:\n        {v.set};\n        return true;")
+    if unit.is_law:
+        fields = f"    {name}_terms_t terms;\n    double voltage;\n    bool begun;"
+        begin = ""
+        sample = f"""        if (!m->begun) {{
+            const {name}_signals_start_t start = {{m->in[1], 0.0, m->in[1], 0.0, 0.0}};
+            {name}_init(&m->p, &m->s, &start);
+            m->begun = true;
+        }}
+        m->voltage = {name}_step(&m->p, &m->s, m->in[0], m->in[1], 0.0, &m->terms);"""
+    else:
+        fields = f"    double memory[{name.upper()}_MEMORY];" if made.memory else ""
+        begin = f"\n    {name}_init(&m->s{', m->memory' if made.memory else ''});"
+        sample = f"        {name}_step(&m->p, &m->s, m->in[0]);"
+    return f"""/* Variables and sampled step of {name} for the wrapper of FMI. */
+#include <math.h>
+#include <stdbool.h>
+#include <string.h>
+
+#include "{name}.h"
+
+#define MODEL_TOKEN "{token}"
+#define MODEL_PERIOD {unit.period.hex()} /* {unit.period!r} s */
+
+typedef struct {{
+    {name}_params_t p;
+    {name}_state_t s;
+    double in[2];
+    double time; /* s */
+{fields}
+}} model_t;
+
+/* Parameters of the export, inputs zero, at rest. */
+static void model_reset(model_t *m)
+{{
+    memset(m, 0, sizeof *m);
+    m->p = {name}_exported;{begin}
+}}
+
+static bool model_get(const model_t *m, unsigned reference, double *value)
+{{
+    switch (reference) {{
+    case 0:
+        *value = m->time;
+        return true;
+{chr(10).join(gets)}
+    default:
+        return false;
+    }}
+}}
+
+static bool model_set(model_t *m, unsigned reference, double value)
+{{
+    if (!isfinite(value))
+        return false;
+    switch (reference) {{
+{chr(10).join(sets)}
+    default:
+        return false;
+    }}
+}}
+
+/* As many samples as ``step`` [s] has periods; false if it has not a whole number of them. */
+static bool model_advance(model_t *m, double step)
+{{
+    double periods = floor(step / MODEL_PERIOD + 0.5);
+    double off = fabs(step - periods * MODEL_PERIOD);
+    if (!(periods >= 1.0 && periods <= 1e9 && off <= 1e-6 * MODEL_PERIOD * periods))
+        return false;
+    for (double k = 0.0; k < periods; k += 1.0) {{
+{sample}
+    }}
+    m->time += step;
+    return true;
+}}
+"""
+
+
+def _xml(root: ElementTree.Element) -> bytes:
+    ElementTree.indent(root)
+    data: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return data + b"\n"
+
+
+def _add(parent: ElementTree.Element, tag: str, **attributes: object) -> ElementTree.Element:
+    given = {name: str(value) for name, value in attributes.items() if value not in (None, "")}
+    return ElementTree.SubElement(parent, tag, given)
+
+
+def _common(unit: Unit, root: ElementTree.Element, variables: list[Variable], *more: str) -> None:
+    """Units and the default experiment."""
+    units = sorted({v.unit for v in variables if v.unit} | set(more))
+    if units:
+        definitions = _add(root, "UnitDefinitions")
+        for name in units:
+            _add(definitions, "Unit", name=name)
+    _add(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize=repr(unit.period))
+
+
+def _fmi2(unit: Unit, variables: list[Variable], token: str, compiled: list[str]) -> ElementTree.Element:
+    root = ElementTree.Element("fmiModelDescription", fmiVersion="2.0", modelName=unit.name, guid=token)
+    root.attrib |= {
+        "description": unit.text,
+        "generationTool": f"valve_control {__version__}",
+        "variableNamingConvention": "flat",
+    }
+    kind = _add(
+        root, "CoSimulation", modelIdentifier=unit.name, canHandleVariableCommunicationStepSize="true"
+    )
+    listed = _add(kind, "SourceFiles")
+    for file in compiled:
+        _add(listed, "File", name=file)
+    _common(unit, root, variables)
+    parent = _add(root, "ModelVariables")
+    for i, v in enumerate(variables, 1):
+        parameter = v.causality == "parameter"
+        variable = _add(
+            parent,
+            "ScalarVariable",
+            name=v.name,
+            valueReference=i,
+            description=v.text,
+            causality=v.causality,
+            variability="tunable" if parameter else "continuous" if v.causality == "input" else "discrete",
+            initial="exact" if parameter else None if v.causality == "input" else "calculated",
+        )
+        start = None if v.start is None else repr(v.start)
+        _add(variable, "Real", unit=v.unit, min=v.low, max=v.high, start=start)
+    structure = _add(root, "ModelStructure")
+    outputs = [i for i, v in enumerate(variables, 1) if v.causality == "output"]
+    for part in ("Outputs", "InitialUnknowns"):
+        group = _add(structure, part)
+        for i in outputs:
+            _add(group, "Unknown", index=i)
+    return root
+
+
+def _fmi3(unit: Unit, variables: list[Variable], token: str, compiled: list[str]) -> ElementTree.Element:
+    root = ElementTree.Element(
+        "fmiModelDescription", fmiVersion="3.0", modelName=unit.name, instantiationToken=token
+    )
+    root.attrib |= {
+        "description": unit.text,
+        "generationTool": f"valve_control {__version__}",
+        "variableNamingConvention": "flat",
+    }
+    _add(
+        root,
+        "CoSimulation",
+        modelIdentifier=unit.name,
+        canHandleVariableCommunicationStepSize="true",
+        fixedInternalStepSize=repr(unit.period),
+    )
+    _common(unit, root, variables, "s")
+    parent = _add(root, "ModelVariables")
+    _add(
+        parent,
+        "Float64",
+        name="time",
+        valueReference=0,
+        causality="independent",
+        variability="continuous",
+        unit="s",
+    )
+    for i, v in enumerate(variables, 1):
+        parameter = v.causality == "parameter"
+        _add(
+            parent,
+            "Float64",
+            name=v.name,
+            valueReference=i,
+            description=v.text,
+            causality=v.causality,
+            variability="tunable" if parameter else "continuous" if v.causality == "input" else "discrete",
+            initial="exact" if parameter else None if v.causality == "input" else "calculated",
+            unit=v.unit,
+            min=v.low,
+            max=v.high,
+            start=None if v.start is None else repr(v.start),
+        )
+    structure = _add(root, "ModelStructure")
+    for tag in ("Output", "InitialUnknown"):
+        for i, v in enumerate(variables, 1):
+            if v.causality == "output":
+                _add(structure, tag, valueReference=i)
+    return root
+
+
+def _build_description(unit: Unit, compiled: list[str]) -> ElementTree.Element:
+    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = _add(
+        root, "BuildConfiguration", modelIdentifier=unit.name, description="any C99 compiler"
+    )
+    group = _add(configuration, "SourceFileSet", language="C99", compilerOptions="-ffp-contract=off")
+    for file in compiled:
+        _add(group, "SourceFile", name=file)
+    _add(configuration, "Library", name="m")
+    return root

@@ -1,0 +1,127 @@
+"""Finds the parameters that the C can set while it runs, by building the Params again with other values.
+
+A parameter is settable if it goes into a single number of Params as it is, at both ends of its range and
+between. All others are computed on the way (a discretised filter, a Riccati equation), depend on each
+other, or choose a form: they need a new export.
+"""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from valve_control.export.unit import Unit, leaves
+from valve_control.parameter import Parameter, ParameterError, Value
+
+COMPUTED = "other numbers are computed from it"
+DEPENDS = "its range depends on other parameters"
+NO_NUMBER = "it is no number"
+WITHOUT = "it has no effect in this export"
+
+
+class Setter(NamedTuple):
+    """A parameter that C can set, or one entry of it."""
+
+    parameter: Parameter
+    entry: int | None  # of a list
+    path: str  # of the number in Params
+
+
+class Found(NamedTuple):
+    """Which parameters C can set, and which not, with the reason."""
+
+    setters: list[Setter]
+    others: dict[str, str]  # by name; without those that have no effect
+
+
+def find(unit: Unit) -> Found:
+    """Parameters of ``unit`` that can be set."""
+    setters: list[Setter] = []
+    others: dict[str, str] = {}
+    base = dict(leaves(unit.params))
+    for parameter in unit.table:
+        if parameter.name == "sample_period":
+            others[parameter.name] = COMPUTED
+            continue
+        for entry, low, high, now in _numbers(parameter, unit.values[parameter.name]):
+            reason = _trial(unit, parameter, entry, base, sorted({low, high, *_between(low, high, now)}))
+            if isinstance(reason, Setter):
+                setters.append(reason)
+            elif reason != WITHOUT:
+                others[parameter.name] = reason
+                break
+        if any(_differs(unit, parameter, other) for other in _alternatives(parameter)):
+            others[parameter.name] = NO_NUMBER
+    setters = [setter for setter in setters if setter.parameter.name not in others]
+    taken = [setter.path for setter in setters]
+    return Found([setter for setter in setters if taken.count(setter.path) == 1], others)
+
+
+def _numbers(parameter: Parameter, value: Value) -> Iterator[tuple[int | None, float, float, float]]:
+    """Entry, range and value of each number in ``parameter``."""
+    if isinstance(value, float):
+        yield None, parameter.low, parameter.high, value
+    elif isinstance(value, list) and parameter.length:
+        for i, entry in enumerate(value):
+            assert isinstance(entry, float)
+            yield i, parameter.low, parameter.high, entry
+
+
+def _between(low: float, high: float, now: float) -> list[float]:
+    """Two values inside the range that are not ``now``."""
+    return [
+        value
+        for value in (0.75 * now + 0.25 * low, 0.875 * now + 0.125 * min(high, now + 1.0))
+        if value != now
+    ]
+
+
+def _changed(unit: Unit, parameter: Parameter, value: Value) -> dict[str, float]:
+    """Numbers of Params with another value of ``parameter``. Raises ParameterError."""
+    return dict(leaves(unit.build({**unit.values, parameter.name: value})))
+
+
+def _trial(
+    unit: Unit, parameter: Parameter, entry: int | None, base: dict[str, float], trials: list[float]
+) -> Setter | str:
+    paths: set[str] = set()
+    for value in trials:
+        whole: Any = value
+        if entry is not None:
+            listed = unit.values[parameter.name]
+            assert isinstance(listed, list)
+            whole = [*listed[:entry], value, *listed[entry + 1 :]]
+        try:
+            made = _changed(unit, parameter, whole)
+        except (ParameterError, ArithmeticError, ValueError):
+            return DEPENDS
+        moved = {path for path, number in made.items() if number != base[path]}
+        if any(made[path] != value for path in moved):
+            return COMPUTED
+        paths |= moved
+        if len(paths) > 1:
+            return COMPUTED
+    return Setter(parameter, entry, paths.pop()) if paths else WITHOUT
+
+
+def _alternatives(parameter: Parameter) -> list[Value]:
+    """Some values of a parameter that is no number."""
+    if isinstance(parameter.default, bool):
+        return [True, False]
+    if isinstance(parameter.default, int):
+        return [int(parameter.low), int(parameter.low) + 1]
+    if (
+        isinstance(parameter.default, list)
+        and not parameter.length
+        and isinstance(parameter.default[0], float)
+    ):
+        return [[2.0 * float(entry) for entry in parameter.default]]
+    return list(parameter.choices)
+
+
+def _differs(unit: Unit, parameter: Parameter, value: Value) -> bool:
+    """Whether Params are others with ``value``, or cannot be built with it."""
+    if value == unit.values[parameter.name]:
+        return False
+    try:
+        return _changed(unit, parameter, value) != dict(leaves(unit.params))
+    except (ParameterError, ArithmeticError, ValueError):
+        return True

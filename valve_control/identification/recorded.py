@@ -1,0 +1,101 @@
+"""Takes a test of a valve out of a bag: its voltages and readings, sample by sample."""
+
+import numpy as np
+
+from valve_control.bags.errors import BagError
+from valve_control.commands import scenarios
+from valve_control.identification import response
+from valve_control.identification.experiment import Experiment, Floats, held
+from valve_control.identification.response import Segment
+from valve_control.laws.registry import LAWS
+from valve_control.parameters import build
+from valve_control.recordings.parameters import Node
+from valve_control.recordings.recording import Recording, Valve, align
+
+STILL = 1e-6  # V within which a voltage does not move
+LOOSE = 0.5  # of a sine's amplitude that jitter of a wall clock may leave
+MARGIN = 0.01  # s by which a schedule may be late
+
+
+def recorded(recording: Recording, valve: Valve) -> Experiment:
+    """Voltages and readings of a recorded test of ``valve``. Raises BagError."""
+    for part in ("spool_position", "valve_voltage"):
+        if part not in valve.signals or len(valve.signals[part].time) == 0:
+            raise BagError(
+                f"{valve.name} has no {part}, which identification needs; --map says what plays its part"
+            )
+    aligned = align(valve)
+    notes = []
+    count = len(aligned.time)
+    sequence = valve.signals["spool_position"].sequence[-count:]
+    index = np.arange(count)
+    steps = np.diff(sequence)
+    if len(steps) and np.all(steps > 0) and sequence[-1] - sequence[0] < 2 * count:
+        index = sequence - sequence[0]
+    elif len(steps):
+        notes.append("the readings have no numbers, so lost ones cannot be told")
+    length = int(index[-1]) + 1
+    voltage, position, time = (np.full(length, np.nan) for _ in range(3))
+    voltage[index], position[index], time[index] = aligned.voltage, aligned.measurement, aligned.time
+    if length > count:
+        notes.append(f"{length - count} of {length} readings were lost and are left out")
+        known = np.isfinite(time)
+        time = np.interp(np.arange(length), np.flatnonzero(known), time[known])
+    period = aligned.period
+    rate = (time[-1] - time[0]) / max(1, length - 1)
+    if not 0.98 * period < rate < 1.02 * period:
+        notes.append(f"the readings came every {1e3 * rate:.4g} ms, not every {1e3 * period:.4g} ms as told")
+        period = float(rate)
+    voltage_held = held(voltage)
+    segments = _scheduled(_source(recording, valve), voltage_held, time, period)
+    if not segments:
+        segments = response.find_segments(voltage_held, period)
+    controller = valve.controller
+    told = {} if controller is None else controller.initial
+    u_max = float(told.get("u_max", 10.0))
+    law = str(told.get("controller", "open_loop"))
+    if law in LAWS and LAWS[law].feedback:
+        notes.append(
+            f"the voltage came from {law}, which feeds noise of the reading back: the response is biased"
+        )
+    return Experiment(
+        source=f"{recording.bag.path.name}: {valve.name}",
+        period=period,
+        voltage=voltage,
+        position=position,
+        segments=tuple(segments),
+        u_max=u_max,
+        notes=tuple(notes),
+        feedback=law if law in LAWS and LAWS[law].feedback else "",
+    )
+
+
+def _source(recording: Recording, valve: Valve) -> Node | None:
+    for node in recording.nodes.values():
+        if node.kind == "command_source" and node.namespace == valve.topics.namespace:
+            return node
+    return None
+
+
+def _scheduled(source: Node | None, voltage: Floats, time: Floats, period: float) -> list[Segment]:
+    """Segments of the stepped sine that the command source's recorded parameters tell; empty if none."""
+    if source is None:
+        return []
+    told = dict(source.initial)
+    for change in source.changes:
+        told.update(change.values)
+    values, _ = source.table_values(told)
+    moving = np.flatnonzero(np.abs(voltage - voltage[0]) > STILL)
+    if values["scenario"] != "stepped_sine" or len(moving) == 0:
+        return []
+    begin = time[max(0, int(moving[0]) - 1)]
+    found = []
+    for step in scenarios.steps_of(build.shape(values)):
+        first, end = np.searchsorted(time, [begin + step.start, begin + step.end - MARGIN])
+        if end - first < 8 or step.frequency * period >= 0.5:
+            continue
+        exact = response.refined(voltage, int(first), int(end), step.frequency * period, period, LOOSE)
+        if exact is None or abs(exact.frequency / step.frequency - 1.0) > response.SAME:
+            return []
+        found.append(exact)
+    return found

@@ -1,0 +1,351 @@
+"""Constants of dcarc, designed once: sampled model, its inverse, Kalman filter, LQR (docs/laws/dcarc.md)."""
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from valve_control.laws.dcarc_parts import (
+    Combination,
+    Equivalent,
+    Gains,
+    Inverse,
+    Model,
+    Move,
+    Past,
+    Rest,
+    Row,
+)
+from valve_control.plant.models import TransferFunction
+from valve_control.plant.valve import realisation
+
+Array = npt.NDArray[np.float64]
+MOST_DELAY = 4  # sample periods
+DOUBLINGS = 50  # of the terms of a sum, enough for poles at 1 - 1e-14
+SLOWEST_ZERO = (
+    10.0  # 1/s  zeros of the model must decay at least as fast, since the inverse has them as poles
+)
+LEAST_DAMPING = 0.1  # -  of these zeros
+
+
+class DesignError(ValueError):
+    """A law that cannot be designed as asked; the message is one sentence."""
+
+
+class Design(NamedTuple):
+    """What ``design`` makes; fields as in ``dcarc.Params``."""
+
+    model: Model
+    kalman: Gains
+    feedback: Row
+    wanted: Combination
+    full: Move
+    half: Move
+    model_voltage: Combination
+    standing: Rest
+    moving: Rest
+    lag_share: float
+    jitter: float
+    equivalent: Equivalent
+
+
+class Observed(NamedTuple):
+    """What is observed: x⁺ = A·x + b·u + w, y = c·x + v, of model, disturbance and past positions."""
+
+    a: Array
+    b: Array
+    c: Array
+    process: Array  # covariance of w
+    reading: float  # V²  variance of v
+
+
+class Inverted(NamedTuple):
+    """Rows of coefficients of (ζ, …, its highest inner derivative, r, ṙ, r̈)."""
+
+    rate: Array  # of the inner states, m×(m + 3)
+    voltage: Array  # u_r
+    state: Array  # x_r, n×(m + 3)
+
+
+def sampled(a: Array, b: Array, period: float) -> tuple[Array, Array]:
+    """A and b of x' = a·x + b·u over one ``period`` [s] with u held, exactly."""
+    n = len(b)
+    whole = np.zeros((n + 1, n + 1))
+    whole[:n, :n], whole[:n, n] = a, b
+    moved = scipy.linalg.expm(whole * period)
+    return moved[:n, :n], moved[:n, n]
+
+
+def check(model: TransferFunction) -> None:
+    """Raise DesignError for a model that the law does not take, or that cannot be inverted."""
+    numerator = np.trim_zeros(np.asarray(model.numerator, dtype=float), "f")
+    denominator = np.trim_zeros(np.asarray(model.denominator, dtype=float), "f")
+    order, zeros = len(denominator) - 1, len(numerator) - 1
+    if not 2 <= order <= 4 or order - zeros != 2:
+        raise DesignError(
+            f"the model of dcarc has {order} poles and {zeros} zeros; it must have 2 to 4 poles and two "
+            "fewer zeros, because the reference has two derivatives"
+        )
+    for zero in np.roots(numerator):
+        if zero.real > -SLOWEST_ZERO or -zero.real < LEAST_DAMPING * abs(zero):
+            where = f"{zero.real:.4g}" if zero.imag == 0.0 else f"{zero.real:.4g} ± {abs(zero.imag):.4g}j"
+            raise DesignError(
+                f"the model of dcarc has a zero at {where} rad/s and cannot be inverted; zeros must lie "
+                f"left of -{SLOWEST_ZERO:g} rad/s and have a damping ratio of at least {LEAST_DAMPING:g}"
+            )
+
+
+def inverted(model: TransferFunction) -> Inverted:
+    """Inverse of ``model``: B(p)ζ = r, u_r = A(p)ζ, x_r the states of the observability form.
+
+    Raises DesignError for a model that cannot be inverted.
+    """
+    check(model)
+    b = np.trim_zeros(np.asarray(model.numerator, dtype=float), "f")[::-1]
+    a = np.trim_zeros(np.asarray(model.denominator, dtype=float), "f")[::-1]
+    b, a = b / a[-1], a / a[-1]
+    n, m = len(a) - 1, len(b) - 1
+    rows = np.zeros((n + 1, m + 3))  # row j: the j-th derivative of ζ
+    rows[:m, :m] = np.eye(m)
+    for i in range(3):
+        rows[m + i, m + i] = 1.0
+        rows[m + i] = (rows[m + i] - b[:m] @ rows[i : m + i]) / b[m]
+    companion = np.diag(np.ones(n - 1), 1)
+    companion[-1] = -a[:n]
+    output = np.concatenate([b, np.zeros(n - m - 1)])
+    form = np.array([output @ np.linalg.matrix_power(companion, i) for i in range(n)])
+    return Inverted(rows[1 : m + 1], a @ rows, form @ rows[:n])
+
+
+def observed(
+    model: TransferFunction, period: float, delay: float, reading: float, input_noise: float, walk: float
+) -> Observed:
+    """Model, disturbance and past positions in samples of ``period`` [s].
+
+    The reading y(k) is the position ``delay`` [s] before. With m = ⌈delay/period⌉, the first of m past
+    positions is that between two samples at which a reading m - 1 samples later looks. ``reading`` [V] and
+    ``input_noise`` [V]: standard deviations; ``walk`` [V]: of the disturbance's step in one period.
+    """
+    a, b = realisation(model)
+    n = len(b)
+    periods = delay / period
+    m = math.ceil(periods - 1e-9)
+    size = n + 1 + m
+    transition, held = sampled(a, b, period)
+    whole, column, output = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    whole[:n, :n], whole[:n, n], whole[n, n] = transition, held, 1.0
+    column[:n] = held
+    output[n + m if m else 0] = 1.0
+    if m:
+        within, pushed = sampled(a, b, (m - periods) * period)
+        whole[n + 1, :n], whole[n + 1, n], column[n + 1] = within[0], pushed[0], pushed[0]
+        for i in range(n + 2, size):
+            whole[i, i - 1] = 1.0
+    process = input_noise**2 * np.outer(column, column)
+    process[n, n] += walk**2
+    return Observed(whole, column, output, process, reading**2)
+
+
+def kalman(o: Observed, scale: Array) -> Array:
+    """Gain of the steady-state Kalman filter, P·c/(c·P·c + R) with P of the Riccati equation.
+
+    ``scale``: sizes of the states, which put the equation's numbers close to 1. Raises DesignError.
+    """
+    a = o.a * scale / scale[:, None]
+    c = (o.c * scale)[:, None]
+    process = o.process / scale / scale[:, None]
+    try:
+        p = scipy.linalg.solve_discrete_are(a.T, c, process, np.array([[o.reading]]))
+        gain = (p @ c)[:, 0] / ((c.T @ p @ c)[0, 0] + o.reading)
+        radius = np.max(np.abs(np.linalg.eigvals(a - np.outer(a @ gain, c[:, 0]))))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise DesignError(f"dcarc has no Kalman filter with these noises: {_reason(error)}") from error
+    if not radius < 1.0:
+        raise DesignError(
+            f"dcarc has no Kalman filter with these noises: its largest pole would be {radius:.6f}; raise "
+            "dcarc.disturbance_rate or dcarc.input_noise, or lower dcarc.lvdt_noise"
+        )
+    gained: Array = gain * scale
+    return gained
+
+
+def regulator(a: Array, b: Array, weight: float, scale: Array) -> Array:
+    """Gain K of the LQR that minimises Σ x_1² + ``weight``·u². Raises DesignError."""
+    a = a * scale / scale[:, None]
+    b = (b / scale)[:, None]
+    n = len(scale)
+    state = np.zeros((n, n))
+    state[0, 0] = 1.0
+    try:
+        s = scipy.linalg.solve_discrete_are(a, b, state, np.array([[weight]]))
+        gain = (b.T @ s @ a)[0] / (weight + (b.T @ s @ b)[0, 0])
+        radius = np.max(np.abs(np.linalg.eigvals(a - b @ gain[None, :])))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise DesignError(
+            f"dcarc has no LQR with dcarc.voltage_weight {weight:g}: {_reason(error)}"
+        ) from error
+    if not radius < 1.0:
+        raise DesignError(
+            f"dcarc has no LQR with dcarc.voltage_weight {weight:g}: its largest pole would be {radius:.6f}"
+        )
+    gained: Array = gain / scale
+    return gained
+
+
+def _reason(error: Exception) -> str:
+    return "the Riccati equation has no finite solution" if not str(error) else str(error).rstrip(".")
+
+
+def mean_lag(o: Observed, gain: Array, at: int) -> float:
+    """Samples, at least 1, by which the estimate of ``at`` is late: sum of its errors after a step of 1."""
+    correction = np.eye(len(gain)) - np.outer(gain, o.c)
+    errors = correction @ np.linalg.inv(np.eye(len(gain)) - o.a @ correction)
+    return float(errors[at, at])
+
+
+def jitter(o: Observed, gain: Array, feedback: Array, scale: Array) -> float:
+    """Mean speed [V/s] at which the noise of the reading shakes the spool through ``feedback``.
+
+    √(2/π) of the velocity's standard deviation on the model without friction, from the Lyapunov equation
+    of model and observer in the loop. ``scale``: sizes of the observer's states. Raises DesignError.
+    """
+    n, size = len(feedback), len(gain)
+    own = [i for i in range(size) if i != n]  # the model's states; its disturbance is none
+    a, b, c = o.a * scale / scale[:, None], o.b / scale, o.c * scale
+    gain = gain / scale
+    k = np.concatenate([feedback, [1.0], np.zeros(size - n - 1)]) * scale
+    moved, corrected = a - np.outer(b, k), np.eye(size) - np.outer(gain, c)
+    whole = np.block(
+        [
+            [a[np.ix_(own, own)] - (k @ gain) * np.outer(b[own], c[own]), -np.outer(b[own], k @ corrected)],
+            [np.outer(moved @ gain, c[own]), moved @ corrected],
+        ]
+    )
+    shaken = np.concatenate([-(k @ gain) * b[own], moved @ gain])
+    covariance = o.reading * np.outer(shaken, shaken)
+    with np.errstate(all="ignore"):
+        for _ in range(DOUBLINGS):  # Σ of wholeⁱ·Q·wholeⁱᵀ, twice as many terms each time (Smith 1968)
+            covariance = covariance + whole @ covariance @ whole.T
+            whole = whole @ whole
+    variance = float(covariance[1, 1])
+    if not math.isfinite(variance):
+        raise DesignError("dcarc has no finite response to the noise of the LVDT with these weights")
+    return math.sqrt(2.0 / math.pi * max(variance, 0.0)) * float(scale[1])
+
+
+def _row(numbers: Array) -> Row:
+    return Row(*(float(v) for v in np.concatenate([numbers, np.zeros(4 - len(numbers))])))
+
+
+def _past(numbers: Array) -> Past:
+    return Past(*(float(v) for v in np.concatenate([numbers, np.zeros(MOST_DELAY - len(numbers))])))
+
+
+def _inverse(numbers: Array) -> Inverse:
+    return Inverse(*(float(v) for v in np.concatenate([numbers, np.zeros(2 - len(numbers))])))
+
+
+def _combination(row: Array) -> Combination:
+    m = len(row) - 3
+    inner = np.concatenate([row[:m], np.zeros(2 - m)])
+    return Combination(*(float(v) for v in (*inner, *row[m:])))
+
+
+def _move(rate: Array, time: float) -> Move:
+    """Inner states after ``time`` [s] with a reference that moves in a straight line, exactly."""
+    m = len(rate)
+    whole = np.zeros((m + 2, m + 2))
+    whole[:m, : m + 1] = rate[:, : m + 1]
+    whole[m, m + 1] = 1.0
+    after = scipy.linalg.expm(whole * time)[:m]
+    zeta = _inverse(after[:, 0] if m > 0 else np.zeros(0))
+    rate_of_zeta = _inverse(after[:, 1] if m > 1 else np.zeros(0))
+    return Move(zeta, rate_of_zeta, _inverse(after[:, m]), _inverse(after[:, m + 1]))
+
+
+def _rest(of: Inverted, reference: float, rate: float) -> Rest:
+    """Steady motion through ``reference`` [V] at ``rate`` [V/s]."""
+    m = len(of.rate)
+    inner = np.zeros(m, dtype=np.float64)
+    if m:
+        # ζ = p + q·t in ζ' = a·ζ + b·r with r = reference + rate·t: a·q + b·rate = 0, a·p + b·reference = q.
+        q = np.linalg.solve(of.rate[:, :m], -of.rate[:, m] * rate)
+        inner[:] = np.linalg.solve(of.rate[:, :m], q - of.rate[:, m] * reference)
+    whole = np.concatenate([inner, [reference, rate, 0.0]])
+    return Rest(_row(of.state @ whole), _inverse(inner), float(of.voltage @ whole))
+
+
+def equivalent(model: TransferFunction) -> Equivalent:
+    """Second-order model with the static gain and the two slowest poles of ``model``."""
+    poles = np.roots(model.denominator)
+    slow = poles[np.argsort(np.abs(poles))[:2]]
+    a1, a0 = float(-np.sum(slow).real), float(np.prod(np.abs(slow)))
+    return Equivalent(a1, a0, a0 * model.static_gain)
+
+
+@functools.lru_cache(maxsize=32)
+def design(
+    model: TransferFunction,
+    period: float,
+    delay: float,
+    noise: float,
+    resolution: float,
+    input_noise: float,
+    disturbance_rate: float,
+    voltage_weight: float,
+) -> Design:
+    """The law for ``model`` at ``period`` [s], with a reading ``delay`` [s] late.
+
+    ``noise`` and ``resolution`` [V]: of the LVDT; ``input_noise`` [V], ``disturbance_rate`` [V/√s]: what the
+    Kalman filter assumes of the input; ``voltage_weight``: of LQR. Raises DesignError.
+    """
+    of = inverted(model)
+    if delay > MOST_DELAY * period * (1.0 + 1e-9):
+        raise DesignError(
+            f"dcarc.delay is {delay:g} s; at a sample period of {period:g} s it must be at most "
+            f"{MOST_DELAY * period:g} s"
+        )
+    a, b = realisation(model)
+    n = len(b)
+    reading = math.sqrt(noise**2 + resolution**2 / 12.0)
+    o = observed(model, period, delay, reading, input_noise, disturbance_rate * math.sqrt(period))
+    m = len(o.a) - n - 1
+    speed = max(float(np.max(np.abs(np.linalg.eigvals(a)))), 1.0)
+    sizes = np.array([speed**i for i in range(n)])
+    scale = np.concatenate([sizes, [1.0], np.ones(m)])
+    gain = kalman(o, scale)
+    transition, held = o.a[:n, :n], o.b[:n]
+    feedback = regulator(transition, held, voltage_weight, sizes)
+    ages = np.array([delay - (m - i) * period for i in range(1, m + 1)])
+    shown = np.array([0.0] * (m - 1) + [1.0] * min(m, 1))
+    full = np.zeros((4, n))
+    full[:n] = transition
+    passing = o.a[n + 1, :n] if m else np.zeros(n)
+    return Design(
+        model=Model(
+            row0=_row(full[0]),
+            row1=_row(full[1]),
+            row2=_row(full[2]),
+            row3=_row(full[3]),
+            input=_row(held),
+            passing=_row(passing),
+            passing_input=float(o.b[n + 1]) if m else 0.0,
+            present=0.0 if m else 1.0,
+            shown=_past(shown),
+            ages=_past(ages),
+        ),
+        kalman=Gains(_row(gain[:n]), float(gain[n]), _past(gain[n + 1 :])),
+        feedback=_row(feedback),
+        wanted=_combination(feedback @ of.state),
+        full=_move(of.rate, period),
+        half=_move(of.rate, 0.5 * period),
+        model_voltage=_combination(of.voltage),
+        standing=_rest(of, 1.0, 0.0),
+        moving=_rest(of, 0.0, 1.0),
+        lag_share=1.0 / mean_lag(o, gain, n),
+        jitter=jitter(o, gain, feedback, scale),
+        equivalent=equivalent(model),
+    )

@@ -1,0 +1,322 @@
+"""Runs the demo: the cascade of three processes over DDS, for each controller in turn."""
+
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from tqdm import tqdm
+
+from valve_control import outputs
+from valve_control.analysis import limit_cycle
+from valve_control.analysis.figures import Trace, draw_traces
+from valve_control.analysis.indices import PAPER_TABLE_1, Indices, indices
+from valve_control.analysis.tables import HEADER, index_row
+from valve_control.nodes.harness.processes import (
+    TOPICS,
+    Listener,
+    bar,
+    node_arguments,
+    node_values,
+    parse_tool,
+    process,
+    run_tool,
+    tool_options,
+    wait_until,
+)
+from valve_control.parameter import Values
+from valve_control.parameters import build
+from valve_control.simulation import offline
+
+Array = npt.NDArray[np.float64]
+SHIFT_SAMPLES = 200  # over which readings and voltages are matched
+PARTIES = ("controller", "valve_simulator", "command_source")
+MOST_OFF = 0.2  # share of the time at 0 V up to which a run shows its law; a slow sine is at rest at first
+LEAST_RATE = 0.9  # of the readings that should come
+SETTLE = 0.5  # s of the closed loop at rest before the command begins
+
+
+class DemoRun(NamedTuple):
+    """One run of the cascade: law, files of parameters, settings."""
+
+    name: str
+    group: str
+    files: tuple[str, ...]
+    settings: dict[str, Any]  # of the command source and of the valve, over the files
+
+
+TABLE_1 = "point to point (Table 1, Fig. 5)"
+SINE = "6 Hz sine, model (3) (Fig. 4)"
+# The controller and the demo itself listen; the upper level runs in step with the LVDT.
+# A desktop may put a process aside for tens of milliseconds, which is not what the demo is about.
+PACE = {"listeners": 2, "trigger": "spool_position", "lvdt.hold_samples": 100}
+CALIBRATED = "d3fxe_experiment.yaml"
+STROKES = {**PACE, "duration": 6.0}
+SINE_SETTINGS = {"scenario": "sine", "amplitude": 1.0, "frequency": 6.0, "duration": 6.0}
+RUNS = (
+    DemoRun("arc", TABLE_1, ("arc.yaml", CALIBRATED), STROKES),
+    DemoRun("oarc", TABLE_1, ("oarc.yaml", CALIBRATED), STROKES),
+    DemoRun("pid", TABLE_1, ("pid.yaml", CALIBRATED), STROKES),
+    DemoRun(
+        "compensator",
+        SINE,
+        ("compensator.yaml",),
+        {**PACE, **SINE_SETTINGS, "lvdt.noise": 0.0056, "lvdt.resolution": 0.0037},
+    ),
+)
+
+
+class Measured(NamedTuple):
+    """What the listener received during the command, and its latencies."""
+
+    period: float  # s
+    command: Array  # V
+    measurement: Array  # V
+    voltage: Array  # V
+    latency: Array  # s, from publication of the reading to publication of its voltage
+    lost: int  # LVDT readings without a voltage
+    rate: float  # LVDT readings per second
+    lead: int  # voltages that the controller had published before the first command
+    joined: int  # readings that the simulator had published before the controller's first voltage
+    pause: float  # s, longest between two commands: how long a process was put aside
+
+
+def values_of(run: DemoRun) -> dict[str, Values]:
+    """All parameters of the three nodes in ``run``. Raises ParameterError."""
+    return {node: node_values(node, run.files, run.settings) for node in PARTIES}
+
+
+def answer_shift(reading_times: Array, voltage_times: Array) -> int:
+    """By how many entries the first of ``reading_times`` [s] lies before its answer in ``voltage_times``.
+
+    One voltage answers one reading, so the shift is constant as long as none is lost; it is the one with
+    which voltages follow readings after the shortest positive median time.
+    """
+    near = int(np.searchsorted(voltage_times, reading_times[0]))
+    n = min(SHIFT_SAMPLES, len(reading_times))
+    lags = {
+        shift: float(np.median(voltage_times[shift : shift + n] - reading_times[:n]))
+        for shift in range(max(0, near - 5), near + 6)
+        if len(voltage_times) >= shift + n
+    }
+    answered = [shift for shift, lag in lags.items() if lag > 0.0]
+    if not answered:
+        raise RuntimeError(
+            "too many messages were lost to compare; is something else keeping the cores busy?"
+        )
+    return min(answered, key=lags.__getitem__)
+
+
+def measure(listener: Listener, period: float, duration: float) -> Measured:
+    """Align the three topics over ``duration`` [s] from the first command on."""
+    commands, command_times = listener.arrays("spool_command")
+    readings, reading_times = listener.arrays("spool_position")
+    voltages, voltage_times = listener.arrays("valve_voltage")
+    inside = np.flatnonzero(
+        (reading_times >= command_times[0]) & (reading_times < command_times[0] + duration)
+    )
+    first = answer_shift(reading_times[inside], voltage_times)
+    last = answer_shift(reading_times[inside[-SHIFT_SAMPLES:]], voltage_times)
+    lost = len(inside) - min(SHIFT_SAMPLES, len(inside)) - (last - first)
+    answers = np.minimum(first + np.arange(len(inside)), len(voltages) - 1)
+    newest = np.searchsorted(command_times, reading_times[inside], side="right") - 1
+    reading_number = listener.sequence["spool_position"][int(inside[0])]
+    voltage_number = listener.sequence["valve_voltage"][first]
+    span = float(reading_times[inside[-1]] - reading_times[inside[0]])
+    return Measured(
+        period=period,
+        command=commands[newest],
+        measurement=readings[inside],
+        voltage=voltages[answers],
+        latency=voltage_times[answers] - reading_times[inside],
+        lost=lost,
+        rate=(len(inside) - 1) / span,
+        lead=voltage_number - 1,
+        joined=max(0, reading_number - voltage_number),  # 0 V while the LVDT is silent answers no reading
+        pause=float(np.max(np.diff(command_times[command_times < command_times[0] + duration]))),
+    )
+
+
+def run_cascade(run: DemoRun, folder: Path, progress: tqdm) -> Measured:
+    """Start the three nodes, let the command run through once, stop them; returns what was measured."""
+    values = values_of(run)
+    duration = float(str(values["command_source"]["duration"]))
+    period = float(str(values["controller"]["sample_period"]))
+    log = {node: folder / f"{run.name}_{node}.log" for node in PARTIES}
+    listener = Listener("demo")
+    try:
+        with process(
+            "controller", node_arguments("controller", run.files, run.settings), log["controller"]
+        ) as controller:
+            with process(
+                "valve_simulator",
+                node_arguments("valve_simulator", run.files, run.settings),
+                log["valve_simulator"],
+            ) as simulator:
+                children = [controller, simulator]
+                need = round(SETTLE / period)
+
+                def closed() -> bool:
+                    listener.fetch()
+                    return all(len(listener.values[topic]) >= need for topic in TOPICS[1:])
+
+                wait_until(closed, "the closed loop", children)
+                with process(
+                    "command_source",
+                    node_arguments("command_source", run.files, run.settings),
+                    log["command_source"],
+                ) as source:
+                    children.append(source)
+
+                    def begun() -> bool:
+                        listener.fetch()
+                        return len(listener.values["spool_command"]) > 0
+
+                    wait_until(begun, "the command", children)
+                    _watch(listener, duration, progress, children)
+            _drain(listener)
+        return measure(listener, period, duration)
+    finally:
+        listener.destroy_node()
+
+
+def _watch(listener: Listener, duration: float, progress: tqdm, children: list[Any]) -> None:
+    began = time.monotonic()
+    shown = 0.0
+    while shown < duration:
+        time.sleep(0.1)
+        listener.fetch()
+        if any(child.poll() is not None for child in children):
+            raise RuntimeError("a node ended in the middle of the run; see its log in the output folder")
+        now = min(time.monotonic() - began, duration)
+        progress.update(now - shown)
+        shown = now
+    time.sleep(0.2)
+    listener.fetch()
+
+
+def _drain(listener: Listener) -> None:
+    """Fetch messages until every reading has its voltage, or nothing more comes."""
+    for _ in range(20):
+        listener.fetch()
+        if len(listener.values["valve_voltage"]) >= len(listener.values["spool_position"]):
+            return
+        time.sleep(0.02)
+
+
+def offline_twin(run: DemoRun, lead: int, joined: int) -> tuple[Indices, str]:
+    """Indices of the same run without middleware: same LVDT noise, same ``lead`` samples of standstill.
+
+    Beside them the warning of law and valve, "" if there is none.
+    """
+    values = values_of(run)
+    command = np.concatenate([np.zeros(lead), build.commands(values["command_source"])])
+    twin = offline.simulate(values["controller"], values["valve_simulator"], command, noise_start=joined)
+    return indices((twin.measurement - twin.command)[lead:], twin.voltage[lead:], twin.period), twin.warning
+
+
+def disturbed(name: str, run: Measured) -> str:
+    """Why the run does not show what the law does, "" if it does."""
+    off, wanted = float(np.mean(run.voltage == 0.0)), 1.0 / run.period
+    if off <= MOST_OFF and run.rate >= LEAST_RATE * wanted:
+        return ""
+    return (
+        f"{name}: 0 V for {100.0 * off:.0f} % of the time, {run.rate:.0f} readings a second instead of "
+        f"{wanted:.0f}: this run does not show the law (is something else keeping the cores busy? "
+        f"{name}_controller.log tells when it was switched off)"
+    )
+
+
+def report(runs: list[tuple[DemoRun, Measured]], folder: Path) -> bool:
+    """Print the tables, write JSON and figure; whether all runs show what the laws do."""
+    result: list[dict[str, Any]] = []
+    print(f"\n{HEADER}")
+    for run, measured in runs:
+        over_dds = indices(measured.measurement - measured.command, measured.voltage, measured.period)
+        twin, warning = offline_twin(run, measured.lead, measured.joined)
+        law = values_of(run)["controller"]
+        saturated = float(np.mean(np.abs(measured.voltage) >= float(str(law["u_max"]))))
+        least = float(str(law["oscillation_limit"]))
+        cycle = limit_cycle.limit_cycle(measured.voltage, measured.command, measured.period, least)
+        worst = max(abs(a / b - 1.0) for a, b in zip(over_dds, twin, strict=True) if b != 0.0)
+        print(index_row(run.name, over_dds))
+        print(index_row("  offline", twin))
+        paper = PAPER_TABLE_1.get(run.name)
+        if paper is not None:
+            print(index_row("  paper", paper))
+        said = limit_cycle.in_words(saturated, cycle)
+        if said:
+            print(f"{run.name}: {said}")
+        if warning:
+            print(f"warning: {warning}", file=sys.stderr)
+        p50, p99 = np.percentile(measured.latency, [50, 99])
+        result.append(
+            {
+                "controller": run.name,
+                "scenario": run.group,
+                "indices": over_dds._asdict(),
+                "offline": twin._asdict(),
+                "paper": paper._asdict() if paper is not None else None,
+                "worst_deviation_from_offline": worst,
+                **limit_cycle.as_dict(saturated, cycle),
+                "warning": warning or None,
+                "samples": len(measured.measurement),
+                "lost": measured.lost,
+                "longest_pause_of_commands_s": measured.pause,
+                "rate_hz": measured.rate,
+                "latency_s": {"p50": p50, "p99": p99, "max": float(np.max(measured.latency))},
+            }
+        )
+    print(
+        f"\n{'':14}{'rate [Hz]':>10}{'samples':>9}{'lost':>6}"
+        f"{'LVDT to voltage [ms]: p50':>28}{'p99':>8}{'max':>8}"
+    )
+    for entry in result:
+        ms = {k: 1e3 * v for k, v in entry["latency_s"].items()}
+        print(
+            f"{entry['controller']:14}{entry['rate_hz']:10.1f}{entry['samples']:9d}{entry['lost']:6d}"
+            f"{ms['p50']:28.3f}{ms['p99']:8.3f}{ms['max']:8.3f}"
+        )
+    print()
+    for entry in result:
+        print(
+            f"{entry['controller']}: largest deviation of an index from the offline run "
+            f"{100.0 * entry['worst_deviation_from_offline']:.1f} % "
+            f"(longest pause of the upper level {1e3 * entry['longest_pause_of_commands_s']:.1f} ms)"
+        )
+    outputs.write(str(folder / "demo.json"), outputs.as_json(result))
+    groups: dict[str, dict[str, Trace]] = {}
+    for run, measured in runs:
+        time_axis = np.arange(len(measured.command), dtype=np.float64) / measured.rate
+        groups.setdefault(run.group, {})[run.name] = Trace(
+            time_axis, measured.command, measured.measurement, measured.voltage
+        )
+    draw_traces(folder / "demo.png", groups, "valve_control: the cascade over DDS at 1 kHz")
+    print(f"\nwrote {folder / 'demo.png'}, {folder / 'demo.json'} and the nodes' logs")
+    complaints = [text for run, measured in runs if (text := disturbed(run.name, measured))]
+    for text in complaints:
+        print(text, file=sys.stderr)
+    return not complaints
+
+
+def main() -> int:
+    """Entry point of `make demo` and of `ros2 run valve_control demo`."""
+    arguments = parse_tool(tool_options("demo", __doc__, [run.name for run in RUNS]))
+    folder = Path(arguments.out)
+    runs = [run for run in RUNS if arguments.only is None or run.name in arguments.only]
+
+    def work() -> int:
+        done = []
+        for run in runs:
+            duration = float(str(values_of(run)["command_source"]["duration"]))
+            with bar(run.name, duration) as progress:
+                done.append((run, run_cascade(run, folder, progress)))
+        return 0 if report(done, folder) else 1
+
+    return run_tool("demo", folder, work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,150 @@
+"""Captures all nodes' parameters for a recording: asks each node once, then follows its changes."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+
+EVENTS = "/parameter_events"
+LIST = "/list_parameters"
+ASK_AGAIN = 3.0  # s; a server that has not yet seen its client does not answer
+# The middleware holds up a server by 0.1 s for each answer to a client that it has not yet seen, and with it
+# a running control loop: a server that we have just seen gets this long to see us.
+ACQUAINT = 1.0  # s
+
+
+class Question:
+    """Asks one node for all its parameters: first their names, then their values."""
+
+    def __init__(self, node: Node, name: str) -> None:
+        self._node = node
+        self._list = node.create_client(ListParameters, f"{name}/list_parameters")
+        self._get = node.create_client(GetParameters, f"{name}/get_parameters")
+        self._client = self._list
+        self._request: Any = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
+        self._future: Any = None
+        self._asked = 0.0
+        self._seen: float | None = None  # since when the servers are there
+        self.events: list[ParameterEvent] = []  # changes since the beginning
+
+    def answer(self) -> list[Parameter] | None:
+        """The parameters, once they have come."""
+        now = time.monotonic()
+        if self._future is None or (not self._future.done() and now > self._asked + ASK_AGAIN):
+            if not (self._list.service_is_ready() and self._get.service_is_ready()):
+                self._seen = None
+                return None
+            if self._seen is None:
+                self._seen = now
+            if now < self._seen + ACQUAINT:
+                return None
+            if self._future is not None:
+                self._client.remove_pending_request(self._future)
+            self._future = self._client.call_async(self._request)
+            self._asked = now
+        if not self._future.done():
+            return None
+        result = self._future.result()
+        self._future = None
+        if self._client is self._list:
+            self._client = self._get
+            self._request = GetParameters.Request(names=result.result.names)
+            return None
+        return [
+            Parameter(name=name, value=value)
+            for name, value in zip(self._request.names, result.values, strict=False)
+            if value.type != ParameterType.PARAMETER_NOT_SET
+        ]
+
+    def destroy(self) -> None:
+        """Stop asking."""
+        self._node.destroy_client(self._list)
+        self._node.destroy_client(self._get)
+
+
+class ParameterCapture:
+    """Passes each node's parameters to ``write`` as one serialized ParameterEvent."""
+
+    def __init__(self, node: Node, write: Callable[[bytes], None]) -> None:
+        self._node = node
+        self._write = write
+        self._lives: dict[str, set[bytes]] = {}  # by node: its publishers of events, new ones after a restart
+        self._questions: dict[str, Question] = {}
+        self._values: dict[str, dict[str, Parameter]] = {}
+
+    def look(self) -> None:
+        """Look which nodes have come and gone."""
+        lives: dict[str, set[bytes]] = {}
+        for name, types in self._node.get_service_names_and_types():
+            if name.endswith(LIST) and "rcl_interfaces/srv/ListParameters" in types:
+                lives[name.removesuffix(LIST)] = set()
+        lives.pop(self._node.get_fully_qualified_name(), None)
+        for info in self._node.get_publishers_info_by_topic(EVENTS):
+            name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            if name in lives:
+                lives[name].add(bytes(info.endpoint_gid))
+        for name in self._lives.keys() - lives.keys():
+            self._forget(name)
+        for name, publishers in lives.items():
+            before = self._lives.get(name)
+            if before is None or (before and publishers - before):
+                self._forget(name)
+                self._questions[name] = Question(self._node, name)
+        self._lives = lives
+
+    def _forget(self, name: str) -> None:
+        self._values.pop(name, None)
+        question = self._questions.pop(name, None)
+        if question is not None:
+            question.destroy()
+
+    def collect(self) -> None:
+        """Write the answers that have come."""
+        for name, question in list(self._questions.items()):
+            parameters = question.answer()
+            if parameters is None:
+                continue
+            values = self._values[name] = {parameter.name: parameter for parameter in parameters}
+            # What changed while the answer was on its way is newer, or the same.
+            for event in question.events:
+                self._apply(values, event)
+            question.destroy()
+            del self._questions[name]
+            self._write_one(name)
+            self._node.get_logger().info(f"has the {len(values)} parameters of {name}")
+
+    def unanswered(self) -> list[str]:
+        """Nodes that have not answered."""
+        return sorted(self._questions)
+
+    def observe(self, data: bytes) -> None:
+        """Take in a ParameterEvent that was received, serialized."""
+        try:
+            event = deserialize_message(data, ParameterEvent)
+        except Exception:  # rclpy has no public type for bytes that are no message
+            return
+        if event.node in self._questions:
+            self._questions[event.node].events.append(event)
+        if event.node in self._values:
+            self._apply(self._values[event.node], event)
+
+    @staticmethod
+    def _apply(values: dict[str, Parameter], event: ParameterEvent) -> None:
+        for parameter in (*event.new_parameters, *event.changed_parameters):
+            values[parameter.name] = parameter
+        for parameter in event.deleted_parameters:
+            values.pop(parameter.name, None)
+
+    def write_all(self) -> None:
+        """Write the parameters of all nodes as they are now."""
+        for name in self._values:
+            self._write_one(name)
+
+    def _write_one(self, name: str) -> None:
+        event = ParameterEvent(node=name, new_parameters=list(self._values[name].values()))
+        event.stamp = self._node.get_clock().now().to_msg()
+        self._write(serialize_message(event))

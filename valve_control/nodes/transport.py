@@ -1,0 +1,40 @@
+"""Chooses how Fast DDS carries the messages of this package's processes, unless the user has chosen."""
+
+from collections.abc import MutableMapping
+from pathlib import Path
+
+ANYWHERE = str(Path(__file__).with_name("fast_dds.xml"))
+THIS_HOST = str(
+    Path(__file__).with_name("fast_dds_this_host.xml")
+)  # the same, and discovery on this host alone
+VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+OWN_CHOICE = (VARIABLE, "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
+OWN_FILE = "DEFAULT_FASTRTPS_PROFILES.xml"  # in the working folder, which Fast DDS reads by itself
+FAST_DDS = "rmw_fastrtps"
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+
+def use_own_profile(environment: MutableMapping[str, str]) -> None:
+    """Let Fast DDS use the package's profile; call it before the process's first node.
+
+    For the range LOCALHOST rmw_fastrtps adds shared memory to whatever a profile says; so the profile itself
+    keeps discovery on this host, and the range is left to it.
+    """
+    middleware = environment.get("RMW_IMPLEMENTATION") or FAST_DDS
+    choices = {environment.get(name) or ANYWHERE for name in OWN_CHOICE}
+    if not middleware.startswith(FAST_DDS) or choices - {ANYWHERE, THIS_HOST} or Path(OWN_FILE).exists():
+        return
+    if environment.get(RANGE) == "LOCALHOST" and not environment.get("ROS_STATIC_PEERS"):
+        environment[RANGE] = "SYSTEM_DEFAULT"
+        environment[VARIABLE] = THIS_HOST
+    elif THIS_HOST not in choices or environment.get(RANGE) != "SYSTEM_DEFAULT":
+        environment[VARIABLE] = ANYWHERE
+
+
+def leave_own_profile(environment: MutableMapping[str, str]) -> None:
+    """Undo ``use_own_profile``: Fast DDS uses its usual transports."""
+    profile = environment.get(VARIABLE)
+    if profile in (ANYWHERE, THIS_HOST):
+        del environment[VARIABLE]
+    if profile == THIS_HOST:
+        environment[RANGE] = "LOCALHOST"

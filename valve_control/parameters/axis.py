@@ -1,0 +1,265 @@
+"""Lists the parameters of a hydraulic axis, and builds the machine from checked values.
+
+The valve that feeds it has the parameters of ``valve_simulator``; they are those of ``parameters/table.py``.
+"""
+
+import math
+
+from valve_control.laws.common import SAMPLE_PERIOD
+from valve_control.motion import axis_pid
+from valve_control.parameter import Parameter, ParameterError, Table, Values, number, numbers, word
+from valve_control.parameters import build
+from valve_control.parameters.table import NODES
+from valve_control.plant import axis, machine, valve
+
+GRAVITY = 9.80665  # m/s²
+CONSTANT_VOLUME = 1e9  # m³; a supply so large that no flow changes its pressure
+EDGES = ("pa", "pb", "at", "bt")
+
+AXIS: Table = (
+    SAMPLE_PERIOD,
+    Parameter(
+        "cylinder.area_a", 0.00125, "m²", "area of the piston on the side a, which drives out", 1e-6, 10.0
+    ),
+    Parameter("cylinder.area_b", 0.00076, "m²", "area of the piston on the side b, less its rod", 1e-6, 10.0),
+    Parameter("cylinder.stroke", 0.5, "m", "way of the piston from stop to stop", 1e-3, 50.0),
+    Parameter("cylinder.dead_volume_a", 1e-4, "m³", "line and room a, piston in", 1e-8, 10.0),
+    Parameter("cylinder.dead_volume_b", 1e-4, "m³", "line and room b, piston out", 1e-8, 10.0),
+    Parameter("cylinder.leakage", 1e-13, "m³/s/Pa", "laminar, from room to room", 0.0, 1e-6),
+    Parameter("cylinder.external_leakage", 0.0, "m³/s/Pa", "laminar, from each room to the tank", 0.0, 1e-6),
+    Parameter("load.mass", 200.0, "kg", "all that moves, reduced to the piston", 1e-3, 1e7),
+    Parameter("load.damping", 500.0, "N·s/m", "viscous friction", 0.0, 1e8),
+    Parameter("load.stiffness", 0.0, "N/m", "spring", 0.0, 1e10),
+    Parameter("load.rest", 0.0, "m", "position at which the spring is slack", -100.0, 100.0),
+    Parameter("load.force", 0.0, "N", "external force, positive: outwards", -1e8, 1e8),
+    Parameter("load.inclination", 0.0, "deg", "of the way out above the horizontal", -90.0, 90.0),
+    Parameter("load.coulomb", 0.0, "N", "friction while sliding", 0.0, 1e7),
+    Parameter("load.static_ratio", 1.0, "-", "static over Coulomb friction", 1.0, 10.0),
+    Parameter("load.stribeck_velocity", 0.02, "m/s", "at which the static part has decayed", 1e-6, 10.0),
+    Parameter("load.presliding", 2e-5, "m", "motion over which Coulomb friction builds up", 1e-7, 0.01),
+    Parameter("fluid.bulk_modulus", 1.4e9, "Pa", "effective, with lines and air", 1e7, 1e11),
+    Parameter("fluid.vapour_pressure", 3000.0, "Pa", "absolute; no pressure falls below it", 0.0, 1e5),
+    Parameter("fluid.tank_pressure", 1e5, "Pa", "absolute, in the tank and around the rod", 1e3, 1e7),
+    Parameter("spool.flow", 5e-4, "m³/s", "over one fully open edge at spool.flow_pressure", 1e-9, 1.0),
+    Parameter("spool.flow_pressure", 35e5, "Pa", "pressure difference of spool.flow", 1e3, 1e8),
+    Parameter("spool.full_scale", 10.0, "V", "position at which the edges are fully open", 0.01, 100.0),
+    Parameter(
+        "spool.overlap",
+        [0.03, 0.03, 0.03, 0.03],
+        "-",
+        "dead zone of the edges P-A, P-B, A-T, B-T, as a share of full_scale; negative: open in the middle",
+        -0.5,
+        0.9,
+        length=4,
+    ),
+    Parameter(
+        "spool.gain",
+        [1.0, 1.0, 1.0, 1.0],
+        "-",
+        "of the same edges: flow over spool.flow",
+        0.0,
+        10.0,
+        length=4,
+    ),
+    Parameter(
+        "spool.laminar_pressure", 1e5, "Pa", "pressure difference below which the flow is laminar", 1.0, 1e7
+    ),
+    Parameter(
+        "supply.kind",
+        "constant",
+        "",
+        "constant: of constant pressure; pump: constant flow, relief valve and volume",
+        choices=("constant", "pump"),
+    ),
+    Parameter("supply.pressure", 140e5, "Pa", "of a constant supply; of a pump: at the start", 1e5, 1e8),
+    Parameter("supply.volume", 1e-3, "m³", "between pump and spool", 1e-7, 100.0),
+    Parameter("supply.flow", 1e-3, "m³/s", "of the pump", 0.0, 10.0),
+    Parameter("supply.leakage", 1e-12, "m³/s/Pa", "of the pump", 0.0, 1e-6),
+    Parameter("relief.pressure", 140e5, "Pa", "at which the relief valve begins to open", 1e5, 1e8),
+    Parameter(
+        "relief.spring", 1e-8, "m³/s/Pa", "flow per excess pressure that its spring allows", 1e-13, 1e-3
+    ),
+    Parameter("relief.flow_force", 1e-8, "m³/s/Pa", "the same for its flow force", 1e-13, 1e-3),
+    Parameter("relief.flow", 1e-2, "m³/s", "fully open, at 70 bar", 1e-9, 10.0),
+    Parameter("relief.time_constant", 0.001, "s", "of its poppet", 1e-5, 10.0),
+    Parameter("start.position", 0.25, "m", "of the piston", 0.0, 50.0),
+    Parameter("start.pressure_a", 50e5, "Pa", "in room a", 0.0, 1e8),
+    Parameter("start.pressure_b", 80e5, "Pa", "in room b", 0.0, 1e8),
+    Parameter("position.noise", 0.0, "m", "standard deviation of the position sensor", 0.0, 1.0),
+    Parameter("position.resolution", 0.0, "m", "its quantisation step; 0: none", 0.0, 1.0),
+    Parameter("position.delay", 0.0, "s", "its dead time", 0.0, 1.0),
+    Parameter("pressure.noise", 0.0, "Pa", "standard deviation of the pressure sensors", 0.0, 1e8),
+    Parameter("pressure.resolution", 0.0, "Pa", "their quantisation step; 0: none", 0.0, 1e8),
+    Parameter("pressure.delay", 0.0, "s", "their dead time", 0.0, 1.0),
+    Parameter("seed", 1, "", "seed of the noise of all sensors", 0, 2**31 - 1),
+    Parameter("integration.steps", 4, "", "integration steps in a sample period", 1, 1000),
+)
+NOMINAL = 70e5  # Pa  pressure difference of relief.flow
+
+AXIS_CONTROLLER: Table = (
+    SAMPLE_PERIOD,
+    *axis_pid.PARAMETERS,
+    Parameter(
+        "course",
+        "point_to_point",
+        "",
+        "motion: point_to_point (limited in jerk), sine or step",
+        choices=("point_to_point", "sine", "step"),
+    ),
+    Parameter("offset", 0.0, "m", "of the course's beginning from start.position", -50.0, 50.0),
+    Parameter("distance", 0.1, "m", "of the motion; amplitude of the sine", -50.0, 50.0),
+    Parameter("back", True, "", "point to point: there and back again"),
+    Parameter("pause", 0.5, "s", "standstill before each motion", 0.0, 1e4),
+    Parameter("duration", 3.0, "s", "of the run", 0.01, 1e5),
+    Parameter("frequency", 1.0, "Hz", "of the sine", 1e-3, 1e3),
+    Parameter("max_velocity", 0.25, "m/s", "of the course", 1e-4, 100.0),
+    Parameter("max_acceleration", 2.0, "m/s²", "of the course", 1e-4, 1e4),
+    Parameter("max_jerk", 40.0, "m/s³", "of the course", 1e-3, 1e7),
+)
+AXIS_NODES: dict[str, Table] = {
+    "axis_simulator": AXIS,
+    "axis_controller": AXIS_CONTROLLER,
+    "valve_simulator": NODES["valve_simulator"],
+    "controller": NODES["controller"],
+}
+
+
+def axis_params(values: Values) -> axis.Params:
+    """Axis from the values of ``axis_simulator``. Raises ParameterError."""
+
+    def of(name: str) -> float:
+        return number(values, name)
+
+    if of("start.position") > of("cylinder.stroke"):
+        raise ParameterError(
+            f"start.position is {of('start.position'):g} m; it must lie within cylinder.stroke, "
+            f"{of('cylinder.stroke'):g} m"
+        )
+    vapour = of("fluid.vapour_pressure")
+    for name in ("fluid.tank_pressure", "start.pressure_a", "start.pressure_b"):
+        if of(name) < vapour:
+            raise ParameterError(f"{name} is {of(name):g} Pa, below fluid.vapour_pressure, {vapour:g} Pa")
+    constant = word(values, "supply.kind") == "constant"
+    if of("supply.pressure") < of("fluid.tank_pressure"):
+        raise ParameterError(
+            f"supply.pressure is {of('supply.pressure'):g} Pa, below fluid.tank_pressure, "
+            f"{of('fluid.tank_pressure'):g} Pa"
+        )
+    coulomb, ratio = of("load.coulomb"), of("load.static_ratio")
+    weight = of("load.mass") * GRAVITY * math.sin(math.radians(of("load.inclination")))
+    nominal = of("spool.flow") / math.sqrt(of("spool.flow_pressure"))
+    return axis.Params(
+        cylinder=axis.Cylinder(
+            area_a=of("cylinder.area_a"),
+            area_b=of("cylinder.area_b"),
+            stroke=of("cylinder.stroke"),
+            dead_a=of("cylinder.dead_volume_a"),
+            dead_b=of("cylinder.dead_volume_b"),
+            leakage=of("cylinder.leakage"),
+            external_leakage=of("cylinder.external_leakage"),
+        ),
+        load=axis.Load(
+            mass=of("load.mass"),
+            damping=of("load.damping"),
+            stiffness=of("load.stiffness"),
+            rest=of("load.rest"),
+            force=of("load.force") - weight,
+            coulomb=coulomb,
+            static_ratio=ratio,
+            stribeck_velocity=of("load.stribeck_velocity"),
+            bristle_stiffness=coulomb / of("load.presliding"),
+        ),
+        coefficients=axis.Edges(*(nominal * gain for gain in numbers(values, "spool.gain"))),
+        overlaps=axis.Edges(*numbers(values, "spool.overlap")),
+        full_scale=of("spool.full_scale"),
+        supply=axis.Supply(
+            volume=CONSTANT_VOLUME if constant else of("supply.volume"),
+            pump_flow=0.0 if constant else of("supply.flow"),
+            pump_leakage=0.0 if constant else of("supply.leakage"),
+            tank=of("fluid.tank_pressure"),
+            relief_pressure=of("relief.pressure"),
+            relief_spring=math.sqrt(NOMINAL) / of("relief.spring"),
+            relief_flow_force=1.0 / (of("relief.flow_force") * math.sqrt(NOMINAL)),
+            relief_limit=0.0 if constant else of("relief.flow") / math.sqrt(NOMINAL),
+            relief_time=of("relief.time_constant"),
+        ),
+        bulk_modulus=of("fluid.bulk_modulus"),
+        vapour=vapour,
+        laminar=of("spool.laminar_pressure"),
+        period=of("sample_period"),
+        steps=of("integration.steps"),
+    )
+
+
+def steady_speed(p: axis.Params, supply: float, outwards: bool) -> float:
+    """Speed [m/s] with fully open edges at a ``supply`` pressure [Pa]; 0 if the load stalls the axis.
+
+    Over each edge the pressure falls by (A·v/k)²; what is left carries the constant forces and Coulomb
+    friction (docs/axis.md). Viscous friction, spring, leakage and laminar flow are left out.
+    """
+    c, k, load = p.cylinder, p.coefficients, p.load
+    resting = load.force - p.supply.tank * (c.area_a - c.area_b)  # outwards
+    if outwards:
+        left = supply * c.area_a - p.supply.tank * c.area_b + resting - load.coulomb
+        loss = c.area_a**3 / k.pa**2 + c.area_b**3 / k.bt**2 if k.pa * k.bt > 0.0 else math.inf
+    else:
+        left = supply * c.area_b - p.supply.tank * c.area_a - resting - load.coulomb
+        loss = c.area_b**3 / k.pb**2 + c.area_a**3 / k.at**2 if k.pb * k.at > 0.0 else math.inf
+    return math.sqrt(max(0.0, left) / loss)
+
+
+def velocity_gains(p: axis.Params, values: Values) -> tuple[float, float]:
+    """Velocity per spool position beyond the overlap [m/s/V], outwards and inwards. Raises ParameterError."""
+    constant = word(values, "supply.kind") == "constant"
+    supply = number(values, "supply.pressure" if constant else "relief.pressure")
+    found = []
+    for outwards, overlap in ((True, p.overlaps.pa), (False, p.overlaps.pb)):
+        speed = steady_speed(p, supply, outwards)
+        if speed == 0.0:
+            raise ParameterError(
+                f"the axis cannot move {'outwards' if outwards else 'inwards'}: at {supply:g} Pa the load "
+                "stalls it, or an edge of spool.gain is closed"
+            )
+        found.append(speed / (p.full_scale * (1.0 - max(0.0, overlap))))
+    return found[0], found[1]
+
+
+def sensors(values: Values) -> machine.Sensors:
+    """Sensors from the values of ``axis_simulator``."""
+
+    def sensor(name: str) -> valve.Lvdt:
+        return valve.Lvdt(
+            noise=number(values, f"{name}.noise"),
+            resolution=number(values, f"{name}.resolution"),
+            bias=0.0,
+            delay=number(values, f"{name}.delay") / number(values, "sample_period"),
+        )
+
+    return machine.Sensors(sensor("position"), sensor("pressure"))
+
+
+def machine_params(axis_values: Values, valve_values: Values) -> machine.Params:
+    """Machine from the values of ``axis_simulator`` and ``valve_simulator``. Raises ParameterError."""
+    period = number(axis_values, "sample_period")
+    if number(valve_values, "sample_period") != period:
+        raise ParameterError(
+            f"sample_period is {period:g} s for the axis and "
+            f"{number(valve_values, 'sample_period'):g} s for its valve; they must be equal"
+        )
+    return machine.Params(
+        valve=build.valve_params(valve_values),
+        axis=axis_params(axis_values),
+        sensors=sensors(axis_values),
+    )
+
+
+def start(p: machine.Params, values: Values) -> machine.State:
+    """Machine at rest at start.position with the start's pressures."""
+    at = axis.initial(
+        p.axis,
+        number(values, "start.position"),
+        number(values, "start.pressure_a"),
+        number(values, "start.pressure_b"),
+        number(values, "supply.pressure"),
+    )
+    return machine.begin(p, at)

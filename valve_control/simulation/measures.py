@@ -1,0 +1,152 @@
+"""Computes what is measured of each valve of a batch: sums updated at every sample, and results from them.
+
+A set of measures is a NamedTuple of floats that are all 0.0 at the beginning, a function that takes in one
+sample, and one that makes results of the sums. ``batch.simulate`` takes any.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+BAND = 0.02  # of the commanded range; within it a response has settled
+
+
+class Now(NamedTuple):
+    """The signals at one sample, from which measures are computed."""
+
+    command: float  # V
+    measurement: float  # V
+    position: float  # V  true
+    voltage: float  # V
+    first: bool  # whether this is the first sample
+    final: bool  # whether it is within the last two seconds
+    time: float  # s
+    u_max: float  # V
+    period: float  # s
+
+
+class Measures(NamedTuple):
+    """One set of measures: type of its sums, their update at a sample, and the results."""
+
+    tally: Any  # type of what is kept up
+    update: Callable[[Any, Now], Any]
+    results: Callable[[Array, int], Any]  # of tallies (fields×N) and the number of samples
+
+
+class Tally(NamedTuple):
+    """Sums and extremes from which the indices I1 to I5 are computed."""
+
+    e_max: float  # V
+    e_final: float  # V   largest of the last two seconds
+    e_squares: float  # V²
+    true_max: float  # V   of the true position
+    true_squares: float  # V²
+    u_squares: float  # V²
+    change_squares: float  # V²  of the voltage from sample to sample
+    saturated: float  # -   samples at ±u_max
+    voltage: float  # V   of the sample before
+
+
+class Results(NamedTuple):
+    """Indices, one entry per valve; NaN where a run did not stay finite."""
+
+    e_M: Array  # V  (I2)
+    e_F: Array  # V  (I3)
+    e_rms: Array  # V  (I1)
+    u_rms: Array  # V  (I4)
+    c_u: Array  # -  (I5)
+    true_e_M: Array  # V  of the true position
+    true_e_rms: Array  # V
+    saturated: Array  # -  share of the samples at ±u_max
+    finite: npt.NDArray[np.bool_]
+
+
+def count(t: Tally, now: Now) -> Tally:
+    """``t`` after one more sample."""
+    error = abs(now.measurement - now.command)
+    true_error = abs(now.position - now.command)
+    change = 0.0 if now.first else now.voltage - t.voltage
+    return Tally(
+        max(t.e_max, error),
+        max(t.e_final, error if now.final else 0.0),
+        t.e_squares + error * error,
+        max(t.true_max, true_error),
+        t.true_squares + true_error * true_error,
+        t.u_squares + now.voltage * now.voltage,
+        t.change_squares + change * change,
+        t.saturated + (1.0 if abs(now.voltage) >= now.u_max else 0.0),
+        now.voltage,
+    )
+
+
+def results(tallies: Array, samples: int) -> Results:
+    """Indices I1 to I5 from ``tallies`` (fields×N) of runs with ``samples`` samples."""
+    t = Tally(*tallies)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        finite = np.isfinite(t.e_squares + t.true_squares + t.u_squares)
+        u_rms = np.sqrt(t.u_squares / samples)
+        change = np.sqrt(t.change_squares / max(1, samples - 1))
+        numbers = (
+            t.e_max,
+            t.e_final,
+            np.sqrt(t.e_squares / samples),
+            u_rms,
+            np.where(u_rms == 0.0, 0.0, change / u_rms),
+            t.true_max,
+            np.sqrt(t.true_squares / samples),
+            t.saturated / samples,
+        )
+    return Results._make([*(np.where(finite, column, np.nan) for column in numbers), finite])
+
+
+INDICES = Measures(Tally, count, results)
+
+
+class ResponseTally(NamedTuple):
+    """Sums and extremes from which overshoot, settling time, travel and energy are computed."""
+
+    highest: float  # V  command so far, from 0 V on
+    lowest: float  # V
+    beyond: float  # V  largest way beyond them
+    outside: float  # s  when the error was last outside the band
+    travel: float  # V
+    energy: float  # V²·s
+    voltage: float  # V  of the sample before
+
+
+class Response(NamedTuple):
+    """Measures of a response, one entry per valve; NaN where a run did not stay finite."""
+
+    overshoot: Array  # V  largest way of the true position beyond all that was commanded so far
+    settling_time: Array  # s  from which on the error stays within BAND of the commanded range
+    travel: Array  # V  of the voltage, Σ|Δu|
+    energy: Array  # V²·s  ∫u²dt, of a solenoid of 1 Ω
+
+
+def count_response(t: ResponseTally, now: Now) -> ResponseTally:
+    """``t`` after one more sample."""
+    highest, lowest = max(t.highest, now.command), min(t.lowest, now.command)
+    off = abs(now.position - now.command) > BAND * (highest - lowest)
+    return ResponseTally(
+        highest,
+        lowest,
+        max(t.beyond, max(now.position - highest, lowest - now.position)),
+        now.time + now.period if off else t.outside,
+        t.travel + (0.0 if now.first else abs(now.voltage - t.voltage)),
+        t.energy + now.voltage * now.voltage * now.period,
+        now.voltage,
+    )
+
+
+def response(tallies: Array, samples: int) -> Response:
+    """Overshoot, settling time, travel and energy from ``tallies`` (fields×N)."""
+    t = ResponseTally(*tallies)
+    finite = np.isfinite(t.beyond + t.travel + t.energy)
+    numbers = (t.beyond, t.outside, t.travel, t.energy)
+    return Response._make(np.where(finite, column, np.nan) for column in numbers)
+
+
+RESPONSE = Measures(ResponseTally, count_response, response)

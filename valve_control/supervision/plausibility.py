@@ -1,0 +1,313 @@
+"""Compares LVDT readings with the voltage by the law's model: finds a wrong sign or gain, in motion.
+
+A reading asks for the voltage w = (y'' + a1·y' + a0·y)/b0; of a sound LVDT that is the applied voltage plus a
+disturbance, of one with the wrong sign it is minus that. Two outputs are correlated with the voltage u, both
+through the same low-pass filter and over moved time only:
+
+    w, in phase with u at all frequencies if the model is right;
+    z = y + y'/a1, in phase within 90° whatever a0 and b0 are: (1 + s/a1)/(s² + a1·s + a0) is positive real.
+
+A wrong sign turns both round; friction, offset, flow force, dead time and a wrong model do not turn both.
+Beside that a reading that rests on one side while the voltage pulls to the other by more than any disturbance
+has the wrong sign. See docs/plausibility.md.
+"""
+
+import math
+from typing import NamedTuple
+
+# In units of 1/√a0, the valve's own time
+BLOCK = 0.14  # readings are averaged over this
+LOW_PASS = 0.4  # time constant of each of the three stages
+LAG = 0.1  # of the voltage on its way through amplifier, valve and LVDT
+FORGET = 10.0  # of the correlations, moved time
+PATIENCE = 0.7  # for which a reading must rest on the wrong side
+WARM = 3.0  # after a start of the filters
+SETTLED = 3.0  # under a voltage beyond every disturbance, until the spool has followed it
+EVIDENCE = 1.2  # of correlation beyond AGAINST, times moved time
+AGAINST = 0.3  # correlation that a sound LVDT is allowed to have with the wrong sign
+LEAST = 6.0  # blocks of motion before anything is concluded
+FLAT = 0.15  # of the motion that the voltage must have made
+AGREED = 75.0  # blocks of motion after a doubt, from which readings may be found sound again
+CLEAR = 1.3  # factor of the slope that is no doubt
+SAME = 1.4  # factor that is none after twice as many blocks, when the slope is better known
+SMOOTH = 0.005  # of the usual slope, for each block
+SOUND = -0.8  # wrongness below which a slope is worth keeping
+TURNS = 0.3  # variance of the sign of the velocity from which friction can be told from an offset
+
+
+class Params(NamedTuple):
+    """What readings of a sound LVDT on a sound valve may show."""
+
+    block: float  # samples
+    span: float  # s  of a block
+    low_pass: float  # -  gain of a stage for one block
+    lag: float  # -  of the voltage's further stage
+    keep: float  # -  what is left of the sums after a block
+    warm: float  # blocks
+    a1: float  # 1/s
+    a0: float  # 1/s²
+    b0: float  # 1/s²
+    slow: float  # V/s  what moves slower counts as at rest
+    excitation: float  # V  least standard deviation from which is concluded
+    disturbance: float  # V  largest one
+    patience: float  # s
+    settled: float  # s
+    evidence: float  # s
+
+
+class Sums(NamedTuple):
+    """Sums over blocks in which the spool moved, with forgetting; s is the sign of its velocity."""
+
+    n: float
+    u: float
+    uu: float
+    z: float
+    zz: float
+    uz: float
+    w: float
+    ww: float
+    uw: float
+    s: float
+    us: float
+    ws: float
+
+
+class Shown(NamedTuple):
+    """What the blocks until now have shown.
+
+    ``wrong_sign`` stays a float: recorded snapshots (``~/memory``) have it as 1.0 or 0.0.
+    """
+
+    y1: float  # V  stages of the low-pass filter
+    y2: float
+    y3: float
+    velocity: float  # V/s
+    u1: float  # V
+    u2: float
+    u3: float
+    u4: float
+    warm: float  # blocks until the filters have forgotten their start
+    moved: float  # blocks of motion since then
+    sums: Sums
+    against: float  # s  evidence of a wrong sign
+    wrong_side: float  # s  for which the reading has rested on the wrong side
+    wrong_sign: float  # 1.0 once that is certain
+    pulled: float  # s  for which the voltage has been beyond every disturbance, with its sign
+    span_voltage: float  # V  from the last such voltage on one side to that on the other, and
+    span_reading: float  # V  of what the reading asked for there
+    last_voltage: float  # V  the last such voltage and
+    last_reading: float  # V  what the reading asked for
+    usual: float  # -  slope in the long run, 0.0: not known yet
+
+
+class State(NamedTuple):
+    """What is remembered between two readings."""
+
+    held: float  # samples of this block
+    reading: float  # their sum, V
+    voltage: float  # their sum, V
+    shown: Shown
+
+
+class Doubt(NamedTuple):
+    """Evidence held against readings that were found wrong, until motion has shown that they are sound."""
+
+    times: float  # that they were found wrong in a row
+    until: float  # s  for which they are not believed
+    usual: float  # -  slope before
+
+
+TRUST = Doubt(0.0, 0.0, 0.0)
+
+
+NOTHING = Sums(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def design(
+    theta: tuple[float, float, float],
+    period: float,
+    slow: float,
+    excitation: float,
+    disturbance: float,
+) -> Params:
+    """Watch with the model ``theta`` (a1 [1/s], a0, b0 [1/s²]) at ``period`` [s]; the rest in V, V/s."""
+    a1, a0, b0 = theta
+    own = 1.0 / math.sqrt(a0)
+    block = max(1.0, math.floor(BLOCK * own / period + 0.5))
+    span = block * period
+    return Params(
+        block=block,
+        span=span,
+        low_pass=1.0 - math.exp(-span / (LOW_PASS * own)),
+        lag=1.0 - math.exp(-span / (LAG * own)),
+        keep=math.exp(-span / (FORGET * own)),
+        warm=float(math.ceil(WARM * own / span)),
+        a1=a1,
+        a0=a0,
+        b0=b0,
+        slow=slow,
+        excitation=excitation,
+        disturbance=disturbance,
+        patience=PATIENCE * own,
+        settled=SETTLED * own,
+        evidence=EVIDENCE * own,
+    )
+
+
+def initial(p: Params, reading: float, voltage: float, usual: float = 0.0) -> State:
+    """State at rest at ``reading`` [V] under ``voltage`` [V]; ``usual``: slope, if known from before."""
+    shown = Shown(
+        reading, reading, reading, 0.0, voltage, voltage, voltage, voltage, p.warm, 0.0,
+        NOTHING, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, usual,
+    )  # fmt: skip
+    return State(0.0, 0.0, 0.0, shown)
+
+
+def anew(s: State) -> State:
+    """State ``s`` with its filters and usual slope, and no other evidence."""
+    b = s.shown
+    shown = Shown(
+        b.y1, b.y2, b.y3, b.velocity, b.u1, b.u2, b.u3, b.u4, b.warm, 0.0,
+        NOTHING, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, b.usual,
+    )  # fmt: skip
+    return State(s.held, s.reading, s.voltage, shown)
+
+
+def step(p: Params, s: State, reading: float, voltage: float, samples: float) -> State:
+    """State after one ``reading`` [V], before which ``voltage`` [V] was applied for ``samples`` periods."""
+    held = s.held + samples
+    readings = s.reading + samples * reading
+    voltages = s.voltage + samples * voltage
+    if held < p.block:
+        return State(held, readings, voltages, s.shown)
+    return State(0.0, 0.0, 0.0, _block(p, s.shown, readings / held, voltages / held))
+
+
+def _block(p: Params, s: Shown, reading: float, voltage: float) -> Shown:
+    """State after one more block with means ``reading`` [V] and ``voltage`` [V]."""
+    y1 = s.y1 + p.low_pass * (reading - s.y1)
+    y2 = s.y2 + p.low_pass * (y1 - s.y2)
+    y3 = s.y3 + p.low_pass * (y2 - s.y3)
+    u1 = s.u1 + p.low_pass * (voltage - s.u1)
+    u2 = s.u2 + p.low_pass * (u1 - s.u2)
+    u3 = s.u3 + p.low_pass * (u2 - s.u3)
+    u4 = s.u4 + p.lag * (u3 - s.u4)
+    velocity = (y3 - s.y3) / p.span
+    warm, moved, sums = max(0.0, s.warm - 1.0), s.moved, s.sums
+    against, wrong_side, pulled, usual = s.against, 0.0, 0.0, s.usual
+    span_voltage, span_reading = s.span_voltage, s.span_reading
+    last_voltage, last_reading = s.last_voltage, s.last_reading
+    if s.warm == 0.0:
+        w = ((velocity - s.velocity) / p.span + p.a1 * velocity + p.a0 * y3) / p.b0
+        if abs(velocity) > p.slow:
+            moved += 1.0
+            sums = add(p.keep, sums, u4, y3 + velocity / p.a1, w, math.copysign(1.0, velocity))
+            wrong = wrongness(p, sums)
+            if moved >= LEAST:
+                against = max(0.0, against + p.span * wrong)
+            if moved >= 2.0 * AGREED and wrong < SOUND:
+                present = slope(p, sums)
+                if present > 0.0:
+                    usual += max(SMOOTH, 1.0 / (moved - 2.0 * AGREED + 1.0)) * (present - usual)
+        if abs(u4) > p.disturbance:
+            # A spool that is stuck on that side does not ask for what the voltage is, turned round.
+            if u4 * w < 0.0 and abs(w) > p.excitation and abs(u4 + w) < p.disturbance:
+                wrong_side = s.wrong_side + p.span
+            pulled = math.copysign(p.span, u4) + (s.pulled if s.pulled * u4 > 0.0 else 0.0)
+            if abs(pulled) > p.settled:
+                if last_voltage * u4 < 0.0:
+                    span_voltage, span_reading = u4 - last_voltage, w - last_reading
+                last_voltage, last_reading = u4, w
+    certain = against > p.evidence or wrong_side > p.patience
+    return Shown(
+        y1, y2, y3, velocity, u1, u2, u3, u4, warm, moved, sums, against, wrong_side,
+        1.0 if certain else s.wrong_sign, pulled, span_voltage, span_reading, last_voltage, last_reading,
+        usual,
+    )  # fmt: skip
+
+
+def add(keep: float, m: Sums, u: float, z: float, w: float, s: float) -> Sums:
+    """Sums ``m`` with one more block."""
+    return Sums(
+        keep * m.n + 1.0,
+        keep * m.u + u,
+        keep * m.uu + u * u,
+        keep * m.z + z,
+        keep * m.zz + z * z,
+        keep * m.uz + u * z,
+        keep * m.w + w,
+        keep * m.ww + w * w,
+        keep * m.uw + u * w,
+        keep * m.s + s,
+        keep * m.us + u * s,
+        keep * m.ws + w * s,
+    )
+
+
+def wrongness(p: Params, m: Sums) -> float:
+    """How far both correlations lie below -AGAINST; negative if they do not. 0 for too little motion."""
+    least = m.n * m.n * p.excitation * p.excitation
+    vu = m.n * m.uu - m.u * m.u
+    vz = m.n * m.zz - m.z * m.z
+    vw = m.n * m.ww - m.w * m.w
+    if vu < least or vz < least or vw < least:
+        return 0.0
+    with_z = (m.n * m.uz - m.u * m.z) / math.sqrt(vu * vz)
+    with_w = (m.n * m.uw - m.u * m.w) / math.sqrt(vu * vw)
+    return -AGAINST - max(with_z, with_w)
+
+
+def slope(p: Params, m: Sums) -> float:
+    """Voltage per voltage that the reading asks for, friction and offset taken out; 0.0: too little motion.
+
+    A sound LVDT gives 1 over the valve's gain, in terms of the model's; one of r times its slope 1/r of that.
+    """
+    along, across, spread = m.n * m.uw - m.u * m.w, m.n * m.ww - m.w * m.w, m.n * m.n - m.s * m.s
+    if spread > TURNS * m.n * m.n:
+        us, ws = m.n * m.us - m.u * m.s, m.n * m.ws - m.w * m.s
+        along, across = along - us * ws / spread, across - ws * ws / spread
+    if across < m.n * m.n * p.excitation * p.excitation:
+        return 0.0
+    return along / across
+
+
+def flat(p: Params, s: Shown) -> bool:
+    """Whether the reading stayed where it was while the voltage pulled to one side and then to the other."""
+    free = abs(s.span_voltage) - 2.0 * p.disturbance
+    return free > 0.0 and s.span_reading * math.copysign(1.0, s.span_voltage) < FLAT * free
+
+
+def doubted(d: Doubt, s: State | None, now: float, first: float, longest: float) -> Doubt:
+    """Doubt after one more finding at ``now`` [s]: lasts ``first`` [s], each time twice as long."""
+    usual = d.usual if d.times > 0.0 else 0.0 if s is None else s.shown.usual
+    return Doubt(d.times + 1.0, now + min(longest, first * 2.0 ** min(d.times, 30.0)), usual)
+
+
+def ratio(p: Params, s: Shown, d: Doubt) -> float:
+    """Gain of the LVDT over that before the doubt, as motion since then shows it; 0.0: not known yet."""
+    if s.moved < AGREED:
+        return 0.0
+    present = slope(p, s.sums)
+    if present <= 0.0:
+        return 0.0
+    found = d.usual / present if d.usual > 0.0 else 1.0
+    return found if s.moved >= 2.0 * AGREED or max(found, 1.0 / found) < CLEAR else 0.0
+
+
+def agrees(found: float) -> bool:
+    """Whether a known ``ratio`` is that of a sound LVDT."""
+    return max(found, 1.0 / found) < SAME
+
+
+def finding(p: Params, s: State, d: Doubt) -> tuple[str, Doubt]:
+    """What is wrong with the readings after a block, "": nothing, and what is still held against them."""
+    shown = s.shown
+    if shown.wrong_sign > 0.0:
+        return "wrong sign" if shown.against > 0.0 else "wrong sign or offset", d
+    if flat(p, shown):
+        return "they stay where they are while it is saturated on either side; too flat, or stuck spool", d
+    if d.times > 0.0:
+        found = ratio(p, shown, d)
+        if found > 0.0:
+            return ("", TRUST) if agrees(found) else (f"gain about {found:.1g}", d)
+    return "", d

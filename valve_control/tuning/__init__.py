@@ -1,0 +1,1 @@
+"""Finds the gains of any law for a box of valves: margins of the sampled loop, search, verification."""

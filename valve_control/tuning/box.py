@@ -1,0 +1,55 @@
+"""Draws the valves of a box around a given one: those that are simulated, and those for the margins."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from valve_control.parameter import ParameterError, Values, number
+from valve_control.parameters import build
+from valve_control.plant import valve
+from valve_control.simulation import robustness
+from valve_control.simulation.robustness import Quantity, Settings, Study
+
+SCATTERED = 32  # valves within the box for the margins, besides its corners
+LINEAR = ("gain", "speed", "flow_force", "lvdt.delay")  # quantities on which the margins depend
+
+
+def study_of(settings: Settings, box: Sequence[Quantity], valves: int, seed: int) -> Study:
+    """The valves of ``box`` around that of ``settings``, at its own sample period."""
+    period = number(settings["controller"], "sample_period")
+    return Study(settings, valves, seed, box, (period,))
+
+
+def drawn(study: Study) -> list[valve.Params]:
+    """All valves of ``study``. Raises ParameterError."""
+    points, periods = robustness.draw(study, 0, study.valves)
+    return [
+        build.valve_params(robustness.valve_of(study, i, point, float(period)))
+        for i, (point, period) in enumerate(zip(points, periods, strict=True))
+    ]
+
+
+def bounding(study: Study) -> list[valve.Params]:
+    """Corners of the box, as far as margins depend on it, and SCATTERED within. Raises ParameterError."""
+    middle = np.array([0.5 * (q.low + q.high) for q in study.box])
+    period = study.periods[0]
+    corners = []
+    varied = [i for i, q in enumerate(study.box) if q.name in LINEAR]
+    for ends in itertools.product(*((study.box[i].low, study.box[i].high) for i in varied)):
+        point = middle.copy()
+        point[varied] = ends
+        corners.append(build.valve_params(robustness.valve_of(study, 0, point, period)))
+    return [*corners, *drawn(study._replace(valves=SCATTERED))]
+
+
+def check_reach(plant: Values, wanted: float, name: str) -> None:
+    """Raise ParameterError for a motion to ``wanted`` [V] at which the valve itself would saturate always."""
+    model = build.valve_model(plant)
+    needed = abs(wanted) / abs(model.static_gain) if model.static_gain != 0.0 else np.inf
+    most = number(plant, "u_max")
+    if needed > most:
+        raise ParameterError(
+            f"the command {name} goes to {wanted:g} V, for which the valve needs {needed:.3g} V; u_max is "
+            f"{most:g} V, so that it saturates with any gains"
+        )

@@ -1,0 +1,140 @@
+"""Computes gain, phase and delay margin and the peaks of the sampled loop, for any law on many valves.
+
+The loop is cut at the voltage. Law and valve are linear for small motions around rest
+(parameters/linear_loop.py), and the response of both at z = exp(iωΔT) is that of the samples, exactly: hold,
+dead time and aliasing included.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.laws.law import Law
+from valve_control.parameters import linear_loop
+from valve_control.plant import valve
+
+Array = npt.NDArray[np.float64]
+LOWEST = 0.05  # Hz  of the frequencies looked at; the highest is half the sampling rate
+FREQUENCIES = 500
+EDGE = 1e-9  # by which a pole may lie outside of the unit circle: rounding
+
+
+class Margins(NamedTuple):
+    """What the loop around each of N valves has left until it breaks; unstable: nothing, and peaks inf."""
+
+    radius: Array  # -   largest modulus of the loop's poles
+    gain_db: Array  # dB  by which the valve's gain may rise; inf: without end
+    reduction_db: Array  # dB  by which it may fall; inf: to nothing
+    phase_deg: Array  # deg
+    delay_s: Array  # s   of more dead time
+    sensitivity_db: Array  # dB  peak of 1/(1 + L)
+    response_db: Array  # dB  peak of L/(1 + L)
+
+
+class Box(NamedTuple):
+    """Valves prepared for many laws and gains."""
+
+    valves: linear_loop.LinearValves
+    omega: Array  # F  rad/s
+    z: linear_loop.Complex  # F
+    response: linear_loop.Complex  # N×F
+
+
+def prepared(plants: Sequence[valve.Params]) -> Box:
+    """``plants``, which have one sample period, for ``margins``. Raises ValueError."""
+    periods = {p.period for p in plants}
+    if len(periods) != 1:
+        raise ValueError(f"the valves of a box have one sample period, not {len(periods)}")
+    omega = _omega(periods.pop())
+    valves = linear_loop.linear_valves(plants)
+    z = np.exp(1j * omega * plants[0].period)
+    z[-1] = -1.0
+    return Box(valves, omega, z, linear_loop.valve_response(valves, z))
+
+
+@cache
+def _omega(period: float) -> Array:
+    return np.geomspace(2.0 * np.pi * LOWEST, np.pi / period, FREQUENCIES)
+
+
+def margins(law: Law, params: Any, box: Box) -> Margins:
+    """Margins of ``law`` with ``params`` around each valve of ``box``."""
+    linear = linear_loop.linear_law(law, params)
+    radius = np.abs(linear_loop.dominant_poles(linear, box.valves))
+    loop = -linear_loop.law_response(linear, box.z) * box.response
+    gain, reduction = _gain_margins(loop)
+    phase, delay = _phase_margins(loop, box.omega)
+    with np.errstate(divide="ignore"):
+        sensitivity = -20.0 * np.log10(np.min(np.abs(1.0 + loop), axis=1))
+        response = 20.0 * np.log10(np.max(np.abs(loop / (1.0 + loop)), axis=1))
+    found = Margins(radius, gain, reduction, phase, delay, sensitivity, response)
+    return _without_unstable(found)
+
+
+def worst(found: Margins) -> Margins:
+    """The least of each margin and the largest of each peak over the valves, as arrays of one entry."""
+    highest = ("radius", "sensitivity_db", "response_db")
+    return Margins._make(
+        np.array([np.max(values) if name in highest else np.min(values)])
+        for name, values in found._asdict().items()
+    )
+
+
+def as_dict(found: Margins, i: int = 0) -> dict[str, float | None]:
+    """Margins of valve ``i`` for JSON; without end: None."""
+    row = {name: float(values[i]) for name, values in found._asdict().items()}
+    return {name: value if np.isfinite(value) else None for name, value in row.items()}
+
+
+def _without_unstable(found: Margins) -> Margins:
+    stable = found.radius < 1.0 + EDGE
+    peaks = {
+        name: np.where(stable, getattr(found, name), np.inf) for name in ("sensitivity_db", "response_db")
+    }
+    left = {
+        name: np.where(stable, getattr(found, name), 0.0)
+        for name in ("gain_db", "reduction_db", "phase_deg", "delay_s")
+    }
+    return found._replace(**peaks, **left)
+
+
+def _gain_margins(loop: linear_loop.Complex) -> tuple[Array, Array]:
+    """Gain margins [dB] upwards and downwards: where the response crosses the negative real axis."""
+    real, imaginary = loop.real, loop.imag
+    crossing = (imaginary[:, :-1] * imaginary[:, 1:]) < 0.0
+    share = np.divide(
+        imaginary[:, :-1],
+        imaginary[:, :-1] - imaginary[:, 1:],
+        out=np.zeros_like(imaginary[:, 1:]),
+        where=crossing,
+    )
+    at = real[:, :-1] + share * (real[:, 1:] - real[:, :-1])
+    at = np.concatenate([np.where(crossing, at, 0.0), real[:, -1:]], axis=1)  # real at half the sampling rate
+    with np.errstate(divide="ignore"):
+        decibel = np.where(at < 0.0, -20.0 * np.log10(np.abs(at)), np.nan)
+    return (
+        np.min(np.where(decibel >= 0.0, decibel, np.inf), axis=1),
+        np.min(np.where(decibel < 0.0, -decibel, np.inf), axis=1),
+    )
+
+
+def _phase_margins(loop: linear_loop.Complex, omega: Array) -> tuple[Array, Array]:
+    """Phase margin [deg] and delay margin [s]: where the response crosses the unit circle."""
+    with np.errstate(divide="ignore"):
+        size = np.maximum(np.log(np.abs(loop)), -700.0)
+    crossing = (size[:, :-1] * size[:, 1:]) < 0.0
+    share = np.divide(
+        size[:, :-1], size[:, :-1] - size[:, 1:], out=np.zeros_like(size[:, 1:]), where=crossing
+    )
+    turn = np.angle(loop[:, 1:] / np.where(loop[:, :-1] == 0.0, 1.0, loop[:, :-1]))
+    angle = np.angle(-loop[:, :-1]) + share * turn  # from the critical point
+    frequency = omega[:-1] * (omega[1:] / omega[:-1]) ** share
+    away = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
+    lag = angle % (2.0 * np.pi)
+    return (
+        np.degrees(np.min(np.where(crossing, away, np.inf), axis=1)),
+        np.min(np.where(crossing, lag / frequency, np.inf), axis=1),
+    )

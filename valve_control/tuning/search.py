@@ -1,0 +1,194 @@
+"""Searches the gains of a law: CMA-ES (pycma) at a few limits of the chatter, which together make a front.
+
+Error and chatter of every set of gains that was tried are kept; those that no other one beats in both are the
+front. Each run of CMA-ES makes the error small under one limit of the chatter and begins at the best set that
+is known for it. Margins cost far less than runs and come first: a set that misses them is not simulated. A
+search is repeatable by its seed, whatever the number of threads.
+"""
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.stats
+
+from valve_control.laws.free import present
+from valve_control.laws.law import Law
+from valve_control.parameter import ParameterError
+from valve_control.tuning import margins, trial
+from valve_control.tuning.trial import AHEAD, Gains, Outcome, Problem
+
+Array = npt.NDArray[np.float64]
+Told = Callable[[int], None]  # sets of gains tried so far
+POPULATION = 12
+SCATTERED = 36  # sets of gains all over the ranges at the beginning
+FIRST_STEP, LATER_STEP = 0.15, 0.08  # of the ranges
+BACK_OFF = 0.9  # share of the limit of saturation, and 1/share of those of the margins, that the search keeps
+QUIETER = 0.96  # share of the limit of the chatter that it keeps
+PRICE = 6.0  # logarithm of the error for one of the chatter beyond its limit
+MISSED = 20.0  # cost of margins that are missed, before what they are missed by
+NOT_RUN = 100.0  # cost of gains that are none
+FRONT_LIMITS = (0.4, 0.2, 0.1, 0.05)  # of the chatter, where none is asked for
+
+
+class Point(NamedTuple):
+    """One set of gains that keeps the margins, and what it reached in the search."""
+
+    shares: tuple[float, ...]  # of the ranges
+    gains: Gains
+    error: float  # V
+    chatter: float
+    saturated: float
+
+
+class Phase(NamedTuple):
+    """One run of the search."""
+
+    chatter: float  # limit
+    share: float  # of the budget
+
+
+class Found(NamedTuple):
+    """Result of a search."""
+
+    points: list[Point]  # all that keep the margins and stayed finite
+    tried: int
+    missed: int  # of them, the margins
+
+
+def phases(chatter: float | None) -> list[Phase]:
+    """Runs of a search, where ``chatter`` is the limit that is asked for, or None."""
+    if chatter is None:
+        return [Phase(limit, 1.0 / len(FRONT_LIMITS)) for limit in FRONT_LIMITS]
+    return [Phase(chatter, 0.45), Phase(0.5 * chatter, 0.1), Phase(2.0 * chatter, 0.1), Phase(chatter, 0.35)]
+
+
+def cost(point: Point, chatter: float, saturated: float) -> float:
+    """What a run of the search makes small, under limits of ``chatter`` and ``saturated``."""
+    if not math.isfinite(point.error) or point.error <= 0.0:
+        return NOT_RUN
+    beyond = max(0.0, math.log(max(point.chatter, 1e-9) / (QUIETER * chatter)))
+    return math.log(point.error) + PRICE * (beyond + max(0.0, point.saturated - BACK_OFF * saturated))
+
+
+def search(
+    law: Law,
+    problem: Problem,
+    plan: Sequence[Phase],
+    budget: int,
+    seed: int,
+    told: Told,
+    threads: int | None = None,
+) -> Found:
+    """Try ``budget`` sets of gains of ``law``. Raises ParameterError for a law that has none to choose."""
+    import cma
+
+    free = trial.free_numbers(law, problem.values, problem.preview)
+    if not free:
+        raise ParameterError(f"{law.name} has no gains to choose; there is nothing to tune")
+    box = margins.prepared(problem.box)
+    points: list[Point] = []
+    tried = missed = 0
+
+    def judged(several: Sequence[Array], chatter: float) -> list[float]:
+        """Costs of sets of gains under a limit of the chatter."""
+        nonlocal tried, missed
+        costs = np.full(len(several), NOT_RUN)
+        kept: list[tuple[int, tuple[float, ...], Gains]] = []
+        for i, shares in enumerate(several):
+            inside = tuple(float(v) for v in np.clip(shares, 0.0, 1.0))
+            gains = trial.gains_at(free, problem.values, inside)
+            try:
+                params = law.build(trial.values_with(problem, gains))
+                missing = trial.violation(problem.limits, margins.margins(law, params, box), 1.0 / BACK_OFF)
+            except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
+                continue
+            if missing > 0.0:
+                costs[i] = MISSED + missing
+                missed += 1
+            else:
+                kept.append((i, inside, gains))
+        if kept:
+            outcomes = trial.run(law, problem, [gains for _, _, gains in kept], threads)
+            for (i, inside, gains), outcome in zip(kept, outcomes, strict=True):
+                point = _point(problem, inside, gains, outcome)
+                costs[i] = cost(point, chatter, problem.limits.saturated)
+                if math.isfinite(point.error):
+                    points.append(point)
+        tried += len(several)
+        told(min(tried, budget))
+        outside = [float(np.sum((s - np.clip(s, 0.0, 1.0)) ** 2)) for s in several]
+        return [float(c) + o for c, o in zip(costs, outside, strict=True)]
+
+    n = len(free)
+    begin = np.array([0.5 if f is AHEAD else f.to_share(present(f, problem.values)) for f in free])
+    sobol = scipy.stats.qmc.Sobol(n, rng=np.random.default_rng(seed))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a number of points that is no power of two
+        scattered = [begin, *sobol.random(min(SCATTERED, max(1, budget // 10)))]
+    first = judged(scattered, plan[0].chatter)
+    fallback = scattered[int(np.argmin(first))]
+    if n == 1:  # no covariance to adapt
+        judged(list(np.linspace(0.0, 1.0, max(2, budget - tried))[:, None]), plan[0].chatter)
+    until = float(tried)
+    left = max(0, budget - tried)
+    for number, phase in enumerate(plan):
+        until += phase.share * left
+        restart = 0
+        while tried < round(until):
+            options = {
+                "seed": seed + 100 * number + restart + 1,
+                "popsize": POPULATION,
+                "verbose": -9,
+                "tolfun": 1e-4,
+                "tolfunhist": 1e-4,
+                "tolflatfitness": 20,
+            }
+            best = min(points, key=lambda p: cost(p, phase.chatter, problem.limits.saturated), default=None)
+            start = fallback if best is None else np.array(best.shares)
+            step = FIRST_STEP if best is None or number + restart == 0 else LATER_STEP
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                strategy = cma.CMAEvolutionStrategy(start, step, options)
+                while tried < round(until) and not strategy.stop():
+                    asked = strategy.ask()
+                    strategy.tell(asked, judged(asked, phase.chatter))
+            if best is None:
+                fallback = np.clip(strategy.result.xbest, 0.0, 1.0)
+            restart += 1
+    return Found(points, tried, missed)
+
+
+def _point(problem: Problem, shares: tuple[float, ...], gains: Gains, outcome: Outcome) -> Point:
+    return Point(
+        shares,
+        gains,
+        trial.error_of(problem, outcome),
+        outcome.chatter,
+        float(np.mean(outcome.saturated)),
+    )
+
+
+def front(points: Sequence[Point]) -> list[Point]:
+    """The points that no other one beats in error and chatter, by falling chatter."""
+    kept: list[Point] = []
+    least = math.inf
+    for point in sorted(points, key=lambda p: (p.chatter, p.error)):
+        if point.error < least:
+            kept.append(point)
+            least = point.error
+    return kept[::-1]
+
+
+def knee(kept: Sequence[Point]) -> Point:
+    """The point of a front that lies farthest below the line between its ends, both scales logarithmic."""
+    x = np.log([p.chatter for p in kept])
+    y = np.log([p.error for p in kept])
+    if len(kept) < 3:
+        return kept[int(np.argmin(x + y))]
+    spans = np.ptp(x), np.ptp(y)
+    away = (x - x.min()) / spans[0] + (y - y.min()) / spans[1]
+    return kept[int(np.argmin(away))]

@@ -1,0 +1,188 @@
+"""Tries sets of gains of a law: margins over a box of valves, and runs of many valves on several commands."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.compiling import compile_function
+from valve_control.laws import command_lead, reshaping
+from valve_control.laws.free import Free, placed
+from valve_control.laws.law import Law
+from valve_control.parameter import Value, Values, number, updated
+from valve_control.parameters.table import CONTROLLER
+from valve_control.plant import valve
+from valve_control.simulation import batch, comparison
+from valve_control.tuning import margins
+
+Array = npt.NDArray[np.float64]
+AHEAD = Free("preview", 0.0, 0.03, logarithmic=False)  # s  by which a known motion is sent ahead, unreshaped
+TAIL = 95  # %
+
+
+class Motion(NamedTuple):
+    """One wanted motion of the spool, which the upper level commands."""
+
+    name: str
+    wanted: Array  # V  one entry a sample
+
+
+class Limits(NamedTuple):
+    """What has to hold on every valve of the box, but for ``saturated``, which is a mean."""
+
+    gain_db: float
+    phase_deg: float
+    delay_s: float
+    sensitivity_db: float  # at most
+    saturated: float  # at most; share of the samples at the limit of the voltage
+
+
+class Problem(NamedTuple):
+    """What gains are tried on."""
+
+    values: Values  # the controller's; what is not chosen stays
+    motions: Sequence[Motion]
+    plants: Sequence[valve.Params]  # that are simulated
+    box: Sequence[valve.Params]  # around which the margins have to hold
+    limits: Limits
+    preview: bool  # whether the motions are known ahead, so that reshaping causes no lag
+    largest: bool  # whether the error is the largest of a run, instead of its rms
+    seed: int  # of the noise
+
+
+class Gains(NamedTuple):
+    """One set of gains."""
+
+    changes: Mapping[str, Value]  # of the controller's values
+    ahead: float  # s  see AHEAD
+
+
+class Outcome(NamedTuple):
+    """One set of gains on N valves and M motions: arrays M×N; NaN where a run did not stay finite."""
+
+    e_rms: Array  # V  of the true position
+    e_max: Array  # V  likewise
+    c_u: Array  # -  chatter
+    saturated: Array  # -  share of the samples
+
+    @property
+    def chatter(self) -> float:
+        """Mean of c_u."""
+        return float(np.mean(self.c_u))
+
+
+def typical(errors: Array) -> float:
+    """One number [V] for errors M×N: geometric mean over M of that of median and 95th percentile over N.
+
+    Infinite if one of them is not finite.
+    """
+    if not np.all(np.isfinite(errors)):
+        return math.inf
+    with np.errstate(divide="ignore"):
+        return float(np.exp(np.mean(np.log(np.percentile(errors, [50, TAIL], axis=1)))))
+
+
+def error_of(problem: Problem, outcome: Outcome) -> float:
+    """The error [V] that the search makes small."""
+    return typical(outcome.e_max if problem.largest else outcome.e_rms)
+
+
+def free_numbers(law: Law, values: Values, preview: bool) -> tuple[Free, ...]:
+    """The numbers that may be chosen with these ``values`` of the controller.
+
+    A motion that is known ahead needs no lead, and the frequency of the reshaping then has no effect.
+    """
+    own = tuple(free for free in law.free if free.matters(values))
+    if not own:
+        return ()
+    reshapes = law.reshapes(law.build(values))
+    if preview:
+        return own if reshapes else (*own, AHEAD)
+    return (*own, reshaping.FREQUENCY, reshaping.LEAD) if reshapes else (*own, reshaping.LEAD)
+
+
+def gains_at(free: Sequence[Free], values: Values, shares: Sequence[float]) -> Gains:
+    """Gains at the point ``shares`` of the unit cube."""
+    chosen = [(f, f.from_share(share)) for f, share in zip(free, shares, strict=True)]
+    ahead = next((value for f, value in chosen if f is AHEAD), 0.0)
+    return Gains(placed([(f, value) for f, value in chosen if f is not AHEAD], values), ahead)
+
+
+def values_with(problem: Problem, gains: Gains) -> Values:
+    """The controller's values with ``gains``. Raises ParameterError."""
+    return updated(CONTROLLER, problem.values, gains.changes)
+
+
+def given(law: Law, params: Any, values: Values, gains: Gains, problem: Problem, wanted: Array) -> Array:
+    """Commands [V] as the law gets them for the motion ``wanted`` [V]."""
+    limit = number(values, "command_limit")
+    if not problem.preview:
+        lead = command_lead.build(values)
+        clipped = np.clip(wanted, -limit, limit)
+        if lead is None:
+            return clipped
+        made = np.empty_like(clipped)
+        compile_function(command_lead.fill)(lead, clipped, made)
+        return made
+    if law.reshapes(params):
+        after = wanted[-1] + (wanted[-1] - wanted[-2]) * np.arange(1, 3)  # goes on straight at its end
+        return comparison.unreshaped(params.reshaping, np.concatenate([wanted, after]))
+    steps = np.arange(len(wanted), dtype=np.float64)
+    return np.interp(steps + gains.ahead / number(values, "sample_period"), steps, wanted)
+
+
+def run(law: Law, problem: Problem, several: Sequence[Gains], threads: int | None = None) -> list[Outcome]:
+    """Simulate all plants of ``problem`` with each of ``several`` gains, on all motions.
+
+    All sets go through the compiled loop together, and the result does not depend on the number of
+    threads. Valve i has noise seed ``problem.seed`` + i, and another one on each motion.
+    """
+    count = len(problem.plants)
+    plants = np.tile(batch.records(list(problem.plants)), len(several))
+    values = [values_with(problem, gains) for gains in several]
+    params = [law.build(v) for v in values]
+    laws = np.repeat(batch.records(params), count)
+    found = []
+    for i, motion in enumerate(problem.motions):
+        led = [
+            given(law, p, v, gains, problem, motion.wanted)
+            for p, v, gains in zip(params, values, several, strict=True)
+        ]
+        seeds = np.tile(problem.seed + 1000 * i + np.arange(count), len(several))
+        result = batch.simulate(
+            batch.Batch(
+                law.name,
+                laws,
+                plants,
+                seeds,
+                np.broadcast_to(motion.wanted, (len(seeds), len(motion.wanted))),
+                led=np.repeat(np.array(led), count, axis=0),
+            ),
+            threads,
+        )
+        rows = (result.true_e_rms, result.true_e_M, result.c_u, result.saturated)
+        found.append([row.reshape(len(several), count) for row in rows])
+    return [
+        Outcome(*(np.array([rows[k][j] for rows in found]) for k in range(4))) for j in range(len(several))
+    ]
+
+
+def violation(limits: Limits, found: margins.Margins, share: float = 1.0) -> float:
+    """By how much the worst valve misses the ``limits``, times ``share`` the margins; 0.0: they hold.
+
+    Sum of what is missing of each as a part of it; an unstable loop misses more than any stable one.
+    """
+    unstable = float(np.max(found.radius)) - 1.0
+    if unstable >= margins.EDGE:
+        return 10.0 + 100.0 * unstable
+    missing = 0.0
+    for name in ("gain_db", "phase_deg", "delay_s"):
+        wanted = getattr(limits, name) * share
+        if wanted > 0.0:
+            missing += max(0.0, 1.0 - float(np.min(getattr(found, name))) / wanted)
+            if name == "gain_db":
+                missing += max(0.0, 1.0 - float(np.min(found.reduction_db)) / wanted)
+    most = limits.sensitivity_db / share
+    return missing + max(0.0, float(np.max(found.sensitivity_db)) / most - 1.0)

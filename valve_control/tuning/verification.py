@@ -1,0 +1,183 @@
+"""Verifies gains on valves, noise and motions that the search did not see, before they are accepted."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.analysis.limit_cycle import limit_cycle
+from valve_control.laws.law import Law
+from valve_control.parameter import number
+from valve_control.plant import valve
+from valve_control.simulation import batch
+from valve_control.tuning import margins, trial
+from valve_control.tuning.trial import Gains, Motion, Outcome, Problem
+
+Array = npt.NDArray[np.float64]
+SLOWER = 1.1  # times as long: a motion of the search, turned over, as one that it did not see
+STEPS_NAME = "steps"
+STEPS = (0.3, -1.0)  # V  with which a loop is tried; each is held for HELD
+HELD = 1.0  # s
+RESTING = 0.5  # s  at the end of each step, in which the loop has to rest
+REST = 0.05  # V  amplitude about a straight line from which on it does not: noise stays far below
+TURNS = 4  # crossings of that line; what creeps has two
+CHUNK = 512  # valves whose signals are kept at a time
+SLACK = 1.05  # times the limit of the chatter, which valves that were not seen may have
+
+
+class Verified(NamedTuple):
+    """What gains reach on valves that the search did not see."""
+
+    seen: Outcome  # on the motions of the search
+    unseen: Outcome  # on others
+    margins: margins.Margins  # of each valve
+    cycling: npt.NDArray[np.int64]  # numbers of valves on which steps or motions end in a limit cycle
+    reasons: list[str]  # why the gains are not accepted, as sentences; []: they are
+
+
+def other_motions(motions: Sequence[Motion]) -> list[Motion]:
+    """The ``motions`` turned over and slower: others of the same size that the valve can follow as well."""
+    made = []
+    for motion in motions:
+        n = len(motion.wanted)
+        times = np.arange(round(n * SLOWER)) / SLOWER
+        slower = -np.interp(times, np.arange(n), motion.wanted)
+        made.append(Motion(f"{motion.name}, turned over and slower", slower))
+    return made
+
+
+def steps(period: float) -> Motion:
+    """Steps of STEPS from 0 V, each held for HELD."""
+    n = round(HELD / period)
+    return Motion(STEPS_NAME, np.concatenate([np.zeros(n // 10), *(np.full(n, height) for height in STEPS)]))
+
+
+def cycling(
+    law: Law, problem: Problem, gains: Gains, plants: Sequence[valve.Params], threads: int | None = None
+) -> npt.NDArray[np.int64]:
+    """Numbers of the ``plants`` on which the loop ends in a limit cycle, after steps or after a motion.
+
+    Each step, and the end of each motion, is held for HELD; in the last RESTING of it the spool has to rest,
+    and the voltage must not show what a controller node reports as an oscillation. While a command moves,
+    friction answers it with harmonics, which are no limit cycle. A run that does not stay finite counts.
+    """
+    values = trial.values_with(problem, gains)
+    params = law.build(values)
+    period, least = params.period, number(values, "oscillation_limit")
+    bare = problem._replace(preview=False)  # nobody sends the derivatives of a step
+    held = round(HELD / period)
+    tried = [(steps(period), bare)]
+    for motion in problem.motions:
+        still = np.full(held, motion.wanted[-1])
+        tried.append((motion._replace(wanted=np.concatenate([motion.wanted, still])), problem))
+    found: set[int] = set()
+    for motion, sender in tried:
+        led = trial.given(law, params, values, gains, sender, motion.wanted)
+        ends = [len(led), len(led) - held] if motion.name == STEPS_NAME else [len(led)]
+        for first in range(0, len(plants), CHUNK):
+            some = plants[first : first + CHUNK]
+            traces = np.empty((len(some), len(led), 3))
+            seeds = problem.seed + first + np.arange(len(some))
+            batch.simulate(
+                batch.Batch(law.name, params, batch.records(list(some)), seeds, motion.wanted, led=led),
+                threads,
+                traces,
+            )
+            for i, trace in enumerate(traces):
+                if any(_restless(trace[end - held : end], period, least) for end in ends):
+                    found.add(first + i)
+    return np.array(sorted(found), dtype=np.int64)
+
+
+def _restless(trace: Array, period: float, least: float) -> bool:
+    """Whether the loop still swings at the end of a ``trace`` (n×3) at one command, or is not finite."""
+    if not np.all(np.isfinite(trace)):
+        return True
+    last = round(RESTING / period)
+    position, voltage = trace[-last:, 0], trace[:, 2]
+    times = np.linspace(-1.0, 1.0, last)
+    swing = position - np.mean(position)
+    swing = swing - times * (times @ swing) / (times @ times)
+    crossings = np.count_nonzero(np.diff(np.signbit(swing)))
+    if float(np.ptp(swing)) > 2.0 * REST and crossings >= TURNS:
+        return True
+    cycle = limit_cycle(voltage, np.zeros(len(voltage)), period, least)
+    return cycle is not None and cycle.end > HELD - RESTING
+
+
+def verified(
+    law: Law,
+    problem: Problem,
+    gains: Gains,
+    chatter: float | None,
+    threads: int | None = None,
+) -> Verified:
+    """Try ``gains`` on ``problem``, whose valves and seed are others than those of the search.
+
+    ``chatter``: the limit that was asked for, None: none.
+    """
+    params = law.build(trial.values_with(problem, gains))
+    found = margins.margins(law, params, margins.prepared([*problem.box, *problem.plants]))
+    seen = trial.run(law, problem, [gains], threads)[0]
+    others = problem._replace(motions=other_motions(problem.motions), seed=problem.seed + 500_000)
+    unseen = trial.run(law, others, [gains], threads)[0]
+    cycles = cycling(law, others, gains, problem.plants, threads)
+    reasons = [*_margins_missed(problem.limits, margins.as_dict(margins.worst(found)))]
+    if not np.all(np.isfinite(seen.e_rms)) or not np.all(np.isfinite(unseen.e_rms)):
+        reasons.append("a run does not stay finite")
+    if len(cycles):
+        reasons.append(f"{len(cycles)} of {len(problem.plants)} valves end in a limit cycle")
+    for outcome, what in ((seen, "the commands"), (unseen, "commands that were not seen")):
+        share = float(np.mean(outcome.saturated))
+        if share > problem.limits.saturated:
+            reasons.append(f"on {what} the amplifier saturates in {100.0 * share:.2g} % of the samples")
+    if chatter is not None and not seen.chatter <= SLACK * chatter:
+        reasons.append(f"c_u is {seen.chatter:.3f} on valves that were not seen, above {chatter:g}")
+    return Verified(seen, unseen, found, cycles, reasons)
+
+
+def _margins_missed(limits: trial.Limits, worst: dict[str, float | None]) -> list[str]:
+    if (worst["radius"] or 0.0) >= 1.0 + margins.EDGE:
+        return [f"a valve of the box makes the loop unstable (largest pole {worst['radius']:.4f})"]
+    texts = {
+        "gain_db": ("gain margin", "dB", 1.0, limits.gain_db),
+        "reduction_db": ("gain margin downwards", "dB", 1.0, limits.gain_db),
+        "phase_deg": ("phase margin", "deg", 1.0, limits.phase_deg),
+        "delay_s": ("delay margin", "ms", 1e3, limits.delay_s),
+    }
+    reasons = []
+    for name, (text, unit, scale, limit) in texts.items():
+        value = worst[name]
+        if value is not None and value < limit:
+            reasons.append(
+                f"the {text} falls to {scale * value:.3g} {unit} in the box, below {scale * limit:g} {unit}"
+            )
+    peak = worst["sensitivity_db"]
+    if peak is None or peak > limits.sensitivity_db:
+        shown = "without end" if peak is None else f"{peak:.3g} dB"
+        reasons.append(f"the sensitivity peaks at {shown}, above {limits.sensitivity_db:g} dB")
+    return reasons
+
+
+def as_dict(v: Verified) -> dict[str, Any]:
+    """For JSON: errors [V], geometric mean of the motions at median and 95th percentile of the valves."""
+
+    def percentiles(errors: Array) -> dict[str, float | None]:
+        if not np.all(np.isfinite(errors)):
+            return {"median": None, "p95": None}
+        middle, tail = np.exp(np.mean(np.log(np.percentile(errors, [50, trial.TAIL], axis=1)), axis=1))
+        return {"median": float(middle), "p95": float(tail)}
+
+    return {
+        "e_rms": percentiles(v.seen.e_rms),
+        "e_max": percentiles(v.seen.e_max),
+        "c_u": v.seen.chatter if np.isfinite(v.seen.chatter) else None,
+        "saturated": float(np.mean(v.seen.saturated)),
+        "unseen_commands": {
+            "e_rms": percentiles(v.unseen.e_rms),
+            "c_u": v.unseen.chatter if np.isfinite(v.unseen.chatter) else None,
+        },
+        "valves": v.seen.e_rms.shape[1],
+        "limit_cycles": len(v.cycling),
+    }
