@@ -58,7 +58,11 @@ def stop(child):
 
 
 def file_messages(path):
-    """(topic, log time, sequence, data) of each message of one file."""
+    """(topic, log time, sequence, data) of each message of one file.
+
+    A kill in the middle of a transaction of SQLite can leave messages whose sequence numbers were not yet
+    written. They are recovered; their sequence is None.
+    """
     if path.suffix == ".mcap":
         with path.open("rb") as stream:
             return [
@@ -68,7 +72,7 @@ def file_messages(path):
     with sqlite3.connect(f"file:{path}?immutable=1", uri=True) as database:
         return database.execute(
             "SELECT name, timestamp, sequence, data FROM messages JOIN topics ON topic_id = topics.id"
-            " JOIN valve_control_times ON message_id = messages.id ORDER BY timestamp"
+            " LEFT JOIN valve_control_times ON message_id = messages.id ORDER BY messages.id"
         ).fetchall()
 
 
@@ -81,7 +85,8 @@ def by_topic(folder):
 
 
 def gaps(messages):
-    numbers = [number for _, number, _ in messages]
+    numbers = list(itertools.takewhile(lambda number: number is not None, (m[1] for m in messages)))
+    assert all(number is None for _, number, _ in messages[len(numbers) :])  # only the last transaction
     return sum(b - a - 1 for a, b in zip(numbers, numbers[1:], strict=False))
 
 
