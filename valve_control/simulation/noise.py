@@ -5,6 +5,7 @@ with it, and as long as it does so no other thread runs. Kept in a structure the
 anew with the seed of the next valve.
 """
 
+import functools
 import threading
 from typing import Any
 
@@ -44,6 +45,12 @@ def fill(generators: Any, noise: Array) -> None:
             noise[j, i] = generator.standard_normal()
 
 
+@functools.lru_cache(maxsize=10_000)  # a search runs the same valves, with the same seeds, again and again
+def _beginning(seed: int) -> Any:
+    """State of numpy's generator ``default_rng(seed)`` before its first number."""
+    return np.random.PCG64(seed).state
+
+
 def seeded(seeds: npt.NDArray[np.int64]) -> Any:
     """Generators of this thread, each begun anew as ``default_rng(seed)``, to be given to ``fill``."""
     if not hasattr(_of_thread, "made"):
@@ -51,5 +58,5 @@ def seeded(seeds: npt.NDArray[np.int64]) -> Any:
         _of_thread.made = each, Generators(each)
     each, taken_in = _of_thread.made
     for generator, seed in zip(each, seeds, strict=True):
-        generator.bit_generator.state = np.random.PCG64(int(seed)).state
+        generator.bit_generator.state = _beginning(int(seed))
     return taken_in
