@@ -215,3 +215,7 @@ def test_an_option_that_does_not_exist_names_the_nearest(run):
         run("simulate", "--duraton", "3"), "valve-control simulate", "--duraton 3", "did you mean --duration?"
     )
     refused(run("simulate", "-q"), "-q (see valve-control simulate --help)")
+
+
+def test_a_run_that_the_machine_cannot_hold(run):
+    refused(run("simulate", "--duration", "1e6"), "samples takes", "GB of memory", "shorten the duration")

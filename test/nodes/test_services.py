@@ -152,6 +152,8 @@ def test_parameters_that_do_not_exist_are_named(ros, tmp_path):
             ["--ros-args", "--params-file", "boom.yaml"],
             ["nothing for /controller", "/boom/controller"],
         ),
+        ("valve_simulator", ["--ros-args", "--params-file", "gone.yaml"], ["gone.yaml cannot be read"]),
+        ("controller", ["--ros-args", "--params-file", "."], ["cannot be read", "folder"]),
         ("recorder", ["--ros-args", "-p", "compresion:=zstd"], ["'compresion'; did you mean 'compression'?"]),
         ("command_source", ["scenario:=sine"], ["--ros-args -p"]),
         (

@@ -177,3 +177,15 @@ def test_noise_that_would_begin_before_the_first_reading_is_refused():
     values = [defaults(NODES[node]) for node in ("controller", "valve_simulator")]
     with pytest.raises(ParameterError, match="noise_start is -1"):
         offline.simulate(*values, np.zeros(10), noise_start=-1)
+
+
+@pytest.mark.parametrize("controller", LAWS)
+def test_a_run_in_pieces_has_the_bits_of_one(simulate, monkeypatch, controller):
+    command = trajectory()[:2500]
+    whole = simulate(controller, command, valve=REAL)
+    monkeypatch.setattr(offline, "PIECE", 700)
+    pieces = simulate(controller, command, valve=REAL)
+    for name in ("position", "measurement", "voltage"):
+        assert np.array_equal(getattr(whole, name), getattr(pieces, name))
+    assert all(np.array_equal(whole.terms[name], pieces.terms[name]) for name in whole.terms)
+    assert whole.theta == pieces.theta

@@ -12,7 +12,7 @@ from valve_control import outputs
 from valve_control.analysis.tables import HEADER, index_row
 from valve_control.cli import tuned
 from valve_control.cli.common import Parser, check_outputs, say, tell_notes, write_json
-from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
+from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
 from valve_control.parameters.axis import AXIS_NODES
 from valve_control.parameters.table import NODES
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 CONTROLLERS = lookup(NODES["controller"], "controller").choices
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
 SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
+LONG = 5_000_000  # samples from which on a run shows its progress
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
 
@@ -126,9 +127,11 @@ def settings_of(arguments: argparse.Namespace) -> dict[str, Values]:
 def _command(arguments: argparse.Namespace, values: Values) -> Any:
     from valve_control.commands import arrays
     from valve_control.parameters import build
+    from valve_control.simulation import offline
 
     if values["scenario"] == "array" and arguments.duration is None:
         return arrays.read(str(values["command_file"]))
+    offline.check_memory(number(values, "duration") / number(values, "sample_period"))
     return build.commands(values)
 
 
@@ -166,7 +169,12 @@ def _simulate(arguments: argparse.Namespace) -> None:
     check_outputs(arguments, [arguments.csv, arguments.npz], [arguments.figure])
     settings = settings_of(arguments)
     command = _command(arguments, settings["command_source"])
-    run = offline.simulate(settings["controller"], settings["valve_simulator"], command)
+    from tqdm import tqdm
+
+    with tqdm(total=len(command), unit=" samples", disable=len(command) < LONG, ascii=True) as bar:
+        run = offline.simulate(
+            settings["controller"], settings["valve_simulator"], command, told=lambda done: bar.update(done)
+        )
     if run.warning:
         print(f"warning: {run.warning}", file=sys.stderr)
     if arguments.json != "-":

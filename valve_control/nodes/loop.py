@@ -23,7 +23,7 @@ from valve_control.nodes.adapter import PolledSubscription
 from valve_control.nodes.rclpy_internals import WaitSet
 from valve_control.nodes.services import Reception
 from valve_control.parameter import ParameterError
-from valve_control.parameters.arguments import help_text, refuse_stray
+from valve_control.parameters.arguments import help_text, refuse_stray, refuse_unreadable
 
 CHORES = 0.05  # s between two looks at a node's timers beside samples ...
 IDLE_CHORES = 0.01  # s  ... and while there are none; at most twice that
@@ -85,6 +85,7 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
         return 0
     try:
         refuse_stray(sys.argv[1:])
+        refuse_unreadable(sys.argv[1:])
     except ParameterError as error:
         print(f"{node}: {error}", file=sys.stderr)
         return 2

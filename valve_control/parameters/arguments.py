@@ -80,6 +80,12 @@ def refuse_stray(arguments: Sequence[str]) -> None:
     raise ParameterError(f"'{text}' is without effect; a node takes nothing but what follows --ros-args")
 
 
+def refuse_unreadable(arguments: Sequence[str]) -> None:
+    """Raise ParameterError for a parameter file that cannot be read, before rcl says so in its own words."""
+    for path in given(arguments).paths:
+        files.sections(path)
+
+
 def check(arguments: Sequence[str], nodes: Mapping[str, Table]) -> list[str]:
     """Check a command line for the nodes of a process; ``nodes``: parameter tables by full name.
 

@@ -1,5 +1,7 @@
 """Simulates one whole run offline: law, valve and command as in the nodes, without middleware."""
 
+import os
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +23,7 @@ Array = npt.NDArray[np.float64]
 PROBES = (0.3, 1.0)  # V  steps with which a valve is tried
 PROBE = 1.0  # s  length of a trial, and how long a limit cycle has to be there at its end
 PROBE_END = 0.2  # s
+PIECE = 1_000_000  # samples between two words about progress
 
 
 class Run(NamedTuple):
@@ -62,10 +65,12 @@ def simulate(
     command: Array,
     compiled: bool = True,
     noise_start: int = 0,
+    told: Callable[[int], None] | None = None,
 ) -> Run:
     """Simulate the loop over ``command`` [V], one entry per sample. Raises ParameterError.
 
     ``noise_start``: how many LVDT readings the simulator had already made when the controller joined.
+    ``told`` is called with the number of samples done since its last call.
     """
     check_agreement(controller_values, valve_values)
     if noise_start < 0:
@@ -78,25 +83,32 @@ def simulate(
     command = np.clip(np.ascontiguousarray(command, dtype=np.float64), -limit, limit)
     period = valve_params.period
     n = len(command)
+    labels = law.term_labels
+    check_memory(noise_start + n, len(labels))
     random = np.random.default_rng(int(number(valve_values, "seed")))
     noise = random.standard_normal(noise_start + n)[noise_start:]
     signals = np.zeros((n, len(closed_loop.SIGNALS)))
-    labels = law.term_labels
     terms = np.zeros((n, len(labels)))
     valve_state = valve.initial(valve_params)
     first = valve.read(valve_params, valve_state, noise[0])
     law_state = law.module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
+    led = command_lead.applied(command_lead.build(controller_values), command)
+    end = closed_loop.parts(law_state, valve_state)
     with explained(f"the law '{name}' of the package {law.package}"):
-        end = closed_loop.run_valve(
-            law.module,
-            closed_loop.parts(law_params, valve_params),
-            closed_loop.parts(law_state, valve_state),
-            command_lead.applied(command_lead.build(controller_values), command),
-            noise,
-            signals,
-            terms,
-            compiled,
-        )
+        for start in range(0, n, PIECE):
+            piece = slice(start, start + PIECE)
+            end = closed_loop.run_valve(
+                law.module,
+                closed_loop.parts(law_params, valve_params),
+                end,
+                led[piece],
+                noise[piece],
+                signals[piece],
+                terms[piece],
+                compiled,
+            )
+            if told is not None:
+                told(len(led[piece]))
     position, measurement, voltage = signals.T
     least = number(controller_values, "oscillation_limit")
     warnings_found = [
@@ -121,6 +133,17 @@ def simulate(
         limit_cycle=limit_cycle(voltage, command, period, least, compiled),
         warning="; ".join(filter(None, warnings_found)),
     )
+
+
+def check_memory(samples: float, terms: int = 0) -> None:
+    """Raise ParameterError for a run of a law with so many ``terms`` that the machine cannot hold."""
+    numbers = terms + len(closed_loop.SIGNALS) + 6  # command, with its lead, noise, errors, limit cycle
+    need, have = 8.0 * samples * numbers, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if need > have:
+        raise ParameterError(
+            f"a run of {samples:.0f} samples takes {need / 1e9:.0f} GB of memory and this machine has "
+            f"{have / 1e9:.0f} GB; shorten the duration or lengthen sample_period"
+        )
 
 
 def _probe(law: Law, law_params: Any, plant: valve.Params, least: float, compiled: bool) -> str:
