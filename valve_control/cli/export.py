@@ -25,6 +25,11 @@ def add_commands(commands: Any) -> None:
     group.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
     group.add_argument("--plant", choices=("valve",), help="the simulated valve instead of a law")
     group.add_argument(
+        "--watch",
+        action="store_true",
+        help="the law with the supervisor's watch over LVDT and command: gaps, 0 V on faults, limits",
+    )
+    group.add_argument(
         "--params-file",
         action="append",
         default=[],
@@ -58,6 +63,12 @@ def _export(arguments: argparse.Namespace) -> None:
     check_outputs(arguments)
     if arguments.plant is not None and arguments.controller is not None:
         raise ParameterError("--controller and --plant contradict each other; give one of them")
+    if arguments.watch and arguments.plant is not None:
+        raise ParameterError("--watch is over the inputs of a law; leave out --plant")
+    if arguments.watch and arguments.fmu is not None:
+        raise ParameterError("an FMU has the law alone; leave out --watch")
+    if arguments.watch and arguments.float:
+        raise ParameterError("the watch counts time, for which float has too few digits; leave out --float")
     if arguments.fmu is not None and arguments.float:
         raise ParameterError("an FMU calculates in double; leave out --float")
     notes: list[str] = []
@@ -66,18 +77,22 @@ def _export(arguments: argparse.Namespace) -> None:
     tell_notes(notes)
     node = "controller" if arguments.plant is None else "valve_simulator"
     values = updated(NODES[node], defaults(NODES[node]), changes[node])
-    chosen = unit.law(values) if arguments.plant is None else unit.plant(arguments.plant, values)
+    if arguments.plant is not None:
+        chosen = unit.plant(arguments.plant, values)
+    else:
+        chosen = unit.watched(values) if arguments.watch else unit.law(values)
+    found = settable.find(chosen)
     if arguments.fmu is not None:
-        data = fmu.make(chosen, arguments.fmu)
+        data = fmu.make(chosen, arguments.fmu, found)
         outputs.write(str(path), data)
         say(arguments, f"wrote {arguments.output}")
     else:
-        made = folder.files(chosen, arguments.float)
+        made = folder.files(chosen, arguments.float, found)
         folder.write(path, made)
         say(arguments, f"wrote {os.path.join(arguments.output, '')} with {', '.join(made)}")
-    found = settable.find(chosen)
     result = {
         "name": chosen.name,
+        "watch": arguments.watch,
         "sample_period": chosen.period,
         "fmi": arguments.fmu,
         "number": "float" if arguments.float else "double",

@@ -57,6 +57,11 @@ def stroke_time(distance: float, max_velocity: float, max_accel: float) -> tuple
     return ramp, (distance - peak * ramp) / peak, peak
 
 
+def _rising(time: float, ramp: float, peak: float) -> float:
+    """Way [V] that the velocity has covered on its rise to ``peak`` [V/s] within ``ramp`` [s]."""
+    return 0.5 * peak * (time - ramp / math.pi * math.sin(math.pi * time / ramp))
+
+
 def stroke(time: float, distance: float, max_velocity: float, max_accel: float) -> float:
     """Position [V] on one smooth stroke from 0 to ``distance`` [V] that begins at time 0."""
     if distance == 0.0 or time <= 0.0:
@@ -64,16 +69,12 @@ def stroke(time: float, distance: float, max_velocity: float, max_accel: float) 
     size = abs(distance)
     sign = math.copysign(1.0, distance)
     ramp, cruise, peak = stroke_time(size, max_velocity, max_accel)
-
-    def rising(t: float) -> float:
-        return 0.5 * peak * (t - ramp / math.pi * math.sin(math.pi * t / ramp))
-
     if time < ramp:
-        return sign * rising(time)
+        return sign * _rising(time, ramp, peak)
     if time < ramp + cruise:
         return sign * (0.5 * peak * ramp + peak * (time - ramp))
     if time < 2.0 * ramp + cruise:
-        return sign * (size - rising(2.0 * ramp + cruise - time))
+        return sign * (size - _rising(2.0 * ramp + cruise - time, ramp, peak))
     return distance
 
 

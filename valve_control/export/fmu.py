@@ -18,6 +18,7 @@ from xml.etree import ElementTree
 
 from valve_control import __version__
 from valve_control.export import compiler, kinds, sources
+from valve_control.export.settable import Found
 from valve_control.export.sources import Sources
 from valve_control.export.unit import Unit, leaves
 from valve_control.parameter import ParameterError
@@ -42,14 +43,17 @@ class Variable(NamedTuple):
     high: float | None = None
 
 
-def make(unit: Unit, version: int) -> bytes:
-    """The FMU file of ``unit`` for FMI ``version``. Raises ParameterError."""
+def make(unit: Unit, version: int, found: Found | None = None) -> bytes:
+    """The FMU file of ``unit`` for FMI ``version``; ``found`` as of ``sources.make``.
+
+    Raises ParameterError.
+    """
     if sys.platform != "linux" or platform.machine() != "x86_64":
         raise ParameterError(
             "an FMU is made for Linux on x86-64, and this is another machine; export the C instead"
         )
     compiler.find()
-    made = sources.make(unit)
+    made = sources.make(unit, found=found)
     variables = _variables(unit, made)
     wrapper = resources.files(__package__).joinpath(f"fmi{version}.c").read_text(encoding="utf-8")
     content = made.header + made.source + wrapper + repr(variables)

@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 from valve_control.export import compiler, samples, sources
+from valve_control.export.settable import Found
 from valve_control.export.sources import FLAGS, Sources
 from valve_control.export.unit import Unit
 from valve_control.parameter import ParameterError
@@ -40,10 +41,13 @@ def write(folder: Path, files: dict[str, str]) -> None:
         raise
 
 
-def files(unit: Unit, single: bool = False) -> dict[str, str]:
-    """Contents of the folder by file name; ``single``: in float. Raises ParameterError."""
-    made = sources.make(unit, single)
-    rows = samples.run(unit)
+def files(unit: Unit, single: bool = False, found: Found | None = None) -> dict[str, str]:
+    """Contents of the folder by file name; ``single`` and ``found`` as of ``sources.make``.
+
+    Raises ParameterError.
+    """
+    made = sources.make(unit, single, found)
+    rows = samples.run(unit, made.words)
     if not rows:
         raise ParameterError(f"{unit.name} leaves the finite numbers in its first sample")
     table = {
@@ -99,17 +103,19 @@ def check(unit: Unit, made: Sources, largest: float, single: bool) -> str:
     """C program that reads check.csv and compares; ``largest``: difference [V] that float may have."""
     name = unit.name
     real = "float" if single else "double"
-    numbers = ", ".join(f"state.{path}" for path in sources.state_numbers(unit))
+    paths = sources.state_numbers(unit)
+    numbers = ", ".join(paths)
     memory = f"    static {real} memory[{name.upper()}_MEMORY];\n" if made.memory else ""
-    if unit.is_law:
+    if unit.inner is not None:
+        begin, calls = f"    {name}_watch_init(&state);\n", _WATCH_CALLS
+        again = f"{name}_watch_sample(&{name}_exported, &state, row->given[0], 0)"
+    elif unit.is_law:
         begin, calls = "", _LAW_CALLS
         again = f"{name}_step(&{name}_exported, &state, row->given[0], row->given[1], row->given[2], 0)"
     else:
         begin = f"    {name}_init(&state{', memory' if made.memory else ''});\n"
         calls = _PLANT_CALLS
-        again = (
-            f"({name}_step(&{name}_exported, &state, row->given[0]), state.{sources.state_numbers(unit)[0]})"
-        )
+        again = f"({name}_step(&{name}_exported, &state, row->given[0]), {paths[0]})"
     equal = (
         "fabs((double)found - row->result) <= LARGEST"
         if single
@@ -123,6 +129,7 @@ def check(unit: Unit, made: Sources, largest: float, single: bool) -> str:
         "@LARGEST@": largest.hex(),
         "@NUMBERS@": numbers,
         "@MEMORY@": memory,
+        "@KIND@": f"{name}_watch" if unit.inner is not None else name,
         "@BEGIN@": begin,
         "@AGAIN@": again.replace("row->given", f"({real})row->given" if single else "row->given"),
         "@EQUAL@": equal,
@@ -135,11 +142,11 @@ def check(unit: Unit, made: Sources, largest: float, single: bool) -> str:
     return text
 
 
-_LAW_CALLS = """        if (row->event == 'i') {
+_LAW_CALLS = """        if (row->event[0] == 'i') {
             const @START@ start = {@CAST@row->given[0], @CAST@row->given[1], @CAST@row->given[2],
                                    @CAST@row->given[3], @CAST@row->given[4]};
             @NAME@_init(&@NAME@_exported, &state, &start);
-        } else if (row->event == 'h') {
+        } else if (row->event[0] == 'h') {
             @NAME@_hold(&@NAME@_exported, &state, @CAST@row->given[0], @CAST@row->given[1],
                         @CAST@row->given[2]);
         } else {
@@ -147,6 +154,16 @@ _LAW_CALLS = """        if (row->event == 'i') {
                                 @CAST@row->given[2], 0);
         }
 """.replace("@START@", "@NAME@_signals_start_t")
+
+_WATCH_CALLS = """        if (strncmp(row->event, "command", sizeof row->event) == 0)
+            @NAME@_watch_command(&@NAME@_exported, &state, row->given[0]);
+        else if (strncmp(row->event, "gone", sizeof row->event) == 0)
+            @NAME@_watch_command_gone(&state);
+        else if (strncmp(row->event, "silence", sizeof row->event) == 0)
+            found = @NAME@_watch_silence(&@NAME@_exported, &state, row->given[0]);
+        else
+            found = @NAME@_watch_sample(&@NAME@_exported, &state, row->given[0], (int64_t)row->given[1]);
+"""
 
 _PLANT_CALLS = """        found = @NAME@_read(&@NAME@_exported, &state, @CAST@row->given[1]);
         @NAME@_step(&@NAME@_exported, &state, @CAST@row->given[0]);
@@ -191,7 +208,7 @@ _CHECK = """/* Compares @NAME@.c with the run of its Python that is recorded in 
 #define TIMED 2000000
 
 typedef struct {
-    char event;
+    char event[8];
     double given[5], result;
     uint64_t state;
 } row_t;
@@ -210,7 +227,9 @@ static size_t read_rows(const char *path)
     while (count < ROWS && fgets(line, sizeof line, file)) {
         row_t *row = rows + count++;
         char *at = strchr(line, ',');
-        row->event = line[0];
+        size_t length = at ? (size_t)(at - line) : 0;
+        memset(row->event, 0, sizeof row->event);
+        memcpy(row->event, line, length < sizeof row->event ? length : sizeof row->event);
         for (int i = 0; i < 6 && at; i++) {
             double value = strtod(at + 1, &at);
             if (i < 5)
@@ -230,7 +249,7 @@ static size_t read_rows(const char *path)
 @DIGEST@
 int main(int argc, char **argv)
 {
-@MEMORY@    @NAME@_state_t state;
+@MEMORY@    @KIND@_state_t state;
     double largest = 0.0;
     size_t wrong = 0, count = read_rows(argc > 1 ? argv[1] : "check.csv");
     memset(&state, 0, sizeof state);
@@ -254,15 +273,15 @@ int main(int argc, char **argv)
     clock_t began = clock();
     for (size_t k = 0; k < TIMED; k++) {
         const row_t *row = rows + k % count;
-        if (row->event == 's')
+        if (row->event[0] == 's')
             sum += (double)@AGAIN@;
     }
     double ns = 1e9 * (double)(clock() - began) / CLOCKS_PER_SEC / TIMED;
     volatile double kept = sum;
     (void)kept;
     printf("@NAME@: %zu rows @WITHIN@);
-    printf("; %.0f ns a step, state %zu bytes, parameters %zu bytes\\n", ns, sizeof(@NAME@_state_t),
-           sizeof(@NAME@_params_t));
+    printf("; %.0f ns a step, state %zu bytes, parameters %zu bytes\\n", ns, sizeof(@KIND@_state_t),
+           sizeof(@KIND@_params_t));
     return 0;
 }
 """
@@ -279,17 +298,23 @@ def readme(unit: Unit, made: Sources, rows: int, largest: float, single: bool) -
         if unit.is_law
         else f"`{name}_init` once, then each sample `{name}_read` and `{name}_step`."
     )
-    unguarded = (
-        "The law trusts reading and command: give it finite numbers, and 0 V if its voltage is not finite."
-        if unit.is_law
-        else "Its parameters are those of the simulator."
-    )
+    if unit.inner is not None:
+        order = (
+            f"`{name}_watch_init` once, `{name}_watch_command` with each command, "
+            f"`{name}_watch_sample` each sample."
+        )
+    if unit.inner is not None:
+        trust = "The watch bridges and refuses readings, limits commands, switches to 0 V, as the supervisor."
+    elif unit.is_law:
+        trust = "The law trusts its inputs: give it finite numbers, and 0 V if its voltage is not finite."
+    else:
+        trust = "Its parameters are those of the simulator."
     return f"""# {name}: {unit.text}, for a sample period of {unit.period:g} s
 `make check` compiles and compares with {rows} recorded calls of the Python (check.csv), {bits}.
 {order}
 State and parameters are structs of yours, `{name}_exported` those of this export. No allocation, only math.h.
 Several instances are several structs. Functions with different structs may run at the same time.
-{unguarded}
+{trust}
 Compile with `{FLAGS}`; fast-math or fused operations change the last bits.
 Parameters that `{name}_set_...` sets while it runs: {settable}.
 Parameters that need a new export: {others}.

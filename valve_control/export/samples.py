@@ -2,25 +2,31 @@
 
 The law runs in a closed loop with the simulated valve, which has friction, flow force and a noisy LVDT:
 strokes that saturate the amplifier, readings that are missing, and a takeover in motion with an offset that
-fades out. The plant is driven by steps and sines up to the limit of its voltage.
+fades out. The plant is driven by steps and sines up to the limit of its voltage. A law under the watch is
+the supervisor's own, and the LVDT and the upper level fail in all the ways that it watches for.
 """
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from valve_control.export.unit import Unit, leaves
+from valve_control.export.kinds import Kind
+from valve_control.export.unit import Unit, leaves, numbers
 from valve_control.laws.signals import Start
 from valve_control.parameter import defaults, updated
 from valve_control.parameters import build
 from valve_control.parameters.table import VALVE
 from valve_control.plant import valve
+from valve_control.supervision import watch
+from valve_control.supervision.supervisor import Supervisor
 
 COLUMNS = ("event", "a", "b", "c", "d", "e", "result", "state")
 COUNT = 3000  # samples
+WATCHED = (3000, 12000)  # samples of a run under the watch, within which it should last
+LASTING = 9.0  # s
 VALVE_VALUES = {
     "friction.coulomb": 1.16,
     "friction.static_ratio": 1.25,
@@ -37,13 +43,14 @@ class Row(NamedTuple):
     """One call, with what it is given.
 
     init: reading, voltage, reference, its rate, velocity; step or hold of a law: command, reading, and offset
-    or the voltage that is held; step of a plant: voltage, noise.
+    or the voltage that is held; step of a plant: voltage, noise. Under the watch: sample with reading and
+    samples that were left out before it; command; gone; silence with its time.
     """
 
     event: str
     given: tuple[float, ...]
     result: float  # voltage, or reading before the step; 0.0 where there is none
-    state: Any  # after it
+    state: Any  # after it; under the watch its numbers
 
 
 def digest(numbers: Sequence[float]) -> int:
@@ -59,8 +66,11 @@ def finite(numbers: Sequence[float]) -> bool:
     return all(math.isfinite(number) for number in numbers)
 
 
-def run(unit: Unit, count: int = COUNT, seed: int = 1) -> list[Row]:
-    """Rows of a run, to the last one whose numbers are finite."""
+def run(unit: Unit, words: Mapping[str, int], count: int = COUNT, seed: int = 1) -> list[Row]:
+    """Rows of a run, to the last one whose numbers are finite; ``words``: number of each word in C."""
+    if unit.inner is not None:
+        least, most = WATCHED
+        return list(under_watch(unit, words, max(least, min(most, round(LASTING / unit.period))), seed))
     made = _law(unit, count, seed) if unit.is_law else _plant(unit, count, seed)
     rows = []
     try:
@@ -120,11 +130,99 @@ def _plant(unit: Unit, count: int, seed: int) -> Iterator[Row]:
         yield Row("step", (voltage, noise[k]), result, state)
 
 
+class Fault(NamedTuple):
+    """What goes wrong in a run under the watch."""
+
+    begin: float  # s
+    samples: int
+    what: str
+
+
+FAULTS = (
+    Fault(0.15, 3, "missing"),
+    Fault(0.20, 4, "jump"),
+    Fault(0.25, 2, "beyond"),
+    Fault(0.30, 1, "late"),  # one reading after several that did not come
+    Fault(0.40, 30, "missing"),
+    Fault(0.75, 1, "gap"),  # longer than what is bridged
+    Fault(1.10, 40, "jump"),
+    Fault(2.30, 60, "beyond"),
+    Fault(2.70, 200, "frozen"),
+    Fault(3.10, 1, "silence"),
+    Fault(3.40, 4, "not_finite_command"),
+    Fault(3.45, 4, "large_command"),
+    Fault(3.50, 700, "no_command"),
+    Fault(4.30, 1, "gone"),
+    Fault(4.60, 600, "flipped"),
+    Fault(6.50, 400, "half"),
+    Fault(7.50, 2, "jump"),
+)  # fmt: skip
+
+
+def remembered(s: Supervisor) -> watch.State:
+    """State of ``s`` as the watch has it."""
+    state, shared = s.state, set(watch.State._fields)
+    found = {name: value for name, value in state._asdict().items() if name in shared}
+    if math.isnan(state.measurement):
+        found["measurement"] = 0.0
+    jumped = state.said.expiry.get("lvdt_jump_bridged", watch.NEVER)
+    return watch.State(**found, jumped_until=jumped)
+
+
+def faulty(
+    unit: Unit, count: int, seed: int, faults: Sequence[Fault] = FAULTS
+) -> Iterator[tuple[str, tuple[float, ...], Supervisor, float]]:
+    """Events of a run, what they take in, and the supervisor and the voltage [V] after each."""
+    values = {**VALVE_VALUES, "sample_period": unit.period, "u_max": float(unit.params.law.u_max)}
+    plant = build.valve_params(updated(VALVE, defaults(VALVE), values))
+    supervisor = Supervisor()
+    supervisor.apply(unit.values, unit.inner.params)
+    spool = valve.initial(plant)
+    random = np.random.default_rng(seed)
+    noise = random.standard_normal(count).tolist()
+    lost = (random.random(count) < 0.01).tolist()
+    number, shown, voltage = 0, 0.0, 0.0
+    for k in range(count):
+        t = k * plant.period
+        now = {f.what for f in faults if 0 <= k - round(f.begin / plant.period) < f.samples}
+        wanted = 0.4 * command(k, plant.period) if t < 1.0 else command(k, plant.period)
+        if "not_finite_command" in now or "large_command" in now:
+            wanted = math.nan if "not_finite_command" in now else 1e6
+        if k > 10 and "no_command" not in now and k % 3 == 0:
+            supervisor.command(wanted)
+            yield "command", (wanted,), supervisor, 0.0
+        if "gone" in now:
+            supervisor.command_gone()
+            yield "gone", (), supervisor, 0.0
+        if "silence" in now:
+            voltage = supervisor.silence(0.03)
+            yield "silence", (0.03,), supervisor, voltage
+        reading = valve.read(plant, spool, noise[k])
+        shown = shown if "frozen" in now else reading
+        skipped = 3 if "late" in now else 50 if "gap" in now else int(lost[k])
+        reading = -reading if "flipped" in now else 0.5 * reading if "half" in now else shown
+        reading += 3.0 if "jump" in now else 0.0
+        reading = math.nan if "missing" in now else 1e3 if "beyond" in now else reading
+        number += 1 + skipped
+        voltage = supervisor.sample(reading, number)
+        yield "sample", (reading, float(skipped)), supervisor, voltage
+        spool = valve.step(plant, spool, voltage)
+
+
+def under_watch(
+    unit: Unit, words: Mapping[str, int], count: int, seed: int, faults: Sequence[Fault] = FAULTS
+) -> Iterator[Row]:
+    """Rows of a run of the supervisor, in which much goes wrong."""
+    kind = Kind("record", unit.module.State)
+    for event, given, supervisor, voltage in faulty(unit, count, seed, faults):
+        yield Row(event, given, voltage, numbers(kind, remembered(supervisor), words))
+
+
 def as_csv(rows: Sequence[Row]) -> str:
     """The rows as CSV text whose decimals give the same bits when they are read; the state as its digest."""
     lines = [",".join(COLUMNS)]
     for row in rows:
         given = [repr(number) for number in row.given] + ["0.0"] * (5 - len(row.given))
-        numbers = [number for _, number in leaves(row.state)]
-        lines.append(",".join([row.event, *given, repr(row.result), f"{digest(numbers):016x}"]))
+        state = row.state if isinstance(row.state, list) else [number for _, number in leaves(row.state)]
+        lines.append(",".join([row.event, *given, repr(row.result), f"{digest(state):016x}"]))
     return "\n".join(lines) + "\n"

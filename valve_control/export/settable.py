@@ -14,6 +14,8 @@ from valve_control.parameter import Parameter, ParameterError, Value
 COMPUTED = "other numbers are computed from it"
 DEPENDS = "its range depends on other parameters"
 NO_NUMBER = "it is no number"
+WHOLE = "it is a whole number"
+FORM = "it chooses what is computed"
 WITHOUT = "it has no effect in this export"
 
 
@@ -49,7 +51,8 @@ def find(unit: Unit) -> Found:
                 others[parameter.name] = reason
                 break
         if any(_differs(unit, parameter, other) for other in _alternatives(parameter)):
-            others[parameter.name] = NO_NUMBER
+            whole = type(parameter.default) is int
+            others[parameter.name] = WHOLE if whole else NO_NUMBER
     setters = [setter for setter in setters if setter.parameter.name not in others]
     taken = [setter.path for setter in setters]
     return Found([setter for setter in setters if taken.count(setter.path) == 1], others)
@@ -93,6 +96,8 @@ def _trial(
             made = _changed(unit, parameter, whole)
         except (ParameterError, ArithmeticError, ValueError):
             return DEPENDS
+        if made.keys() != base.keys():
+            return FORM
         moved = {path for path, number in made.items() if number != base[path]}
         if any(made[path] != value for path in moved):
             return COMPUTED
@@ -122,6 +127,6 @@ def _differs(unit: Unit, parameter: Parameter, value: Value) -> bool:
     if value == unit.values[parameter.name]:
         return False
     try:
-        return _changed(unit, parameter, value) != dict(leaves(unit.params))
+        return bool(unit.build({**unit.values, parameter.name: value}) != unit.params)
     except (ParameterError, ArithmeticError, ValueError):
         return True

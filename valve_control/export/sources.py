@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 from valve_control import __version__
 from valve_control.export import kinds, settable
-from valve_control.export.kinds import REAL, Kind, comment, identifier
+from valve_control.export.kinds import INTEGER, REAL, Kind, comment, identifier
 from valve_control.export.settable import Found, Setter
 from valve_control.export.subset import Program, SubsetError
-from valve_control.export.unit import Unit, leaves
+from valve_control.export.unit import Unit, leaves, places
 from valve_control.laws.signals import Start
 
 FLAGS = "-std=c99 -O2 -ffp-contract=off"  # no fast-math, no fused operations: the bits of Python
@@ -22,6 +22,7 @@ class Sources(NamedTuple):
     setters: list[Setter]
     others: dict[str, str]  # parameters that need a new export, with the reason
     memory: int  # doubles that a plant needs besides its state
+    words: dict[str, int]  # number of each word
 
 
 def setter_name(unit: Unit, setter: Setter) -> str:
@@ -30,30 +31,47 @@ def setter_name(unit: Unit, setter: Setter) -> str:
     return f"{unit.name}_set_{word}"
 
 
-def make(unit: Unit, single: bool = False) -> Sources:
-    """Translate ``unit``; ``single``: float in place of double. Raises ParameterError."""
-    program = Program(unit.name, unit.module, single)
+def make(unit: Unit, single: bool = False, found: Found | None = None) -> Sources:
+    """Translate ``unit``; ``single``: float in place of double; ``found``: its settable parameters, if known.
+
+    Raises ParameterError.
+    """
+    own = unit if unit.inner is None else unit.inner
+    program = Program(unit.name, own.module, single)
     try:
-        params, state = (Kind("record", getattr(unit.module, part)) for part in ("Params", "State"))
+        public = [Kind("record", getattr(own.module, part)) for part in ("Params", "State")]
         if unit.is_law:
-            public = [params, state, Kind("record", unit.module.Terms), Kind("record", Start)]
-        else:
-            public = [params, state]
+            public += [Kind("record", own.module.Terms), Kind("record", Start)]
+        if unit.inner is not None:
+            public += [Kind("record", getattr(unit.module, part)) for part in ("Params", "State")]
         names = [program.type_name(kind) for kind in public]
         shown = list(program.types.values())
         memory = 0
         if unit.is_law:
-            prototypes, definitions = _law(unit, program, public, names)
+            whole = (public[4], names[4]) if unit.inner is not None else (public[0], names[0])
+            prototypes, definitions = _exported(unit, program, *whole)
+            for part in (
+                _law(own, program, public[:4], names[:4]),
+                _watch(unit, program, public[4:], names[4:]),
+            ):
+                prototypes += part[0]
+                definitions += part[1]
         else:
             prototypes, definitions, memory = _plant(unit, program, public, names)
     except TypeError as error:
         raise SubsetError(f"{unit.name} cannot be exported to C: {error}") from error
-    found = settable.find(unit)
-    for prototype, definition in _setters(unit, program, found, names[0]):
+    found = found or settable.find(unit)
+    for prototype, definition in _setters(unit, program, found, names[0 if unit.inner is None else 4]):
         prototypes.append(prototype)
         definitions.append(definition)
     guard = f"{unit.name.upper()}_H"
     words = [f"    {name} = {i}" for i, name in enumerate(program.words.values())]
+    enumeration = ["enum {\n" + ",\n".join(words) + "\n};"] if words else []
+    if unit.inner is not None:
+        shown = [
+            "/* What is wrong with a reading, and why there is no voltage. */\n" + enumeration.pop(),
+            *shown,
+        ]
     head = _head(unit, program)
     header = "\n\n".join(
         [
@@ -72,12 +90,12 @@ def make(unit: Unit, single: bool = False) -> Sources:
             f"#endif /* {guard} */\n",
         ]
     )
-    private = list(program.types.values())[len(shown) :]
+    private = [text for text in program.types.values() if text not in shown]
     source = "\n\n".join(
         [
             head,
             f'#include <math.h>\n\n#include "{unit.name}.h"',
-            *(["enum {\n" + ",\n".join(words) + "\n};"] if words else []),
+            *enumeration,
             *private,
             *program.constants,
             *program.helpers(),
@@ -85,7 +103,8 @@ def make(unit: Unit, single: bool = False) -> Sources:
             *definitions,
         ]
     )
-    return Sources(header, source + "\n", found.setters, found.others, memory)
+    numbered = {word: i for i, word in enumerate(program.words)}
+    return Sources(header, source + "\n", found.setters, found.others, memory, numbered)
 
 
 def _head(unit: Unit, program: Program) -> str:
@@ -113,7 +132,6 @@ def _law(unit: Unit, program: Program, public: list[Kind], names: list[str]) -> 
     holding = f"void {name}_hold({given}, {real} voltage)"
     results = program.type_name(step.returns)
     prototypes = [
-        f"/* The parameters of this export. */\nextern const {params_t} {name}_exported;",
         f"/* Start without a bump at ``start``: the reading, the voltage that is on, the reference. */\n"
         f"void {name}_init(const {params_t} *p, {state_t} *s, const {start_t} *start);",
         "/* One sample: takes in the command [V] and the reading [V], returns the voltage [V] within u_max.\n"
@@ -125,7 +143,6 @@ def _law(unit: Unit, program: Program, public: list[Kind], names: list[str]) -> 
         f"{holding};",
     ]
     definitions = [
-        _exported(unit, program, public[0], params_t),
         f"void {name}_init(const {params_t} *p, {state_t} *s, const {start_t} *start)\n{{\n"
         f"    *s = {initial.name}(p, start);\n}}",
         f"{stepping}\n{{\n"
@@ -172,8 +189,8 @@ def _plant(
         else:
             lines.append(f"    {place} = {program.constant(value, kind)};")
     given = f"{state_t} *s, {real} *memory" if memory else f"{state_t} *s"
-    prototypes = [
-        f"/* The parameters of this export. */\nextern const {params_t} {name}_exported;",
+    prototypes, definitions = _exported(unit, program, public[0], params_t)
+    prototypes += [
         "/* At rest, without voltage"
         + (f"; ``memory`` has {name.upper()}_MEMORY numbers and is written in each step" if memory else "")
         + f". */\nvoid {name}_init({given});",
@@ -182,8 +199,7 @@ def _plant(
         f"/* One period, over which ``voltage`` [V] is held. */\n"
         f"void {name}_step(const {params_t} *p, {state_t} *s, {real} voltage);",
     ]
-    definitions = [
-        _exported(unit, program, public[0], params_t),
+    definitions += [
         "\n".join([f"void {name}_init({given})", "{", *lines, "}"]),
         f"{real} {name}_read(const {params_t} *p, const {state_t} *s, {real} noise)\n{{\n"
         f"    return {read.name}(p, s, noise);\n}}",
@@ -193,9 +209,66 @@ def _plant(
     return prototypes, definitions, memory
 
 
-def _exported(unit: Unit, program: Program, kind: Kind, params_t: str) -> str:
+def _watch(unit: Unit, program: Program, public: list[Kind], names: list[str]) -> tuple[list[str], list[str]]:
+    """Prototypes and definitions of the watch over a law's inputs; none of a law alone."""
+    if unit.inner is None:
+        return [], []
+    module, real = unit.module, program.real
+    (params, state), (params_t, state_t) = public, names
+    init, command, gone, silence, sample = (
+        program.unique(f"{unit.name}_watch_{word}")
+        for word in ("init", "command", "command_gone", "silence", "sample")
+    )
+    at_rest = program.translate(module.at_rest, [])
+    commanded = program.translate(module.commanded, [params, state, REAL])
+    left = program.translate(module.left, [state])
+    silent = program.translate(module.silent, [params, state, REAL])
+    sampled = program.translate(module.sample, [params, state, REAL, INTEGER])
+    both = f"const {params_t} *p, {state_t} *s"
+    pieces = [
+        (
+            "After switching on: 0 V, until the first reading.",
+            f"void {init}({state_t} *s)",
+            f"    *s = {at_rest.name}();",
+        ),
+        (
+            "A command [V] for the next sample, limited; one that is not finite is refused.",
+            f"void {command}({both}, {real} value)",
+            f"    *s = {commanded.name}(p, s, value);",
+        ),
+        (
+            "The upper level has left: its command counts as silent at once.",
+            f"void {gone}({state_t} *s)",
+            f"    *s = {left.name}(s);",
+        ),
+        (
+            "No sample for ``elapsed`` [s], longer than lvdt.hold_samples: 0 V.",
+            f"{real} {silence}({both}, {real} elapsed)",
+            f"    *s = {silent.name}(p, s, elapsed);\n    return s->voltage;",
+        ),
+        (
+            "One sample: takes in a reading [V], NAN where there is none, before which ``lost`` samples\n"
+            " * were left out; returns the voltage [V]. Bridges up to lvdt.hold_samples, then gives 0 V\n"
+            " * until readings can be believed again. s->trust.blocked: why it is off; s->trust.bridged:\n"
+            " * samples that are bridged now.",
+            f"{real} {sample}({both}, {real} reading, int64_t lost)",
+            f"    const {program.type_name(sampled.returns)} made = {sampled.name}(p, s, reading, lost);\n"
+            "    *s = made.item1;\n    return made.item0;",
+        ),
+    ]
+    return (
+        [f"/* {about} */\n{head};" for about, head, _ in pieces],
+        [f"{head}\n{{\n{body}\n}}" for _, head, body in pieces],
+    )
+
+
+def _exported(unit: Unit, program: Program, kind: Kind, params_t: str) -> tuple[list[str], list[str]]:
+    """Declaration and definition of the parameters."""
     lines = _initialiser(program, kind, unit.params, "    ", "")
-    return "\n".join([f"const {params_t} {unit.name}_exported = {{", *lines, "};"])
+    return (
+        [f"/* The parameters of this export. */\nextern const {params_t} {unit.name}_exported;"],
+        ["\n".join([f"const {params_t} {unit.name}_exported = {{", *lines, "};"])],
+    )
 
 
 def _initialiser(program: Program, kind: Kind, value: Any, indent: str, path: str) -> list[str]:
@@ -250,7 +323,13 @@ def _setters(unit: Unit, program: Program, found: Found, params_t: str) -> list[
 
 
 def state_numbers(unit: Unit) -> list[str]:
-    """Way in C to each number of the state, without arrays and indices."""
+    """Expression in C of each number of ``state``, without arrays and indices."""
+    if unit.inner is not None:
+        return places(Kind("record", unit.module.State), "state")
+    return [f"state.{path}" for path in _state_paths(unit)]
+
+
+def _state_paths(unit: Unit) -> list[str]:
     if not unit.is_law:
         return [path for path, _ in leaves(unit.module.initial(unit.params))]
     begin = unit.module.initial(unit.params, Start(0.0, 0.0, 0.0, 0.0, 0.0))

@@ -2,8 +2,9 @@
 
 The subset: functions of numbers and NamedTuples; assignments, also of tuples; ``if``; ``return``;
 arithmetic, comparisons, ``and``, ``or``, ``not`` and conditional expressions; ``abs``, ``min``, ``max``,
-``int``, ``float``, ``len`` of an array; the functions of FUNCTIONS from ``math``; constants of modules;
-``_replace``. Everything else is named with its file and line.
+``int``, ``float``, ``len`` of an array; ``for`` over a ``range``; ``in`` a tuple of constants; the functions
+of FUNCTIONS from ``math``; ``all(map(math.isfinite, …))``; ``map`` where arguments are taken apart; constants
+of modules; ``_replace``. Everything else is named with its file and line.
 
 Each operation stays where it is, in the order of Python, so that a compiler that keeps to IEEE 754 gives
 the same bits. Where Python goes its own way, C goes along: ``min`` and ``max`` keep the first of equals and
@@ -222,12 +223,16 @@ class Program:
         return self.number(float(value), exact)
 
     def _zero(self, kind: Kind) -> str:
+        if kind.what == "optional":
+            return f"{{false, {self._zero(kind.items[0])}}}"
         if kind.is_struct:
             return "{" + ", ".join(self._zero(k) for k in kinds.fields(kind.record).values()) + "}"
         return {"real": self.number(0.0), "boolean": "false"}.get(kind.what, "0")
 
     def word(self, text: str) -> str:
         """A string as a constant of an enumeration; the empty one is 0."""
+        if text and not self.words:
+            self.word("")
         if text not in self.words:
             self.words[text] = self.unique(f"{self.prefix}_{identifier(text or 'none')}".upper())
         return self.words[text]
@@ -475,7 +480,11 @@ class _Body:
             for i, statement in enumerate(body):
                 here = (*block, (branch, i))
                 statements[here] = statement
-                parts: list[ast.AST] = [statement.test] if isinstance(statement, ast.If) else [statement]
+                parts: list[ast.AST] = [statement]
+                if isinstance(statement, ast.If):
+                    parts = [statement.test]
+                elif isinstance(statement, ast.For):
+                    parts = [statement.iter]
                 for part in parts:
                     for node in ast.walk(part):
                         if isinstance(node, ast.Name) and node.id in self._stored:
@@ -485,10 +494,12 @@ class _Body:
                 if isinstance(statement, ast.If):
                     walk(statement.body, here, 0)
                     walk(statement.orelse, here, 1)
+                elif isinstance(statement, ast.For):
+                    walk(statement.body, here, 0)
 
         walk(self._parsed.body, (), 0)
         for name, places in paths.items():
-            if name in self._scope:
+            if name in self._scope or name not in first:  # an argument, or the variable of a loop
                 continue
             own = first[name]
             for place in places:
@@ -530,6 +541,9 @@ class _Body:
             return True
         if isinstance(node, ast.If):
             return self._if(node)
+        if isinstance(node, ast.For):
+            self._for(node)
+            return False
         if isinstance(node, ast.Assign):
             if len(node.targets) != 1:
                 raise self.refused(node, "a chain of assignments")
@@ -578,6 +592,37 @@ class _Body:
         ended = self._nested(rest) and ended
         self._line("}")
         return ended
+
+    def _for(self, node: ast.For) -> None:
+        """A loop over a range of integers, whose variable nothing else gives a value."""
+        call, target = node.iter, node.target
+        if not (
+            isinstance(call, ast.Call)
+            and isinstance(target, ast.Name)
+            and self._resolved(call.func) is range
+            and len(call.args) in (1, 2)
+            and not (call.keywords or node.orelse)
+        ):
+            raise self.refused(node, "a for loop over anything but a range of integers")
+        inside = {id(part) for part in ast.walk(node)}
+        for other in ast.walk(self._parsed):
+            if not isinstance(other, ast.Name) or other.id != target.id or other is target:
+                continue
+            if isinstance(other.ctx, ast.Store) or id(other) not in inside:
+                raise self.refused(other, f"the loop's variable {target.id} outside of its loop")
+        bounds = [self._as(self._number(bound), INTEGER, node) for bound in call.args]
+        end = bounds[-1] if bounds[-1].code.isdigit() else self._temporary(bounds[-1], node)
+        begin = bounds[0].value if len(bounds) == 2 else "0"
+        own = self._local(target.id)
+        self._line(f"for (int64_t {own} = {begin}; {own} < {end.value}; {own}++) {{")
+        outer = self._scope.get(target.id)
+        self._scope[target.id] = Term(own, INTEGER)
+        self._declared[target.id] = INTEGER
+        self._nested(node.body)
+        del self._scope[target.id], self._declared[target.id]
+        if outer is not None:
+            raise self.refused(node, f"the loop's variable {target.id} outside of its loop")
+        self._line("}")
 
     def _needs_lines(self, node: ast.If) -> bool:
         """Whether something must be computed or declared before the if."""
@@ -913,7 +958,20 @@ class _Body:
             second = f"({second})"
         return Term(f"{left.inside(binds)} {sign} {second}", kind, binds)
 
+    def _among(self, node: ast.Compare) -> Term:
+        """``x in (…)`` with constants."""
+        listed = self._resolved(node.comparators[0])
+        if not isinstance(listed, tuple):
+            raise self.refused(node, "in of anything but a tuple of constants")
+        term = self._expression(node.left)
+        if term.binds > ATOM or "(" in term.code:
+            term = self._temporary(term, node)
+        parts = [self._pair(node, ast.Eq(), term, self._constant(node, value)) for value in listed]
+        return Term(" || ".join(part.inside(EQUALITY) for part in parts), BOOLEAN, EITHER)
+
     def _compare(self, node: ast.Compare) -> Term:
+        if len(node.ops) == 1 and isinstance(node.ops[0], ast.In):
+            return self._among(node)
         terms = [self._expression(part) for part in (node.left, *node.comparators)]
         for i in range(1, len(terms) - 1):
             if terms[i].binds > ATOM or "(" in terms[i].code:
@@ -1004,6 +1062,8 @@ class _Body:
             return self._called(node, called)
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
             raise self.refused(node, f"the arguments of {ast.unparse(node.func)}")
+        if called is all:
+            return self._all_finite(node)
         if called in (abs, min, max, int, float, len, bool):
             return self._builtin(node, called)
         name = getattr(called, "__name__", "")
@@ -1036,11 +1096,13 @@ class _Body:
         """Arguments of a call by name: expressions, terms, or the values of defaults."""
         found: dict[str, Any] = {}
         for argument in node.args:
-            if isinstance(argument, ast.Starred):
+            if isinstance(argument, ast.Starred) and self._is_map(argument.value):
+                items: list[Any] = self._mapped(argument.value)
+            elif isinstance(argument, ast.Starred):
                 whole = self._expression(argument.value)
                 if not whole.has_address:
                     whole = self._temporary(whole, node)
-                items: list[Any] = list(self._parts(whole, node))
+                items = list(self._parts(whole, node))
             else:
                 items = [argument]
             for item in items:
@@ -1096,6 +1158,25 @@ class _Body:
         except NameError:
             hints = {}
         terms = [self._argument(node, given[n], kinds.of_annotation(hints.get(n))) for n in names]
+        return self._applied(node, function, terms)
+
+    def _is_map(self, node: ast.expr) -> bool:
+        """Whether ``node`` is ``map(function, …)``."""
+        return isinstance(node, ast.Call) and self._resolved(node.func) is map and len(node.args) > 1
+
+    def _mapped(self, node: ast.expr) -> list[Any]:
+        """Results of ``map(function, records…)``, entry by entry."""
+        assert isinstance(node, ast.Call)
+        function = self._resolved(node.args[0])
+        if not isinstance(function, types.FunctionType):
+            raise self.refused(node, f"map with {ast.unparse(node.args[0])}")
+        wholes = [self._expression(argument) for argument in node.args[1:]]
+        wholes = [whole if whole.has_address else self._temporary(whole, node) for whole in wholes]
+        parts = zip(*(self._parts(whole, node) for whole in wholes), strict=False)
+        return [self._applied(node, function, terms) for terms in parts]
+
+    def _applied(self, node: ast.AST, function: types.FunctionType, terms: Sequence[Term]) -> Term:
+        """A call of ``function``."""
         made = self._program.translate(function, [term.kind for term in terms])
         codes = []
         for term, kind in zip(terms, made.arguments, strict=True):
@@ -1149,6 +1230,22 @@ class _Body:
             return self._as(term, REAL, node)
         return term if term.kind is INTEGER else Term(f"(int64_t){term.inside(UNARY)}", INTEGER, UNARY)
 
+    def _all_finite(self, node: ast.Call) -> Term:
+        """``all(map(math.isfinite, record))``."""
+        given = node.args[0]
+        if (
+            self._is_map(given)
+            and isinstance(given, ast.Call)
+            and self._resolved(given.args[0]) is math.isfinite
+        ):
+            whole = self._expression(given.args[1])
+            whole = whole if whole.has_address else self._temporary(whole, node)
+            parts = list(self._parts(whole, node))
+            if all(part.kind is REAL for part in parts):
+                codes = [f"{self._program.helper('isfinite')}({part.value}) != 0" for part in parts]
+                return Term(" && ".join(codes), BOOLEAN, BOTH)
+        raise self.refused(node, "all of anything but map(math.isfinite, …) of a record of numbers")
+
     def _mathematics(self, node: ast.Call, name: str) -> Term:
         if len(node.args) != ARGUMENTS.get(name, 1):
             raise self.refused(node, f"math.{name} with {len(node.args)} arguments")
@@ -1175,7 +1272,6 @@ def _article(kind: Kind) -> str:
 def _named(node: ast.AST) -> str:
     """What ``node`` is, in words."""
     words: dict[type[ast.AST], str] = {
-        ast.For: "a for loop",
         ast.While: "a while loop",
         ast.With: "a with block",
         ast.Try: "a try block",

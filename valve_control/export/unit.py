@@ -1,19 +1,30 @@
-"""What is handed over: a law, or the plant, with the parameters that it was built from."""
+"""What is handed over: a law, alone or under the watch, or a plant, with its parameters."""
 
-import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from typing import Any, NamedTuple
 
-from valve_control.export.kinds import identifier
+from valve_control.export import kinds
+from valve_control.export.kinds import Kind, identifier
 from valve_control.laws.common import COMMON
 from valve_control.laws.registry import LAWS
 from valve_control.laws.reshaping import PARAMETERS as RESHAPING
 from valve_control.parameter import Table, Values, number, word
 from valve_control.parameters import build
-from valve_control.parameters.table import VALVE
+from valve_control.parameters.table import CONTROLLER, VALVE
 from valve_control.plant import valve
+from valve_control.supervision import watch
 
 PLANTS = ("valve",)
+WATCHED = (
+    "command_limit",
+    "command_timeout",
+    "neutral_rate",
+    "neutral_accel",
+    "transfer_time",
+    "reshaping.lead",
+)
+UNWATCHED = ("lvdt.period_limit",)  # the period is that of the machine's own timer
 
 
 class Unit(NamedTuple):
@@ -22,11 +33,12 @@ class Unit(NamedTuple):
     name: str
     text: str  # what it is
     is_law: bool
-    module: types.ModuleType  # Params, State and the steps
+    module: Any  # Params, State and the steps
     params: Any
     table: Table  # parameters that it may be built from
     values: Values
     build: Callable[[Values], Any]  # Params from values; raises ParameterError
+    inner: Any = None  # the Unit of the law that is under the watch; None: a law alone, or a plant
 
     @property
     def period(self) -> float:
@@ -41,17 +53,81 @@ def law(values: Values) -> Unit:
     return Unit(found.name, found.text, True, found.module, found.build(values), table, values, found.build)
 
 
+def watched(values: Values) -> Unit:
+    """The law that ``controller`` of the controller's ``values`` names, under the watch.
+
+    Raises ParameterError.
+    """
+    inner = law(values)
+    module = watch.bound(LAWS[inner.name])
+
+    def built(values: Values) -> Any:
+        return module.design(values, inner.build(values))
+
+    own = tuple(
+        p for p in CONTROLLER if p.name in WATCHED or (p.name.startswith("lvdt.") and p.name not in UNWATCHED)
+    )
+    table = (*inner.table, *(p for p in own if p not in inner.table))
+    text = f"{inner.text}, under the watch over LVDT and command"
+    return Unit(inner.name, text, True, module, built(values), table, values, built, inner)
+
+
 def plant(name: str, values: Values) -> Unit:
     """The plant ``name`` of PLANTS with the simulator's ``values``. Raises ParameterError."""
     text = "proportional directional control valve with friction, flow force, amplifier and LVDT"
     return Unit(name, text, False, valve, build.valve_params(values), VALVE, values, build.valve_params)
 
 
+@cache
+def _listed(record: Any) -> dict[str, Kind]:
+    return kinds.fields(record)
+
+
+@cache
+def _is_plain(record: Any) -> bool:
+    return all(kind.what == "real" for kind in _listed(record).values())
+
+
 def leaves(record: Any, path: str = "") -> Iterator[tuple[str, float]]:
     """Numbers of a nested NamedTuple with the way to them in C, such as theta.a1; no arrays, no indices."""
-    for name, value in zip(record._fields, record, strict=True):
-        here = f"{path}{identifier(name)}"
+    listed: dict[str, Kind] = _listed(type(record))  # type: ignore[arg-type]
+    for (name, kind), value in zip(listed.items(), record, strict=True):
+        here = f"{path}{identifier(name)}" + (".value" if kind.what == "optional" else "")
         if hasattr(value, "_fields"):
             yield from leaves(value, f"{here}.")
         elif isinstance(value, float):
             yield here, value
+
+
+def places(kind: Kind, path: str) -> list[str]:
+    """Expressions in C of all numbers in what stands at ``path``, as doubles; those of ``numbers``."""
+    if kind.what == "record":
+        return [
+            place
+            for name, inner in _listed(kind.record).items()
+            for place in places(inner, f"{path}.{identifier(name)}")
+        ]
+    if kind.what == "optional":
+        return [f"(double){path}.given", *places(kind.items[0], f"{path}.value")]
+    return [path if kind.what == "real" else f"(double){path}"]
+
+
+def numbers(kind: Kind, value: Any, words: Mapping[str, int]) -> list[float]:
+    """All numbers in ``value``, each for one of ``places``; what is not given counts as 0.
+
+    ``words``: number of each word in C.
+    """
+    if kind.what == "record":
+        if value is not None and _is_plain(kind.record):
+            return list(value)
+        parts = value if value is not None else [None] * len(_listed(kind.record))
+        return [
+            number
+            for inner, part in zip(_listed(kind.record).values(), parts, strict=True)
+            for number in numbers(inner, part, words)
+        ]
+    if kind.what == "optional":
+        return [float(value is not None), *numbers(kind.items[0], value, words)]
+    if value is None:
+        return [0.0]
+    return [float(words[value] if kind.what == "word" else value)]

@@ -50,10 +50,10 @@ def step(p: Params, s: State) -> State:
     """State one period later."""
     if s.voltage is ZERO and s.command is ZERO:
         return s
-    return State(_decayed(p, s.voltage), _decayed(p, s.command), s.taking_over)
+    return State(decayed(p, s.voltage), decayed(p, s.command), s.taking_over)
 
 
-def _decayed(p: Params, o: Offset) -> Offset:
+def decayed(p: Params, o: Offset) -> Offset:
     """One period of τ²·ö + 2τ·ȯ + o = 0: it leaves its first value with slope 0 and never overshoots."""
     if abs(o.value) < NEGLIGIBLE and abs(o.rate) * p.time < NEGLIGIBLE:
         return ZERO

@@ -16,6 +16,7 @@ from valve_control.supervision import lvdt, plausibility, rate
 TACHOMETER_CUTOFF = 50.0  # Hz, of the velocity with which a law takes over
 REST = 10.0  # V/s; a spool that moves faster has not yet come to rest ...
 REST_LIMIT = 0.5  # s  ... but a noisy reading must not keep the valve off for ever
+PROBATION = 1.2  # times the largest disturbance: the voltage while readings are doubted
 DOUBTS = ("lvdt_jump", "lvdt_disagrees")  # after which readings are not believed because they are smooth
 
 

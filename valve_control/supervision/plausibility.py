@@ -34,6 +34,13 @@ SMOOTH = 0.005  # of the usual slope, for each block
 SOUND = -0.8  # wrongness below which a slope is worth keeping
 TURNS = 0.3  # variance of the sign of the velocity from which friction can be told from an offset
 
+TEXTS = {
+    "": "",
+    "wrong_sign": "wrong sign",
+    "wrong_side": "wrong sign or offset",
+    "flat": "they stay where they are while it is saturated on either side; too flat, or stuck spool",
+}
+
 
 class Params(NamedTuple):
     """What readings of a sound LVDT on a sound valve may show."""
@@ -299,15 +306,23 @@ def agrees(found: float) -> bool:
     return max(found, 1.0 / found) < SAME
 
 
-def finding(p: Params, s: State, d: Doubt) -> tuple[str, Doubt]:
-    """What is wrong with the readings after a block, "": nothing, and what is still held against them."""
+def verdict(p: Params, s: State, d: Doubt) -> tuple[str, Doubt]:
+    """Name of what is wrong with the readings after a block, "": nothing, and the doubt that remains."""
     shown = s.shown
     if shown.wrong_sign > 0.0:
-        return "wrong sign" if shown.against > 0.0 else "wrong sign or offset", d
+        return "wrong_sign" if shown.against > 0.0 else "wrong_side", d
     if flat(p, shown):
-        return "they stay where they are while it is saturated on either side; too flat, or stuck spool", d
+        return "flat", d
     if d.times > 0.0:
         found = ratio(p, shown, d)
         if found > 0.0:
-            return ("", TRUST) if agrees(found) else (f"gain about {found:.1g}", d)
+            if agrees(found):
+                return "", TRUST
+            return "gain", d
     return "", d
+
+
+def finding(p: Params, s: State, d: Doubt) -> tuple[str, Doubt]:
+    """As ``verdict``, in words."""
+    name, doubt = verdict(p, s, d)
+    return f"gain about {ratio(p, s.shown, d):.1g}" if name == "gain" else TEXTS[name], doubt

@@ -40,7 +40,6 @@ from valve_control.supervision.record import at_rest
 
 BOTH = "spool_command is ignored while spool_trajectory commands"
 PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
-PROBATION = 1.2  # times the largest disturbance: the voltage while readings are doubted
 
 
 class Supervisor(LawInForce):
@@ -66,7 +65,7 @@ class Supervisor(LawInForce):
         watch = lvdt_watch.design(values, params)
         self._limited = params
         if watch.comparison is not None:
-            limit = PROBATION * number(values, "lvdt.disturbance")
+            limit = lvdt_watch.PROBATION * number(values, "lvdt.disturbance")
             self._limited = params._replace(u_max=min(number(values, "u_max"), limit))
         if self._form and watch.comparison != self._watch_lvdt.comparison:
             self._evidence = None

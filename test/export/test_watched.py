@@ -1,0 +1,98 @@
+"""``valve-control export --watch``: the supervisor's watch in C, through faults, bit for bit."""
+
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from driven import COMPILERS, SANITIZERS
+
+from valve_control.export import folder, samples, sources, unit
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import defaults, updated
+from valve_control.parameters.table import CONTROLLER
+
+compiles = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+
+
+def watched(**changes):
+    given = {name.replace("__", "."): value for name, value in changes.items()}
+    return unit.watched(updated(CONTROLLER, defaults(CONTROLLER), given))
+
+
+def check(place, *words):
+    return subprocess.run(["make", "-C", place, "clean", "check", *words], capture_output=True, text=True)
+
+
+@compiles
+def test_the_contract(run, tmp_path):
+    status, out, err = run("export", "--controller", "oarc", "--watch", "--output", "made")
+    assert (status, err) == (0, "") and out.startswith("wrote made/ with oarc.h, oarc.c, check.csv, Makefile")
+    place = tmp_path / "made"
+    text, header = (place / "oarc.c").read_text(), (place / "oarc.h").read_text()
+    assert "malloc" not in text and set(re.findall("#include (.*)", text)) == {"<math.h>", '"oarc.h"'}
+    assert len((place / "README.md").read_text().splitlines()) == 10
+    assert "bool oarc_set_lvdt_limit(oarc_watch_params_t *p, double value);" in header
+    assert "OARC_LVDT_DISAGREES" in header
+    rows = (place / "check.csv").read_text().splitlines()
+    assert {row.split(",")[0] for row in rows[1:]} == {"sample", "command", "gone", "silence"}
+    done = check(place, f"CFLAGS={sources.FLAGS} {folder.WARNINGS} {' '.join(SANITIZERS)}")
+    assert done.returncode == 0 and f"{len(rows) - 1} rows equal to the last bit" in done.stdout, done.stderr
+    # The comparison can fail: one bit of the tachometer is enough.
+    before, smoothing, after = re.split(r"(\.tachometer = \{[^}]*\.smoothing = 0x1\.\w+)(?=p)", text)
+    (place / "oarc.c").write_text(before + smoothing[:-1] + ("0" if smoothing[-1] != "0" else "1") + after)
+    done = check(place)
+    assert done.returncode != 0 and "rows differ" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--plant", "valve"], "leave out --plant"),
+        (["--fmu", "2"], "an FMU has the law alone"),
+        (["--float"], "the watch counts time"),
+        (["--set", "command.interpolation=linear"], "set command.interpolation to hold"),
+    ],
+)
+def test_what_the_watch_cannot_be_part_of_is_refused(run, tmp_path, words, reason):
+    status, out, err = run("export", "--watch", *words, "--output", "made")
+    assert status == 2 and out == "" and reason in err and err.count("\n") == 1
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.campaign
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler")
+@pytest.mark.parametrize("name", LAWS)
+def test_random_faults_under_other_parameters_in_c(tmp_path, name):
+    """Every condition of the watch, with the lead of the command, other limits, gaps and time-outs."""
+    random = np.random.default_rng(3)
+    kinds = sorted({fault.what for fault in samples.FAULTS})
+    for seed in range(2):
+        chosen = watched(
+            controller=name,
+            reshaping__lead=0.004 * seed,
+            lvdt__hold_samples=int(random.integers(0, 30)),
+            lvdt__recovery_samples=int(random.integers(1, 50)),
+            lvdt__hold_off=0.1,
+            command_timeout=0.2,
+            command_limit=5.0,
+        )
+        faults = [
+            samples.Fault(float(random.uniform(0.02, 7.0)), int(10 ** random.uniform(0.0, 2.3)), str(what))
+            for what in random.choice(kinds, 15)
+        ]
+        made = sources.make(chosen)
+        rows = list(samples.under_watch(chosen, made.words, 8000, seed, faults))
+        place = tmp_path / str(seed)
+        place.mkdir()
+        (place / f"{name}.h").write_text(made.header)
+        (place / f"{name}.c").write_text(made.source)
+        (place / "check.c").write_text(folder.check(chosen, made, 0.0, False))
+        (place / "Makefile").write_text(folder.makefile(name))
+        (place / "check.csv").write_text(samples.as_csv(rows))
+        for compiler in COMPILERS:
+            done = check(place, f"CC={compiler}")
+            assert done.returncode == 0 and f"{len(rows)} rows equal" in done.stdout, (
+                done.stdout + done.stderr
+            )

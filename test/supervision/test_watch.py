@@ -1,0 +1,107 @@
+"""The supervisor's watch as pure steps: voltages and states are the supervisor's own, bit for bit."""
+
+import math
+import types
+
+import numpy as np
+import pytest
+
+from valve_control.export import samples, unit
+from valve_control.export.kinds import Kind
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters.table import CONTROLLER
+from valve_control.supervision import watch
+
+KINDS = sorted({fault.what for fault in samples.FAULTS})
+WORDS = dict.fromkeys(
+    ["", "not_finite", "out_of_range", "jump", "frozen", "lvdt_not_finite", "lvdt_out_of_range", "lvdt_jump"]
+    + ["lvdt_frozen", "lvdt_silent", "lvdt_disagrees", "law_not_finite"]
+)
+WORDS = {word: i for i, word in enumerate(WORDS)}
+
+
+def watched(**changes):
+    given = {name.replace("__", "."): value for name, value in changes.items()}
+    return unit.watched(updated(CONTROLLER, defaults(CONTROLLER), given))
+
+
+def random_faults(seed, count=12, within=7.5):
+    random = np.random.default_rng(seed)
+    return [
+        samples.Fault(float(random.uniform(0.02, within)), int(10 ** random.uniform(0.0, 2.5)), str(what))
+        for what in random.choice(KINDS, count)
+    ]
+
+
+def compare(chosen, count, seed, faults=samples.FAULTS):
+    """Step the watch through a run of the supervisor; returns the reasons for which the voltage was off."""
+    module, p = chosen.module, chosen.params
+    kind = Kind("record", module.State)
+    s, off = module.at_rest(), set()
+    for event, given, supervisor, voltage in samples.faulty(chosen, count, seed, faults):
+        found = 0.0
+        if event == "command":
+            s = module.commanded(p, s, *given)
+        elif event == "gone":
+            s = module.left(s)
+        elif event == "silence":
+            s = module.silent(p, s, *given)
+            found = s.voltage
+        else:
+            found, s = module.sample(p, s, given[0], int(given[1]))
+        assert found == voltage, (event, supervisor.state.now)
+        wanted = unit.numbers(kind, samples.remembered(supervisor), WORDS)
+        assert unit.numbers(kind, s, WORDS) == wanted, (event, supervisor.state.now)
+        off.add(s.trust.blocked)
+    return off
+
+
+def test_it_is_the_supervisor_bit_for_bit_through_all_faults():
+    off = compare(watched(controller="oarc"), 9000, 1)
+    assert off == {"", "lvdt_not_finite", "lvdt_silent", "lvdt_jump", "lvdt_out_of_range", "lvdt_frozen",
+                   "lvdt_disagrees"}  # fmt: skip
+
+
+OTHERS = [
+    {"controller": "dcarc", "reshaping__lead": 0.005},
+    {"controller": "pid", "pid__form": "plain", "lvdt__hold_samples": 0, "command_timeout": 0.0},
+    {"controller": "arc", "lvdt__disturbance": 0.0, "lvdt__frozen_samples": 0, "lvdt__recovery_samples": 1},
+    {"controller": "compensator", "lockstep": True, "transfer_time": 0.5, "u_max": 3.0},
+]
+
+
+@pytest.mark.parametrize("changes", OTHERS, ids=[one["controller"] for one in OTHERS])
+def test_with_other_parameters_and_random_faults(changes):
+    compare(watched(**changes), 1500, 3, random_faults(5, within=1.4))
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", LAWS)
+def test_with_many_random_faults(name):
+    for seed in range(2):
+        compare(watched(controller=name, command_timeout=0.2), 6000, seed, random_faults(seed))
+
+
+def test_a_law_that_leaves_the_finite_numbers_is_switched_off(monkeypatch):
+    pid = LAWS["pid"]
+
+    def step(p, s, command, measurement, offset):
+        voltage, s, terms = pid.module.step(p, s, command, measurement, offset)
+        return (math.nan if 2.0 < command < 2.1 else voltage), s, terms
+
+    parts = {name: getattr(pid.module, name) for name in ("Params", "State", "Terms", "initial", "hold")}
+    module = types.SimpleNamespace(**parts, step=step, __name__=pid.module.__name__)
+    monkeypatch.setitem(LAWS, "pid", pid._replace(module=module))
+    chosen = watched(controller="pid", pid__form="plain")
+    assert "law_not_finite" in compare(chosen, 2500, 2)
+
+
+def test_commands_that_are_joined_are_refused():
+    with pytest.raises(ParameterError, match=r"set command\.interpolation to hold"):
+        watched(command__interpolation="linear")
+
+
+def test_the_template_itself_does_not_run():
+    with pytest.raises(NotImplementedError):
+        watch.law_initial(None, None)
