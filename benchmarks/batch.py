@@ -111,7 +111,7 @@ def c_library(folder: Path, controller: str, options: Sequence[str]) -> ctypes.C
         raise BenchmarkError("vs_c needs gcc, which is not installed (Debian, Ubuntu: apt install gcc)")
     controller_values, valve_values = settings(controller)
     place = Path(tempfile.mkdtemp(dir=folder))
-    for exported in (unit.law(controller_values), unit.plant("valve", valve_values)):
+    for exported in (unit.law(controller_values), unit.plant(valve_values)):
         made = sources.make(exported)
         (place / f"{exported.name}.h").write_text(made.header, encoding="utf-8")
         (place / f"{exported.name}.c").write_text(made.source, encoding="utf-8")

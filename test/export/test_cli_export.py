@@ -64,9 +64,10 @@ def test_the_contract(run, tmp_path):
 @compiles
 @pytest.mark.parametrize(
     "words", [["--plant", "valve", "--set", "lvdt.delay=0.0013", "--set", "friction.coulomb=1.0"],
+              ["--plant", "axis", "--set", "pressure.delay=0.0013", "--set", "load.coulomb=100.0"],
               ["--controller", "dcarc", "--float"]],
 )  # fmt: skip
-def test_a_valve_and_a_law_in_float(run, tmp_path, words):
+def test_a_valve_an_axis_and_a_law_in_float(run, tmp_path, words):
     assert run("export", *words, "--output", "made")[0] == 0
     done = make(tmp_path / "made", "check")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -79,6 +80,7 @@ REFUSED = [
     (["--output", ""], "--output has an empty name"),
     (["--output", "new", "--set", "oarc.ks1=-1.0"], "oarc.ks1 is -1 1/s; it must lie between"),
     (["--output", "new", "--controller", "arc", "--plant", "valve"], "contradict each other"),
+    (["--output", "new", "--plant", "axis", "--set", "load.mass=0.0"], "load.mass is 0 kg"),
     (["--output", "new", "--fmu", "2", "--float"], "an FMU calculates in double"),
     (["--output", "new.fmu", "--fmu", "2"], "needs a C compiler, and there is no not_there"),
     (["--output", "new", "--float"], "needs a C compiler, and there is no not_there"),
@@ -101,7 +103,7 @@ def test_what_cannot_be_done_is_one_sentence_and_nothing_is_written(
 def test_a_setter_does_what_a_new_export_would(name):
     """For each parameter that can be set: its number in Params, and no other, is the value that is given."""
     chosen = (
-        unit.plant("valve", defaults(VALVE))
+        unit.plant(defaults(VALVE))
         if name == "valve"
         else unit.law(updated(CONTROLLER, defaults(CONTROLLER), {"controller": name}))
     )

@@ -1,4 +1,4 @@
-"""Defines the sub-command `export`: C99 or an FMU of a law, or of the simulated valve."""
+"""Defines the sub-command `export`: C99 or an FMU of a law, or of the simulated valve or axis."""
 
 import argparse
 import os
@@ -6,7 +6,7 @@ from typing import Any
 
 from valve_control import outputs
 from valve_control.cli.common import check_outputs, say, tell_notes, write_json
-from valve_control.parameter import ParameterError, defaults, lookup, updated
+from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
 from valve_control.parameters.table import NODES
 
 CONTROLLERS = lookup(NODES["controller"], "controller").choices
@@ -23,7 +23,11 @@ def add_commands(commands: Any) -> None:
     )
     group = options.add_argument_group("what is exported")
     group.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
-    group.add_argument("--plant", choices=("valve",), help="the simulated valve instead of a law")
+    group.add_argument(
+        "--plant",
+        choices=("valve", "axis"),
+        help="the simulated valve, or the axis that it feeds, instead of a law",
+    )
     group.add_argument(
         "--watch",
         action="store_true",
@@ -50,14 +54,20 @@ def add_commands(commands: Any) -> None:
         "--fmu", type=int, choices=(2, 3), help="an FMU of FMI 2.0 or 3.0; needs a C compiler"
     )
     output.add_argument(
+        "--parameters-only",
+        action="store_true",
+        help="the numbers alone, for NAME_set_design of C that is in the machine: retune without a compiler",
+    )
+    output.add_argument(
         "--json", metavar="FILE", help="what was exported as JSON; - for standard output alone"
     )
     options.set_defaults(run=_export)
 
 
 def _export(arguments: argparse.Namespace) -> None:
-    from valve_control.export import fmu, folder, settable, unit
+    from valve_control.export import design, fmu, folder, settable, unit
     from valve_control.parameters import files
+    from valve_control.parameters.axis import AXIS_NODES
 
     path = folder.refuse_taken(arguments.output)
     check_outputs(arguments)
@@ -69,23 +79,34 @@ def _export(arguments: argparse.Namespace) -> None:
         raise ParameterError("an FMU has the law alone; leave out --watch")
     if arguments.watch and arguments.float:
         raise ParameterError("the watch counts time, for which float has too few digits; leave out --float")
+    if arguments.parameters_only and (arguments.plant is not None or arguments.fmu is not None):
+        raise ParameterError("--parameters-only is for the C of a law; leave out --plant and --fmu")
     if arguments.fmu is not None and arguments.float:
         raise ParameterError("an FMU calculates in double; leave out --float")
     notes: list[str] = []
     direct = {"controller": {"controller": arguments.controller}}
-    changes = files.given(arguments.params_file, direct, arguments.set, notes)
+    nodes = AXIS_NODES if arguments.plant == "axis" else NODES
+    changes = files.given(arguments.params_file, direct, arguments.set, notes, nodes)
     tell_notes(notes)
-    node = "controller" if arguments.plant is None else "valve_simulator"
-    values = updated(NODES[node], defaults(NODES[node]), changes[node])
-    if arguments.plant is not None:
-        chosen = unit.plant(arguments.plant, values)
+
+    def values(node: str) -> Values:
+        return updated(nodes[node], defaults(nodes[node]), changes[node])
+
+    if arguments.plant == "axis":
+        chosen = unit.hydraulic_axis(values("axis_simulator"), values("valve_simulator"))
+    elif arguments.plant == "valve":
+        chosen = unit.plant(values("valve_simulator"))
     else:
-        chosen = unit.watched(values) if arguments.watch else unit.law(values)
+        chosen = (unit.watched if arguments.watch else unit.law)(values("controller"))
     found = settable.find(chosen)
     if arguments.fmu is not None:
         data = fmu.make(chosen, arguments.fmu, found)
         outputs.write(str(path), data)
         say(arguments, f"wrote {arguments.output}")
+    elif arguments.parameters_only:
+        numbers = design.files(chosen, arguments.float)
+        folder.write(path, numbers)
+        say(arguments, f"wrote {os.path.join(arguments.output, '')} with {', '.join(numbers)}")
     else:
         made = folder.files(chosen, arguments.float, found)
         folder.write(path, made)

@@ -24,7 +24,20 @@ from valve_control.export.unit import Unit, leaves
 from valve_control.parameter import ParameterError
 
 VERSIONS = (2, 3)
-UNITS = ("V", "V/s", "V/s²", "V·s", "s", "1/s", "1/s²", "V/V", "V²/s²")  # beside those of parameters
+UNITS = (
+    "m",
+    "m/s",
+    "m³",
+    "m³/s/√Pa",
+    "V/s",
+    "V/s²",
+    "V·s",
+    "s",
+    "1/s",
+    "1/s²",
+    "V/V",
+    "V²/s²",
+)  # beside those of parameters
 PLACES = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
 MOMENT = (1980, 1, 1, 0, 0, 0)  # of all files in it, so that equal exports are equal files
 
@@ -93,6 +106,7 @@ def make(unit: Unit, version: int, found: Found | None = None) -> bytes:
 
 def _variables(unit: Unit, made: Sources) -> list[Variable]:
     """All of them; value references count them from 1."""
+    several = len(unit.outputs) > 1
     if unit.is_law:
         listed = [
             Variable("command", "input", "spool position wanted", "V", "m->in[0]", "m->in[0] = value", 0.0),
@@ -104,21 +118,20 @@ def _variables(unit: Unit, made: Sources) -> list[Variable]:
             (name, f"m->terms.{kinds.identifier(name)}") for name in unit.module.Terms._fields
         ]
     else:
-        read = f"{unit.name}_read(&m->p, &m->s, m->in[1])"
+        noises = "".join(f", m->in[{i}]" for i in range(1, 1 + len(unit.noises)))
+        read = f"{unit.name}_read(&m->p, &m->s{noises})"
         listed = [
             Variable("voltage", "input", "solenoid voltage", "V", "m->in[0]", "m->in[0] = value", 0.0),
-            Variable(
-                "noise",
-                "input",
-                "standard normal number of the LVDT",
-                "",
-                "m->in[1]",
-                "m->in[1] = value",
-                0.0,
+            *(
+                Variable(p.name, "input", p.text, p.unit, f"m->in[{i}]", f"m->in[{i}] = value", 0.0)
+                for i, p in enumerate(unit.noises, 1)
             ),
-            Variable("measurement", "output", "LVDT reading", "V", read),
+            *(
+                Variable(p.name, "output", p.text, p.unit, read + (f".{p.name}" if several else ""))
+                for p in unit.outputs
+            ),
         ]
-        fields = [(f"state.{path}", f"m->s.{path}") for path, _ in leaves(unit.module.initial(unit.params))]
+        fields = [(f"state.{path}", f"m->s.{path}") for path, _ in leaves(unit.begin())]
         texts = kinds.field_texts(unit.module.State)
     for name, code in fields:
         text = texts.get(name.removeprefix("state."), "")
@@ -182,7 +195,7 @@ def _model(unit: Unit, made: Sources, variables: list[Variable], token: str) -> 
 typedef struct {{
     {name}_params_t p;
     {name}_state_t s;
-    double in[2];
+    double in[{2 if unit.is_law else 1 + len(unit.noises)}];
     double time; /* s */
 {fields}
 }} model_t;

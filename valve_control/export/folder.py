@@ -3,6 +3,7 @@
 import os
 import shutil
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from valve_control.export import compiler, samples, sources
@@ -28,12 +29,12 @@ def refuse_taken(path: str) -> Path:
     return folder
 
 
-def write(folder: Path, files: dict[str, str]) -> None:
+def write(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """Make ``folder`` with all ``files``, or nothing. Raises OSError."""
     made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     try:
         for name, text in files.items():
-            (made / name).write_text(text, encoding="utf-8")
+            (made / name).write_bytes(text.encode("utf-8") if isinstance(text, str) else text)
         made.chmod(0o755)
         made.rename(folder)
     except BaseException:  # Ctrl-C too
@@ -114,8 +115,15 @@ def check(unit: Unit, made: Sources, largest: float, single: bool) -> str:
         again = f"{name}_step(&{name}_exported, &state, row->given[0], row->given[1], row->given[2], 0)"
     else:
         begin = f"    {name}_init(&state{', memory' if made.memory else ''});\n"
-        calls = _PLANT_CALLS
-        again = f"({name}_step(&{name}_exported, &state, row->given[0]), {paths[0]})"
+        cast = "(float)" if single else ""
+        read = f"{name}_read(&{name}_exported, &state" + "".join(
+            f",\n            {cast}row->given[{i}]" for i in range(1, 1 + len(unit.noises))
+        )
+        calls = _PLANT_CALLS.replace("@READ@", f"found = {read})")
+        if len(unit.outputs) > 1:
+            calls = f"        const {name}_reading_t reading = {read});\n"
+            calls += f"        found = reading.{unit.outputs[0].name};\n" + _PLANT_CALLS.split("\n", 1)[1]
+        again = f"({name}_step(&{name}_exported, &state, row->given[0]), {paths[-1]})"
     equal = (
         "fabs((double)found - row->result) <= LARGEST"
         if single
@@ -165,7 +173,7 @@ _WATCH_CALLS = """        if (strncmp(row->event, "command", sizeof row->event) 
             found = @NAME@_watch_sample(&@NAME@_exported, &state, row->given[0], (int64_t)row->given[1]);
 """
 
-_PLANT_CALLS = """        found = @NAME@_read(&@NAME@_exported, &state, @CAST@row->given[1]);
+_PLANT_CALLS = """        @READ@;
         @NAME@_step(&@NAME@_exported, &state, @CAST@row->given[0]);
 """
 
@@ -292,6 +300,9 @@ def readme(unit: Unit, made: Sources, rows: int, largest: float, single: bool) -
     name = unit.name
     settable = ", ".join(dict.fromkeys(setter.parameter.name for setter in made.setters)) or "none"
     others = ", ".join(f"{other} ({reason})" for other, reason in made.others.items()) or "none"
+    designed = "Parameters that need a new export"
+    if unit.is_law:
+        designed = f"Parameters that need `export --parameters-only` and `{name}_set_design`, or a new export"
     bits = f"within {largest:g} V in float" if single else "bit for bit"
     order = (
         f"`{name}_init` once, then each sample `{name}_step`, or `{name}_hold` where a reading is missing."
@@ -317,6 +328,6 @@ Several instances are several structs. Functions with different structs may run 
 {trust}
 Compile with `{FLAGS}`; fast-math or fused operations change the last bits.
 Parameters that `{name}_set_...` sets while it runs: {settable}.
-Parameters that need a new export: {others}.
+{designed}: {others}.
 Made by `valve-control export`; do not edit, export again.
 """

@@ -43,14 +43,14 @@ class Row(NamedTuple):
     """One call, with what it is given.
 
     init: reading, voltage, reference, its rate, velocity; step or hold of a law: command, reading, and offset
-    or the voltage that is held; step of a plant: voltage, noise. Under the watch: sample with reading and
+    or the voltage that is held; step of a plant: voltage, noises. Under the watch: sample with reading and
     samples that were left out before it; command; gone; silence with its time.
     """
 
     event: str
     given: tuple[float, ...]
     result: float  # voltage, or reading before the step; 0.0 where there is none
-    state: Any  # after it; under the watch its numbers
+    state: Any  # after it; of a law under the watch, or of several readings, the numbers
 
 
 def digest(numbers: Sequence[float]) -> int:
@@ -75,12 +75,17 @@ def run(unit: Unit, words: Mapping[str, int], count: int = COUNT, seed: int = 1)
     rows = []
     try:
         for row in made:
-            if not finite([row.result, *(number for _, number in leaves(row.state))]):
+            if not finite([row.result, *_numbers(row)]):
                 break
             rows.append(row)
     except ArithmeticError:  # the law has left the finite numbers
         pass
     return rows
+
+
+def _numbers(row: Row) -> list[float]:
+    state: list[float] = row.state if isinstance(row.state, list) else [n for _, n in leaves(row.state)]
+    return state
 
 
 def command(k: int, period: float) -> float:
@@ -121,13 +126,17 @@ def _law(unit: Unit, count: int, seed: int) -> Iterator[Row]:
 
 def _plant(unit: Unit, count: int, seed: int) -> Iterator[Row]:
     module, p = unit.module, unit.params
-    state = module.initial(p)
-    noise = np.random.default_rng(seed).standard_normal(count).tolist()
+    state = unit.begin()
+    noise = np.random.default_rng(seed).standard_normal((count, len(unit.noises))).tolist()
     for k in range(count):
         voltage = 1.5 * command(k, unit.period)
-        result = module.read(p, state, noise[k])
+        reading = unit.read(p, state, *noise[k])
         state = module.step(p, state, voltage)
-        yield Row("step", (voltage, noise[k]), result, state)
+        given = (voltage, *noise[k])
+        if len(unit.outputs) == 1:
+            yield Row("step", given, reading, state)
+        else:
+            yield Row("step", given, reading[0], [*reading, *(number for _, number in leaves(state))])
 
 
 class Fault(NamedTuple):
@@ -223,6 +232,5 @@ def as_csv(rows: Sequence[Row]) -> str:
     lines = [",".join(COLUMNS)]
     for row in rows:
         given = [repr(number) for number in row.given] + ["0.0"] * (5 - len(row.given))
-        state = row.state if isinstance(row.state, list) else [number for _, number in leaves(row.state)]
-        lines.append(",".join([row.event, *given, repr(row.result), f"{digest(state):016x}"]))
+        lines.append(",".join([row.event, *given, repr(row.result), f"{digest(_numbers(row)):016x}"]))
     return "\n".join(lines) + "\n"

@@ -4,10 +4,10 @@ import math
 from typing import Any, NamedTuple
 
 from valve_control import __version__
-from valve_control.export import kinds, settable
+from valve_control.export import design, kinds, settable
 from valve_control.export.kinds import INTEGER, REAL, Kind, comment, identifier
 from valve_control.export.settable import Found, Setter
-from valve_control.export.subset import Program, SubsetError
+from valve_control.export.subset import WIDTH, Program, SubsetError
 from valve_control.export.unit import Unit, leaves, places
 from valve_control.laws.signals import Start
 
@@ -40,6 +40,8 @@ def make(unit: Unit, single: bool = False, found: Found | None = None) -> Source
     program = Program(unit.name, own.module, single)
     try:
         public = [Kind("record", getattr(own.module, part)) for part in ("Params", "State")]
+        if len(unit.outputs) > 1:
+            public.append(Kind("record", unit.module.Reading))
         if unit.is_law:
             public += [Kind("record", own.module.Terms), Kind("record", Start)]
         if unit.inner is not None:
@@ -62,6 +64,10 @@ def make(unit: Unit, single: bool = False, found: Found | None = None) -> Source
         raise SubsetError(f"{unit.name} cannot be exported to C: {error}") from error
     found = found or settable.find(unit)
     for prototype, definition in _setters(unit, program, found, names[0 if unit.inner is None else 4]):
+        prototypes.append(prototype)
+        definitions.append(definition)
+    if unit.is_law:
+        prototype, definition = _design(unit, program, found, names[0 if unit.inner is None else 4])
         prototypes.append(prototype)
         definitions.append(definition)
     guard = f"{unit.name.upper()}_H"
@@ -164,49 +170,77 @@ def _plant(
 ) -> tuple[list[str], list[str], int]:
     """Prototypes and definitions of a plant's functions, and the numbers that its arrays hold."""
     name, real, module = unit.name, program.real, unit.module
-    params_t, state_t = names
-    read = program.translate(module.read, [*public, REAL])
-    step = program.translate(module.step, [*public, REAL])
-    begin = module.initial(unit.params)
-    lines, memory = [], 0
-    for field, kind in kinds.fields(module.State).items():
-        value = getattr(begin, field)
-        place = f"s->{identifier(field)}"
-        if kind.what == "array":
-            rows, columns = value.shape
-            lines += [
-                f"    {place}.data = memory + {memory};",
-                f"    {place}.rows = {rows};",
-                f"    {place}.columns = {columns};",
-                f"    for (int i = 0; i < {value.size}; i++)",
-                f"        {place}.data[i] = {program.number(0.0)};",
-            ]
-            memory += value.size
-            if value.any():
-                raise SubsetError(f"{name} begins with an array that is not zero")
-        elif kind.what == "record":
-            lines += [f"    {place}.{path} = {program.number(number)};" for path, number in leaves(value)]
-        else:
-            lines.append(f"    {place} = {program.constant(value, kind)};")
+    params_t, state_t = names[:2]
+    read = program.translate(unit.read, [*public[:2], *(REAL for _ in unit.noises)])
+    step = program.translate(module.step, [*public[:2], REAL])
+    lines: list[str] = []
+    memory = _begun(program, name, public[1], unit.begin(), "s->", lines, 0)
     given = f"{state_t} *s, {real} *memory" if memory else f"{state_t} *s"
     prototypes, definitions = _exported(unit, program, public[0], params_t)
+    noises = [port.name for port in unit.noises]
+    reading = f"{program.type_name(read.returns)} {name}_read(const {params_t} *p, const {state_t} *s"
+    reading = _folded(reading, [f"{real} {noise}" for noise in noises])
+    of = "Reading [V] of the sensor" if len(unit.outputs) == 1 else "Readings of the sensors"
+    are = (
+        f"``{noises[0]}`` is a standard normal number"
+        if len(noises) == 1
+        else "all noises are standard normal"
+    )
     prototypes += [
         "/* At rest, without voltage"
         + (f"; ``memory`` has {name.upper()}_MEMORY numbers and is written in each step" if memory else "")
         + f". */\nvoid {name}_init({given});",
-        f"/* Reading [V] of the sensor at this sample; ``noise`` is a standard normal number. */\n"
-        f"{real} {name}_read(const {params_t} *p, const {state_t} *s, {real} noise);",
+        f"/* {of} at this sample; {are}. */\n{reading};",
         f"/* One period, over which ``voltage`` [V] is held. */\n"
         f"void {name}_step(const {params_t} *p, {state_t} *s, {real} voltage);",
     ]
     definitions += [
         "\n".join([f"void {name}_init({given})", "{", *lines, "}"]),
-        f"{real} {name}_read(const {params_t} *p, const {state_t} *s, {real} noise)\n{{\n"
-        f"    return {read.name}(p, s, noise);\n}}",
+        f"{reading}\n{{\n    return {read.name}(p, s, {', '.join(noises)});\n}}",
         f"void {name}_step(const {params_t} *p, {state_t} *s, {real} voltage)\n{{\n"
         f"    *s = {step.name}(p, s, voltage);\n}}",
     ]
     return prototypes, definitions, memory
+
+
+def _begun(
+    program: Program, name: str, kind: Kind, value: Any, place: str, lines: list[str], memory: int
+) -> int:
+    """Add ``lines`` that give the record at ``place`` its ``value``; returns the numbers of arrays used."""
+    for field, inner in kinds.fields(kind.record).items():
+        item, here = getattr(value, field), f"{place}{identifier(field)}"
+        if inner.what == "record":
+            memory = _begun(program, name, inner, item, f"{here}.", lines, memory)
+        elif inner.what == "array":
+            rows, columns = item.shape
+            lines += [
+                f"    {here}.data = memory + {memory};",
+                f"    {here}.rows = {rows};",
+                f"    {here}.columns = {columns};",
+                f"    for (int i = 0; i < {item.size}; i++)",
+                f"        {here}.data[i] = {program.number(0.0)};",
+            ]
+            if (item != item[0]).any():
+                raise SubsetError(f"{name} begins with an array whose rows differ")
+            lines += [
+                line
+                for column, number in enumerate(item[0].tolist())
+                if number != 0.0
+                for line in (
+                    f"    for (int i = 0; i < {rows}; i++)",
+                    f"        {here}.data[{columns} * i + {column}] = {program.number(number)};",
+                )
+            ]
+            memory += item.size
+        else:
+            lines.append(f"    {here} = {program.constant(item, inner)};")
+    return memory
+
+
+def _folded(head: str, arguments: list[str]) -> str:
+    """A function's head, whose last arguments may stand in a second line."""
+    together = f"{head}, {', '.join(arguments)})"
+    return together if len(together) <= WIDTH else f"{head},\n    {', '.join(arguments)})"
 
 
 def _watch(unit: Unit, program: Program, public: list[Kind], names: list[str]) -> tuple[list[str], list[str]]:
@@ -322,15 +356,72 @@ def _setters(unit: Unit, program: Program, found: Found, params_t: str) -> list[
     return made
 
 
+def _design(unit: Unit, program: Program, found: Found, params_t: str) -> tuple[str, str]:
+    """Type, prototype and definition of what takes over all numbers at once."""
+    name, upper = unit.name, unit.name.upper()
+    paths = [path for path, _ in leaves(unit.params)]
+    layout, form = design.layout(unit, program.single), design.form(unit)
+    cast = "(float)" if program.single else ""
+    ranges = {setter.path: setter.parameter for setter in found.setters}
+    head = f"bool {name}_set_design({params_t} *p, const {name}_design_t *design)"
+    prototype = (
+        f"#define {upper}_LAYOUT 0x{layout:016x}u /* blocks that fit */\n"
+        f"#define {upper}_FORM 0x{form:016x}u /* of this export */\n\n"
+        f"/* All numbers of the parameters, from valve-control export --parameters-only. */\n"
+        f"typedef struct {{\n    uint64_t layout, form;\n    double numbers[{len(paths)}];\n"
+        f"    uint64_t check;\n}} {name}_design_t;\n\n"
+        "/* Take over all numbers between two samples. False, and nothing is changed, if the block is of\n"
+        " * another law, sample period or version, is damaged, or has a number out of its range. Where its\n"
+        f" * form is not that of the block before ({upper}_FORM), the state means something else: begin it\n"
+        " * again. */\n"
+        f"{head};"
+    )
+    checks = [
+        line
+        for i, path in enumerate(paths)
+        if path in ranges
+        for line in (
+            f"    if (!(design->numbers[{i}] >= {ranges[path].low!r} && "
+            f"design->numbers[{i}] <= {ranges[path].high!r}))",
+            "        return false;",
+        )
+    ]
+    lines = [
+        head,
+        "{",
+        "    uint64_t check = 0xcbf29ce484222325u; /* FNV-1a over words */",
+        "    check = (check ^ design->layout) * 0x100000001b3u;",
+        "    check = (check ^ design->form) * 0x100000001b3u;",
+        f"    for (int i = 0; i < {len(paths)}; i++) {{",
+        "        union {",
+        "            double number;",
+        "            uint64_t word;",
+        "        } bits;",
+        "        bits.number = design->numbers[i];",
+        "        if (!isfinite(bits.number))",
+        "            return false;",
+        "        check = (check ^ bits.word) * 0x100000001b3u;",
+        "    }",
+        f"    if (design->layout != {upper}_LAYOUT || design->check != check)",
+        "        return false;",
+        *checks,
+        *(f"    p->{path} = {cast}design->numbers[{i}];" for i, path in enumerate(paths)),
+        "    return true;",
+        "}",
+    ]
+    return prototype, "\n".join(lines)
+
+
 def state_numbers(unit: Unit) -> list[str]:
-    """Expression in C of each number of ``state``, without arrays and indices."""
+    """Expression in C of each number of ``state``, without arrays and indices, behind several readings."""
+    readings = [f"reading.{port.name}" for port in unit.outputs] if len(unit.outputs) > 1 else []
     if unit.inner is not None:
         return places(Kind("record", unit.module.State), "state")
-    return [f"state.{path}" for path in _state_paths(unit)]
+    return readings + [f"state.{path}" for path in _state_paths(unit)]
 
 
 def _state_paths(unit: Unit) -> list[str]:
     if not unit.is_law:
-        return [path for path, _ in leaves(unit.module.initial(unit.params))]
+        return [path for path, _ in leaves(unit.begin())]
     begin = unit.module.initial(unit.params, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     return [path for path, _ in leaves(begin)]

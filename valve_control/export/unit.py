@@ -10,12 +10,13 @@ from valve_control.laws.common import COMMON
 from valve_control.laws.registry import LAWS
 from valve_control.laws.reshaping import PARAMETERS as RESHAPING
 from valve_control.parameter import Table, Values, number, word
+from valve_control.parameters import axis as axis_parameters
 from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import valve
+from valve_control.plant import machine, valve
 from valve_control.supervision import watch
 
-PLANTS = ("valve",)
+PLANTS = ("valve", "axis")
 WATCHED = (
     "command_limit",
     "command_timeout",
@@ -25,6 +26,14 @@ WATCHED = (
     "reshaping.lead",
 )
 UNWATCHED = ("lvdt.period_limit",)  # the period is that of the machine's own timer
+
+
+class Port(NamedTuple):
+    """A number that goes into a plant, or comes out of it."""
+
+    name: str
+    text: str
+    unit: str
 
 
 class Unit(NamedTuple):
@@ -39,6 +48,10 @@ class Unit(NamedTuple):
     values: Values
     build: Callable[[Values], Any]  # Params from values; raises ParameterError
     inner: Any = None  # the Unit of the law that is under the watch; None: a law alone, or a plant
+    begin: Callable[[], Any] = lambda: None  # state in which a plant begins
+    read: Any = None  # readings of a plant from params, state and a number for each of ``noises``
+    noises: tuple[Port, ...] = ()  # standard normal numbers
+    outputs: tuple[Port, ...] = ()  # fields of the reading, or the one number that it is
 
     @property
     def period(self) -> float:
@@ -72,10 +85,61 @@ def watched(values: Values) -> Unit:
     return Unit(inner.name, text, True, module, built(values), table, values, built, inner)
 
 
-def plant(name: str, values: Values) -> Unit:
-    """The plant ``name`` of PLANTS with the simulator's ``values``. Raises ParameterError."""
+def plant(values: Values) -> Unit:
+    """The valve with the simulator's ``values``. Raises ParameterError."""
     text = "proportional directional control valve with friction, flow force, amplifier and LVDT"
-    return Unit(name, text, False, valve, build.valve_params(values), VALVE, values, build.valve_params)
+    params = build.valve_params(values)
+    return Unit(
+        "valve",
+        text,
+        False,
+        valve,
+        params,
+        VALVE,
+        values,
+        build.valve_params,
+        begin=lambda: valve.initial(params),
+        read=valve.read,
+        noises=(Port("noise", "standard normal number of the LVDT", ""),),
+        outputs=(Port("measurement", "LVDT reading", "V"),),
+    )
+
+
+def hydraulic_axis(axis_values: Values, valve_values: Values) -> Unit:
+    """The axis and its valve with the values of ``axis_simulator`` and ``valve_simulator``.
+
+    A parameter that both have (``sample_period``, ``seed``) is that of the axis. Raises ParameterError.
+    """
+    own = {parameter.name for parameter in axis_parameters.AXIS}
+
+    def built(values: Values) -> Any:
+        given = {name: values[name] for name in valve_values if name not in own}
+        return axis_parameters.machine_params(values, {**valve_values, **given})
+
+    values = {**valve_values, **axis_values}
+    params = axis_parameters.machine_params(axis_values, valve_values)
+    table = (*axis_parameters.AXIS, *(p for p in VALVE if p.name not in own))
+    sensors = (("spool", "LVDT", "V"), ("position", "position sensor", "m"))
+    pressures = (("pressure_a", "sensor of room a", "Pa"), ("pressure_b", "sensor of room b", "Pa"))
+    return Unit(
+        "axis",
+        "hydraulic axis: valve, cylinder, load, supply and sensors",
+        False,
+        machine,
+        params,
+        table,
+        values,
+        built,
+        begin=lambda: axis_parameters.start(params, axis_values),
+        read=machine.sensed,
+        noises=tuple(
+            Port(f"{name}_noise", f"standard normal number of the {text}", "")
+            for name, text, _ in (*sensors, *pressures)
+        ),
+        outputs=tuple(
+            Port(name, f"reading of the {text}", unit) for name, text, unit in (*sensors, *pressures)
+        ),
+    )
 
 
 @cache

@@ -54,7 +54,7 @@ class Reading(NamedTuple):
 
 def _remember(p: Params, s: axis.State, history: Array, newest: int) -> None:
     now = axis.pressures(p.axis, s)
-    valve.remember(history[:, :2], newest, valve.Row(s.x, s.v, 0.0, 0.0), p.axis.period)
+    valve.remember(history, newest, valve.Row(s.x, s.v, 0.0, 0.0), p.axis.period)
     history[newest, 2] = now.a
     history[newest, 3] = now.b
 
@@ -80,13 +80,20 @@ def _delayed(delay: float, history: Array, newest: int, column: int) -> float:
 
 def read(p: Params, s: State, noise: Array) -> Reading:
     """Readings of all sensors; ``noise``: NOISES standard normal numbers."""
+    return sensed(p, s, noise[0], noise[1], noise[2], noise[3])
+
+
+def sensed(
+    p: Params, s: State, spool: float, position: float, pressure_a: float, pressure_b: float
+) -> Reading:
+    """Readings of all sensors from a standard normal number for each."""
     pressure = p.sensors.pressure
-    position = valve.delayed(p.sensors.position.delay, s.history[:, :2], s.newest)
+    x = valve.delayed(p.sensors.position.delay, s.history, s.newest)
     return Reading(
-        valve.read(p.valve, s.valve, noise[0]),
-        valve.reading(p.sensors.position, position, noise[1]),
-        valve.reading(pressure, _delayed(pressure.delay, s.history, s.newest, 2), noise[2]),
-        valve.reading(pressure, _delayed(pressure.delay, s.history, s.newest, 3), noise[3]),
+        valve.read(p.valve, s.valve, spool),
+        valve.reading(p.sensors.position, x, position),
+        valve.reading(pressure, _delayed(pressure.delay, s.history, s.newest, 2), pressure_a),
+        valve.reading(pressure, _delayed(pressure.delay, s.history, s.newest, 3), pressure_b),
     )
 
 
