@@ -5,9 +5,10 @@ from typing import Any, NamedTuple
 
 from valve_control import __version__
 from valve_control.export import design, kinds, settable
+from valve_control.export.emission import WIDTH
 from valve_control.export.kinds import INTEGER, REAL, Kind, comment, identifier
 from valve_control.export.settable import Found, Setter
-from valve_control.export.subset import WIDTH, Program, SubsetError
+from valve_control.export.subset import Program, SubsetError
 from valve_control.export.unit import Unit, leaves, places
 from valve_control.laws.signals import Start
 

@@ -1,0 +1,356 @@
+"""Translates statements, and finds where their variables are declared."""
+
+import ast
+import inspect
+import typing
+from collections.abc import Sequence
+from pathlib import Path
+
+from valve_control.export import kinds
+from valve_control.export.emission import wrapped
+from valve_control.export.expressions import Expressions
+from valve_control.export.kinds import INTEGER, NOTHING, REAL, Kind, comment
+from valve_control.export.terms import Function, SubsetError, Term, named
+
+
+class Body(Expressions):
+    """A function as a whole."""
+
+    def arguments(self, given: Sequence[Kind]) -> tuple[Kind, ...]:
+        """Kinds of the arguments: those of the annotations, else those ``given``."""
+        a = self._parsed.args
+        if a.vararg or a.kwarg or a.kwonlyargs or a.posonlyargs:
+            raise self.refused(self._parsed, f"{self._parsed.name} has other than plain arguments")
+        if self._function.__closure__ or self._parsed.decorator_list:
+            raise self.refused(
+                self._parsed, f"{self._parsed.name} is decorated, or made inside another function"
+            )
+        try:
+            hints = typing.get_type_hints(self._function)
+        except NameError as error:
+            raise self.refused(self._parsed, f"the annotations of {self._parsed.name}: {error}") from error
+        found = []
+        for argument, kind in zip(a.args, given, strict=True):
+            said = kinds.of_annotation(hints[argument.arg]) if argument.arg in hints else None
+            found.append(said or kind)
+        self._returns = kinds.of_annotation(hints["return"]) if "return" in hints else None
+        return tuple(found)
+
+    def translate(self, name: str, wanted: tuple[Kind, ...]) -> Function:
+        """Write the function ``name`` into the program."""
+        program = self._program
+        given = []
+        for argument, kind in zip(self._parsed.args.args, wanted, strict=True):
+            own = self._local(argument.arg)
+            if not kind.is_struct:
+                given.append(self._type(argument, kind, own))
+                self._scope[argument.arg] = Term(own, kind, has_address=True)
+            elif argument.arg in self._stored:
+                given.append(f"const {self._type(argument, kind, f'*{own}_given')}")
+                self._line(f"{program.declared(kind, own)} = *{own}_given;")
+                self._scope[argument.arg] = Term(own, kind, has_address=True)
+            else:
+                given.append(f"const {self._type(argument, kind, f'*{own}')}")
+                self._scope[argument.arg] = Term(own, kind, has_address=True, pointer=True)
+            self._declared[argument.arg] = kind
+        unused = {a.arg for a in self._parsed.args.args}
+        unused -= {n.id for n in ast.walk(self._parsed) if isinstance(n, ast.Name)}
+        for argument in self._parsed.args.args:
+            if argument.arg in unused:
+                self._line(f"(void){self._local(argument.arg)};")
+        self._place_declarations()
+        ended = self._block(self._parsed.body)
+        returns = self._returns or NOTHING
+        if not ended and returns is not NOTHING:
+            raise self.refused(self._parsed, f"{self._parsed.name} can end without a result")
+        head = f"static {program.declared(returns, name)}({', '.join(given) or 'void'})"
+        file = Path(self._function.__code__.co_filename)
+        about = f"/* {file.parent.name}/{file.name}, {self._function.__name__}"
+        text = (inspect.getdoc(self._function) or "").splitlines()
+        about += f": {comment(text[0])} */" if text else " */"
+        lines = [*wrapped(about, ""), *wrapped(head, ""), "{", *self._lines, "}"]
+        program.functions.append("\n".join(lines))
+        return Function(name, wanted, returns)
+
+    # Statements
+
+    def _block(self, body: Sequence[ast.stmt]) -> bool:
+        """Translate statements; returns whether they end with a return."""
+        for i, statement in enumerate(body):
+            if self._statement(statement):
+                if i + 1 < len(body):
+                    raise self.refused(body[i + 1], "this is never reached")
+                return True
+        return False
+
+    def _statement(self, node: ast.stmt) -> bool:
+        for name in self._early.pop(id(node), []):
+            kind = self._kind_of_variable(name)
+            self._line(f"{self._type(node, kind, self._local(name))};")
+            self._scope[name] = Term(self._local(name), kind, has_address=True)
+            self._declared[name] = kind
+        said = self._said.get(node.end_lineno or node.lineno, "") if not isinstance(node, ast.If) else ""
+        if isinstance(node, ast.Return):
+            self._return(node, said)
+            return True
+        if isinstance(node, ast.If):
+            return self._if(node)
+        if isinstance(node, ast.For):
+            self._for(node)
+            return False
+        if isinstance(node, ast.Assign):
+            if len(node.targets) != 1:
+                raise self.refused(node, "a chain of assignments")
+            self._assign(node.targets[0], node.value, said)
+        elif isinstance(node, ast.AnnAssign) and node.value is not None:
+            self._annotated(node, said)
+        elif isinstance(node, ast.AugAssign):
+            left = ast.copy_location(ast.Name(getattr(node.target, "id", ""), ast.Load()), node)
+            if not isinstance(node.target, ast.Name):
+                raise self.refused(node, "an assignment to something else than a variable")
+            value = ast.copy_location(ast.BinOp(left, node.op, node.value), node)
+            self._assign(node.target, value, said)
+        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):
+            self._line(f"{self._expression(node.value).code};", said)
+        elif isinstance(node, ast.Pass) or (
+            isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        ):
+            pass
+        else:
+            raise self.refused(node, named(node))
+        return False
+
+    def _return(self, node: ast.Return, said: str) -> None:
+        if node.value is None:
+            if self._returns not in (None, NOTHING):
+                raise self.refused(node, "a return without a value")
+            self._returns = NOTHING
+            self._line("return;")
+            return
+        term = self._expression(node.value, self._returns)
+        if self._returns is None:
+            self._returns = term.kind
+        self._line(f"return {self._as(term, self._returns, node).value};", said)
+
+    def _if(self, node: ast.If, opening: str = "") -> bool:
+        """An if with all that follows it; ``opening``: what is before its word, of an if behind an else."""
+        self._line(f"{opening}if ({self._truth(node.test).value}) {{", self._said.get(node.lineno, ""))
+        ended = self._nested(node.body)
+        rest = node.orelse
+        if not rest:
+            self._line("}")
+            return False
+        if len(rest) == 1 and isinstance(rest[0], ast.If) and not self._needs_lines(rest[0]):
+            return self._if(rest[0], "} else ") and ended
+        self._line("} else {")
+        ended = self._nested(rest) and ended
+        self._line("}")
+        return ended
+
+    def _for(self, node: ast.For) -> None:
+        """A loop over a range of integers, whose variable nothing else gives a value."""
+        call, target = node.iter, node.target
+        if not (
+            isinstance(call, ast.Call)
+            and isinstance(target, ast.Name)
+            and self._resolved(call.func) is range
+            and len(call.args) in (1, 2)
+            and not (call.keywords or node.orelse)
+        ):
+            raise self.refused(node, "a for loop over anything but a range of integers")
+        inside = {id(part) for part in ast.walk(node)}
+        for other in ast.walk(self._parsed):
+            if not isinstance(other, ast.Name) or other.id != target.id or other is target:
+                continue
+            if isinstance(other.ctx, ast.Store) or id(other) not in inside:
+                raise self.refused(other, f"the loop's variable {target.id} outside of its loop")
+        bounds = [self._as(self._number(bound), INTEGER, node) for bound in call.args]
+        end = bounds[-1] if bounds[-1].code.isdigit() else self._temporary(bounds[-1], node)
+        begin = bounds[0].value if len(bounds) == 2 else "0"
+        own = self._local(target.id)
+        self._line(f"for (int64_t {own} = {begin}; {own} < {end.value}; {own}++) {{")
+        outer = self._scope.get(target.id)
+        self._scope[target.id] = Term(own, INTEGER)
+        self._declared[target.id] = INTEGER
+        self._nested(node.body)
+        del self._scope[target.id], self._declared[target.id]
+        if outer is not None:
+            raise self.refused(node, f"the loop's variable {target.id} outside of its loop")
+        self._line("}")
+
+    def _needs_lines(self, node: ast.If) -> bool:
+        """Whether something must be computed or declared before the if."""
+        lines, temporaries = list(self._lines), self._temporaries
+        self._truth(node.test)
+        needed = len(self._lines) > len(lines) or id(node) in self._early
+        self._lines, self._temporaries = lines, temporaries
+        return needed
+
+    def _nested(self, body: Sequence[ast.stmt]) -> bool:
+        outer, declared, indent = dict(self._scope), dict(self._declared), self._indent
+        self._indent += "    "
+        ended = self._block(body)
+        self._indent = indent
+        self._scope, self._declared = outer, declared
+        return ended
+
+    def _annotated(self, node: ast.AnnAssign, said: str) -> None:
+        assert node.value is not None
+        if not isinstance(node.target, ast.Name):
+            raise self.refused(node, "an assignment to something else than a variable")
+        hint = eval(ast.unparse(node.annotation), self._function.__globals__)
+        kind = kinds.of_annotation(hint)
+        if kind is None:
+            raise self.refused(node, f"a variable of the type {ast.unparse(node.annotation)}")
+        self._declared.setdefault(node.target.id, kind)
+        self._store(node.target, self._as(self._expression(node.value, kind), kind, node), said)
+
+    def _assign(self, target: ast.expr, value: ast.expr, said: str) -> None:
+        if isinstance(target, ast.Tuple):
+            self._unpack(target, value, said)
+            return
+        wanted = self._declared.get(target.id) if isinstance(target, ast.Name) else REAL
+        self._store(target, self._expression(value, wanted), said)
+
+    def _unpack(self, target: ast.Tuple, value: ast.expr, said: str) -> None:
+        names = {n.id for n in ast.walk(target) if isinstance(n, ast.Name)}
+        if isinstance(value, ast.Tuple):
+            if len(value.elts) != len(target.elts):
+                raise self.refused(target, "as many names as values")
+            used = [n.id for v in value.elts[1:] for n in ast.walk(v) if isinstance(n, ast.Name)]
+            terms = [
+                self._expression(v, self._declared.get(getattr(t, "id", "")))
+                for t, v in zip(target.elts, value.elts, strict=True)
+            ]
+            if names & set(used):
+                terms = [self._temporary(term, value) for term in terms]
+        else:
+            whole = self._expression(value)
+            named = {n.id for n in ast.walk(value) if isinstance(n, ast.Name)}
+            if not whole.has_address or names & named:
+                whole = self._temporary(whole, value)
+            terms = list(self._parts(whole, target))
+        if len(terms) != len(target.elts):
+            raise self.refused(target, f"{len(target.elts)} names for {len(terms)} values")
+        for i, (part, term) in enumerate(zip(target.elts, terms, strict=True)):
+            if isinstance(part, ast.Tuple):
+                raise self.refused(target, "a tuple in a tuple")
+            if not (isinstance(part, ast.Name) and part.id == "_"):
+                self._store(part, term, said if i == len(terms) - 1 else "")
+
+    def _store(self, target: ast.expr, term: Term, said: str) -> None:
+        if isinstance(target, ast.Subscript):
+            self._line(f"{self._entry(target).code} = {self._as(term, REAL, target).value};", said)
+            return
+        if not isinstance(target, ast.Name):
+            raise self.refused(target, "an assignment to something else than a variable")
+        name = target.id
+        kind = self._declared.get(name)
+        if kind is None:
+            kind = self._declared[name] = self._whole_kind(name, term.kind)
+        term = self._as(term, kind, target)
+        begin = "" if name in self._scope else f"{self._program.type_name(kind)} "
+        self._scope[name] = Term(self._local(name), kind, has_address=True)
+        self._line(f"{begin}{self._local(name)} = {term.value};", said)
+
+    # Where variables are declared, and of which kind
+
+    def _place_declarations(self) -> None:
+        """Find the variables that are used outside the block in which they are first given a value."""
+        paths: dict[str, list[tuple[tuple[int, int], ...]]] = {}
+        first: dict[str, tuple[tuple[int, int], ...]] = {}
+        statements: dict[tuple[tuple[int, int], ...], ast.stmt] = {}
+
+        def walk(body: list[ast.stmt], block: tuple[tuple[int, int], ...], branch: int) -> None:
+            for i, statement in enumerate(body):
+                here = (*block, (branch, i))
+                statements[here] = statement
+                parts: list[ast.AST] = [statement]
+                if isinstance(statement, ast.If):
+                    parts = [statement.test]
+                elif isinstance(statement, ast.For):
+                    parts = [statement.iter]
+                for part in parts:
+                    for node in ast.walk(part):
+                        if isinstance(node, ast.Name) and node.id in self._stored:
+                            paths.setdefault(node.id, []).append(here)
+                            if isinstance(node.ctx, ast.Store):
+                                first.setdefault(node.id, here)
+                if isinstance(statement, ast.If):
+                    walk(statement.body, here, 0)
+                    walk(statement.orelse, here, 1)
+                elif isinstance(statement, ast.For):
+                    walk(statement.body, here, 0)
+
+        walk(self._parsed.body, (), 0)
+        for name, places in paths.items():
+            if name in self._scope or name not in first:  # an argument, or the variable of a loop
+                continue
+            own = first[name]
+            for place in places:
+                depth = len(own) - 1
+                inside = (
+                    len(place) > depth and place[:depth] == own[:depth] and place[depth][0] == own[depth][0]
+                )
+                while depth > 0 and not inside:
+                    depth -= 1
+                    inside = (
+                        len(place) > depth
+                        and place[:depth] == own[:depth]
+                        and place[depth][0] == own[depth][0]
+                    )
+                own = own[: depth + 1]
+            if own != first[name]:
+                self._early.setdefault(id(statements[own]), []).append(name)
+
+    def _kind_of_variable(self, name: str) -> Kind:
+        """Kind of a variable that must be declared before its first value, from that value."""
+        for node in ast.walk(self._parsed):
+            if isinstance(node, ast.AnnAssign) and getattr(node.target, "id", "") == name:
+                kind = kinds.of_annotation(eval(ast.unparse(node.annotation), self._function.__globals__))
+                if kind is not None:
+                    return kind
+        lines, temporaries = list(self._lines), self._temporaries
+        scope, declared = dict(self._scope), dict(self._declared)
+        self._sought.add(name)
+        try:
+            for node in ast.walk(self._parsed):
+                if isinstance(node, ast.Assign):
+                    kind = self._tried(node, name)
+                    if kind is not None:
+                        return kind
+        finally:
+            self._sought.discard(name)
+            self._lines, self._temporaries = lines, temporaries
+            self._scope, self._declared = scope, declared
+        raise self.refused(self._parsed, f"what {name} is cannot be told; annotate it")
+
+    def _tried(self, node: ast.Assign, name: str) -> Kind | None:
+        """Kind that the assignment ``node`` gives to ``name``, None if that cannot be told here."""
+        target = node.targets[0]
+        if name not in {n.id for n in ast.walk(target) if isinstance(n, ast.Name)}:
+            return None
+        try:
+            for used in ast.walk(node.value):
+                if isinstance(used, ast.Name) and used.id in self._stored - self._sought - set(self._scope):
+                    kind = self._kind_of_variable(used.id)
+                    self._scope[used.id] = Term(self._local(used.id), kind, has_address=True)
+            if isinstance(target, ast.Name):
+                return self._expression(node.value).kind
+            if isinstance(target, ast.Tuple):
+                listed = [getattr(part, "id", "") for part in target.elts]
+                if name in listed and isinstance(node.value, ast.Tuple):
+                    return self._expression(node.value.elts[listed.index(name)]).kind
+                if name in listed:
+                    return list(self._parts(self._expression(node.value), node))[listed.index(name)].kind
+        except SubsetError:
+            return None
+        return None
+
+    def _whole_kind(self, name: str, kind: Kind) -> Kind:
+        """Kind of a variable that is first given a value of ``kind``."""
+        if kind is NOTHING:
+            raise self.refused(
+                self._parsed, f"{name} is None at first; annotate it, as in {name}: float | None"
+            )
+        return kind
