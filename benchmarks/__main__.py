@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks import bags, batch, latency, start
+from benchmarks import bags, batch, handover, latency, start
 from valve_control import outputs
 
-PARTS = ("batch", "start", "loop", "bags")
+PARTS = ("batch", "start", "loop", "bags", "export")
 
 
 def misses(figures: Mapping[str, float], wanted: Mapping[str, tuple[str, float]]) -> list[str]:
@@ -40,6 +40,7 @@ def main() -> int:
             "batch": (lambda: batch.run(folder), batch.WANTED),
             "start": (start.run, start.WANTED),
             "loop": (lambda: latency.run(folder), latency.WANTED),
+            "export": (lambda: handover.run(folder), handover.WANTED),
             "bags": (lambda: bags.run(folder, arguments.seconds), bags.WANTED),
         }
         for part in arguments.only or PARTS:

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from valve_control.export import compiler
 from valve_control.export.kinds import REAL
-from valve_control.export.subset import LIBRARY, Program, SubsetError
+from valve_control.export.subset import Program, SubsetError
+from valve_control.export.terms import LIBRARY
 
 HERE = sys.modules[__name__]
 NUMBERS = [
@@ -69,6 +70,29 @@ def peculiar(a: float, b: float) -> float:
     return max(x, y.first, -abs(b)) - math.floor(a) * (1.0 if a <= b else -1.0)
 
 
+HIGH = ("high", "highest")
+
+
+def looped(a: float, b: float) -> float:
+    total, last = a, 0.0
+    for i in range(1, 4):
+        last = b / (i + 1.0)
+        total = 0.5 * total + last
+        for k in range(i):
+            total += k * last
+    return total - last
+
+
+def named(a: float, b: float) -> float:
+    level = "highest" if a > b else "low"
+    return 1.0 if level in HIGH and all(map(math.isfinite, Pair(a, b))) else -1.0
+
+
+def mapped(a: float, b: float) -> float:
+    pair = Pair(*map(least, Pair(a, b), SHARED))
+    return pair.first - pair.second
+
+
 def least(a: float, b: float) -> float:
     return min(a, b)
 
@@ -111,7 +135,7 @@ def remembers(a: float, b: float) -> float:
     return kept + s.count * 10.0 + (100.0 if s.fault == "jump" else 0.0)
 
 
-TRANSLATED = (peculiar, least, most, rest_of, whole, power, integers, remembers)
+TRANSLATED = (peculiar, looped, named, mapped, least, most, rest_of, whole, power, integers, remembers)
 LIBRARIES = [name for name in LIBRARY if name != "atan2"]
 
 
@@ -187,7 +211,9 @@ def test_functions_of_math_are_those_of_the_library_that_python_calls(compiled):
 
 
 REFUSED = {
-    "for k in range(3):\n        a = a + 1.0": "a for loop",
+    "for k in (1, 2):\n        a = a + 1.0": "a for loop over anything but a range of integers",
+    "for k in range(3):\n        a = a + 1.0\n    a = a + k": "the loop's variable k outside of its loop",
+    "a = 1.0 if a in [b] else b": "in of anything but a tuple of constants",
     "while a > 0.0:\n        a -= 1.0": "a while loop",
     "a = math.hypot(a, b)": "a call of math.hypot",
     "a = sum([a, b])": "a call of sum",
