@@ -8,6 +8,7 @@ import shutil
 import subprocess
 
 import pytest
+from driven import COMPILERS
 
 from valve_control.export import settable, sources, unit
 from valve_control.export.library import Library
@@ -72,6 +73,18 @@ def test_a_valve_an_axis_and_a_law_in_float(run, tmp_path, words):
     done = make(tmp_path / "made", "check")
     assert done.returncode == 0, done.stdout + done.stderr
     assert ("within" if "--float" in words else "equal to the last bit") in done.stdout
+
+
+@compiles
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", LAWS)
+def test_each_law_in_float_keeps_to_its_measured_difference(run, tmp_path, name):
+    assert run("export", "--controller", name, "--float", "--output", "made")[0] == 0
+    for compiler in COMPILERS:
+        done = make(tmp_path / "made", "clean", "check", f"CC={compiler}")
+        assert done.returncode == 0, done.stdout + done.stderr
+        said = float(done.stdout.split("rows within ")[1].split(" V")[0])
+        assert 0.0 < said < 2e-3
 
 
 REFUSED = [

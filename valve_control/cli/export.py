@@ -2,6 +2,7 @@
 
 import argparse
 import os
+from collections.abc import Mapping
 from typing import Any
 
 from valve_control import outputs
@@ -65,7 +66,9 @@ def add_commands(commands: Any) -> None:
 
 
 def _export(arguments: argparse.Namespace) -> None:
-    from valve_control.export import design, fmu, folder, settable, unit
+    from tqdm import tqdm
+
+    from valve_control.export import folder, settable, unit
     from valve_control.parameters import files
     from valve_control.parameters.axis import AXIS_NODES
 
@@ -98,19 +101,15 @@ def _export(arguments: argparse.Namespace) -> None:
         chosen = unit.plant(values("valve_simulator"))
     else:
         chosen = (unit.watched if arguments.watch else unit.law)(values("controller"))
-    found = settable.find(chosen)
-    if arguments.fmu is not None:
-        data = fmu.make(chosen, arguments.fmu, found)
-        outputs.write(str(path), data)
+    with tqdm(total=len(chosen.table) + 1, unit="parameter", leave=False, disable=None) as bar:
+        found = settable.find(chosen, bar.update)
+        content = _content(arguments, chosen, found)
+    if isinstance(content, bytes):
+        outputs.write(str(path), content)
         say(arguments, f"wrote {arguments.output}")
-    elif arguments.parameters_only:
-        numbers = design.files(chosen, arguments.float)
-        folder.write(path, numbers)
-        say(arguments, f"wrote {os.path.join(arguments.output, '')} with {', '.join(numbers)}")
     else:
-        made = folder.files(chosen, arguments.float, found)
-        folder.write(path, made)
-        say(arguments, f"wrote {os.path.join(arguments.output, '')} with {', '.join(made)}")
+        folder.write(path, content)
+        say(arguments, f"wrote {os.path.join(arguments.output, '')} with {', '.join(content)}")
     result = {
         "name": chosen.name,
         "watch": arguments.watch,
@@ -122,3 +121,14 @@ def _export(arguments: argparse.Namespace) -> None:
         "new_export": found.others,
     }
     write_json(arguments, result)
+
+
+def _content(arguments: argparse.Namespace, chosen: Any, found: Any) -> bytes | Mapping[str, str | bytes]:
+    """What is written: the file of an FMU, or the files of a folder."""
+    from valve_control.export import design, fmu, folder
+
+    if arguments.fmu is not None:
+        return fmu.make(chosen, arguments.fmu, found)
+    if arguments.parameters_only:
+        return design.files(chosen, arguments.float)
+    return folder.files(chosen, arguments.float, found)

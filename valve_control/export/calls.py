@@ -217,7 +217,8 @@ class Calls(Values):
             and self._resolved(given.args[0]) is math.isfinite
         ):
             whole = self._expression(given.args[1])
-            whole = whole if whole.has_address else self._temporary(whole, node)
+            if not whole.has_address or "{" in whole.code:  # isfinite is a macro
+                whole = self._temporary(whole, node)
             parts = list(self._parts(whole, node))
             if all(part.kind is REAL for part in parts):
                 codes = [f"{self._program.helper('isfinite')}({part.value}) != 0" for part in parts]

@@ -5,7 +5,7 @@ between. All others are computed on the way (a discretised filter, a Riccati equ
 other, or choose a form: they need a new export.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from valve_control.export.unit import Unit, leaves
@@ -34,12 +34,13 @@ class Found(NamedTuple):
     others: dict[str, str]  # by name; without those that have no effect
 
 
-def find(unit: Unit) -> Found:
-    """Parameters of ``unit`` that can be set."""
+def find(unit: Unit, done: Callable[[], object] = lambda: None) -> Found:
+    """Parameters of ``unit`` that can be set; ``done`` is called after each that has been tried."""
     setters: list[Setter] = []
     others: dict[str, str] = {}
     base = dict(leaves(unit.params))
     for parameter in unit.table:
+        done()
         if parameter.name == "sample_period":
             others[parameter.name] = COMPUTED
             continue

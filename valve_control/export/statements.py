@@ -163,7 +163,7 @@ class Body(Expressions):
             if not isinstance(other, ast.Name) or other.id != target.id or other is target:
                 continue
             if isinstance(other.ctx, ast.Store) or id(other) not in inside:
-                raise self.refused(other, f"the loop's variable {target.id} outside of its loop")
+                raise self.refused(other, f"the loop's variable {target.id} is used elsewhere")
         bounds = [self._as(self._number(bound), INTEGER, node) for bound in call.args]
         end = bounds[-1] if bounds[-1].code.isdigit() else self._temporary(bounds[-1], node)
         begin = bounds[0].value if len(bounds) == 2 else "0"
@@ -175,7 +175,7 @@ class Body(Expressions):
         self._nested(node.body)
         del self._scope[target.id], self._declared[target.id]
         if outer is not None:
-            raise self.refused(node, f"the loop's variable {target.id} outside of its loop")
+            raise self.refused(node, f"the loop's variable {target.id} is used elsewhere")
         self._line("}")
 
     def _needs_lines(self, node: ast.If) -> bool:
