@@ -36,7 +36,7 @@ def test_the_contract(run, tmp_path):
     assert "bool oarc_set_lvdt_limit(oarc_watch_params_t *p, double value);" in header
     assert "OARC_LVDT_DISAGREES" in header
     rows = (place / "check.csv").read_text().splitlines()
-    assert {row.split(",")[0] for row in rows[1:]} == {"sample", "command", "gone", "silence"}
+    assert {row.split(",")[0] for row in rows[1:]} == {"sample", "command", "gone", "silence", "reset"}
     done = check(place, f"CFLAGS={sources.FLAGS} {folder.WARNINGS} {' '.join(SANITIZERS)}")
     assert done.returncode == 0 and f"{len(rows) - 1} rows equal to the last bit" in done.stdout, done.stderr
     # The comparison can fail: one bit of the tachometer is enough.

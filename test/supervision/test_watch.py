@@ -45,6 +45,8 @@ def compare(chosen, count, seed, faults=samples.FAULTS):
             s = module.commanded(p, s, *given)
         elif event == "gone":
             s = module.left(s)
+        elif event == "reset":
+            s = module.reset(p, s)
         elif event == "silence":
             s = module.silent(p, s, *given)
             found = s.voltage

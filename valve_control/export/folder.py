@@ -167,6 +167,8 @@ _WATCH_CALLS = """        if (strncmp(row->event, "command", sizeof row->event) 
             @NAME@_watch_command(&@NAME@_exported, &state, row->given[0]);
         else if (strncmp(row->event, "gone", sizeof row->event) == 0)
             @NAME@_watch_command_gone(&state);
+        else if (strncmp(row->event, "reset", sizeof row->event) == 0)
+            @NAME@_watch_reset(&@NAME@_exported, &state);
         else if (strncmp(row->event, "silence", sizeof row->event) == 0)
             found = @NAME@_watch_silence(&@NAME@_exported, &state, row->given[0]);
         else

@@ -44,7 +44,7 @@ class Row(NamedTuple):
 
     init: reading, voltage, reference, its rate, velocity; step or hold of a law: command, reading, and offset
     or the voltage that is held; step of a plant: voltage, noises. Under the watch: sample with reading and
-    samples that were left out before it; command; gone; silence with its time.
+    samples that were left out before it; command; gone; reset; silence with its time.
     """
 
     event: str
@@ -165,6 +165,8 @@ FAULTS = (
     Fault(4.60, 600, "flipped"),
     Fault(6.50, 400, "half"),
     Fault(7.50, 2, "jump"),
+    Fault(7.00, 1, "reset"),
+    Fault(8.00, 2, "reset"),
 )  # fmt: skip
 
 
@@ -203,6 +205,9 @@ def faulty(
         if "gone" in now:
             supervisor.command_gone()
             yield "gone", (), supervisor, 0.0
+        if "reset" in now:
+            supervisor.reset()
+            yield "reset", (), supervisor, 0.0
         if "silence" in now:
             voltage = supervisor.silence(0.03)
             yield "silence", (0.03,), supervisor, voltage

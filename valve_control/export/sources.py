@@ -250,14 +250,15 @@ def _watch(unit: Unit, program: Program, public: list[Kind], names: list[str]) -
         return [], []
     module, real = unit.module, program.real
     (params, state), (params_t, state_t) = public, names
-    init, command, gone, silence, sample = (
+    init, command, gone, silence, reset, sample = (
         program.unique(f"{unit.name}_watch_{word}")
-        for word in ("init", "command", "command_gone", "silence", "sample")
+        for word in ("init", "command", "command_gone", "silence", "reset", "sample")
     )
     at_rest = program.translate(module.at_rest, [])
     commanded = program.translate(module.commanded, [params, state, REAL])
     left = program.translate(module.left, [state])
     silent = program.translate(module.silent, [params, state, REAL])
+    begun = program.translate(module.reset, [params, state])
     sampled = program.translate(module.sample, [params, state, REAL, INTEGER])
     both = f"const {params_t} *p, {state_t} *s"
     pieces = [
@@ -280,6 +281,11 @@ def _watch(unit: Unit, program: Program, public: list[Kind], names: list[str]) -
             "No sample for ``elapsed`` [s], longer than lvdt.hold_samples: 0 V.",
             f"{real} {silence}({both}, {real} elapsed)",
             f"    *s = {silent.name}(p, s, elapsed);\n    return s->voltage;",
+        ),
+        (
+            "The law begins again where the spool is, without a bump; doubts about the LVDT are dropped.",
+            f"void {reset}({both})",
+            f"    *s = {begun.name}(p, s);",
         ),
         (
             "One sample: takes in a reading [V], NAN where there is none, before which ``lost`` samples\n"

@@ -151,6 +151,12 @@ def silent(p: Params, s: State, elapsed: float) -> State:
     return _switched_off(p, s, "lvdt_silent", _leapt(s))
 
 
+def reset(p: Params, s: State) -> State:
+    """State with estimates and filters at their start, without a bump; doubts about the LVDT are dropped."""
+    s = s._replace(trust=s.trust._replace(doubt=plausibility.TRUST), former=None)
+    return s if s.law is None else _taken_over(p, s, False, True)
+
+
 def sample(p: Params, s: State, reading: float, lost: int) -> tuple[float, State]:
     """Voltage [V] until the next reading, after this one [V], before which ``lost`` ones did not come.
 
@@ -278,7 +284,7 @@ def _recovered(p: Params, s: State, reading: float, anew: bool) -> State:
     if trust.blocked != "":
         return s
     s = s._replace(command=command_watch.welcomed(p.command, s.command, reading, s.now))
-    return _taken_over(p, s, s.former is not None)
+    return _taken_over(p, s, s.former is not None, False)
 
 
 def _begun(p: Params, s: State, reading: float) -> State:
@@ -291,16 +297,19 @@ def _begun(p: Params, s: State, reading: float) -> State:
     wanted = 0.0 if s.command.value is None else s.command.value
     if p.lockstep or max(abs(reading), abs(wanted)) <= p.lvdt.judge.tolerance:
         return s._replace(law=law_initial(p.law, Start(reading, s.voltage, reading, 0.0, 0.0)))
-    return _taken_over(p, s, False)
+    return _taken_over(p, s, False, False)
 
 
-def _taken_over(p: Params, s: State, again: bool) -> State:
-    """State in which the law begins where the spool is; ``again``: with the estimates that it had."""
+def _taken_over(p: Params, s: State, again: bool, following: bool) -> State:
+    """State in which the law begins where the spool is.
+
+    ``again``: with the estimates that it had; ``following``: the spool has been following the command.
+    """
     y, v = s.measurement, s.velocity.velocity
     start = Start(y, s.voltage, y, v, v)
     base, s = _target(p, s)
     base -= s.transfer.command.value
-    offset = bumpless_transfer.Offset(law_steady_command(p.law, start) - base, v)
+    offset = bumpless_transfer.Offset(law_steady_command(p.law, start) - base, 0.0 if following else v)
     law = law_resumed(p.law, s.former) if again else p.law
     return s._replace(
         law=law_initial(law, start), transfer=bumpless_transfer.State(s.transfer.voltage, offset, True)
