@@ -201,3 +201,38 @@ def test_paper_shows_what_agrees(run):
     status, out, _ = run("compensator", "--paper")
     assert status == 0
     assert "157 rad/s with damping 0.8, twice, and 250 rad/s" in out and "13.14 Hz" in out
+
+
+def test_friction_comes_from_a_triangle_and_goes_into_simulate(run, tmp_path):
+    rubbing = {"coulomb": 0.8, "presliding": 0.02}
+    given = [f"friction.{name}={value}" for name, value in rubbing.items()]
+    settings = [part for text in (*given, "lvdt.noise=0.005") for part in ("--set", text)]
+    status, out, err = run(
+        "identify", *QUICK, *settings, "--friction", "--output", "valve.yaml", "--json", "r.json"
+    )  # fmt: skip
+    assert status == 0, err
+    found = json.loads((tmp_path / "r.json").read_text())["friction"]
+    assert abs(found["coulomb"] - 0.8) < 0.02
+    assert abs(found["presliding"] / 0.02 - 1.0) < 0.12
+    assert "friction: Coulomb 0." in out
+    tree = yaml.safe_load((tmp_path / "valve.yaml").read_text())
+    valve = tree["/**/valve_simulator"]["ros__parameters"]
+    assert abs(valve["friction"]["coulomb"] - found["coulomb"]) < 1e-9
+    law = tree["/**/controller"]["ros__parameters"]["dcarc"]
+    assert abs(law["theta_initial"][2] - found["coulomb"]) < 1e-9
+    status, out, err = run("simulate", "--controller", "dcarc", "--params-file", "valve.yaml", "--json", "-")
+    assert status == 0, err
+    assert json.loads(out)["true_error"]["e_rms"] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["a_bag", "--friction"], "--friction needs a bag with a triangle of its own beside a_bag"),
+        (["--friction", "a_bag"], "give a bag for both or for none"),
+    ],
+)
+def test_friction_without_its_own_test_is_refused(run, arguments, text):
+    status, _, err = run("identify", *arguments)
+    assert status != 0 and err.count("\n") == 1
+    assert text in err
