@@ -1,4 +1,4 @@
-"""``python -m benchmarks.identified``: dcarc designed from what ``identify`` measures on each valve of the wide box.
+"""``python -m benchmarks.identified``: dcarc designed from what ``identify`` measures on each wide-box valve.
 
 Each valve is tested in simulation without feedback, by a stepped sine and a slow triangle, with its friction,
 noise and dead time. Model, dead time, noise, friction and presliding come from that alone; the gains besides
@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import tqdm
 
 from valve_control import outputs
+from valve_control.commands import scenarios
 from valve_control.identification import experiment, first_gains, friction, lvdt, rational, theta
 from valve_control.identification.experiment import Experiment
 from valve_control.identification.response import Segment
-from valve_control.commands import scenarios
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, Values, defaults, updated
 from valve_control.parameters import build, files
@@ -30,9 +29,13 @@ from valve_control.simulation.comparison import NOISE_SEED, PERIOD, U_MAX, Setup
 NOISE = 300_000  # seed of the tests
 AMPLITUDE = 6.0  # V  of the stepped sine: above all friction of the box
 ROUNDS = 2
-CHUNK = 20  # valves whose tests are kept at a time
-GIVEN = ("dcarc.model", "dcarc.numerator", "dcarc.denominator", "dcarc.delay", "dcarc.lvdt_noise",
-         "dcarc.lvdt_resolution", "dcarc.theta_initial", "dcarc.theta_max", "dcarc.theta_spread", "dcarc.presliding")  # fmt: skip
+ALONE, TUNED = "the file of identify alone", "with tuned gains"
+CHUNK = 8  # valves whose tests are kept at a time
+IDENTIFIED = (
+    *("model", "numerator", "denominator", "delay", "lvdt_noise", "lvdt_resolution"),
+    *("theta_initial", "theta_max", "theta_spread", "presliding"),
+)
+GIVEN = tuple(f"dcarc.{name}" for name in IDENTIFIED)
 
 
 def tested(plants: list[Any], given: dict[str, object], first: int) -> list[Experiment]:
@@ -63,7 +66,10 @@ def tested(plants: list[Any], given: dict[str, object], first: int) -> list[Expe
 
 
 def identified(sine: Experiment, triangle: Experiment) -> tuple[Values, friction.Friction, float]:
-    """Parameters of dcarc as ``identify --friction`` writes them, friction and dead time [s]. Raises ParameterError."""
+    """Parameters of dcarc as ``identify --friction`` writes them, friction and dead time [s].
+
+    Raises ParameterError.
+    """
     measured = experiment.estimate(sine, 0.4, None)
     model, delay = rational.fit(measured, 2).model, 0.0
     for _ in range(ROUNDS):
@@ -81,6 +87,17 @@ def identified(sine: Experiment, triangle: Experiment) -> tuple[Values, friction
     return first_gains.dcarc_values(known), found, delay
 
 
+def _joined(parts: list[comparison.Errors]) -> comparison.Errors:
+    """Errors of several groups of valves as of one."""
+    return comparison.Errors(*(np.concatenate(column, axis=1) for column in zip(*parts, strict=True)))
+
+
+def _tuned(path: Path) -> Setup:
+    """Gains of another law that are tuned for the box."""
+    (found,) = (s for s in comparison.setups(path.parent, "wide", 0.25) if path.stem.endswith(s.name))
+    return found
+
+
 def main() -> int:
     """Identify, measure, write."""
     options = argparse.ArgumentParser(prog="benchmarks.identified", description=__doc__)
@@ -94,47 +111,54 @@ def main() -> int:
     options.add_argument(
         "--against", nargs="*", default=[], metavar="FILE", help="gains of other laws, tuned for the wide box"
     )
-    options.add_argument("--json", default="out/identified.json", metavar="FILE", help="(out/identified.json)")
+    options.add_argument(
+        "--json", default="out/identified.json", metavar="FILE", help="(out/identified.json)"
+    )
     arguments = options.parse_args()
     plants = comparison.valves(arguments.valves, arguments.seed, True)
     gains = files.load(arguments.gains)["controller"]
-    chosen, written, told = [], [], []
-    kept = []
+    others = {path: _tuned(Path(path)) for path in arguments.against}
+    found: dict[str, list[comparison.Errors]] = {}
+    told: list[dict[str, Any]] = []
     for first in tqdm.tqdm(range(0, len(plants), CHUNK), desc="identify", unit=f"x{CHUNK} valves"):
         some = plants[first : first + CHUNK]
         sines = tested(some, {"amplitude": AMPLITUDE}, first)
         triangles = tested(some, friction.TEST, first)
+        kept: list[Any] = []
+        setups: dict[str, list[Setup]] = {ALONE: [], TUNED: []}
         for plant, sine, triangle in zip(some, sines, triangles, strict=True):
             try:
-                values, found, delay = identified(sine, triangle)
-                LAWS["dcarc"].build(updated(CONTROLLER, defaults(CONTROLLER), {"controller": "dcarc", **values}))
+                values, rubbing, delay = identified(sine, triangle)
+                whole: Values = {"controller": "dcarc", **values}
+                LAWS["dcarc"].build(updated(CONTROLLER, defaults(CONTROLLER), whole))
             except ParameterError as error:
-                told.append({"valve": len(told), "refused": str(error)})
+                told.append({"refused": str(error)})
                 continue
             kept.append(plant)
-            written.append(Setup("identified", {"controller": "dcarc", **values}, 0.0))
+            setups[ALONE].append(Setup(ALONE, whole, 0.0))
             taken = {name: value for name, value in values.items() if name in GIVEN}
-            chosen.append(Setup("identified, tuned", {**gains, **taken}, 0.0))
+            setups[TUNED].append(Setup(TUNED, {**gains, **taken}, 0.0))
             told.append(
                 {
-                    "valve": len(told),
-                    "coulomb": [plant.disturbance.coulomb, found.coulomb],
-                    "presliding": [plant.disturbance.presliding, found.presliding],
+                    "coulomb": [plant.disturbance.coulomb, rubbing.coulomb],
+                    "presliding": [plant.disturbance.presliding, rubbing.presliding],
                     "delay_s": [plant.lvdt.delay * PERIOD, delay],
                 }
             )
-    rows = batch.records(kept)
-    result: dict[str, Any] = {"valves": len(plants), "seed": arguments.seed, "unit": "mV", "gains": arguments.gains}
-    for name, setup in (("identify's file alone", written), ("with tuned gains", chosen)):
-        result[name] = comparison.summary(comparison.measured(setup, rows, NOISE_SEED))
-        print(name, result[name], flush=True)
-    for path in arguments.against:
-        (other,) = [s for s in comparison.setups(Path(path).parent, "wide", 0.25) if Path(path).stem.endswith(s.name)]
-        result[path] = comparison.summary(comparison.measured(other, rows, NOISE_SEED))
-        print(path, result[path], flush=True)
-    result["refused"] = sum("refused" in row for row in told)
-    result["identified"] = told
-    outputs.write(arguments.json, outputs.as_json(result))
+        rows = batch.records(kept)
+        for name, setup in [*setups.items(), *others.items()]:
+            errors = comparison.measured(setup, rows, NOISE_SEED + first)
+            found.setdefault(name, []).append(errors)
+        result = {
+            "valves": first + len(some),
+            "seed": arguments.seed,
+            "unit": "mV",
+            "gains": arguments.gains,
+            "refused": sum("refused" in row for row in told),
+            **{name: comparison.summary(_joined(parts)) for name, parts in found.items()},
+            "identified": told,
+        }
+        outputs.write(arguments.json, outputs.as_json(result))
     print(f"wrote {arguments.json}")
     return 0
 

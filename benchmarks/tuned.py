@@ -151,7 +151,8 @@ def main() -> int:
         cells = "".join(f"{medians[key]:8.1f}" for key in medians)
         print(
             f"{name:14}{cells}   95 %: {tails['geometric mean']:7.1f}   c_u {errors['c_u']:.3f}   "
-            f"limit cycles {len(swinging)} of {arguments.valves}, {len(cycles)} of {arguments.check}   {'; '.join(chosen.verified.reasons)}",
+            f"limit cycles {len(swinging)} of {arguments.valves}, "
+            f"{len(cycles)} of {arguments.check}   {'; '.join(chosen.verified.reasons)}",
             flush=True,
         )
     return 0

@@ -1,4 +1,4 @@
-"""Friction from a slow triangle: what random valves have must come out, and what is no such test is refused."""
+"""Friction from a slow triangle: what random valves have comes out, and other tests are refused."""
 
 import numpy as np
 import pytest
@@ -80,9 +80,9 @@ def test_friction_taken_off_gives_the_model_back():
         fit = rational.fit(measured, 4)
         missed.append(abs(fit.model.static_gain / FOURTH_ORDER.static_gain - 1.0))
     assert missed[1] < 0.01 < missed[0]
-    known = first_gains.Valve(
-        fit.model, 0.0, theta.suggest(measured, second, fit, U_MAX), Lvdt(0.0056, 0.0037), PERIOD, U_MAX, found
-    )
+    suggested = theta.suggest(measured, second, fit, U_MAX)
+    lvdt = Lvdt(0.0056, 0.0037)
+    known = first_gains.Valve(fit.model, 0.0, suggested, lvdt, PERIOD, U_MAX, found)
     values = first_gains.first(known).values
     assert values["dcarc.theta_initial"][2] == pytest.approx(1.16, abs=0.005)
     assert values["dcarc.presliding"][1] == pytest.approx(0.02, rel=0.05)

@@ -46,9 +46,9 @@ def add_commands(commands: Any) -> None:
         nargs="?",
         const="",
         metavar="BAG",
-        help="friction level and presliding too, from a slow triangle of the voltage: simulated, or with a bag "
-        "from another one (scenario: triangle, amplitude: 4.0, frequency: 0.2, cycles: 9); what friction takes of "
-        "a stepped sine's voltage is then taken off",
+        help="friction level and presliding too, from a slow triangle of the voltage: simulated, or with a "
+        "bag from another one (scenario: triangle, amplitude: 4.0, frequency: 0.2, cycles: 9); what friction "
+        "takes of a stepped sine's voltage is then taken off",
     )
     identify.add_argument(
         "bag", nargs="?", metavar="BAG", help="recorded stepped sine, sweep or other motion"
@@ -169,8 +169,8 @@ def _check_friction(arguments: argparse.Namespace) -> None:
         )
     if arguments.friction != "" and arguments.bag is None:
         raise ParameterError(
-            f"--friction {arguments.friction} comes from a bag and the response from a simulated valve; give a "
-            "bag for both or for none"
+            f"--friction {arguments.friction} comes from a bag and the response from a simulated valve; give "
+            "a bag for both or for none"
         )
 
 

@@ -201,9 +201,9 @@ def _oarc(known: Valve, share: float) -> Values:
 
 
 def _bristles(friction: Friction) -> Values:
-    """Weights that begin at the measured friction, and closer around it; the second bristle has its presliding.
+    """Weights that begin at the measured friction, closer around it; the second bristle has its presliding.
 
-    A presliding that was not told leaves the bristles as they are, and the friction to the last of them.
+    A presliding that was not told leaves those of the bristles as they are.
     """
     own = defaults(CONTROLLER)
     start = list(numbers(own, "dcarc.theta_initial"))
@@ -226,7 +226,7 @@ def _bristles(friction: Friction) -> Values:
 
 
 def dcarc_values(known: Valve, share: float = 1.0) -> Values:
-    """The model itself, its noises, its friction if known, and the weight of the voltage by the square of the static gain."""
+    """The model itself, its noises and friction, and the weight of the voltage by the static gain squared."""
     own = defaults(CONTROLLER)
     gain = known.model.static_gain / models.FOURTH_ORDER.static_gain
     return _plain(

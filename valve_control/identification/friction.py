@@ -1,8 +1,8 @@
-"""Tells friction level and presliding of a valve from a slow triangle of its voltage (docs/howto/identify.md).
+"""Tells friction level and presliding of a valve from a slow triangle of its voltage.
 
-Sliding steadily, the spool is where u = x/G + o ± (F + τ·v/G) puts it, with its static gain G, offset o, Coulomb
-friction F and the lag τ of the valve. Behind each turn the bristles turn round: the friction follows the spool's
-way Δx as F·(1 - c·exp(-Δx/δ)), with the presliding δ. Both are linear regressions, but for δ.
+The derivation is in docs/howto/identify.md. Sliding steadily, the spool is where u = x/G + o ± (F + τ·v/G)
+puts it, with its static gain G, offset o, Coulomb friction F and the lag τ of the valve. Behind each turn the
+bristles turn round: the friction follows the spool's way Δx as F·(1 - c·exp(-Δx/δ)), with the presliding δ.
 """
 
 import math
@@ -65,7 +65,7 @@ def lag_of(model: TransferFunction, delay: float) -> float:
 def strokes_of(voltage: Floats) -> list[tuple[int, int, float]]:
     """Whole strokes of a triangle: first sample, number of samples, direction 1.0 or -1.0.
 
-    All have the length of the shortest. The first stroke after a rest is left out: its bristles begin at rest.
+    All have the length of the shortest. The first one is left out: the bristles before it began at rest.
     Raises ParameterError.
     """
     steps = np.diff(voltage)
@@ -90,7 +90,8 @@ def strokes_of(voltage: Floats) -> list[tuple[int, int, float]]:
         bent = float(np.max(np.abs(voltage[first : first + length + 1] - line)))
         if bent > STRAIGHT * travel:
             raise ParameterError(
-                f"the voltage of the friction test is up to {bent:.2g} V beside straight lines; it must be a triangle"
+                f"the voltage of the friction test is up to {bent:.2g} V beside straight lines; it must be a "
+                "triangle"
             )
     return [(first, min(lengths), direction) for first, _, direction in whole[1:]]
 
@@ -192,7 +193,7 @@ def _turning(
     offset: float,
     lag: float,
 ) -> tuple[Floats, Floats, float]:
-    """Mean position [V] and friction [V] of all strokes, turned so that they rise, and the position's noise."""
+    """Mean position [V] and friction [V] of all strokes, turned to rise, and the position's noise."""
     size = max(1, round(WINDOW / period))
     count = strokes[0][1] // size
     x = np.zeros(count)
@@ -211,8 +212,8 @@ def _turning(
 def _presliding(x: Floats, w: Floats, noise: float, coulomb: float) -> float:
     """δ [V] of w = F·(1 - c·exp(-Δx/δ)) between TURNED and SLIDING; 0.0: not to be told.
 
-    A spool that swings on its bristles when it turns shakes them loose: that is no exponential, and 0.0 too. A
-    point counts by the noise of the friction and by that of the position, which the slope dw/dx shows.
+    A spool that swings on its bristles when it turns shakes them loose: that is no exponential, and 0.0 too.
+    A point counts by the noise of the friction and by that of the position, which the slope dw/dx shows.
     """
     beyond = np.flatnonzero(w > SLIDING * coulomb)
     end = int(beyond[0]) if len(beyond) else len(w)
