@@ -145,8 +145,11 @@ def main() -> int:
                     "delay_s": [plant.lvdt.delay * PERIOD, delay],
                 }
             )
+        if not kept:
+            continue
         rows = batch.records(kept)
-        for name, setup in [*setups.items(), *others.items()]:
+        given: dict[str, Setup | list[Setup]] = {**setups, **others}
+        for name, setup in given.items():
             errors = comparison.measured(setup, rows, NOISE_SEED + first)
             found.setdefault(name, []).append(errors)
         result = {
