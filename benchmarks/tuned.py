@@ -44,6 +44,17 @@ FIXED: dict[str, dict[str, Value]] = {
 }
 
 
+def shared(share: float) -> trial.Limits:
+    """MARGINS times ``share``; a peak in decibels is divided by it."""
+    return trial.Limits(
+        share * MARGINS.gain_db,
+        share * MARGINS.phase_deg,
+        share * MARGINS.delay_s,
+        MARGINS.sensitivity_db / share,
+        MARGINS.saturated,
+    )
+
+
 def corners() -> list[valve.Params]:
     """Corners of the wide box, as far as margins depend on it."""
     return [
@@ -77,6 +88,9 @@ def main() -> int:
     options.add_argument("--trials", type=int, default=1500, help="sets of gains tried of each law (1500)")
     options.add_argument("--valves", type=int, default=200, help="measured on (200)")
     options.add_argument("--check", type=int, default=0, help="more valves, for limit cycles alone (0)")
+    options.add_argument(
+        "--margins", type=float, default=1.0, help="share of the margins asked for on the wide box (1)"
+    )
     options.add_argument("--only", choices=tuple(FIXED), action="append", help="one law; again for more")
     options.add_argument("--threads", type=int, help="(all cores)")
     options.add_argument("--out", default="out/tuned", metavar="FOLDER", help="output folder (out/tuned)")
@@ -84,7 +98,8 @@ def main() -> int:
     out = Path(arguments.out)
     out.mkdir(parents=True, exist_ok=True)
     wide = arguments.box == "wide"
-    limits = MARGINS if wide else NO_MARGINS
+    share = f" --margins {arguments.margins:g}" if wide and arguments.margins != 1.0 else ""
+    limits = shared(arguments.margins) if wide else NO_MARGINS
     for name in arguments.only or FIXED:
         problem = problem_of(name, wide, limits)
         law = LAWS[word(problem.values, "controller")]
@@ -106,15 +121,16 @@ def main() -> int:
             )
         chosen, gains = found.chosen, found.chosen.point.gains
         values = tuner.parameters_of(law.name, problem.values, chosen)
-        many = batch.records(valves(arguments.valves, SEEDS["measure"], wide))
-        errors = summary(measured(Setup(name, values, gains.ahead), many, NOISE_SEED))
+        unused = valves(arguments.valves, SEEDS["measure"], wide)
+        errors = summary(measured(Setup(name, values, gains.ahead), batch.records(unused), NOISE_SEED))
+        swinging = verification.cycling(law, problem, gains, unused, arguments.threads)
         cycles = verification.cycling(
             law, problem, gains, valves(arguments.check, SEEDS["check"], wide), arguments.threads
         )
         stem = f"{arguments.box}_{arguments.limit:g}_{name}"
         about = [
             f"python -m benchmarks.tuned --box {arguments.box} --limit {arguments.limit:g} "
-            f"--trials {arguments.trials} --only {name}",
+            f"--trials {arguments.trials}{share} --only {name}",
             f"on {len(problem.plants)} valves; margins in the box: {_margins_text(wide, limits)}",
         ]
         outputs.write(str(out / f"{stem}.yaml"), files.as_yaml({"/**/controller": values}, about))
@@ -125,6 +141,7 @@ def main() -> int:
             "missed_margins": found.missed,
             "valves": arguments.valves,
             **errors,
+            "limit_cycles": len(swinging),
             "margins": margins.as_dict(margins.worst(chosen.verified.margins)),
             "checked": {"valves": arguments.check, "limit_cycles": len(cycles), "which": cycles.tolist()},
             "reasons": chosen.verified.reasons,
@@ -134,7 +151,8 @@ def main() -> int:
         cells = "".join(f"{medians[key]:8.1f}" for key in medians)
         print(
             f"{name:14}{cells}   95 %: {tails['geometric mean']:7.1f}   c_u {errors['c_u']:.3f}   "
-            f"limit cycles {len(cycles)} of {arguments.check}   {'; '.join(chosen.verified.reasons)}",
+            f"limit cycles {len(swinging)} of {arguments.valves}, "
+            f"{len(cycles)} of {arguments.check}   {'; '.join(chosen.verified.reasons)}",
             flush=True,
         )
     return 0

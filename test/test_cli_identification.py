@@ -201,3 +201,68 @@ def test_paper_shows_what_agrees(run):
     status, out, _ = run("compensator", "--paper")
     assert status == 0
     assert "157 rad/s with damping 0.8, twice, and 250 rad/s" in out and "13.14 Hz" in out
+
+
+def test_friction_comes_from_a_triangle_and_goes_into_simulate(run, tmp_path):
+    rubbing = {"coulomb": 0.8, "presliding": 0.02}
+    given = [f"friction.{name}={value}" for name, value in rubbing.items()]
+    settings = [part for text in (*given, "lvdt.noise=0.005") for part in ("--set", text)]
+    status, out, err = run(
+        "identify", *QUICK, *settings, "--friction", "--output", "valve.yaml", "--json", "r.json"
+    )  # fmt: skip
+    assert status == 0, err
+    found = json.loads((tmp_path / "r.json").read_text())["friction"]
+    assert abs(found["coulomb"] - 0.8) < 0.02
+    assert abs(found["presliding"] / 0.02 - 1.0) < 0.12
+    assert "friction: Coulomb 0." in out
+    tree = yaml.safe_load((tmp_path / "valve.yaml").read_text())
+    valve = tree["/**/valve_simulator"]["ros__parameters"]
+    assert abs(valve["friction"]["coulomb"] - found["coulomb"]) < 1e-9
+    law = tree["/**/controller"]["ros__parameters"]["dcarc"]
+    assert abs(law["theta_initial"][2] - found["coulomb"]) < 1e-9
+    status, out, err = run("simulate", "--controller", "dcarc", "--params-file", "valve.yaml", "--json", "-")
+    assert status == 0, err
+    assert json.loads(out)["true_error"]["e_rms"] < 0.05
+
+
+def test_friction_of_a_recorded_triangle(run, tmp_path):
+    rubbing = {"friction.coulomb": 0.6, "friction.presliding": 0.02}
+    shapes = {
+        "sine": {
+            "scenario": "stepped_sine", "frequency": 1.5, "end_frequency": 60.0, "steps": 8, "cycles": 4,
+            "step_time": 0.6, "amplitude": 4.0, "duration": 60.0,
+        },
+        "triangle": {
+            "scenario": "triangle", "frequency": 0.4, "cycles": 4, "amplitude": 3.0, "duration": 60.0,
+        },
+    }  # fmt: skip
+    for name, own in shapes.items():
+        values = updated(COMMAND, defaults(COMMAND), own)
+        shape = build.shape(values)
+        made = Run(controller={"controller": "open_loop"}, simulator=rubbing, memory_every=10**9)
+        made.say("/command_source", values, new=True)
+        length = 10.0 if name == "triangle" else scenarios.steps_of(shape)[-1].end
+        for k in range(round((shape.start + length + 0.1) / 0.001)):
+            made.sample(scenarios.command(shape, k * 0.001))
+        write(tmp_path / name, made.messages)
+    status, out, err = run("identify", "sine", "--settle", "0.25", "--friction", "triangle", "--json", "-")
+    assert status == 0, err
+    result = json.loads(out)
+    assert abs(result["friction"]["coulomb"] - 0.6) < 0.02
+    assert abs(result["friction"]["presliding"] / 0.02 - 1.0) < 0.12
+    assert abs(result["fits"][-1]["static_gain"]["value"] / 0.829 - 1.0) < 0.02
+    status, _, err = run("identify", "sine", "--friction", "sine")
+    assert status == 2 and "it must be a triangle" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["a_bag", "--friction"], "--friction needs a bag with a triangle of its own beside a_bag"),
+        (["--friction", "a_bag"], "give a bag for both or for none"),
+    ],
+)
+def test_friction_without_its_own_test_is_refused(run, arguments, text):
+    status, _, err = run("identify", *arguments)
+    assert status != 0 and err.count("\n") == 1
+    assert text in err

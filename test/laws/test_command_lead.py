@@ -104,13 +104,14 @@ LEADS = {
     "arc": LAG,
     "oarc": 0.0042,
     "pid": 0.020,
+    "dcarc": LAG,
     "compensator": 0.036,
     "open_loop": 0.060,
 }
 
 
-def run(law, command, lead):
-    values = controller(controller=law, reshaping__lead=lead, arc__velocity_cutoff=100.0)
+def run(law, command, lead, **changes):
+    values = controller(controller=law, reshaping__lead=lead, arc__velocity_cutoff=100.0, **changes)
     plant = updated(VALVE, defaults(VALVE), D3FXE)
     made = offline.simulate(values, plant, command)
     moving = slice(300, None)
@@ -126,6 +127,16 @@ def test_the_error_falls_to_0_6_at_the_same_chatter(law, command):
     error, chatter_with_lead = run(law, command, LEADS[law])
     assert error < 0.6 * without
     assert chatter_with_lead < 1.05 * chatter + 0.04
+
+
+@pytest.mark.parametrize("command", [SINES, FAST], ids=["sines of 3, 9 and 15 Hz", "fast point to point"])
+def test_a_lead_of_3_ms_halves_the_error_of_the_tuned_plain_pid(command):
+    tuned = files.load(str(files.config_folder() / "tuned" / "narrow_0.25_pid_plain.yaml"))["controller"]
+    gains = {name.replace(".", "__"): value for name, value in tuned.items() if name != "controller"}
+    without, chatter = run("pid", command, 0.0, **gains)
+    error, chatter_with_lead = run("pid", command, 0.003, **gains)
+    assert error < 0.6 * without
+    assert chatter_with_lead < 1.05 * chatter
 
 
 def overshoot(position, height):

@@ -16,11 +16,13 @@ from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
     from valve_control.identification.experiment import Experiment
+    from valve_control.identification.friction import Friction
     from valve_control.identification.rational import Fit
     from valve_control.identification.response import Response
     from valve_control.identification.result import Identification
 
 SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
+FRICTION_ROUNDS = 2  # the friction needs the model, and the model the friction
 BAG_ONLY = ("map", "of", "start", "end")
 
 
@@ -39,6 +41,15 @@ def add_commands(commands: Any) -> None:
     )
     identify.add_argument("--scenario", choices=SCENARIOS[:-1], help="motion (default: stepped_sine)")
     identify.add_argument("--duration", type=float, metavar="S", help="length [s] (what the motion takes)")
+    identify.add_argument(
+        "--friction",
+        nargs="?",
+        const="",
+        metavar="BAG",
+        help="friction level and presliding too, from a slow triangle of the voltage: simulated, or with a "
+        "bag from another one (scenario: triangle, amplitude: 4.0, frequency: 0.2, cycles: 9); what friction "
+        "takes of a stepped sine's voltage is then taken off",
+    )
     identify.add_argument(
         "bag", nargs="?", metavar="BAG", help="recorded stepped sine, sweep or other motion"
     )
@@ -89,7 +100,7 @@ def add_commands(commands: Any) -> None:
 
 def _identify(arguments: argparse.Namespace) -> int:
     from valve_control import outputs
-    from valve_control.identification import experiment, result
+    from valve_control.identification import experiment, friction, result
 
     check_outputs(arguments, [arguments.output, arguments.csv], [arguments.figure])
     if arguments.delay and _is_number(arguments.bag):
@@ -105,9 +116,23 @@ def _identify(arguments: argparse.Namespace) -> int:
         if not 0.0 < low < high < float("inf"):
             raise ParameterError(f"--band {low:g} {high:g} must be two rising frequencies above 0 Hz")
         band = (low, high)
+    if arguments.friction is not None:
+        _check_friction(arguments)
     tested = _recorded(arguments) if arguments.bag is not None else _simulated(arguments)
+    triangle = None if arguments.friction is None else _triangle(arguments)
+    if triangle is not None and triangle.period != tested.period:
+        raise ParameterError(
+            f"the friction test has a sample period of {triangle.period:g} s, the other one of "
+            f"{tested.period:g} s; they must agree"
+        )
     measured = experiment.estimate(tested, arguments.settle, band)
     found = _found(arguments, tested, measured)
+    if triangle is not None:
+        for _ in range(FRICTION_ROUNDS):
+            rubbing = friction.friction(triangle, friction.lag_of(found.best.model, found.best.delay))
+            slipping = friction.without(tested, rubbing) if tested.segments else tested
+            measured = experiment.estimate(slipping, arguments.settle, band)
+            found = _found(arguments, tested, measured, rubbing)
     wanted: list[tuple[str | None, Callable[[], str | bytes]]] = [
         (arguments.output, lambda: result.yaml_text(found)),
         (arguments.csv, lambda: result.csv_text(measured)),
@@ -135,8 +160,31 @@ def _is_number(text: str | None) -> bool:
         return False
 
 
-def _simulated(arguments: argparse.Namespace) -> "Experiment":
-    from valve_control.identification import experiment
+def _check_friction(arguments: argparse.Namespace) -> None:
+    """Raise ParameterError unless both tests are simulated, or both recorded."""
+    if arguments.friction == "" and arguments.bag is not None:
+        raise ParameterError(
+            f"--friction needs a bag with a triangle of its own beside {arguments.bag}; the command source "
+            "makes one with scenario triangle"
+        )
+    if arguments.friction != "" and arguments.bag is None:
+        raise ParameterError(
+            f"--friction {arguments.friction} comes from a bag and the response from a simulated valve; give "
+            "a bag for both or for none"
+        )
+
+
+def _triangle(arguments: argparse.Namespace) -> "Experiment":
+    """The friction test: of the simulated valve, or out of a bag."""
+    if arguments.friction == "":
+        return _simulated(arguments, True)
+    told = {"bag": arguments.friction, "start": None, "end": None}
+    return _recorded(argparse.Namespace(**{**vars(arguments), **told}))
+
+
+def _simulated(arguments: argparse.Namespace, triangle: bool = False) -> "Experiment":
+    """A test of the simulated valve; ``triangle``: that of its friction."""
+    from valve_control.identification import experiment, friction
     from valve_control.parameters import files as parameter_files
 
     for name in BAG_ONLY:
@@ -167,8 +215,14 @@ def _simulated(arguments: argparse.Namespace) -> "Experiment":
         for node in ("controller", "valve_simulator")
     }
     period = number(settings["valve_simulator"], "sample_period")
-    command = experiment.test_values(given["command_source"], period)
     motion = None
+    if triangle:
+        command = experiment.test_values(friction.TEST, period)
+        return experiment.simulated(settings["controller"], settings["valve_simulator"], command)
+    test = given["command_source"]
+    if arguments.friction is not None and "amplitude" not in test:
+        test = {"amplitude": friction.SHARE * number(settings["valve_simulator"], "u_max"), **test}
+    command = experiment.test_values(test, period)
     if arguments.command is not None:
         from valve_control.commands import arrays
 
@@ -195,7 +249,12 @@ def _recorded(arguments: argparse.Namespace) -> "Experiment":
     return recorded.recorded(loaded, valve)
 
 
-def _found(arguments: argparse.Namespace, tested: "Experiment", measured: "Response") -> "Identification":
+def _found(
+    arguments: argparse.Namespace,
+    tested: "Experiment",
+    measured: "Response",
+    rubbing: "Friction | None" = None,
+) -> "Identification":
     from valve_control.identification import experiment, first_gains, lvdt, rational, result, theta
 
     options = {"delayed": arguments.delay, "weighting": arguments.weighting}
@@ -239,7 +298,7 @@ def _found(arguments: argparse.Namespace, tested: "Experiment", measured: "Respo
     readings = lvdt.observe(tested.position)
     model, delay, told = first_gains.with_dead_time(measured, best, arguments.weighting)
     gains = first_gains.first(
-        first_gains.Valve(model, delay, suggestion, readings, measured.period, tested.u_max)
+        first_gains.Valve(model, delay, suggestion, readings, measured.period, tested.u_max, rubbing)
     )
     return result.Identification(
         source=tested.source,
@@ -251,4 +310,5 @@ def _found(arguments: argparse.Namespace, tested: "Experiment", measured: "Respo
         gains=gains.values,
         u_max=tested.u_max,
         notes=(*notes, *told, *gains.notes),
+        friction=rubbing,
     )

@@ -9,18 +9,18 @@ from typing import NamedTuple
 class Shape(NamedTuple):
     """One command shape; each scenario uses the fields that it needs."""
 
-    scenario: str  # point_to_point, sine, step, sweep, stepped_sine or constant
+    scenario: str  # point_to_point, sine, triangle, step, sweep, stepped_sine or constant
     amplitude: float  # V     height, stroke or amplitude
     offset: float  # V     added to everything
     start: float  # s     standstill before the motion begins
-    frequency: float  # Hz    sine; start of the sweep; first step
+    frequency: float  # Hz    sine, triangle; start of the sweep; first step
     end_frequency: float  # Hz    end of the sweep; last step
     max_velocity: float  # V/s   point to point
     max_accel: float  # V/s²  point to point
     cycle: float  # s     point to point: there and back again
     sweep_time: float  # s     duration of one sweep
     steps: int = 30  # -     frequencies of the stepped sine
-    cycles: int = 5  # -     least cycles of each
+    cycles: int = 5  # -     least cycles of each; those of the triangle
     step_time: float = 1.0  # s     least time of each
 
 
@@ -35,6 +35,7 @@ class Step(NamedTuple):
 SCENARIOS = {
     "point_to_point": "smooth motion there and back with limited velocity and acceleration (Fig. 5)",
     "sine": "sine wave (Fig. 4: 6 Hz)",
+    "triangle": "straight lines up and down, whole cycles of one frequency: slowly, it tells friction",
     "step": "step to the amplitude",
     "sweep": "sine whose frequency rises exponentially from frequency to end_frequency",
     "stepped_sine": "whole cycles of one frequency after the other, from frequency to end_frequency",
@@ -113,6 +114,17 @@ def stepped_sine(steps: tuple[Step, ...], time: float) -> float:
     return math.sin(2.0 * math.pi * steps[i].frequency * (time - steps[i].start))
 
 
+def triangle(frequency: float, cycles: int, time: float) -> float:
+    """Unit triangle at ``time`` [s] of one that began at 0 at time 0; 0 after its ``cycles``."""
+    turns = time * frequency
+    if turns >= cycles:
+        return 0.0
+    share = turns % 1.0
+    if share < 0.25:
+        return 4.0 * share
+    return 2.0 - 4.0 * share if share < 0.75 else 4.0 * share - 4.0
+
+
 def command(shape: Shape, time: float) -> float:
     """Command [V] at ``time`` [s] after the beginning."""
     t = time - shape.start
@@ -123,6 +135,8 @@ def command(shape: Shape, time: float) -> float:
         return shape.offset + a
     if shape.scenario == "sine":
         return shape.offset + a * math.sin(2.0 * math.pi * shape.frequency * t)
+    if shape.scenario == "triangle":
+        return shape.offset + a * triangle(shape.frequency, shape.cycles, t)
     if shape.scenario == "sweep":
         t = min(t, shape.sweep_time)
         ratio = math.log(shape.end_frequency / shape.frequency)

@@ -118,6 +118,8 @@ def test_values(given: dict[str, object], period: float) -> Values:
         length = scenarios.steps_of(build.shape(values))[-1].end
     elif values["scenario"] == "sweep":
         length = number(values, "sweep_time")
+    elif values["scenario"] == "triangle":
+        length = number(values, "cycles") / number(values, "frequency")
     else:
         length = 60.0
     if start + length > LONGEST * period:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+from valve_control.identification.friction import Friction
 from valve_control.identification.lvdt import Lvdt
 from valve_control.identification.rational import Fit, check_worth, fit
 from valve_control.identification.response import Response
@@ -30,6 +31,11 @@ AHEAD = 1.1  # times the valve's natural frequency, where PID's poles are put
 QUIETEST = (
     5e-4  # V  noise that is assumed at least: a model is never so exact that readings could be believed
 )
+BRISTLES = (1, 2, 3)  # of dcarc's weights
+PRESLIDINGS = (0.4, 1.0, 2.5)  # of the three bristles over the measured one
+CLOSE, LEAST_SPREAD = 0.3, 0.1  # -, V  spread of the weights around the measured friction
+HIGHEST = 1.5  # times the measured friction, up to which a weight may go
+OFFSET_SPREAD = 0.2  # V
 CERTAIN = 2.0  # bounds that a dead time must be above 0
 
 
@@ -49,6 +55,7 @@ class Valve(NamedTuple):
     lvdt: Lvdt
     period: float  # s
     u_max: float  # V
+    friction: Friction | None = None  # None: not tested
 
 
 def with_dead_time(
@@ -82,7 +89,7 @@ def first(known: Valve) -> Gains:
         (pid.LAW, _pid),
         (arc.LAW, _arc),
         (oarc.LAW, _oarc),
-        (dcarc.LAW, _dcarc),
+        (dcarc.LAW, dcarc_values),
     )
     corners = list(_corners(known))
     for law, make in makers:
@@ -193,12 +200,38 @@ def _oarc(known: Valve, share: float) -> Values:
     )
 
 
-def _dcarc(known: Valve, share: float) -> Values:
-    """The model itself, its noises, and the weight of the voltage by the square of the static gain."""
+def _bristles(friction: Friction) -> Values:
+    """Weights that begin at the measured friction, closer around it; the second bristle has its presliding.
+
+    A presliding that was not told leaves those of the bristles as they are.
+    """
+    own = defaults(CONTROLLER)
+    start = list(numbers(own, "dcarc.theta_initial"))
+    highest = list(numbers(own, "dcarc.theta_max"))
+    spread = list(numbers(own, "dcarc.theta_spread"))
+    start[2] = friction.coulomb
+    start[6] = -friction.offset
+    for i in BRISTLES:
+        highest[i] = max(highest[i], HIGHEST * friction.coulomb)
+        spread[i] = max(CLOSE * friction.coulomb, LEAST_SPREAD)
+    spread[6] = OFFSET_SPREAD
+    made: Values = {
+        "dcarc.theta_initial": start,
+        "dcarc.theta_max": highest,
+        "dcarc.theta_spread": spread,
+    }
+    if friction.presliding > 0.0:
+        made["dcarc.presliding"] = [share * friction.presliding for share in PRESLIDINGS]
+    return made
+
+
+def dcarc_values(known: Valve, share: float = 1.0) -> Values:
+    """The model itself, its noises and friction, and the weight of the voltage by the static gain squared."""
     own = defaults(CONTROLLER)
     gain = known.model.static_gain / models.FOURTH_ORDER.static_gain
     return _plain(
         {
+            **(_bristles(known.friction) if known.friction is not None else {}),
             "dcarc.model": "custom",
             "dcarc.numerator": list(known.model.numerator),
             "dcarc.denominator": list(known.model.denominator),

@@ -9,6 +9,7 @@ from valve_control import outputs
 from valve_control.analysis.figures import COLOURS, bode_axes
 from valve_control.identification import bode, rational
 from valve_control.identification.bode import Corners, Root
+from valve_control.identification.friction import Friction
 from valve_control.identification.lvdt import Lvdt
 from valve_control.identification.rational import Fit
 from valve_control.identification.response import Response
@@ -33,6 +34,7 @@ class Identification(NamedTuple):
     gains: Values  # of the controller, for a first run
     u_max: float  # V
     notes: tuple[str, ...]
+    friction: Friction | None = None  # None: not tested
 
 
 def polynomial(coefficients: tuple[float, ...]) -> str:
@@ -80,6 +82,15 @@ def fit_text(made: Fit) -> str:
     return "\n".join(lines)
 
 
+def friction_text(found: Friction) -> str:
+    """Friction as the terminal shows it."""
+    told = f"presliding {1e3 * found.presliding:.3g} mV" if found.presliding else "presliding not to be told"
+    return (
+        f"friction: Coulomb {found.coulomb:.4g} V, {told}, offset {found.offset:.3g} V "
+        f"(triangle, {found.strokes} strokes)"
+    )
+
+
 def text(found: Identification) -> str:
     """The whole identification as the terminal shows it."""
     m = found.measured
@@ -97,6 +108,7 @@ def text(found: Identification) -> str:
         f"                  theta_max     {found.theta.upper}",
         f"LVDT: noise {1e3 * found.lvdt.noise:.3g} mV, "
         + (f"steps of {1e3 * found.lvdt.resolution:.3g} mV" if found.lvdt.resolution else "no steps"),
+        *([] if found.friction is None else [friction_text(found.friction)]),
         *(f"note: {note}" for note in found.notes),
     ]
     return "\n".join(lines)
@@ -120,6 +132,11 @@ def parameters(found: Identification) -> dict[str, Values]:
     }
     if "delay" in found.best.names:
         valve["lvdt.delay"] = _rounded(found.best.delay)
+    if found.friction is not None:
+        valve["friction.coulomb"] = _rounded(found.friction.coulomb)
+        valve["friction.static_ratio"] = 1.0
+        valve["friction.presliding"] = _rounded(found.friction.presliding)
+        valve["disturbance.offset"] = _rounded(found.friction.offset)
     controller: Values = {
         "compensator.design": "designed",
         "compensator.model": "custom",
@@ -250,6 +267,7 @@ def as_dict(found: Identification) -> dict[str, Any]:
             "max": found.theta.upper,
         },
         "lvdt": found.lvdt._asdict(),
+        **({} if found.friction is None else {"friction": found.friction._asdict()}),
         "gains": found.gains,
         "notes": list(found.notes),
     }

@@ -282,7 +282,7 @@ COMMAND: Table = (
         "point_to_point",
         "",
         "command shape, or array for the numbers in command_file",
-        choices=("point_to_point", "sine", "step", "sweep", "stepped_sine", "constant", "array"),
+        choices=("point_to_point", "sine", "triangle", "step", "sweep", "stepped_sine", "constant", "array"),
     ),
     Parameter("command_file", "", "", "CSV or NPY file with one command per sample period (array)"),
     Parameter(
@@ -309,12 +309,12 @@ COMMAND: Table = (
     Parameter("offset", 0.0, "V", "added to the command", -10.0, 10.0),
     Parameter("start", 0.25, "s", "standstill before the motion", 0.0, 1e6),
     Parameter(
-        "frequency", 6.0, "Hz", "of the sine; start of the sweep; first of the stepped sine", 1e-4, 1e4
+        "frequency", 6.0, "Hz", "of sine, triangle; start of the sweep; first of the stepped sine", 1e-4, 1e4
     ),
     Parameter("end_frequency", 60.0, "Hz", "end of the sweep; last of the stepped sine", 1e-4, 1e4),
     Parameter("sweep_time", 5.0, "s", "duration of the sweep", 1e-3, 1e6),
     Parameter("steps", 30, "", "frequencies of the stepped sine, evenly spaced in logarithm", 1, 1000),
-    Parameter("cycles", 5, "", "least cycles of each frequency of the stepped sine", 1, 10000),
+    Parameter("cycles", 5, "", "of the triangle; least ones of each frequency of the stepped sine", 1, 10000),
     Parameter("step_time", 1.0, "s", "least time of each frequency of the stepped sine", 0.0, 1e4),
     Parameter("max_velocity", 8.0, "V/s", "of the point-to-point motion", 1e-3, 1e4),
     Parameter("max_accel", 64.0, "V/s²", "of the point-to-point motion", 1e-3, 1e6),

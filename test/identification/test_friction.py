@@ -1,0 +1,115 @@
+"""Friction from a slow triangle: what random valves have comes out, and other tests are refused."""
+
+import numpy as np
+import pytest
+
+from valve_control.identification import experiment, first_gains, friction, rational, theta
+from valve_control.identification.experiment import Experiment
+from valve_control.identification.lvdt import Lvdt
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.plant.models import FOURTH_ORDER
+from valve_control.simulation import batch, comparison
+
+PERIOD, U_MAX = 0.001, 10.0
+OPEN = {"controller": "open_loop", "open_loop.static_gain": 1.0, "command_limit": 100.0}
+STRIBECK = {
+    "friction.coulomb": 1.16,
+    "friction.static_ratio": 1.25,
+    "friction.stribeck_velocity": 0.017,
+    "friction.presliding": 0.02,
+    "lvdt.noise": 0.0056,
+    "lvdt.resolution": 0.0037,
+}
+
+
+def made(voltage, position):
+    return Experiment("", PERIOD, voltage, position, (), U_MAX, ())
+
+
+def triangle(**changes):
+    return build.commands(experiment.test_values({**friction.TEST, **changes}, PERIOD))
+
+
+def lag_with_flow(plant):
+    """Lag of the valve with its flow force, which feeds the position back."""
+    feedback = plant.disturbance.flow_force * FOURTH_ORDER.static_gain * plant.gain_scale
+    (n1, n0), (d1, d0) = FOURTH_ORDER.numerator[-2:], FOURTH_ORDER.denominator[-2:]
+    return (d1 / d0 - n1 / n0) / (1.0 + feedback)
+
+
+def test_friction_offset_and_presliding_of_random_valves():
+    """Coulomb within 5 mV, offset within 1 mV; presliding within 12 % where friction is 0.2 V or more."""
+    plants = comparison.valves(32, 11, False)
+    voltage = triangle()
+    traces = np.empty((len(plants), len(voltage), 3))
+    params = LAWS["open_loop"].build(updated(CONTROLLER, defaults(CONTROLLER), OPEN))
+    rows = batch.records(plants)
+    batch.simulate(batch.Batch("open_loop", params, rows, np.arange(len(plants)), voltage), 1, traces)
+    told = 0
+    for plant, trace in zip(plants, traces, strict=True):
+        found = friction.friction(made(voltage, trace[:, 1]), lag_with_flow(plant))
+        true = plant.disturbance
+        assert abs(found.coulomb - true.coulomb) < 0.005
+        assert abs(found.offset - true.offset) < 0.001
+        assert found.static_gain == pytest.approx(
+            1.0 / (1.0 / (FOURTH_ORDER.static_gain * plant.gain_scale) + true.flow_force), rel=0.002
+        )
+        if true.coulomb >= 0.2 and found.presliding:
+            told += 1
+            assert found.presliding == pytest.approx(true.presliding, rel=0.12)
+    assert told >= 0.85 * sum(plant.disturbance.coulomb >= 0.2 for plant in plants)
+
+
+def test_friction_taken_off_gives_the_model_back():
+    """A stepped sine with friction of 1.16 V: static gain within 1 % instead of some per cent less."""
+    plant = updated(VALVE, defaults(VALVE), STRIBECK)
+    controller = defaults(CONTROLLER)
+    sine = {"amplitude": 6.0, "steps": 16, "cycles": 4, "step_time": 0.8, "frequency": 0.8}
+    tested = experiment.simulated(controller, plant, experiment.test_values(sine, PERIOD))
+    slow = experiment.simulated(controller, plant, experiment.test_values(friction.TEST, PERIOD))
+    found = friction.friction(slow, friction.lag_of(FOURTH_ORDER, 0.0))
+    assert found.coulomb == pytest.approx(1.16, abs=0.005)
+    assert found.presliding == pytest.approx(0.02, rel=0.05)
+    missed = []
+    for one in (tested, friction.without(tested, found)):
+        second = rational.fit(experiment.estimate(one, 0.4, None), 2)
+        measured = experiment.estimate(one, 0.4, None)
+        fit = rational.fit(measured, 4)
+        missed.append(abs(fit.model.static_gain / FOURTH_ORDER.static_gain - 1.0))
+    assert missed[1] < 0.01 < missed[0]
+    suggested = theta.suggest(measured, second, fit, U_MAX)
+    lvdt = Lvdt(0.0056, 0.0037)
+    known = first_gains.Valve(fit.model, 0.0, suggested, lvdt, PERIOD, U_MAX, found)
+    values = first_gains.first(known).values
+    assert values["dcarc.theta_initial"][2] == pytest.approx(1.16, abs=0.005)
+    assert values["dcarc.presliding"][1] == pytest.approx(0.02, rel=0.05)
+
+
+def test_valve_without_friction_has_none():
+    plant = updated(VALVE, defaults(VALVE), {"lvdt.noise": 0.0056})
+    slow = experiment.simulated(defaults(CONTROLLER), plant, experiment.test_values(friction.TEST, PERIOD))
+    found = friction.friction(slow, friction.lag_of(FOURTH_ORDER, 0.0))
+    assert found.coulomb < 0.005 and found.presliding == 0.0
+
+
+def test_what_is_no_slow_triangle_is_refused():
+    lag = friction.lag_of(FOURTH_ORDER, 0.0)
+    time = np.arange(20000) * PERIOD
+    chirp = 4.0 * np.sin(2.0 * np.pi * 0.2 * time * (1.0 + 0.05 * time))
+    for voltage, text in (
+        (chirp, "must be a triangle"),
+        (4.0 * np.sin(2.0 * np.pi * 0.2 * time), "beside straight lines"),
+        (np.zeros(1000), "has 0 whole strokes"),
+        (triangle(cycles=2), "has 3 whole strokes"),
+        (triangle(frequency=4.0), "must take"),
+        (3.0 * triangle(), "saturates at u_max, 10 V"),
+    ):
+        with pytest.raises(ParameterError, match=text):
+            friction.friction(made(voltage, 0.8 * voltage), lag)
+    with pytest.raises(ParameterError, match="does not follow"):
+        friction.friction(made(triangle(), -triangle()), lag)
+    with pytest.raises(ParameterError, match="stepped sine alone"):
+        friction.without(made(triangle(), triangle()), friction.Friction(1.0, 0.02, 0.8, 0.0, 8))
