@@ -10,7 +10,7 @@ import pytest
 
 from valve_control import __version__
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files, table
+from valve_control.parameters import axis, build, files, table
 
 ROOT = Path(__file__).resolve().parents[1]
 COLCON = shutil.which("colcon", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
@@ -27,7 +27,7 @@ def test_config_files_load_and_build(path):
 
 
 def test_every_parameter_has_text_and_a_finite_range():
-    for t in table.NODES.values():
+    for t in axis.ROS_NODES.values():
         values = updated(t, {}, defaults(t))
         assert len(values) == len(t)
         for parameter in t:
