@@ -155,8 +155,9 @@ def topics() -> str:
     text = (
         "# Topics and services\n\nThis page is made from the sources of the nodes. Names without a slash at "
         "their head are relative: each valve has a namespace of its own. `~` is the name of the node. Every "
-        "node also has ROS's own parameter services; `controller`, `valve_simulator` and `axis_controller` are "
-        "managed nodes and have the lifecycle services too (`~/change_state`, `~/get_state`).\n"
+        "node also has ROS's own parameter services; `controller`, `valve_simulator` and "
+        "`axis_controller` are managed nodes and have the lifecycle services too (`~/change_state`, "
+        "`~/get_state`).\n"
     )
     for node in ROS_NODES:
         text += f"\n## `{node}` on the graph\n\n"

@@ -48,7 +48,7 @@ class AxisSimulator(Worker):
         self._pressures_a = self.create_publisher(FluidPressure, "pressure_a", SAMPLES)
         self._pressures_b = self.create_publisher(FluidPressure, "pressure_b", SAMPLES)
         self._joint, self._pressure = JointState(), FluidPressure()
-        self._parameters = ParameterSet(self, AXIS, self._build, self._apply, alone=False)
+        ParameterSet(self, AXIS, self._build, self._apply, alone=False)
 
     def _build(self, values: Values) -> tuple[axis.Params, machine.Sensors]:
         if self._values and values["sample_period"] != self._values["sample_period"]:

@@ -1,4 +1,4 @@
-"""Judges the sensors of an axis: finite, within the stroke, no faster than it can move; pressures likewise."""
+"""Judges the sensors of an axis: finite, within the stroke, no faster than it can move; pressures too."""
 
 import math
 from typing import NamedTuple
