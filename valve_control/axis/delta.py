@@ -39,8 +39,8 @@ LIMITS = course.Limits(0.5, 2.5, 50.0)  # the jerk is not published
 PAUSE, DURATION = 0.1, 2.5  # s
 NONE = "none"  # the published case: no valve
 VALVES = (NONE, *study.VALVES)
-POLES = np.geomspace(8.0, 126.0, 17)  # rad/s  among which each valve's is sought
-LEADS = tuple(range(0, 37, 3))  # periods
+POLES = np.geomspace(8.0, 126.0, 13)  # rad/s  among which each valve's is sought
+LEADS = tuple(range(0, 37, 4))  # periods
 OFF = 0.1  # of a parameter
 
 

@@ -182,9 +182,9 @@ def through(points: Sequence[Point], present: Goal, able: Range) -> Path:
 
 
 def _check_extremes(pieces: Array, lengths: Array, able: Range) -> None:
-    for share in np.linspace(0.0, 1.0, LOOKS):
-        x, v = _evaluated(pieces, share * lengths)
-        _check(float(x.min()), float(x.max()), float(v.min()), float(v.max()), able, "the trajectory")
+    looks = [_evaluated(pieces, share * lengths) for share in np.linspace(0.0, 1.0, LOOKS)]
+    x, v = np.array(looks).transpose(1, 0, 2)
+    _check(float(x.min()), float(x.max()), float(v.min()), float(v.max()), able, "the trajectory")
 
 
 def _check(low: float, high: float, slowest: float, fastest: float, able: Range, what: str) -> None:
