@@ -111,7 +111,9 @@ class Axis:
 @pytest.mark.parametrize("machine", ["bench", pytest.param("press", marks=pytest.mark.campaign)])
 def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine):
     """A trajectory over DDS, sensors with noise, a valve with friction: voltages and commands, to the bit."""
-    values = settings(machine, axis_controller={"duration": 2.0, "pause": 0.1, "back": False})
+    values = settings(
+        machine, axis_controller={"duration": 0.9, "pause": 0.05, "back": False, "distance": 0.05}
+    )
     made = run.setup(values)
     twin = run.simulate(made)
     wanted = len(made.goals)
@@ -147,7 +149,7 @@ def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine):
         assert len(numbers) >= 0.99 * wanted
         got = np.array([kept[name][k] for k in numbers])
         assert np.array_equal(got, expected[np.array(numbers) - 1]), name
-    assert np.ptp(twin.signals["position"]) > 0.09
+    assert np.ptp(twin.signals["position"]) > 0.045
 
 
 class Played(Axis):
@@ -205,10 +207,6 @@ def test_what_cannot_be_followed_is_refused_in_one_sentence_and_changes_nothing(
             while not any("refused: " in said and words in said for said in axis.said):
                 assert time.monotonic() < end, f"'{words}', not {set(axis.said)}"
                 assert axis.sample(0.2) == held
-            for _ in range(1100):  # until it is no longer reported
-                axis.send(0.2)
-                rclpy.spin_once(ros, timeout_sec=0.002)
-            axis.commands.clear()
 
         axis.goal.publish(Float64(data=0.6))
         refuse("the goal 0.6 m is outside the stroke from 0 m to 0.5 m")
@@ -287,9 +285,7 @@ def test_an_axis_whose_sensor_fails_ends_with_0_v_on_the_valve(ros, tmp_path):
             ["axis_simulator:cylinder.stroke:=-0.5"],
             "cylinder.stroke is -0.5 m; it must lie",
         ),
-        ("axis_simulator", ["load.force:=-1.0e+06"], "the axis cannot move outwards"),
         ("axis_simulator", ["valve_simulator:sample_period:=0.002"], "they must be equal"),
-        ("axis_controller", ["machine:=benhc"], "machine is 'benhc'; it must be 'bench', 'crane_boom'"),
     ],
 )
 def test_machines_that_cannot_be_end_the_node_with_one_sentence(tmp_path, node, words, sentence):
