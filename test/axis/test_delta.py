@@ -1,4 +1,4 @@
-"""The Delta case: its controller by the polynomial that it makes, its axis by scipy, its published figures."""
+"""The Delta case: its controller by the polynomial that it makes, its axis by scipy, its published errors."""
 
 import json
 
