@@ -66,7 +66,14 @@ def test_colcon_builds_an_ament_package_whose_nodes_run(tmp_path):
     prefix = workspace / "install" / "valve_control"
     assert (prefix / "share/ament_index/resource_index/packages/valve_control").exists()
     assert (prefix / "share/valve_control/config/arc.yaml").exists()
-    for node in ("controller", "valve_simulator", "command_source", "demo"):
+    for node in (
+        "controller",
+        "valve_simulator",
+        "command_source",
+        "axis_simulator",
+        "axis_controller",
+        "demo",
+    ):
         assert (prefix / "lib/valve_control" / node).exists()
     site = next(prefix.glob("lib/python3*/site-packages"))
     # A wrong parameter makes the installed executable start ROS, say why, and end by itself.

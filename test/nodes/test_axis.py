@@ -242,7 +242,10 @@ def test_wrong_readings_are_bridged_then_the_axis_stops_until_it_is_reset(ros, t
         assert axis.sample(0.4)[0] == 0.0
         axis.told("stopped, 0 V: position jumps by")
         axis.goal.publish(Float64(data=0.3))
-        axis.told("stopped")
+        log = tmp_path / "a.log"
+        spin_until(
+            ros, lambda: "goal 0.3 m refused: the axis is stopped; ~/reset" in log.read_text(), "refusal"
+        )
         assert axis.sample(position)[0] == 0.0
         assert call(ros, Trigger, "/axis_controller/reset", Trigger.Request()).success
         assert axis.sample(0.21) == (0.0, 0.21)

@@ -84,6 +84,8 @@ class AxisController(Managed):
     def _build(self, values: Values) -> tuple[axis_supervisor.Params, path.Range]:
         if self._values and values["sample_period"] != self._values["sample_period"]:
             raise ParameterError("the sample_period of a running upper level does not change; start it again")
+        if self._values and values["stop.controller"] != self._values["stop.controller"]:
+            raise ParameterError("stop.controller of a running node does not change; start it again")
         return axis_supervisor.design(values)
 
     def _apply(self, values: Values, built: tuple[axis_supervisor.Params, path.Range]) -> None:
@@ -291,6 +293,8 @@ class AxisController(Managed):
         except ParameterError as error:
             text = f"{what} refused: {error}"
             self._state = axis_supervisor.refused(self._params, self._state, text)
+            if self._state.stopped:  # which is what the diagnostics go on telling
+                self.get_logger().warning(text)
             return
         self.get_logger().info(f"{what} taken")
 

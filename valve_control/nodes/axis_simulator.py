@@ -82,6 +82,8 @@ class AxisSimulator(Worker):
     def rest(self, params: valve.Params) -> None:
         """Put the axis at rest at its start, fed by a valve of ``params``, and start the noise anew."""
         self._machine = machine.Params(params, self._axis, self._sensors)
+        if not self._machine_known:
+            self.get_logger().info("compiling the axis, some seconds at the first start ...")
         self._machine_known = True
         self._state = parameters.start(self._machine, self._values)
         self._random = np.random.default_rng(int(number(self._values, "seed")))
