@@ -100,7 +100,7 @@ class Axis:
                 self.goals and self.goal.get_subscription_count() and self.trajectory.get_subscription_count()
             ),
             "axis_controller",
-            60.0,
+            120.0,
         )
 
     @property
@@ -133,13 +133,13 @@ def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine):
         "axis_controller": ["lockstep:=true"],
     }
     with machine_running(tmp_path, machine, **lockstep):
-        spin_until(ros, lambda: publisher.get_subscription_count() == 1, "axis_controller", 60.0)
+        spin_until(ros, lambda: publisher.get_subscription_count() == 1, "axis_controller", 120.0)
         publisher.publish(trajectory(made.goals, made.machine.axis.period))
         assert publisher.wait_for_all_acked(Wait(seconds=5))
         # The second listener of the LVDT lets the simulator begin.
         listening["spool_position"] = NumberSubscription(ros, "spool_position", EVERYTHING)
         kept["spool_position"] = {}
-        spin_until(ros, fetch, "all voltages", 60.0)
+        spin_until(ros, fetch, "all voltages", 200.0)
     offline = {
         "valve_voltage": twin.signals["voltage"],
         "spool_command": twin.signals["spool_command"],
@@ -166,7 +166,7 @@ class Played(Axis):
             self.node,
             lambda: all(p.get_subscription_count() for p in (self.goal, self.trajectory, self.sensor)),
             "axis_controller",
-            60.0,
+            120.0,
         )
         while not self.goals:  # until an answer shows that both directions carry
             self.send(position)
