@@ -9,6 +9,8 @@ NODES = [
     "command_source",
     "manifold",
     "recorder",
+    "axis_simulator",
+    "axis_controller",
 ]
 TOOLS = ["demo", "faults", "lockstep", "joiners", "paper"]
 

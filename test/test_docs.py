@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 from valve_control.cli import command, main
-from valve_control.parameters.table import NODES
+from valve_control.parameters.axis import ROS_NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -178,8 +178,8 @@ def generate():
 
 def test_reference_lists_every_parameter(generate):
     sections = re.split(r"^## ", generate.parameters(), flags=re.M)[1:]
-    assert [section.split("\n")[0] for section in sections] == [f"`{node}`" for node in NODES]
-    for section, table in zip(sections, NODES.values(), strict=True):
+    assert [section.split("\n")[0] for section in sections] == [f"`{node}`" for node in ROS_NODES]
+    for section, table in zip(sections, ROS_NODES.values(), strict=True):
         for p in table:
             assert f"| `{p.name}` |" in section, p.name
 

@@ -12,10 +12,13 @@ import pytest
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, lookup
 from valve_control.parameters import files, launching
+from valve_control.parameters.axis import ROS_NODES
 from valve_control.parameters.table import NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "launch").glob("*.launch.xml"))
+AXIS = "axis.launch.xml"  # of a machine, not of a valve
+VALVES = [path for path in FILES if path.name != AXIS]
 VARIABLE = re.compile(r"\$\(var (\w+)\)")
 
 
@@ -38,7 +41,7 @@ def files_for(*nodes):
 
 
 def test_there_are_launch_files():
-    assert {path.name for path in FILES} == {"valve.launch.xml", "cascade.launch.xml"}
+    assert {path.name for path in FILES} == {"valve.launch.xml", "cascade.launch.xml", AXIS}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
@@ -46,19 +49,22 @@ def test_launch_file_names_only_what_exists(path):
     root = ET.parse(path).getroot()
     assert root.tag == "launch"
     declared = arguments(root)
-    assert {"controller", "valve", "rate", "namespace", "record"} <= set(declared)
+    own = {"machine", "message"} if path.name == AXIS else {"controller", "valve", "rate"}
+    assert own | {"namespace", "record"} <= set(declared)
     for arg in root.findall("arg"):
         assert arg.get("default") is not None and arg.get("description"), arg.get("name")
     text = path.read_text(encoding="utf-8")
     derived = {let.get("name") for let in root.findall("let")}
     assert set(VARIABLE.findall(text)) == set(declared) | derived
-    assert CALL.findall(text) and all(hasattr(launching, name) for name in CALL.findall(text))
+    assert (CALL.findall(text) or path.name == AXIS) and all(
+        hasattr(launching, name) for name in CALL.findall(text)
+    )
     executables = re.search(r"NODES = \[(.*?)\]", (ROOT / "setup.py").read_text(), re.DOTALL).group(1)
     for node in root.iter("node"):
         assert node.get("pkg") == "valve_control" and f'"{node.get("exec")}"' in executables
         for param in node.findall("param"):
             if param.get("from") is None:
-                lookup(NODES[node.get("exec")], param.get("name"))
+                lookup(ROS_NODES[node.get("exec")], param.get("name"))
                 continue
             folder, name = param.get("from").split("valve_control)/")[1].rsplit("/", 1)
             names = [name]
@@ -70,14 +76,14 @@ def test_launch_file_names_only_what_exists(path):
     recorders = [node for node in root.iter("node") if node.get("exec") == "recorder"]
     for recorder in recorders:
         assert recorder.get("if") == "$(var record)" and recorder.find("param").get("value") == "$(var bag)"
-    assert len(recorders) == (path.name == "valve.launch.xml")
+    assert len(recorders) == (path.name != "cascade.launch.xml")
     for include in root.iter("include"):
         target = ROOT / include.get("file").split("valve_control)/")[1]
         known = arguments(ET.parse(target).getroot())
         assert {arg.get("name") for arg in include.findall("arg")} == set(known)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", VALVES, ids=lambda path: path.name)
 def test_choices_are_all_that_there_is(path):
     root = ET.parse(path).getroot()
     valves = {*files_for("valve_simulator"), *files_for("controller", "valve_simulator", "command_source")}
@@ -85,6 +91,13 @@ def test_choices_are_all_that_there_is(path):
     if path.name == "cascade.launch.xml":
         scenarios = set(lookup(NODES["command_source"], "scenario").choices)
         assert choices(root, "scenario") == scenarios - {"array"}  # which needs a file of numbers
+
+
+def test_the_axis_is_launched_with_each_machine_and_message():
+    root = ET.parse(ROOT / "launch" / AXIS).getroot()
+    machines = {path.stem for path in (ROOT / "config" / "axis").glob("*.yaml")}
+    assert choices(root, "machine") == machines - {"hopsan_position_servo"}  # at 100 kHz, for no node
+    assert choices(root, "message") == set(lookup(ROS_NODES["axis_controller"], "message").choices)
 
 
 @pytest.mark.parametrize(
@@ -158,7 +171,7 @@ sys.exit(service.run())
         ("rate:=abc", ["rate is 'abc'; it must be a number"]),
     ],
 )
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", VALVES, ids=lambda path: path.name)
 def test_wrong_argument_ends_the_launch(path, argument, words):
     done = subprocess.run(
         [sys.executable, "-c", LAUNCH, path, argument], capture_output=True, text=True, timeout=60

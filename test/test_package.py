@@ -10,7 +10,7 @@ import pytest
 
 from valve_control import __version__
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files, table
+from valve_control.parameters import axis, build, files, table
 
 ROOT = Path(__file__).resolve().parents[1]
 COLCON = shutil.which("colcon", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
@@ -27,7 +27,7 @@ def test_config_files_load_and_build(path):
 
 
 def test_every_parameter_has_text_and_a_finite_range():
-    for t in table.NODES.values():
+    for t in axis.ROS_NODES.values():
         values = updated(t, {}, defaults(t))
         assert len(values) == len(t)
         for parameter in t:
@@ -66,7 +66,14 @@ def test_colcon_builds_an_ament_package_whose_nodes_run(tmp_path):
     prefix = workspace / "install" / "valve_control"
     assert (prefix / "share/ament_index/resource_index/packages/valve_control").exists()
     assert (prefix / "share/valve_control/config/arc.yaml").exists()
-    for node in ("controller", "valve_simulator", "command_source", "demo"):
+    for node in (
+        "controller",
+        "valve_simulator",
+        "command_source",
+        "axis_simulator",
+        "axis_controller",
+        "demo",
+    ):
         assert (prefix / "lib/valve_control" / node).exists()
     site = next(prefix.glob("lib/python3*/site-packages"))
     # A wrong parameter makes the installed executable start ROS, say why, and end by itself.

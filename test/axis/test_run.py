@@ -7,6 +7,7 @@ from valve_control.axis import run
 from valve_control.cli import main
 from valve_control.motion import axis_pid, course
 from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters import files
 from valve_control.parameters.axis import AXIS_NODES
 from valve_control.plant.machine import Reading
 
@@ -125,3 +126,15 @@ def test_the_command_prints_what_it_finds_and_refuses_in_one_sentence(capfd, tmp
         assert main(["axis", *arguments]) == 2, arguments
         said = capfd.readouterr().err
         assert words in said and said.count("\n") == 1, said
+
+
+@pytest.mark.parametrize("machine", ["bench", "crane_boom", "press"])
+def test_each_machine_moves_there_and_back_within_its_limit(machine):
+    folder = files.config_folder() / "axis"
+    given = files.given([str(folder / f"{machine}.yaml")], {}, [], None, AXIS_NODES)
+    base = run.default_settings()
+    made = run.setup({node: updated(table, base[node], given[node]) for node, table in AXIS_NODES.items()})
+    assert np.ptp(made.goals[:, 0]) > 0.09
+    found = run.simulate(made)
+    assert found.indices.e_max < 0.2 * given["axis_controller"].get("error_limit", 0.05)
+    assert np.min(found.signals["pressure_a"]) > made.machine.axis.vapour

@@ -23,11 +23,16 @@ print(json.dumps([status, threads]))
 """
 
 
+# Without which a node does not begin.
+NEEDED = {"axis_controller": ("--ros-args", "-p", "machine:=bench")}
+
+
 def module(name):
     return f"valve_control.nodes.{'harness.' * (name in TOOLS)}{name}"
 
 
 def start(name, *arguments, cwd=None):
+    arguments = (*arguments, *NEEDED.get(name, ()))
     return subprocess.Popen(
         [sys.executable, "-m", module(name), *arguments],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd,

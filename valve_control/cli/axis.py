@@ -47,6 +47,11 @@ def add_commands(commands: Any) -> None:
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     output.add_argument("--csv", metavar="FILE", help="signals as CSV")
     output.add_argument("--figure", metavar="FILE", help="motion, error, spool and pressures as PNG or SVG")
+    group.add_argument(
+        "--delta",
+        action="store_true",
+        help="instead: the case of Delta Computer Systems' forum, under five valves (docs/axis.md)",
+    )
     axis.set_defaults(run=_axis)
     axes = commands.add_parser(
         "axes",
@@ -86,6 +91,9 @@ def _axis(arguments: argparse.Namespace) -> None:
     from valve_control.compiling import explained
 
     check_outputs(arguments, [arguments.csv], [arguments.figure])
+    if arguments.delta:
+        _delta(arguments)
+        return
     setup = run.setup(_settings(arguments))
     with explained(f"the law '{setup.law}'"):
         found = run.simulate(setup)
@@ -105,6 +113,47 @@ def _axis(arguments: argparse.Namespace) -> None:
         _draw(Path(arguments.figure), setup, found)
         say(arguments, f"wrote {arguments.figure}")
     write_json(arguments, {"controller": setup.law, **i._asdict(), **_extremes(found)})
+
+
+def _delta(arguments: argparse.Namespace) -> None:
+    from tqdm import tqdm
+
+    from valve_control.axis import delta, study
+
+    names = ("controller", "duration", "seed", "csv", "figure")
+    given = [f"--{name}" for name in names if getattr(arguments, name) is not None]
+    given += ["--set"] * bool(arguments.set) + ["--params-file"] * bool(arguments.params_file)
+    if given:
+        raise ParameterError(f"--delta is a fixed case; {', '.join(given)} cannot be given with it")
+    alone = delta.published(delta.Case(delta.NONE))
+    with tqdm(total=len(study.VALVES) * len(delta.POLES), unit="pole") as bar:
+        found = delta.study_valves(done=lambda: bar.update())
+    if arguments.json != "-":
+        print("largest error [mm] of a move of 500 mm: K, ζ, ω exact, 10 % low, worst corner of ±10 %")
+        print("                      poles [rad/s]  lead [ms]     exact   all low     worst")
+        for name, label, r in [
+            (delta.NONE, "published", alone),
+            *((name, "published", results[0]) for name, results in found.items()),
+            *((name, "own", results[1]) for name, results in found.items()),
+        ]:
+            print(
+                f"{name:<11}{label:<11}{r.pole:>13.1f}{1e3 * r.lead:>11.0f}"
+                f"{_mm(r.nominal)}{_mm(r.low)}{_mm(r.worst)}"
+            )
+    write_json(
+        arguments,
+        {
+            "published": alone._asdict(),
+            "valves": {
+                name: {"published": first._asdict(), "own": second._asdict()}
+                for name, (first, second) in found.items()
+            },
+        },
+    )
+
+
+def _mm(error: float) -> str:
+    return f"{1e3 * error:>10.4f}" if error < 0.5 else f"{'unstable':>10}"
 
 
 def _axes(arguments: argparse.Namespace) -> None:

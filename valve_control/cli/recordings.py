@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from valve_control.bags.bag import Bag
     from valve_control.bags.recover import RecoveredFile
     from valve_control.recordings.analysis import ValveAnalysis
+    from valve_control.recordings.axis import Axis
     from valve_control.recordings.recording import Recording
 
 CONTROLLERS = lookup(NODES["controller"], "controller").choices
@@ -161,7 +162,7 @@ def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveAnal
 
 
 def _analyze(arguments: argparse.Namespace) -> int:
-    from valve_control.recordings import expectations, report
+    from valve_control.recordings import axis, expectations, report
     from valve_control.recordings.analysis import analyze, as_dict
 
     check_outputs(arguments, [arguments.csv, arguments.html])
@@ -169,10 +170,15 @@ def _analyze(arguments: argparse.Namespace) -> int:
     result = analyze(loaded)
     about = as_dict(result)
     outcomes = [o for text in arguments.expect for o in expectations.check(text, about["valves"])]
+    found = _axes(arguments, loaded)
+    if found:
+        about["axes"] = {name: axis.as_dict(one) for name, one in found.items()}
     about["expectations"] = [outcome._asdict() for outcome in outcomes]
     csv_files = _csv_files(arguments.csv, result.valves)
     if arguments.json != "-":
         print(report.text(result))
+        for name, one in found.items():
+            print("\n".join(["", *axis.lines(name, one)]))
     for path, valve in csv_files:
         report.write_csv(path, valve)
         say(arguments, f"wrote {path}")
@@ -184,6 +190,15 @@ def _analyze(arguments: argparse.Namespace) -> int:
         value = "missing" if outcome.value is None else f"{outcome.value:.6g}"
         say(arguments, f"{'met' if outcome.met else 'NOT MET'}: {outcome.text} ({outcome.valve}: {value})")
     return 0 if all(outcome.met for outcome in outcomes) else 1
+
+
+def _axes(arguments: argparse.Namespace, loaded: "Recording") -> "dict[str, Axis]":
+    from valve_control.recordings import axis
+
+    def log_time(seconds: float | None) -> int | None:
+        return None if seconds is None else loaded.bag.begin + round(seconds * 1e9)
+
+    return axis.axes(loaded.bag, loaded.nodes, log_time(arguments.start), log_time(arguments.end))
 
 
 def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> "list[tuple[Path, ValveAnalysis]]":

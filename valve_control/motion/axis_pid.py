@@ -70,6 +70,32 @@ def step(p: Params, s: State, goal: Goal, reading: Reading) -> tuple[float, Stat
     return command, State(integral, filtered), Terms(error, wanted, command)
 
 
+class Motion(NamedTuple):
+    """Motion of the spool that is wanted, of one sample."""
+
+    position: float  # V
+    velocity: float  # V/s
+    acceleration: float  # V/s²
+
+
+def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> Motion:
+    """Spool command with its derivatives; ``s`` and ``terms`` are those after the step with ``goal``.
+
+    The velocity is that of feedforward, proportional and integral part, the acceleration that of the course's
+    ``jerk`` [m/s³] alone: readings have no second derivative worth the name.
+    """
+    gain = p.gain_out if terms.velocity > 0.0 else p.gain_in
+    beyond = terms.velocity / gain
+    slope = 1.0 / gain
+    if abs(beyond) < p.overlap_zone:
+        slope *= 1.0 + p.overlap / p.overlap_zone
+    if abs(terms.spool) >= p.limit:
+        slope = 0.0
+    rate = p.feedforward * goal.acceleration + p.acceleration_feedforward * jerk
+    rate += p.kp * s.error.velocity + p.ki * terms.error
+    return Motion(terms.spool, slope * rate, slope * p.feedforward * jerk)
+
+
 PARAMETERS: Table = (
     Parameter("kp", 10.0, "1/s", "velocity per position error", 0.0, 1e4),
     Parameter("ki", 0.0, "1/s²", "integral gain", 0.0, 1e6),

@@ -31,6 +31,11 @@ EVENT_TYPE = "rcl_interfaces/msg/ParameterEvent"
 CASCADE: Mapping[str, str] = {
     r"(.*/)?(spool_command|spool_position|valve_voltage)": "std_msgs/msg/Float64",
     r"(.*/)?spool_trajectory": "trajectory_msgs/msg/JointTrajectoryPoint",
+    r"(.*/)?joint_states": "sensor_msgs/msg/JointState",
+    r"(.*/)?pressure_[ab]": "sensor_msgs/msg/FluidPressure",
+    r"(.*/)?axis_goal": "trajectory_msgs/msg/JointTrajectoryPoint",
+    r"(.*/)?joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
+    r"(.*/)?goal_position": "std_msgs/msg/Float64",
     r".*/controller/(state|journal)": "std_msgs/msg/Float64MultiArray",
     r".*/controller/memory": "std_msgs/msg/String",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",

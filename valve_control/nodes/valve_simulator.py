@@ -91,8 +91,7 @@ class ValveSimulator(Managed):
         if self._values["autostart"]:
             self.autostart()
 
-    @staticmethod
-    def _build(values: Values) -> tuple[Any, realtime.Request]:
+    def _build(self, values: Values) -> tuple[Any, realtime.Request]:
         if values["clock"] == "lockstep" and values["fault.lvdt"] == "lost":
             raise ParameterError(
                 "fault.lvdt is lost, but in lockstep no reading can be: choose silent, or clock wall"
@@ -265,8 +264,7 @@ class ValveSimulator(Managed):
             self._state = self._state._replace(x=before.x._replace(x1=0.0))
 
     def _send(self) -> None:
-        noise = float(self._random.standard_normal())
-        reading = valve.read(self._params, self._state, noise)
+        reading = valve.read(self._params, self._state, self._noise())
         fault = self._fault[0]
         if fault == "lost":
             self._positions.publish(CORRUPT)
@@ -291,6 +289,10 @@ class ValveSimulator(Managed):
             self._fault_left -= 1
             if self._fault_left == 0:
                 self.set_parameters([Parameter(f"fault.{part}", value="none") for part in ("lvdt", "valve")])
+
+    def _noise(self) -> float:
+        """Standard normal number for the noise of this sample's reading."""
+        return float(self._random.standard_normal())
 
     def _publish(self, reading: float) -> None:
         self._positions.publish(encoded(reading))

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 from valve_control.parameter import ParameterError, Table, Values, missing
 from valve_control.parameters import files
-from valve_control.parameters.table import NODES, is_of_ros
+from valve_control.parameters.axis import ROS_NODES
+from valve_control.parameters.table import is_of_ros
 
 OPTIONS = ("-p", "--param", "--params-file")
 
@@ -62,7 +63,7 @@ def help_text(node: str, text: str, arguments: Sequence[str]) -> str:
         text.strip(),
         "",
         "parameters:",
-        *(f"  {parameter.described}" for parameter in NODES[node]),
+        *(f"  {parameter.described}" for parameter in ROS_NODES[node]),
     ]
     return "\n".join(lines)
 
@@ -153,7 +154,7 @@ def _check_file(path: str, nodes: Mapping[str, Table]) -> list[str]:
         reached = reached or bool(tables)
         several = "*" in section.node
         if several and tables:
-            tables = [tuple(parameter for table in NODES.values() for parameter in table)]
+            tables = [tuple(parameter for table in ROS_NODES.values() for parameter in table)]
         for table in tables:
             if unknown := _unknown(table, section.values):
                 text = f"section '{section.pattern}' of {path}: {missing(table, unknown)}"

@@ -4,12 +4,24 @@ The valve that feeds it has the parameters of ``valve_simulator``; they are thos
 """
 
 import math
+from pathlib import Path
 
 from valve_control.laws.common import SAMPLE_PERIOD
 from valve_control.motion import axis_pid
-from valve_control.parameter import Parameter, ParameterError, Table, Values, number, numbers, word
-from valve_control.parameters import build
-from valve_control.parameters.table import NODES
+from valve_control.parameter import (
+    Parameter,
+    ParameterError,
+    Table,
+    Values,
+    defaults,
+    number,
+    numbers,
+    one_of,
+    updated,
+    word,
+)
+from valve_control.parameters import build, files
+from valve_control.parameters.table import AUTOSTART, NODES
 from valve_control.plant import axis, machine, valve
 
 GRAVITY = 9.80665  # m/s²
@@ -93,6 +105,22 @@ AXIS: Table = (
     Parameter("pressure.delay", 0.0, "s", "their dead time", 0.0, 1.0),
     Parameter("seed", 1, "", "seed of the noise of all sensors", 0, 2**31 - 1),
     Parameter("integration.steps", 4, "", "integration steps in a sample period", 1, 1000),
+    Parameter("joint", "axis", "", "node: name of the joint on joint_states"),
+    Parameter("listeners", 1, "", "node, lockstep: subscriptions of joint_states to wait for", 0, 100),
+    Parameter(
+        "fault.position",
+        "none",
+        "",
+        "node: injected fault of the position sensor",
+        choices=("none", "silent", "frozen", "jump", "out_of_range", "not_finite"),
+    ),
+    Parameter(
+        "fault.pressure",
+        "none",
+        "",
+        "node: injected fault of both pressure sensors",
+        choices=("none", "silent", "jump", "not_finite"),
+    ),
 )
 NOMINAL = 70e5  # Pa  pressure difference of relief.flow
 
@@ -115,6 +143,44 @@ AXIS_CONTROLLER: Table = (
     Parameter("max_velocity", 0.25, "m/s", "of the course", 1e-4, 100.0),
     Parameter("max_acceleration", 2.0, "m/s²", "of the course", 1e-4, 1e4),
     Parameter("max_jerk", 40.0, "m/s³", "of the course", 1e-3, 1e7),
+    Parameter(
+        "machine",
+        "",
+        "",
+        "node: what is known of the machine, for stroke and velocity gains: name of a file in config/axis, "
+        "or path of a parameter file",
+    ),
+    Parameter("joint", "axis", "", "node: name of the joint on joint_states and in trajectories"),
+    Parameter(
+        "message",
+        "command",
+        "",
+        "node: what is published: command: spool_command; trajectory: with derivatives on spool_trajectory",
+        choices=("command", "trajectory"),
+    ),
+    Parameter("lockstep", False, "", "node: answer each reading when all listeners are there"),
+    Parameter("start_tolerance", 0.002, "m", "node: from the goal to a trajectory's begin", 0.0, 50.0),
+    Parameter(
+        "error_limit", 0.05, "m", "node: position error at which the axis is stopped; 0: none", 0.0, 50.0
+    ),
+    Parameter(
+        "sensor.timeout", 0.05, "s", "node: silence of a sensor at which the axis is stopped", 0.001, 100.0
+    ),
+    Parameter("sensor.tolerance", 0.002, "m", "node: of a position beyond stroke or speed", 0.0, 10.0),
+    Parameter("sensor.max_speed", 2.0, "m/s", "node: beyond which a position jumps", 1e-3, 1e3),
+    Parameter("sensor.pressure_high", 4e7, "Pa", "node: highest that a pressure sensor shows", 1e5, 1e9),
+    Parameter("sensor.pressure_jump", 2e7, "Pa", "node: beyond which a pressure jumps", 1e4, 1e9),
+    Parameter("sensor.hold_samples", 3, "", "node: wrong readings in a row that are bridged", 0, 1000),
+    Parameter(
+        "stop.controller",
+        "controller",
+        "",
+        "node: valve controller that a stop deactivates, so that there are 0 V on the valve; empty: none",
+    ),
+    Parameter(
+        "stop.delay", 0.2, "s", "node: from the command 0 V, which centres the spool, to that", 0.0, 100.0
+    ),
+    AUTOSTART,
 )
 AXIS_NODES: dict[str, Table] = {
     "axis_simulator": AXIS,
@@ -122,6 +188,7 @@ AXIS_NODES: dict[str, Table] = {
     "valve_simulator": NODES["valve_simulator"],
     "controller": NODES["controller"],
 }
+ROS_NODES: dict[str, Table] = {**NODES, **AXIS_NODES}
 
 
 def axis_params(values: Values) -> axis.Params:
@@ -222,6 +289,23 @@ def velocity_gains(p: axis.Params, values: Values) -> tuple[float, float]:
             )
         found.append(speed / (p.full_scale * (1.0 - max(0.0, overlap))))
     return found[0], found[1]
+
+
+def known_machine(name: str) -> Values:
+    """Values of ``axis_simulator`` of the machine ``name``: a file in config/axis, or a path.
+
+    Raises ParameterError.
+    """
+    folder = files.config_folder() / "axis"
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        path = Path(name).expanduser()
+    if not path.is_file():
+        known = one_of(sorted(p.stem for p in folder.glob("*.yaml")))
+        raise ParameterError(f"machine is '{name}'; it must be {known}, or the path of a parameter file")
+    values = updated(AXIS, defaults(AXIS), files.load(str(path), [], AXIS_NODES)["axis_simulator"])
+    axis_params(values)
+    return values
 
 
 def sensors(values: Values) -> machine.Sensors:

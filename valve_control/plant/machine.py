@@ -99,7 +99,11 @@ def sensed(
 
 def step(p: Params, s: State, voltage: float) -> State:
     """State one period later, with ``voltage`` [V] on the valve over it."""
-    moved = valve.step(p.valve, s.valve, voltage)
+    return followed(p, s, valve.step(p.valve, s.valve, voltage))
+
+
+def followed(p: Params, s: State, moved: valve.State) -> State:
+    """State one period later, over which the valve has come into the state ``moved``."""
     following = axis.step(p.axis, s.axis, s.valve.x.x0, s.valve.x.x1, moved.x.x0, moved.x.x1)
     newest = (s.newest + 1) % len(s.history)
     _remember(p, following, s.history, newest)

@@ -26,7 +26,7 @@ from valve_control.nodes.transport import RANGE, use_own_profile
 from valve_control.parameter import ParameterError, Values, defaults, updated
 from valve_control.parameters import build, files
 from valve_control.parameters.arguments import matches
-from valve_control.parameters.table import NODES
+from valve_control.parameters.axis import ROS_NODES
 
 Array = npt.NDArray[np.float64]
 TOPICS = ("spool_command", "spool_position", "valve_voltage")
@@ -64,7 +64,7 @@ def node_arguments(node: str, config: Sequence[str], settings: Mapping[str, Any]
         path = str(files.config_folder() / name)
         if any(matches(section.pattern, f"/{node}") for section in files.sections(path)):
             arguments += ["--params-file", path]
-    table = {parameter.name: parameter for parameter in NODES[node]}
+    table = {parameter.name: parameter for parameter in ROS_NODES[node]}
     for name, value in settings.items():
         if name in table:
             arguments += ["-p", f"{name}:={build.as_text(table[name].check(value))}"]
@@ -73,10 +73,10 @@ def node_arguments(node: str, config: Sequence[str], settings: Mapping[str, Any]
 
 def node_values(node: str, config: Sequence[str], settings: Mapping[str, Any]) -> Values:
     """All parameters of ``node`` under the same files and settings. Raises ParameterError."""
-    table = NODES[node]
+    table = ROS_NODES[node]
     changes: dict[str, Any] = {}
     for name in config:
-        changes.update(files.load(str(files.config_folder() / name))[node])
+        changes.update(files.load(str(files.config_folder() / name), nodes=ROS_NODES)[node])
     names = {parameter.name for parameter in table}
     changes.update({name: value for name, value in settings.items() if name in names})
     return updated(table, defaults(table), changes)

@@ -1,0 +1,110 @@
+"""The upper level's supervision, sample by sample, and the motion of the spool that it asks for."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from valve_control.motion import axis_pid, course, path
+from valve_control.motion.course import Goal
+from valve_control.parameter import defaults, updated
+from valve_control.parameters.axis import AXIS_CONTROLLER
+from valve_control.plant.machine import Reading
+from valve_control.supervision import axis_supervisor as supervisor
+from valve_control.supervision.record import Mode
+
+MS = 1_000_000
+LIMITS = course.Limits(0.25, 2.0, 40.0)
+
+
+def designed(**changes):
+    own = {"machine": "bench", "kp": 8.0, **{name.replace("__", "."): v for name, v in changes.items()}}
+    return supervisor.design(updated(AXIS_CONTROLLER, defaults(AXIS_CONTROLLER), own))
+
+
+def sample(p, s, position, k):
+    return supervisor.sample(p, s, Reading(math.nan, position, math.nan, math.nan), k * MS)
+
+
+def test_without_a_goal_it_holds_the_first_position_and_follows_a_path_to_the_last_bit():
+    p, able = designed()
+    rows = course.point_to_point(0.2, [0.3], 0.05, LIMITS, 0.001, 1.0)
+    s = sample(p, supervisor.at_rest(p), 0.2001, 1)
+    assert s.goal == (0.2001, 0.0, 0.0) and s.command == 0.0
+    made = path.through([path.Point(*row, k * MS) for k, row in enumerate(rows)], s.goal, able)
+    s = supervisor.begin(s, made, None)
+    upper, position = s.upper, 0.2
+    for k, row in enumerate(rows):
+        reading = Reading(math.nan, position, math.nan, math.nan)
+        s = sample(p, s, position, k + 2)
+        command, upper, _ = axis_pid.step(p.upper, upper, Goal(*row), reading)
+        assert s.goal == tuple(row) and s.command == command
+        position = row[0] + 1e-4 * math.sin(0.01 * k)
+    assert supervisor.mode(s) == (Mode.OK, "holds its position")
+
+
+@given(st.lists(st.sampled_from(["sound", "jump", "nan", "beyond"]), max_size=60))
+def test_wrong_readings_never_reach_the_upper_level_and_too_many_in_a_row_stop_it(kinds):
+    p, _ = designed(sensor__hold_samples=2)
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    values = {"sound": 0.2, "jump": 0.3, "nan": math.nan, "beyond": 0.6}
+    in_a_row, expected = 0, False
+    for k, kind in enumerate(kinds):
+        s = sample(p, s, values[kind], k + 2)
+        in_a_row = 0 if kind == "sound" else in_a_row + 1
+        expected = expected or in_a_row > 2
+        assert s.command == 0.0 and bool(s.stopped) == expected
+        assert supervisor.mode(s)[0] is (Mode.SAFE if expected else Mode.DEGRADED if in_a_row else Mode.OK)
+
+
+def test_an_axis_that_does_not_follow_is_stopped_and_reset_holds_where_it_is():
+    p, able = designed(error_limit=0.01)
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    s = supervisor.begin(s, path.towards(0.3, s.goal, LIMITS, able), None)
+    k = 1
+    while not s.stopped:
+        k += 1
+        s = sample(p, s, 0.2, k)
+    assert s.stopped.startswith("the position is 0.01") and "error_limit is 0.01 m" in s.stopped
+    assert s.command == 0.0 and supervisor.present(s) is None
+    s = sample(p, supervisor.reset(p, s), 0.25, k + 1)
+    assert s.goal == (0.25, 0.0, 0.0) and not s.stopped
+
+
+@pytest.mark.parametrize("gains", [{}, {"ki": 5.0}, {"acceleration_feedforward": 0.01}])
+def test_the_spools_velocity_and_acceleration_are_the_derivatives_of_its_command(gains):
+    """Behind the overlap, on a course without leaps of its jerk; the axis stays 1 mm behind its goal."""
+    p, _ = designed(overlap_zone=1e-4, **gains)
+    period = p.period
+    t = np.arange(1000) * period
+    w = 2.0 * np.pi
+    x = 0.2 + 0.02 * (t - np.sin(w * t) / w)
+    v, a, j = 0.02 * (1.0 - np.cos(w * t)), 0.02 * w * np.sin(w * t), 0.02 * w**2 * np.cos(w * t)
+    s, found = axis_pid.initial(p.upper), []
+    for row in zip(x, v, a, j, strict=True):
+        goal = Goal(*row[:3])
+        _, s, terms = axis_pid.step(p.upper, s, goal, Reading(0.0, row[0] - 0.001, 0.0, 0.0))
+        found.append(axis_pid.motion(p.upper, s, goal, row[3], terms))
+    spool, rate, acceleration = np.array(found)[100:].T
+    assert np.max(np.abs(np.gradient(spool, period) - rate)[1:-1]) < 0.01 * np.max(np.abs(rate))
+    if not gains:
+        assert np.max(np.abs(np.gradient(rate, period) - acceleration)[1:-1]) < 0.02 * np.max(
+            np.abs(acceleration)
+        )
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"machine": ""}, "machine is empty; it must name a file in config/axis"),
+        ({"machine": "benhc"}, "machine is 'benhc'; it must be 'bench', 'crane_boom'"),
+        ({"sample_period": 0.002}, "0.001 s for the machine 'bench' and 0.002 s for axis_controller"),
+        ({"overlap": 20.0}, "overlap is 20 V, no less than spool_limit, 10 V"),
+    ],
+)
+def test_an_upper_level_that_cannot_be_is_refused(changes, words):
+    with pytest.raises(Exception) as error:
+        designed(**changes)
+    assert words in str(error.value)

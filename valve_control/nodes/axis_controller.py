@@ -1,0 +1,389 @@
+"""Runs the node `axis_controller`: for each position reading of an axis one command of its spool."""
+
+import math
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from sensor_msgs.msg import FluidPressure, JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from valve_control.motion import path
+from valve_control.motion.course import Goal, Limits
+from valve_control.nodes.adapter import (
+    NEWEST,
+    SAMPLES,
+    NumberSubscription,
+    ParameterSet,
+    PolledSubscription,
+    diagnostics,
+    encoded,
+    encoded_point,
+)
+from valve_control.nodes.lifecycle import Managed
+from valve_control.nodes.loop import run
+from valve_control.parameter import ParameterError, Values, number, word
+from valve_control.parameters.axis import AXIS_CONTROLLER
+from valve_control.plant.machine import Reading
+from valve_control.supervision import axis_supervisor
+from valve_control.supervision.record import Mode
+
+LEVELS = {
+    Mode.OK: DiagnosticStatus.OK,
+    Mode.DEGRADED: DiagnosticStatus.WARN,
+    Mode.SAFE: DiagnosticStatus.ERROR,
+}
+NANO = 10**9
+REMIND = 0.1  # s between two commands of 0 V while no reading comes
+LAST_WORD = 0.2  # s to see the last command received
+LOOK = 0.01  # s; lockstep: between two looks at what a reading waits for
+NEVER = math.inf
+
+
+class AxisController(Managed):
+    """Reads `joint_states`, takes `joint_trajectory` and `goal_position`, publishes the command of the spool.
+
+    The position's readings are its clock. Without a goal it holds the position that it found.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("axis_controller", **options)
+        self._values: Values = {}
+        self._params: axis_supervisor.Params
+        self._state: axis_supervisor.State
+        self._joints: PolledSubscription | None = None
+        self._waiting: JointState | None = None  # lockstep: a reading without its listeners
+        self._watch_at = self._look_at = NEVER
+        self._heard = 0.0  # s  when the last reading came
+        self._deactivate_at = NEVER
+        self._deactivated = False
+        self._listened = False
+        self._pressures = dict.fromkeys(("a", "b"), math.nan)
+        self._stamps: dict[str, Any] = dict.fromkeys(("a", "b"))
+        self._heard_rooms = dict.fromkeys(("a", "b"), NEVER)  # s  when their pressures came
+        self._paired = False  # lockstep: whether both pressures are those of the reading
+        self._foreign = ""  # joints of a message without ours
+        self._said: tuple[Mode, str] | None = None
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+        ParameterSet(self, AXIS_CONTROLLER, self._build, self._apply)
+        self._life = self.create_client(ChangeState, f"{word(self._values, 'stop.controller')}/change_state")
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if self._values["autostart"]:
+            self.autostart()
+
+    def _build(self, values: Values) -> tuple[axis_supervisor.Params, path.Range]:
+        if self._values and values["sample_period"] != self._values["sample_period"]:
+            raise ParameterError("the sample_period of a running upper level does not change; start it again")
+        if self._values and values["stop.controller"] != self._values["stop.controller"]:
+            raise ParameterError("stop.controller of a running node does not change; start it again")
+        return axis_supervisor.design(values)
+
+    def _apply(self, values: Values, built: tuple[axis_supervisor.Params, path.Range]) -> None:
+        first = not self._values
+        self._values = values
+        self._params, self._able = built
+        self._limits = Limits(
+            number(values, "max_velocity"), number(values, "max_acceleration"), number(values, "max_jerk")
+        )
+        self._lockstep = values["lockstep"] is True
+        self._trajectory = values["message"] == "trajectory"
+        self._timeout = number(values, "sensor.timeout")
+        self._needs_pressures = axis_supervisor.needs_pressures(built[0])
+        if first:
+            self._state = axis_supervisor.at_rest(self._params)
+
+    # Life
+
+    def open(self) -> None:
+        """Create publishers and subscriptions."""
+        self._commands = self.create_publisher(Float64, "spool_command", SAMPLES)
+        self._points = self.create_publisher(JointTrajectoryPoint, "spool_trajectory", SAMPLES)
+        self._goals = self.create_publisher(JointTrajectoryPoint, "axis_goal", SAMPLES)
+        qos = SAMPLES if self._lockstep else NEWEST
+        self._joints = PolledSubscription(self, JointState, "joint_states", qos)
+        self._wanted = NumberSubscription(self, "goal_position", SAMPLES)
+        self._trajectories = PolledSubscription(self, JointTrajectory, "joint_trajectory", SAMPLES)
+        self._rooms = {
+            "a": PolledSubscription(self, FluidPressure, "pressure_a", qos),
+            "b": PolledSubscription(self, FluidPressure, "pressure_b", qos),
+        }
+
+    def close(self) -> None:
+        """Destroy publishers and subscriptions."""
+        assert self._joints is not None
+        for topic in (self._joints, self._wanted, self._trajectories, *self._rooms.values()):
+            topic.destroy()
+        self._joints = None
+        for publisher in (self._commands, self._points, self._goals):
+            self.destroy_publisher(publisher)
+
+    def begin(self) -> None:
+        """Hold the position of the first reading; what waits is stale and dropped, but not in lockstep."""
+        assert self._joints is not None
+        if not self._lockstep:
+            for topic in (self._joints, self._wanted, self._trajectories):
+                for _ in topic.take():
+                    pass
+        self._state = axis_supervisor.reset(self._params, self._state)
+        self._said = None
+        self._listened = False
+        self._watch_at = self._deactivate_at = NEVER
+        self.get_logger().info(
+            f"stroke from {self._able.low:g} m to {self._able.high:g} m, {self._able.speed_out:.3g} m/s out "
+            f"and {self._able.speed_in:.3g} m/s in at most, waiting for joint_states"
+        )
+
+    def end(self) -> None:
+        """Command 0 V once and stop."""
+        self._state = axis_supervisor.stopped(self._state, "inactive")
+        self._publish(0)
+        self._watch_at = NEVER
+
+    # Work
+
+    def inputs(self) -> Sequence[PolledSubscription]:
+        """Subscriptions of the position and of what is wanted."""
+        if not self.working or self._joints is None:
+            return ()
+        known = self._state.goal is not None or self._state.stopped
+        return (self._joints, self._trajectories, self._wanted) if known else (self._joints,)
+
+    def due(self) -> float:
+        """Next time [s] to act without a message: silence, the end of a stop, a look in lockstep."""
+        return min(self._watch_at, self._look_at, self._deactivate_at) if self.working else NEVER
+
+    def work(self) -> bool:
+        """Take what is wanted, answer the readings that have come, and look after silence."""
+        if not self.working or self._joints is None:
+            return False
+        worked = self._take_goals()
+        for reading, _ in self._joints.take():
+            if self._lockstep:
+                self._waiting = reading
+            else:
+                self._answer(reading)
+            worked = True
+        if self._waiting is not None:
+            worked = self._answer_in_lockstep(self._waiting) or worked
+        now = time.monotonic()
+        if now >= self._watch_at:
+            self._watch_at = now + REMIND
+            self._state = axis_supervisor.silent(self._state, now - self._heard)
+            self._publish(0)
+            worked = True
+        if now >= self._deactivate_at:
+            self._deactivate_at = NEVER
+            self._set_controller(Transition.TRANSITION_DEACTIVATE)
+        return worked
+
+    def report(self) -> None:
+        """Publish diagnostics if something has changed."""
+        if not self.working:
+            return
+        now = axis_supervisor.mode(self._state)
+        if now == self._said:
+            return
+        before, self._said = self._said, now
+        text = f"{before[0].name.lower() if before else 'off'} → {now[0].name.lower()}: {now[1]}"
+        if now[0] is Mode.SAFE:
+            self.get_logger().error(text)
+            if word(self._values, "stop.controller"):
+                self._deactivate_at = time.monotonic() + number(self._values, "stop.delay")
+        elif now[0] is Mode.OK:
+            self.get_logger().info(text)
+        else:
+            self.get_logger().warning(text)
+        self._diagnose()
+
+    def _answer_in_lockstep(self, reading: JointState) -> bool:
+        """Answer when somebody hears the command and both pressures of the reading have come."""
+        publisher = self._points if self._trajectory else self._commands
+        self._take_pressures(reading.header.stamp)
+        self._listened = self._listened or publisher.get_subscription_count() > 0
+        if not self._listened or (self._needs_pressures and not self._paired):
+            self._look_at = time.monotonic() + LOOK
+            return False
+        self._waiting, self._look_at = None, NEVER
+        self._answer(reading)
+        return True
+
+    def _answer(self, reading: JointState) -> None:
+        joint = word(self._values, "joint")
+        if joint not in reading.name or len(reading.position) <= list(reading.name).index(joint):
+            self._foreign = ", ".join(f"'{name}'" for name in reading.name) or "no joint"
+            self.get_logger().warning(
+                f"joint_states has {self._foreign} with a position, not '{joint}'", throttle_duration_sec=5.0
+            )
+            return
+        now = time.monotonic()
+        if not self._lockstep:
+            self._take_pressures(None)
+            if self._needs_pressures:
+                self._watch_pressures(now)
+        self._heard = now
+        self._watch_at = NEVER if self._lockstep else now + self._timeout
+        stamp = reading.header.stamp.sec * NANO + reading.header.stamp.nanosec
+        position = reading.position[list(reading.name).index(joint)]
+        if self._state.goal is None:
+            self._state = axis_supervisor.found(self._params, self._state, position)
+            self._take_goals()  # that came before the first position
+        self._state = axis_supervisor.sample(
+            self._params,
+            self._state,
+            Reading(math.nan, position, self._pressures["a"], self._pressures["b"]),
+            stamp if stamp or self._lockstep else self._state.time + round(self._params.period * NANO),
+        )
+        self._publish(stamp)
+
+    def _publish(self, stamp: int) -> None:
+        """Publish the command of the spool, and the goal; ``stamp`` [ns] of the reading."""
+        if self._trajectory:
+            motion = axis_supervisor.spool_motion(self._params, self._state)
+            self._points.publish(encoded_point(*motion, 0 if self._lockstep else stamp))
+        else:
+            self._commands.publish(encoded(self._state.command))
+        if self._state.goal is not None:
+            self._goals.publish(encoded_point(*self._state.goal, stamp))
+
+    def _take_pressures(self, stamp: Any) -> None:
+        """Take both pressures; ``stamp``: of the reading to which they must belong, None for the newest."""
+        for room, topic in self._rooms.items():
+            for message, _ in topic.take():
+                self._pressures[room] = message.fluid_pressure
+                self._stamps[room] = message.header.stamp
+                self._heard_rooms[room] = time.monotonic()
+        self._paired = stamp is not None and all(s == stamp for s in self._stamps.values())
+
+    def _watch_pressures(self, now: float) -> None:
+        """Stop if a pressure that the upper level needs is silent."""
+        for room, heard in self._heard_rooms.items():
+            if now - heard > self._timeout:
+                text = f"no pressure {room} for {now - heard:.3g} s"
+                self._state = axis_supervisor.stopped(self._state, text)
+
+    # What is wanted
+
+    def _take_goals(self) -> bool:
+        """Take what is wanted, once it is known where the axis is."""
+        if self._state.goal is None and not self._state.stopped:
+            return False
+        worked = False
+        for message, _ in self._trajectories.take():
+            self._use("trajectory", lambda m=message: self._path_through(m))
+            worked = True
+        for target, _ in self._wanted.take():
+            self._use(f"goal {target:g} m", lambda t=target: (self._path_towards(t), None))
+            worked = True
+        return worked
+
+    def _use(self, what: str, make: Any) -> None:
+        """Follow what ``make`` returns, a path and when [ns] it begins, or refuse it in one sentence."""
+        try:
+            self._state = axis_supervisor.begin(self._state, *make())
+        except ParameterError as error:
+            text = f"{what} refused: {error}"
+            self._state = axis_supervisor.refused(self._params, self._state, text)
+            if self._state.stopped:  # which is what the diagnostics go on telling
+                self.get_logger().warning(text)
+            return
+        self.get_logger().info(f"{what} taken")
+
+    def _present(self) -> Goal:
+        goal = axis_supervisor.present(self._state)
+        if goal is None:
+            raise ParameterError("the axis is stopped; ~/reset ends that")
+        return goal
+
+    def _path_towards(self, target: float) -> path.Path:
+        return path.towards(target, self._present(), self._limits, self._able)
+
+    def _path_through(self, message: JointTrajectory) -> tuple[path.Path, int | None]:
+        stamp = message.header.stamp.sec * NANO + message.header.stamp.nanosec
+        rows = [
+            (
+                p.positions,
+                p.velocities,
+                p.accelerations,
+                p.time_from_start.sec * NANO + p.time_from_start.nanosec,
+            )
+            for p in message.points
+        ]
+        points = path.points_of(word(self._values, "joint"), message.joint_names, rows)
+        return path.through(points, self._present(), self._able), stamp or None
+
+    # Services
+
+    def _on_stop(self, request: Any, response: Any) -> Any:
+        self._state = axis_supervisor.stopped(self._state, "~/stop was called")
+        if self.working:
+            self._publish(0)
+        response.success, response.message = True, "stopped, 0 V; ~/reset ends that"
+        return response
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        self._state = axis_supervisor.reset(self._params, self._state)
+        self._deactivate_at = self._watch_at = NEVER
+        if self._deactivated:
+            self._set_controller(Transition.TRANSITION_ACTIVATE)
+        response.success, response.message = True, "holds the position of the next reading"
+        self.get_logger().info(response.message)
+        return response
+
+    def _set_controller(self, transition: int) -> None:
+        """Deactivate or activate the valve's controller; nobody waits for its answer."""
+        self._deactivated = transition == Transition.TRANSITION_DEACTIVATE
+        name = word(self._values, "stop.controller")
+        if not self._life.service_is_ready():
+            self.get_logger().warning(f"there is no {name} whose voltage could be switched")
+            return
+        request = ChangeState.Request(transition=Transition(id=transition))
+        done = "0 V on the valve" if self._deactivated else "active again"
+
+        def told(future: Any) -> None:
+            success = future.result() is not None and future.result().success
+            self.get_logger().info(f"{name}: {done}" if success else f"{name} has refused the transition")
+
+        self._life.call_async(request).add_done_callback(told)
+
+    # What is said
+
+    def _diagnose(self) -> None:
+        mode, text = axis_supervisor.mode(self._state)
+        level = LEVELS[mode]
+        if not self.working:
+            level, text = DiagnosticStatus.OK, "inactive" if self._joints is not None else "unconfigured"
+        s = self._state
+        values = {
+            "mode": mode.name.lower(),
+            "samples": s.samples,
+            "position_m": f"{s.watch.position:.6f}" if s.watch.position is not None else "",
+            "goal_m": f"{s.goal.position:.6f}" if s.goal is not None else "",
+            "error_m": f"{s.terms.error:.6f}",
+            "command_V": f"{s.command:.4f}",
+        }
+        self._diagnostics.publish(diagnostics(self, level, text, values))
+
+    def deliver(self) -> None:
+        """Wait until the last command is acknowledged."""
+        if self._joints is not None:
+            for publisher in (self._commands, self._points):
+                publisher.wait_for_all_acked(Duration(seconds=LAST_WORD))
+
+
+def main() -> int:
+    """Entry point of `ros2 run valve_control axis_controller`."""
+    return run(lambda: [AxisController()])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
