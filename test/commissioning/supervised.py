@@ -78,6 +78,8 @@ class SupervisedValve:
         Watch(limits).voltage(voltage)
 
     def on(self):
+        if not self.active:
+            self.supervisor.start()
         self.active = True
 
     def off(self):

@@ -40,7 +40,8 @@ def test_a_fault_at_any_sample(at, interrupt):
     assert not valve.active and valve.values() == before
     assert told == ["the controller is inactive and gives 0 V", "all its parameters are as before"]
     assert np.max(np.abs(valve.voltages)) <= LIMITS.voltage
-    assert valve.applied[0]["u_max"] == LIMITS.voltage and valve.applied[0]["lvdt.limit"] == LIMITS.travel
+    assert valve.applied[0]["u_max"] == LIMITS.voltage
+    assert at < 600 or valve.applied[1] == {"lvdt.limit": LIMITS.travel}
 
 
 @pytest.mark.parametrize("answers", [0, 1, 2])

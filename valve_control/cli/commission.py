@@ -141,14 +141,14 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
 
     folder = Path(arguments.folder)
     before = controller.values()
-    plan = _plan(arguments, word(before, "controller"))
-    sequence.check(plan, before)
     kept = backup.read(folder)
     if kept is not None and kept.state == backup.RUNNING and backup.differences(before, kept.values):
         raise ParameterError(
             f"a commissioning of {kept.node} was not brought to its end, and {folder} has the parameters "
             "from before it; --undo brings them back"
         )
+    plan = _plan(arguments, word(before, "controller"))
+    sequence.check(plan, before)
     controller.meet_valve()
     backup.write(folder, controller.name, before)
     say(arguments, f"wrote {folder / backup.PARAMETERS}: the parameters from before")

@@ -93,15 +93,20 @@ def simulated(found: Plant, record: Record) -> Floats:
     )
     lvdt = valve.Lvdt(0.0, 0.0, 0.0, found.delay / record.period)
     plant = valve.design(found.model, record.period, 1e6, 1.0, disturbance, lvdt)
-    law = design.static_params(1.0, 1e6)
+    return positions(plant, record.voltage)
+
+
+def positions(plant: valve.Params, voltage: Floats) -> Floats:
+    """Readings [V] without noise, n, of ``plant`` under ``voltage`` [V], from rest at 0 V."""
+    law = design.static_params(1.0, plant.u_max)
     rest = biquads.initial(law, Start(0.0, 0.0, 0.0, 0.0, 0.0))
-    n = len(record.voltage)
+    n = len(voltage)
     signals = np.zeros((n, len(closed_loop.SIGNALS)))
     closed_loop.run_valve(
         biquads,
         closed_loop.parts(law, plant),
         closed_loop.parts(rest, valve.initial(plant)),
-        record.voltage,
+        voltage,
         np.zeros(n),
         signals,
         np.zeros((0, len(biquads.Terms._fields))),

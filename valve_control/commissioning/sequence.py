@@ -30,6 +30,7 @@ from valve_control.tuning.trial import Limits as Margins
 from valve_control.tuning.trial import Problem
 from valve_control.tuning.tuner import Aim, Tuned
 
+SPRING = 0.5  # s  in which the spring centres the spool
 STILL = 2.0  # s  at rest
 RATE = 0.4  # 1/s  times the limit of the voltage: rate of the triangle
 TURNS = 4  # of the triangle
@@ -101,7 +102,6 @@ def limiting(before: Values, limits: Limits) -> Values:
         "command_timeout": SILENCE if timeout == 0.0 else min(timeout, SILENCE),
         "command.interpolation": "hold",
         "reshaping.lead": 0.0,
-        "lvdt.limit": limits.travel,
     }
 
 
@@ -177,12 +177,15 @@ def run(bench: Bench, plan: Plan, before: Values, confirm: Confirm, progress: Pr
             raise Refused("stopped by the user")
 
     ask(
-        f"the controller gets its limits (±{limits.voltage:g} V, reading within ±{limits.travel:g} V) and "
-        f"the law open_loop; then {STILL:g} s at 0 V"
+        f"0 V; the controller gets its limits (±{limits.voltage:g} V, reading within ±{limits.travel:g} V) "
+        f"and the law open_loop; then {STILL:g} s at 0 V"
     )
+    bench.off()
     bench.apply(limiting(before, limits))
     bench.on()
-    drive("to 0 V", courses.rest(0.5), 0.5)
+    # Where the law from before left the spool is not the commissioning's doing.
+    bench.drive(courses.rest(SPRING), limits._replace(travel=np.inf), lambda done: None)
+    bench.apply({"lvdt.limit": limits.travel})
     rest = statics.at_rest(drive("noise at rest", courses.rest(STILL), STILL))
     ask(
         f"a slow triangle of the voltage up to ±{limits.voltage:g} V, turned at {courses.REACH:.0%} of the "

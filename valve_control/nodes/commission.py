@@ -91,11 +91,12 @@ class Controller:
                 )
             self._executor.spin_once(timeout_sec=0.05)
             came += self._taken(self._readings)
-        for topic, own in (("spool_command", 1), ("spool_trajectory", 0)):
-            if self._count(topic) > own:
-                raise Fault(f"somebody else publishes on {self._topics[topic]}; end that first")
-        if self._count("valve_voltage") > 1:
-            raise Fault(f"there are several publishers on {self._topics['valve_voltage']}")
+        # What was killed stays in the graph for a while.
+        for topic, own in (("spool_command", 1), ("spool_trajectory", 0), ("valve_voltage", 1)):
+            while self._count(topic) > own:
+                if time.monotonic() > end + MEET:
+                    raise Fault(f"somebody else publishes on {self._topics[topic]}; end that first")
+                self._executor.spin_once(timeout_sec=0.05)
 
     def _count(self, topic: str) -> int:
         return int(self._node.count_publishers(self._topics[topic]))
