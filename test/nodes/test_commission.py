@@ -23,9 +23,19 @@ from valve_control.parameters import files
 from valve_control.parameters.table import CONTROLLER
 
 VOLTAGE, TRAVEL = 3.5, 1.5  # V
-VALVE = ["-p", "friction.coulomb:=0.6", "-p", "lvdt.noise:=0.004", "-p", "disturbance.offset:=0.2"]
+PERIOD = 0.004  # s: four times the usual one, since a busy machine is late by some ms
+# The simulated valve waits for its voltage, so that a busy machine is no dead time.
+VALVE = ["-p", f"sample_period:={PERIOD}", "-p", "patience:=1.0", "-p", "disturbance.offset:=0.2"]
+VALVE += ["-p", "friction.coulomb:=0.6", "-p", "lvdt.noise:=0.004"]
 # On a busy machine readings are late and lost, which is not what is tested here.
-PATIENT = ["-p", "lvdt.hold_samples:=5000", "-p", "lvdt.period_limit:=1000.0"]
+PATIENT = [
+    "-p",
+    f"sample_period:={PERIOD}",
+    "-p",
+    "lvdt.hold_samples:=5000",
+    "-p",
+    "lvdt.period_limit:=1000.0",
+]
 PATIENT += ["-p", "command_timeout:=0.0", "-p", "lvdt.frozen_samples:=0"]
 BEFORE = ["-p", "controller:=arc", "-p", "arc.k1:=77.0", "-p", "u_max:=9.0", "-p", "reshaping.lead:=0.004"]
 QUICK = ["--budget", "60", "--valves", "3", "--unseen", "8", "--max-chatter", "0.4"]
@@ -33,8 +43,8 @@ QUICK = ["--budget", "60", "--valves", "3", "--unseen", "8", "--max-chatter", "0
 
 @pytest.fixture
 def ros(monkeypatch, request):
-    """A node in a domain of its own: what was killed stays in the graph of its domain for a while."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + (os.getpid() + hash(request.node.name)) % 100))
+    """A node in a domain that no other test uses: what was killed stays in its graph for a while."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(215 + (os.getpid() + hash(request.node.name)) % 17))
     rclpy.init()
     node = rclpy.create_node("test")
     yield node
@@ -66,7 +76,7 @@ class Everything:
         assert self.limited[0][1] == VOLTAGE
         stamps = np.array(self.listener.stamps["valve_voltage"])
         given = np.abs(self.listener.values["valve_voltage"])[stamps > self.limited[0][0]]
-        assert len(given) > 1000
+        assert len(given) > 300
         return np.max(given)
 
     @property
@@ -161,7 +171,7 @@ def test_to_its_end_and_undone(ros, tmp_path):
         assert seen.parameters() == before and seen.active()
 
 
-MOMENTS = [random.Random(11 + i).randint(2000, 15_000) for i in range(int(os.environ.get("MOMENTS", "4")))]
+MOMENTS = [random.Random(11 + i).randint(500, 4000) for i in range(int(os.environ.get("MOMENTS", "4")))]
 
 
 @pytest.mark.campaign
@@ -200,11 +210,11 @@ def test_killed_it_leaves_the_valve_at_neutral_and_can_be_undone(ros, tmp_path):
         before = seen.parameters()
         with commission(tmp_path) as child:
             begun(seen, tmp_path, child)
-            seen.wait(8000)
+            seen.wait(2000)
             child.send_signal(signal.SIGKILL)
             ended(seen, child)
             # The controller keeps the limits, and leads to neutral by itself.
-            spin_until(ros, lambda: np.max(np.abs(seen.voltages[-200:])) == 0.0, "0 V")
+            spin_until(ros, lambda: np.max(np.abs(seen.voltages[-100:])) == 0.0, "0 V")
         assert seen.parameters() != before
         assert seen.largest() <= VOLTAGE
         with commission(tmp_path) as child:  # not with the parameters of a commissioning as those from before

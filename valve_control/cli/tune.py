@@ -9,7 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from valve_control import outputs
-from valve_control.cli.common import Progress, check_outputs, check_processes, say, write_json
+from valve_control.cli.common import (
+    Progress,
+    check_outputs,
+    check_processes,
+    cluster_option,
+    say,
+    workers,
+    write_json,
+)
 from valve_control.cli.simulate import CONTROLLERS, settings_of, setup_options
 from valve_control.cli.study import box_of
 from valve_control.parameter import ParameterError, Values, number, word
@@ -80,6 +88,7 @@ def add_commands(commands: Any) -> None:
     group.add_argument("--budget", type=int, default=4000, metavar="N", help="sets of gains of a law (4000)")
     group.add_argument("--alone", action="store_true", help="no PID beside the laws that are asked for")
     group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
+    cluster_option(group)
     output = tune.add_argument_group("what comes out")
     output.add_argument(
         "--output", metavar="FILE", help="ROS 2 parameter file; of several laws NAME_LAW.yaml each"
@@ -115,18 +124,20 @@ def _tune(arguments: argparse.Namespace) -> int:
     found: dict[str, Tuned] = {}
     missing: dict[str, str] = {}
     before = 0
-    for name, count in zip(asked, counts, strict=True):
-        told = lambda done, name=name, before=before: progress(before + done, f" ({name})")  # noqa: E731
-        try:
-            found[name] = tuner.tuned(
-                LAWS[name], problem, unseen, aim, arguments.budget, seed, told, arguments.threads
-            )
-        except ParameterError as error:
-            if len(laws) == 1 and name in laws:
-                raise
-            missing[name] = str(error)
-            print(error, file=sys.stderr)
-        before += count * arguments.budget
+    with workers(arguments) as cluster:
+        where = cluster or arguments.threads
+        for name, count in zip(asked, counts, strict=True):
+            told = lambda done, name=name, before=before: progress(before + done, f" ({name})")  # noqa: E731
+            try:
+                found[name] = tuner.tuned(
+                    LAWS[name], problem, unseen, aim, arguments.budget, seed, told, where
+                )
+            except ParameterError as error:
+                if len(laws) == 1 and name in laws:
+                    raise
+                missing[name] = str(error)
+                print(error, file=sys.stderr)
+            before += count * arguments.budget
     written = {name: path for name, path in paths.items() if name in found and found[name].chosen.holds}
     result = _result(found, missing, laws, written)
     if recorded is not None:

@@ -64,8 +64,8 @@ class _Form(NamedTuple):
 FORMS = (
     _Form("gain", "-", 0.1, 0.1, 0.05),
     _Form("speed", "-", 0.1, 0.1, 0.05),
-    _Form("disturbance.offset", "V", 0.1, 0.3, 0.1),
-    _Form("friction.coulomb", "V", 0.1, 0.3, 0.1),
+    _Form("disturbance.offset", "V", 0.1, 0.05, 0.1),
+    _Form("friction.coulomb", "V", 0.1, 0.05, 0.1),
     _Form("lvdt.delay", "s", 0.001, 0.0005, 0.00025),
 )
 

@@ -140,10 +140,30 @@ class Controller:
             self._change(Transition.TRANSITION_ACTIVATE)
             if self._state() != State.PRIMARY_STATE_ACTIVE:
                 raise Fault(f"{self.name} cannot be activated")
-        for subscription in (self._readings, self._voltages, self._diagnostics):
+        self._wait_for_control()
+        for subscription in (self._readings, self._voltages):
             for _ in subscription.take():  # of before
                 pass
         self._heard = dict.fromkeys(self._heard, time.monotonic())
+
+    def _wait_for_control(self) -> None:
+        """Wait until the controller, which begins without a reading, says that it controls. Raises Fault."""
+        for _ in self._diagnostics.take():
+            pass
+        end, text = time.monotonic() + ANSWER, "nothing"
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=LOOK)
+            for error, text in self._said():
+                if not error and text not in ("inactive", "unconfigured"):
+                    return
+        raise Fault(f"the controller says: {text}")
+
+    def _said(self) -> Iterator[tuple[bool, str]]:
+        """What the controller has said of itself, and whether it gives 0 V."""
+        for message, _ in self._diagnostics.take():
+            for status in message.status:
+                if status.name == self.name.lstrip("/"):
+                    yield status.level == DiagnosticStatus.ERROR, status.message
 
     def off(self) -> None:
         """Deactivate the controller, which gives 0 V. Raises Fault."""
@@ -233,11 +253,8 @@ class Controller:
             watch.voltage(value)
         for _, _, value in readings:
             watch.reading(value)
-        own = self.name.lstrip("/")
-        for message, _ in self._diagnostics.take():
-            for status in message.status:
-                if status.name == own:
-                    watch.diagnosis(status.level == DiagnosticStatus.ERROR, status.message)
+        for error, text in self._said():
+            watch.diagnosis(error, text)
         for name, came in (("reading", readings), ("voltage", voltages)):
             if came:
                 self._heard[name] = now
