@@ -44,6 +44,7 @@ setup(
     ],
     extras_require={
         "axis": ["ruckig>=0.14"],
+        "cluster": ["distributed>=2024.1"],
         "test": [
             "pytest>=7.4",
             "hypothesis>=6.90",
@@ -51,6 +52,7 @@ setup(
             "pyserial>=3.5",
             "fmpy>=0.3.20",
             "ruckig>=0.14",
+            "distributed>=2024.1",
         ],
     },
     python_requires=">=3.11",

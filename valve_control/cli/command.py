@@ -13,6 +13,7 @@ from valve_control.bags.errors import BagError
 from valve_control.cli import (
     axis,
     calibration,
+    commission,
     export,
     identification,
     paper,
@@ -39,6 +40,7 @@ EXAMPLES = """examples:
   valve-control axis --params-file config/axis/bench.yaml --controller pid --figure axis.png
   valve-control export --controller oarc --params-file config/d3fxe.yaml --output oarc_in_c
   valve-control tune --controller dcarc --max-chatter 0.25 --output tuned.yaml
+  valve-control commission --max-voltage 4 --travel 2
   valve-control analyze my_bag --html report.html --expect 'e_rms<0.02'
   valve-control analyze my_bag --map spool_position=/joint_states.position[0]*250
   valve-control replay my_bag --mode shadow --controller oarc
@@ -53,7 +55,7 @@ EXAMPLES = """examples:
 GROUPS = {
     "your valve": ("identify", "compensator", "calibrate", "parameters"),
     "simulate": ("simulate", "compare", "study", "tune", "axis", "axes"),
-    "the machine": ("export",),
+    "the machine": ("commission", "export"),
     "recordings": ("analyze", "replay", "bag"),
     "the paper": ("paper", "theorems"),
 }
@@ -87,6 +89,7 @@ class Commands:
             theorems,
             study,
             tune,
+            commission,
             export,
             axis,
         ):

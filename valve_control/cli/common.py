@@ -5,11 +5,15 @@ import difflib
 import os
 import sys
 import time
-from collections.abc import Sequence
-from typing import Any, NoReturn
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from valve_control import outputs
 from valve_control.parameter import ParameterError
+
+if TYPE_CHECKING:
+    from valve_control.simulation.cluster import Cluster
 
 MOST_PER_CORE = 4  # processes or threads
 
@@ -55,6 +59,29 @@ def check_processes(name: str, count: int) -> None:
             f"--{name} is {count}; it must lie between 1 and {MOST_PER_CORE * cores}, {MOST_PER_CORE} for "
             f"each of the {cores} cores of this machine"
         )
+
+
+def cluster_option(group: Any) -> None:
+    """Add --cluster."""
+    group.add_argument(
+        "--cluster", metavar="ADDRESS", help="scheduler of dask.distributed, such as tcp://host:8786"
+    )
+
+
+@contextmanager
+def workers(arguments: argparse.Namespace) -> Iterator["Cluster | None"]:
+    """The cluster that --cluster names, None for this machine's threads. Raises ParameterError."""
+    if arguments.cluster is None:
+        yield None
+        return
+    from valve_control.simulation import cluster
+
+    with cluster.connected(arguments.cluster) as connected:
+        yield connected
+        if connected.lost:
+            print(
+                f"note: {connected.lost} parts were lost with their workers and done again", file=sys.stderr
+            )
 
 
 class Progress:

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
 from valve_control.analysis.tables import HEADER, index_row
-from valve_control.cli.common import Progress, check_outputs, check_processes, say, write_json
+from valve_control.cli.common import (
+    Progress,
+    check_outputs,
+    check_processes,
+    cluster_option,
+    say,
+    workers,
+    write_json,
+)
 from valve_control.cli.simulate import CONTROLLERS, settings_of, setup_options
 from valve_control.parameter import ParameterError, number, updated, word
 from valve_control.parameters.table import NODES
@@ -49,6 +57,7 @@ def add_commands(commands: Any) -> None:
     )
     group.add_argument("--replay", type=int, metavar="N", help="run valve number N again, alone")
     group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
+    cluster_option(group)
     group.add_argument("--folder", help="where results are kept (out/study-…, a folder for each study)")
     output = study.add_argument_group("what comes out")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
@@ -85,7 +94,8 @@ def _study(arguments: argparse.Namespace) -> int:
 
     limit = robustness.fitting_limit(chosen) if arguments.limit is None else arguments.limit
     try:
-        found = robustness.run(chosen, folder, told, arguments.threads)
+        with workers(arguments) as cluster:
+            found = robustness.run(chosen, folder, told, arguments.threads, cluster)
     except KeyboardInterrupt:
         print(
             f"stopped; {max(0, done)} of {chosen.valves} valves are in {folder}; the same command goes on",

@@ -6,15 +6,27 @@ import os
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from valve_control import outputs
-from valve_control.cli.common import Progress, check_outputs, check_processes, say, write_json
+from valve_control.cli.common import (
+    Progress,
+    check_outputs,
+    check_processes,
+    cluster_option,
+    say,
+    workers,
+    write_json,
+)
 from valve_control.cli.simulate import CONTROLLERS, settings_of, setup_options
 from valve_control.cli.study import box_of
 from valve_control.parameter import ParameterError, Values, number, word
 
 if TYPE_CHECKING:
+    from valve_control.analysis.indices import Indices
+    from valve_control.commissioning.recorded import Found
+    from valve_control.recordings.recording import Aligned, Valve
+    from valve_control.simulation.robustness import Quantity
     from valve_control.tuning.trial import Limits, Motion, Problem
     from valve_control.tuning.tuner import Aim, Tuned
 
@@ -37,6 +49,21 @@ def add_commands(commands: Any) -> None:
     tune.add_argument(
         "--controller", metavar="LAW,…", help="laws to tune, or all (default: that of the parameter files)"
     )
+    group = tune.add_argument_group("from a recording of normal operation")
+    group.add_argument(
+        "--bag",
+        metavar="BAG",
+        help="tune anew for the recorded valve, controller and command; --params-file has what is known of "
+        "the valve, and what the recording does not determine stays",
+    )
+    group.add_argument(
+        "--map", action="append", default=[], metavar="PART=/TOPIC.FIELD", help="as for analyze"
+    )
+    group.add_argument("--of", metavar="VALVE", help="which valve, if the bag has several")
+    group.add_argument(
+        "--from", dest="start", type=float, metavar="S", help="begin this long after its start"
+    )
+    group.add_argument("--to", dest="end", type=float, metavar="S", help="end this long after its start")
     group = tune.add_argument_group("what is wanted")
     group.add_argument("--max-chatter", type=float, metavar="C_U", help="limit of the mean chatter")
     group.add_argument("--max-error", type=float, metavar="V", help="limit of the error, at least chatter")
@@ -61,6 +88,7 @@ def add_commands(commands: Any) -> None:
     group.add_argument("--budget", type=int, default=4000, metavar="N", help="sets of gains of a law (4000)")
     group.add_argument("--alone", action="store_true", help="no PID beside the laws that are asked for")
     group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
+    cluster_option(group)
     output = tune.add_argument_group("what comes out")
     output.add_argument(
         "--output", metavar="FILE", help="ROS 2 parameter file; of several laws NAME_LAW.yaml each"
@@ -78,11 +106,16 @@ def _tune(arguments: argparse.Namespace) -> int:
     files, arguments.command = arguments.command or [], None
     names, arguments.controller = arguments.controller, None
     settings = settings_of(arguments)
+    recorded: _Recorded | None = None
+    if arguments.bag is not None:
+        arguments.command = files
+        recorded = _recorded(arguments, settings)
+        settings = recorded.settings
     laws = _laws(names, word(settings["controller"], "controller"))
     paths = _paths(arguments.output, laws)
     arguments.command = files
     check_outputs(arguments, [*paths.values(), arguments.html])
-    problem, unseen = _problems(arguments, settings, files)
+    problem, unseen = _problems(arguments, settings, files, recorded)
     asked = laws if PID in laws or arguments.alone else [*laws, PID]
     counts = [len(tuner.variants(LAWS[name], problem.values)) for name in asked]
     progress = Progress(arguments.budget * sum(counts), "sets of gains")
@@ -91,20 +124,24 @@ def _tune(arguments: argparse.Namespace) -> int:
     found: dict[str, Tuned] = {}
     missing: dict[str, str] = {}
     before = 0
-    for name, count in zip(asked, counts, strict=True):
-        told = lambda done, name=name, before=before: progress(before + done, f" ({name})")  # noqa: E731
-        try:
-            found[name] = tuner.tuned(
-                LAWS[name], problem, unseen, aim, arguments.budget, seed, told, arguments.threads
-            )
-        except ParameterError as error:
-            if len(laws) == 1 and name in laws:
-                raise
-            missing[name] = str(error)
-            print(error, file=sys.stderr)
-        before += count * arguments.budget
+    with workers(arguments) as cluster:
+        where = cluster or arguments.threads
+        for name, count in zip(asked, counts, strict=True):
+            told = lambda done, name=name, before=before: progress(before + done, f" ({name})")  # noqa: E731
+            try:
+                found[name] = tuner.tuned(
+                    LAWS[name], problem, unseen, aim, arguments.budget, seed, told, where
+                )
+            except ParameterError as error:
+                if len(laws) == 1 and name in laws:
+                    raise
+                missing[name] = str(error)
+                print(error, file=sys.stderr)
+            before += count * arguments.budget
     written = {name: path for name, path in paths.items() if name in found and found[name].chosen.holds}
     result = _result(found, missing, laws, written)
+    if recorded is not None:
+        result["recording"] = _on_recording(recorded, found)
     for name, path in written.items():
         _save(path, name, problem.values, found[name], arguments)
         say(arguments, f"wrote {path}")
@@ -113,6 +150,8 @@ def _tune(arguments: argparse.Namespace) -> int:
             print(f"{name}: not accepted, because {reason}", file=sys.stderr)
     if arguments.json != "-":
         _print(found)
+        if recorded is not None:
+            _print_recording(result["recording"])
     if arguments.html is not None:
         from valve_control.tuning import report
 
@@ -224,7 +263,10 @@ def _motions(arguments: argparse.Namespace, settings: dict[str, Values], files: 
 
 
 def _problems(
-    arguments: argparse.Namespace, settings: dict[str, Values], files: list[str]
+    arguments: argparse.Namespace,
+    settings: dict[str, Values],
+    files: list[str],
+    recorded: "_Recorded | None" = None,
 ) -> tuple["Problem", "Problem"]:
     """What the search sees, and what verification sees. Raises ParameterError."""
     from valve_control.simulation import offline
@@ -232,10 +274,10 @@ def _problems(
     from valve_control.tuning.trial import Problem
 
     offline.check_agreement(settings["controller"], settings["valve_simulator"])
-    quantities = box_of(arguments)
+    quantities = box_of(arguments) if recorded is None else recorded.box
     if not quantities:
         raise ParameterError("every quantity of the box is fixed; there is no spread to tune for")
-    motions = _motions(arguments, settings, files)
+    motions = _motions(arguments, settings, files) if recorded is None else [recorded.motion]
     seed = arguments.seed or 1
     study = box.study_of(settings, quantities, arguments.valves, seed)
     other = box.study_of(settings, quantities, arguments.unseen, seed + UNSEEN_SEED)
@@ -250,6 +292,132 @@ def _problems(
         seed,
     )
     return seen, seen._replace(plants=box.drawn(other), box=box.bounding(other), seed=seed + UNSEEN_SEED)
+
+
+class _Recorded(NamedTuple):
+    """What a recording of normal operation gives."""
+
+    settings: dict[str, Values]
+    box: list["Quantity"]
+    motion: "Motion"
+    found: "Found"
+    valve: "Valve"
+    signals: "Aligned"
+    measured: "Indices"
+
+
+def _recorded(arguments: argparse.Namespace, settings: dict[str, Values]) -> _Recorded:
+    """Valve, controller and command of a recording. Raises ParameterError and BagError."""
+    import numpy as np
+
+    from valve_control.analysis.indices import indices
+    from valve_control.bags.errors import BagError
+    from valve_control.commissioning import recorded as learning
+    from valve_control.identification import recorded as tests
+    from valve_control.parameter import updated
+    from valve_control.parameters import files
+    from valve_control.parameters.table import CONTROLLER
+    from valve_control.recordings import recording
+    from valve_control.tuning import box
+    from valve_control.tuning.trial import Motion
+
+    for name in ("command", "scenario", "valve", "sample_period", "duration"):
+        if getattr(arguments, name) not in (None, []):
+            raise ParameterError(f"tune --bag takes no --{name.replace('_', '-')}; the bag has its own")
+    if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
+        raise ParameterError(f"--to {arguments.end:g} lies not after --from {arguments.start:g}")
+    loaded = recording.load(arguments.bag, arguments.map, arguments.start, arguments.end)
+    if not loaded.valves:
+        raise BagError(f"{arguments.bag} has no topic of a valve")
+    valve = recording.chosen(arguments.bag, loaded.valves, arguments.of)
+    if "spool_command" not in valve.signals or len(valve.signals["spool_command"].time) == 0:
+        raise BagError(f"{valve.name} has no spool_command, so there is nothing to tune on")
+    tested = tests.recorded(loaded, valve)
+    usual = box_of(arguments)
+    fixed = [form.name for form in learning.FORMS if form.name in arguments.fix]
+    found = learning.learnt(tested, settings["valve_simulator"], fixed)
+    controller = settings["controller"]
+    if valve.controller is not None:
+        told = dict(valve.controller.initial)
+        for change in valve.controller.changes:
+            told.update(change.values)
+        controller, _ = valve.controller.table_values(told)
+        # What the options say wins over what was recorded.
+        given = files.given(arguments.params_file, {}, arguments.set)["controller"]
+        controller = updated(CONTROLLER, controller, given)
+    controller = updated(
+        CONTROLLER,
+        controller,
+        {"sample_period": tested.period, "u_max": number(found.values, "u_max")},
+    )
+    signals = recording.align(valve)
+    known = np.isfinite(signals.command) & np.isfinite(signals.measurement) & np.isfinite(signals.voltage)
+    measured = indices(
+        np.where(known, signals.measurement - signals.command, 0.0),
+        np.where(known, signals.voltage, 0.0),
+        tested.period,
+        known,
+    )
+    wanted = learning.motion(signals.command, tested.period, number(controller, "command_limit"))
+    if float(wanted.max() - wanted.min()) == 0.0:
+        raise ParameterError(f"{arguments.bag} has no excitation: its command does not move")
+    name = Path(arguments.bag).name
+    box.check_reach(found.values, float(wanted[abs(wanted).argmax()]), f"of {name}")
+    for one in found.learnt:
+        unit = "" if one.unit == "-" else f" {one.unit}"
+        text = (
+            f"{one.name}: {one.value:.4g} ± {one.bound:.2g}{unit}"
+            if one.determined
+            else f"{one.name}: not determined by this recording; stays {one.value:.4g}{unit}"
+        )
+        say(arguments, text + (" (times the known valve's)" if one.name in ("gain", "speed") else ""))
+    for note in (*found.notes, *tested.notes):
+        print(f"note: {note}", file=sys.stderr)
+    source = {**settings["command_source"], "sample_period": tested.period}
+    made = {**settings, "controller": controller, "valve_simulator": found.values, "command_source": source}
+    return _Recorded(made, learning.box(found, usual), Motion(name, wanted), found, valve, signals, measured)
+
+
+def _on_recording(recorded: _Recorded, found: dict[str, "Tuned"]) -> dict[str, Any]:
+    """What was measured, and what the gains of then and of now give on the recorded command, simulated."""
+    from valve_control.recordings import what_if
+    from valve_control.tuning import tuner
+
+    values = recorded.settings["controller"]
+
+    def simulated(controller: Values) -> dict[str, float]:
+        run = what_if.replay(recorded.valve, recorded.signals, controller, recorded.found.values).run
+        return {**run.indices._asdict(), "true_e_rms": run.true_error["e_rms"]}
+
+    return {
+        "valve": {
+            one.name: {
+                "value": one.value,
+                "bound": one.bound if one.determined else None,
+                "determined": one.determined,
+            }
+            for one in recorded.found.learnt
+        },
+        "residual": recorded.found.residual,
+        "measured": recorded.measured._asdict(),
+        "simulated_as_it_was": simulated(values),
+        "simulated_with": {
+            name: simulated({**values, **tuner.parameters_of(name, values, one.chosen)})
+            for name, one in found.items()
+        },
+    }
+
+
+def _print_recording(about: dict[str, Any]) -> None:
+    rows = {
+        "measured": about["measured"],
+        "simulated as it was": about["simulated_as_it_was"],
+        **{f"simulated with new {name}": row for name, row in about["simulated_with"].items()},
+    }
+    print("on the recorded command:")
+    for name, row in rows.items():
+        errors = f"e_rms {1e3 * row['e_rms']:8.2f} mV   e_M {1e3 * row['e_M']:8.1f} mV"
+        print(f"  {name:28} {errors}   c_u {row['c_u']:.3f}")
 
 
 def _save(path: str, name: str, values: Values, one: "Tuned", arguments: argparse.Namespace) -> None:

@@ -10,7 +10,7 @@ import io
 import json
 import warnings
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +27,7 @@ from valve_control.parameters import build
 from valve_control.parameters.table import NODES
 from valve_control.plant.models import TransferFunction
 from valve_control.simulation import batch, measures, offline
+from valve_control.simulation.cluster import Cluster
 
 Array = npt.NDArray[np.float64]
 Settings = Mapping[str, Values]  # by node
@@ -257,11 +258,14 @@ def chunk_of(study: Study) -> int:
     return min(CHUNK, 1 << (valves.bit_length() - 1))
 
 
-def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> Found:
+def run(
+    study: Study, folder: Path, told: Told, threads: int | None = None, cluster: Cluster | None = None
+) -> Found:
     """Simulate the valves whose results ``folder`` lacks, chunk by chunk; returns all results.
 
-    ``told`` is called once before the work, and after each chunk. Ctrl-C loses the chunk that is running, no
-    more. Raises ParameterError, and OSError if the folder cannot be written.
+    On ``threads`` here, or on the workers of ``cluster``. ``told`` is called once before the work, and after
+    each chunk. Ctrl-C loses the chunks that are running, no more. Raises ParameterError, and OSError if the
+    folder cannot be written.
     """
     check_numbers(study, 0, study.valves)
     open_folder(study, folder)
@@ -270,8 +274,7 @@ def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> F
     missing = [first for first, path in paths.items() if not path.exists()]
     left = sum(min(chunk, study.valves - first) for first in missing)
     told(study.valves - left)
-    for first in missing:
-        found = run_chunk(study, first, chunk, threads)
+    for first, found in _made(study, missing, chunk, threads, cluster):
         stream = io.BytesIO()
         rows = np.stack(found.results, axis=1)
         np.savez(stream, points=found.points, period=found.period, rows=rows)
@@ -281,6 +284,18 @@ def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> F
     parts = [_kept(path, (chunk, len(study.box))) for path in paths.values()]
     points, period, rows = (np.concatenate(part)[: study.valves] for part in zip(*parts, strict=True))
     return Found(points, period, _results(rows))
+
+
+def _made(
+    study: Study, missing: Sequence[int], chunk: int, threads: int | None, cluster: Cluster | None
+) -> Iterator[tuple[int, Found]]:
+    """First valve and results of each of the ``missing`` chunks."""
+    if cluster is None:
+        for first in missing:
+            yield first, run_chunk(study, first, chunk, threads)
+        return
+    for i, found in cluster.completed(run_chunk, [(study, first, chunk, 1) for first in missing]):
+        yield missing[i], found
 
 
 def _kept(path: Path, shape: tuple[int, int]) -> tuple[Array, Array, Array]:

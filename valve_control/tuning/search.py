@@ -19,7 +19,7 @@ from valve_control.laws.free import present
 from valve_control.laws.law import Law
 from valve_control.parameter import ParameterError
 from valve_control.tuning import margins, trial
-from valve_control.tuning.trial import AHEAD, Gains, Outcome, Problem
+from valve_control.tuning.trial import AHEAD, Gains, Outcome, Problem, Workers
 
 Array = npt.NDArray[np.float64]
 Told = Callable[[int], None]  # sets of gains tried so far
@@ -81,7 +81,7 @@ def search(
     budget: int,
     seed: int,
     told: Told,
-    threads: int | None = None,
+    workers: Workers = None,
 ) -> Found:
     """Try ``budget`` sets of gains of ``law``. Raises ParameterError for a law that has none to choose."""
     import cma
@@ -112,7 +112,7 @@ def search(
             else:
                 kept.append((i, inside, gains))
         if kept:
-            outcomes = trial.run(law, problem, [gains for _, _, gains in kept], threads)
+            outcomes = trial.run(law, problem, [gains for _, _, gains in kept], workers)
             for (i, inside, gains), outcome in zip(kept, outcomes, strict=True):
                 point = _point(problem, inside, gains, outcome)
                 costs[i] = cost(point, chatter, problem.limits.saturated)

@@ -11,13 +11,16 @@ from valve_control.compiling import compile_function
 from valve_control.laws import command_lead, reshaping
 from valve_control.laws.free import Free, placed
 from valve_control.laws.law import Law
+from valve_control.laws.registry import LAWS
 from valve_control.parameter import Value, Values, number, updated
 from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
 from valve_control.simulation import batch, comparison
+from valve_control.simulation.cluster import Cluster
 from valve_control.tuning import margins
 
 Array = npt.NDArray[np.float64]
+Workers = int | Cluster | None  # threads here (None: all cores), or a cluster
 AHEAD = Free("preview", 0.0, 0.03, logarithmic=False)  # s  by which a known motion is sent ahead, unreshaped
 TAIL = 95  # %
 
@@ -133,7 +136,31 @@ def given(law: Law, params: Any, values: Values, gains: Gains, problem: Problem,
     return np.interp(steps + gains.ahead / number(values, "sample_period"), steps, wanted)
 
 
-def run(law: Law, problem: Problem, several: Sequence[Gains], threads: int | None = None) -> list[Outcome]:
+def threads_of(workers: Workers) -> int | None:
+    """Threads for what is done here."""
+    return None if isinstance(workers, Cluster) else workers
+
+
+def run(law: Law, problem: Problem, several: Sequence[Gains], workers: Workers = None) -> list[Outcome]:
+    """As ``run_here``, on the workers of a cluster if ``workers`` is one."""
+    if not isinstance(workers, Cluster) or len(several) == 1:
+        return run_here(law, problem, several, threads_of(workers))
+    each = -(-len(several) // workers.slots)
+    parts = [several[first : first + each] for first in range(0, len(several), each)]
+    made: list[list[Outcome]] = [[] for _ in parts]
+    for i, outcomes in workers.completed(_run_there, [(law.name, problem, part) for part in parts]):
+        made[i] = outcomes
+    return [outcome for part in made for outcome in part]
+
+
+def _run_there(law: str, problem: Problem, several: Sequence[Gains]) -> list[Outcome]:
+    """``run_here`` on a worker, on one thread."""
+    return run_here(LAWS[law], problem, several, 1)
+
+
+def run_here(
+    law: Law, problem: Problem, several: Sequence[Gains], threads: int | None = None
+) -> list[Outcome]:
     """Simulate all plants of ``problem`` with each of ``several`` gains, on all motions.
 
     All sets go through the compiled loop together, and the result does not depend on the number of

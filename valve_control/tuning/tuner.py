@@ -10,7 +10,7 @@ from valve_control.parameter import ParameterError, Value, Values, defaults, upd
 from valve_control.parameters.table import CONTROLLER
 from valve_control.tuning import margins, search, verification
 from valve_control.tuning.search import Point, Told
-from valve_control.tuning.trial import Problem
+from valve_control.tuning.trial import Problem, Workers
 from valve_control.tuning.verification import Verified
 
 TRIES = 8  # points of the front that are verified until one holds
@@ -90,7 +90,7 @@ def tuned(
     budget: int,
     seed: int,
     told: Told,
-    threads: int | None = None,
+    workers: Workers = None,
 ) -> Tuned:
     """Tune ``law`` on ``problem`` with ``budget`` sets of gains in each variant, and verify on ``unseen``.
 
@@ -108,7 +108,7 @@ def tuned(
             budget,
             seed,
             lambda done, before=tried: told(before + done),  # type: ignore[misc]
-            threads,
+            workers,
         )
         points += [(variant, point) for point in found.points]
         tried, missed = tried + found.tried, missed + found.missed
@@ -124,7 +124,7 @@ def tuned(
             continue
         variant = owner[id(point)]
         there = unseen._replace(values=updated(CONTROLLER, unseen.values, variant))
-        chosen = Chosen(variant, point, verification.verified(law, there, point.gains, aim.chatter, threads))
+        chosen = Chosen(variant, point, verification.verified(law, there, point.gains, aim.chatter, workers))
         first = first or chosen
         if chosen.holds:
             first = chosen

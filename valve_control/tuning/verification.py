@@ -12,7 +12,7 @@ from valve_control.parameter import number
 from valve_control.plant import valve
 from valve_control.simulation import batch
 from valve_control.tuning import margins, trial
-from valve_control.tuning.trial import Gains, Motion, Outcome, Problem
+from valve_control.tuning.trial import Gains, Motion, Outcome, Problem, Workers
 
 Array = npt.NDArray[np.float64]
 SLOWER = 1.1  # times as long: a motion of the search, turned over, as one that it did not see
@@ -54,7 +54,7 @@ def steps(period: float) -> Motion:
 
 
 def cycling(
-    law: Law, problem: Problem, gains: Gains, plants: Sequence[valve.Params], threads: int | None = None
+    law: Law, problem: Problem, gains: Gains, plants: Sequence[valve.Params], workers: Workers = None
 ) -> npt.NDArray[np.int64]:
     """Numbers of the ``plants`` on which the loop ends in a limit cycle, after steps or after a motion.
 
@@ -81,7 +81,7 @@ def cycling(
             seeds = problem.seed + first + np.arange(len(some))
             batch.simulate(
                 batch.Batch(law.name, params, batch.records(list(some)), seeds, motion.wanted, led=led),
-                threads,
+                trial.threads_of(workers),
                 traces,
             )
             for i, trace in enumerate(traces):
@@ -111,7 +111,7 @@ def verified(
     problem: Problem,
     gains: Gains,
     chatter: float | None,
-    threads: int | None = None,
+    workers: Workers = None,
 ) -> Verified:
     """Try ``gains`` on ``problem``, whose valves and seed are others than those of the search.
 
@@ -119,10 +119,10 @@ def verified(
     """
     params = law.build(trial.values_with(problem, gains))
     found = margins.margins(law, params, margins.prepared([*problem.box, *problem.plants]))
-    seen = trial.run(law, problem, [gains], threads)[0]
+    seen = trial.run(law, problem, [gains], workers)[0]
     others = problem._replace(motions=other_motions(problem.motions), seed=problem.seed + 500_000)
-    unseen = trial.run(law, others, [gains], threads)[0]
-    cycles = cycling(law, others, gains, problem.plants, threads)
+    unseen = trial.run(law, others, [gains], workers)[0]
+    cycles = cycling(law, others, gains, problem.plants, workers)
     reasons = [*_margins_missed(problem.limits, margins.as_dict(margins.worst(found)))]
     if not np.all(np.isfinite(seen.e_rms)) or not np.all(np.isfinite(unseen.e_rms)):
         reasons.append("a run does not stay finite")

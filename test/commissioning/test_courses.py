@@ -1,0 +1,73 @@
+"""Courses: within the limits whatever the valve does, and back to 0 V at their end."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from valve_control.commands.scenarios import sine_steps
+from valve_control.commissioning import courses
+from valve_control.commissioning.bench import Limits, Seen
+
+PERIOD = 0.001
+
+
+def driven(course, readings, most=60_000):
+    """Commands of a course that sees ``readings``, the last one for ever."""
+    given = [next(course)]
+    for k in range(most):
+        try:
+            given.append(course.send(Seen((k + 1) * PERIOD, readings[min(k, len(readings) - 1)])))
+        except StopIteration:
+            return np.array(given)
+    raise AssertionError("the course does not end")
+
+
+numbers = st.floats(-20.0, 20.0)
+
+
+@given(st.floats(0.1, 10.0), st.floats(0.2, 5.0), st.lists(numbers, min_size=1, max_size=300))
+def test_triangle_stays_within_the_voltage_and_ends_at_rest(voltage, travel, readings):
+    limits = Limits(voltage, travel)
+    rate = 0.4 * voltage
+    commands = driven(courses.triangle(limits, rate, 4), [*readings, 0.0])
+    assert np.max(np.abs(commands)) <= voltage
+    assert commands[0] == 0.0 and commands[-1] == 0.0
+    assert np.max(np.abs(np.diff(commands))) <= rate * PERIOD * (1.0 + 1e-6)
+
+
+@given(st.floats(0.1, 10.0), st.floats(-5.0, 5.0), st.lists(numbers, min_size=1, max_size=300))
+def test_sines_stay_within_the_voltage_and_become_smaller_beyond_the_reach(amplitude, offset, readings):
+    limits = Limits(3.0, 1.0)
+    steps = sine_steps(5.0, 20.0, 3, 2, 0.3)
+    commands = driven(courses.stepped_sine(limits, steps, amplitude, offset), readings)
+    assert np.max(np.abs(commands)) <= 3.0
+    assert commands[-1] == 0.0
+
+
+def test_a_sine_is_made_smaller_until_the_spool_stays_within_its_reach():
+    """A valve without lag and with a gain of 2: the sine ends where the reading is at REACH of the travel."""
+    limits = Limits(4.0, 2.0)
+    course = courses.stepped_sine(limits, sine_steps(2.0, 2.0, 1, 12, 6.0), 3.0, 0.0)
+    command, largest = next(course), []
+    for k in range(5000):
+        largest.append(abs(2.0 * command))
+        command = course.send(Seen((k + 1) * PERIOD, 2.0 * command))
+    assert max(largest[-1000:]) <= courses.REACH * 2.0
+    assert max(largest[-1000:]) >= courses.REACH * 2.0 * courses.LOWER - 0.01
+
+
+def test_a_ramp_makes_no_leap_after_a_pause_of_the_process():
+    course = courses.triangle(Limits(4.0, 2.0), 1.6, 2)
+    next(course)
+    before = course.send(Seen(0.5, 0.0))
+    assert course.send(Seen(3.0, 0.0)) - before == pytest.approx(1.6 * courses.LATE)
+
+
+def test_a_motion_is_played_by_the_numbers_of_the_readings():
+    wanted = np.array([0.0, 1.0, 2.0, 3.0])
+    course = courses.motion(wanted, PERIOD)
+    assert next(course) == 0.0
+    assert course.send(Seen(2 * PERIOD, 0.0)) == 2.0  # a reading was lost
+    assert course.send(Seen(3 * PERIOD, 0.0)) == 3.0
+    assert course.send(Seen(4 * PERIOD, 0.0)) == 0.0

@@ -1,0 +1,131 @@
+"""A valve learnt from normal operation: what that tells is right, what it does not tell is left alone."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from valve_control.commissioning import recorded
+from valve_control.identification.experiment import Experiment
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters import files
+from valve_control.parameters.table import VALVE
+from valve_control.simulation.robustness import BOX
+
+sys.path.append(str(Path(__file__).parents[1] / "recordings"))
+from made import Run, write
+
+TRUE = {
+    "gain_scale": 1.15,
+    "friction.coulomb": 0.7,
+    "disturbance.offset": 0.4,
+    "lvdt.noise": 0.004,
+    "lvdt.delay": 0.001,
+}
+
+
+def operated(wanted, controller="oarc"):
+    """A recording: that law on the true valve."""
+    made = Run(controller={"controller": controller}, simulator=TRUE)
+    for command in wanted:
+        made.sample(float(command))
+    return made
+
+
+def experiment(made):
+    reading, voltage = np.array(made.readings), np.array(made.voltages)
+    return Experiment("a bag: valve", 0.001, voltage, reading, (), 10.0, (), "oarc")
+
+
+def moving(seconds):
+    time = np.arange(round(1000 * seconds)) * 0.001
+    return 1.2 * np.sin(2.0 * np.pi * 0.7 * time) + 0.5 * np.sin(2.0 * np.pi * 3.1 * time)
+
+
+@pytest.fixture(scope="module")
+def moved():
+    return operated(moving(8.0))
+
+
+def test_motion_in_closed_loop_tells_gain_speed_friction_offset_and_dead_time(moved):
+    found = recorded.learnt(experiment(moved), defaults(VALVE), [])
+    told = {one.name: one for one in found.learnt}
+    assert all(one.determined for one in found.learnt), found.learnt
+    for name, true in (
+        ("gain", 1.15),
+        ("speed", 1.0),
+        ("friction.coulomb", 0.7),
+        ("disturbance.offset", 0.4),
+        ("lvdt.delay", 0.001),
+    ):
+        one = told[name]
+        assert abs(one.value - true) <= max(1.5 * one.bound, 0.02 * abs(true)), one
+    assert found.residual == pytest.approx(0.004, rel=0.2)
+    box = {q.name: q for q in recorded.box(found, BOX)}
+    assert "flow_force" not in box and 0.0 <= box["friction.coulomb"].low < 0.7 < box["friction.coulomb"].high
+    assert box["gain"].low > 0.9 and box["gain"].high < 1.1
+
+
+def test_what_the_excitation_does_not_determine_is_left_alone():
+    """A steady ramp to one side: friction and offset cannot be told apart."""
+    made = operated(np.linspace(0.0, 1.5, 6000))
+    whole = experiment(made)
+    steady = whole._replace(voltage=whole.voltage[2000:], position=whole.position[2000:])
+    found = recorded.learnt(steady, updated(VALVE, defaults(VALVE), {"lvdt.delay": 0.0005}), [])
+    told = {one.name: one for one in found.learnt}
+    left = {one.name for one in found.learnt if not one.determined}
+    assert left & {"disturbance.offset", "friction.coulomb"}, found.learnt
+    for name in left:
+        assert told[name].value == {"gain": 1.0, "speed": 1.0, "lvdt.delay": 0.0005}.get(name, 0.0)
+    usual = {q.name: q for q in BOX}
+    assert all(q == usual[q.name] for q in recorded.box(found, BOX) if q.name in left)
+
+
+def test_what_is_fixed_is_not_searched(moved):
+    found = recorded.learnt(experiment(moved), updated(VALVE, defaults(VALVE), TRUE), ["friction.coulomb"])
+    assert "friction.coulomb" not in {one.name for one in found.learnt}
+    assert found.values["friction.coulomb"] == 0.7
+
+
+def test_a_recording_at_rest_is_one_sentence():
+    with pytest.raises(ParameterError, match="has no excitation: the readings move by"):
+        recorded.learnt(experiment(operated(np.zeros(3000))), defaults(VALVE), [])
+
+
+def test_motion_begins_at_rest_and_keeps_the_part_that_moves():
+    command = np.concatenate([np.full(9000, 1.0), 1.0 + np.sin(np.arange(4000) * 0.02), np.full(9000, 1.0)])
+    made = recorded.motion(command, 0.001, 1.5)
+    assert made[0] == 0.0 and np.max(made) == 1.5 and len(made) == 8500
+    assert np.sum(np.abs(np.diff(made[500:]))) == pytest.approx(
+        np.sum(np.abs(np.diff(np.clip(command, -1.5, 1.5))))
+    )
+
+
+@pytest.mark.campaign
+def test_tune_from_a_bag(run, tmp_path, moved):
+    """The gains of now beside those of then and what was measured, on the recorded command."""
+    write(tmp_path / "operation", moved.messages)
+    few = ["--valves", "3", "--unseen", "4", "--budget", "50", "--max-chatter", "0.5", "--alone"]
+    status, out, err = run(
+        "tune", "--bag", "operation", "--controller", "pid", *few, "--output", "t.yaml", "--json", "-"
+    )
+    assert status == 0, err
+    found = json.loads(out)
+    about = found["recording"]
+    assert about["valve"]["gain"]["value"] == pytest.approx(1.15, rel=0.03)
+    assert about["simulated_as_it_was"]["e_rms"] == pytest.approx(about["measured"]["e_rms"], rel=0.15)
+    assert 0.0 < about["simulated_with"]["pid"]["e_rms"] < 0.5
+    assert files.load("t.yaml")["controller"]["controller"] == "pid"
+    status, out, err = run("tune", "--bag", "operation", "--scenario", "sine")
+    assert status == 2 and "takes no --scenario" in err and len(err.strip().splitlines()) == 1
+
+
+def test_tune_from_a_bag_at_rest(run, tmp_path):
+    made = Run(controller={"controller": "oarc"})
+    for _ in range(3000):
+        made.sample(0.0)
+    write(tmp_path / "still", made.messages)
+    status, _, err = run("tune", "--bag", "still")
+    assert status == 2 and "has no excitation" in err and len(err.strip().splitlines()) == 1

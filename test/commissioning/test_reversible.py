@@ -1,0 +1,146 @@
+"""Whatever ends a commissioning: 0 V, parameters as before, no voltage beyond the limit."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from supervised import SupervisedValve
+
+from valve_control.commissioning import backup, sequence
+from valve_control.commissioning.bench import Fault, Limits
+from valve_control.commissioning.watch import Watch
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters.table import CONTROLLER
+
+LIMITS = Limits(3.0, 1.5)
+BEFORE = {"controller": "oarc", "u_max": 9.0, "oarc.k1": 77.0, "command_limit": 8.0, "reshaping.lead": 0.004}
+PLAN = sequence.Plan(LIMITS, "pid", 0.3, 40, 3, 8, 1, 2)
+
+
+def yes(text):
+    return True
+
+
+def nothing(*progress):
+    pass
+
+
+@settings(max_examples=12)
+@given(st.integers(1, 30_000), st.booleans())
+def test_a_fault_at_any_sample(at, interrupt):
+    """In the tests of the valve, which take some 35,000 samples with these limits."""
+    valve = SupervisedValve({"friction.coulomb": 0.6, "lvdt.noise": 0.004}, BEFORE, fault_at=at)
+    valve.fault = KeyboardInterrupt if interrupt else Fault
+    before, told = valve.values(), []
+    with pytest.raises(valve.fault), sequence.reversible(valve, before, told.append):
+        sequence.run(valve, PLAN, before, yes, nothing)
+    assert len(valve.readings) == at
+    assert not valve.active and valve.values() == before
+    assert told == ["the controller is inactive and gives 0 V", "all its parameters are as before"]
+    assert np.max(np.abs(valve.voltages)) <= LIMITS.voltage
+    assert valve.applied[0]["u_max"] == LIMITS.voltage
+    assert at < 600 or valve.applied[1] == {"lvdt.limit": LIMITS.travel}
+
+
+@pytest.mark.parametrize("answers", [0, 1, 2])
+def test_a_step_that_is_refused(answers):
+    valve = SupervisedValve({"lvdt.noise": 0.004}, BEFORE)
+    before, left = valve.values(), [True] * answers
+    with pytest.raises(sequence.Refused), sequence.reversible(valve, before, nothing):
+        sequence.run(valve, PLAN, before, lambda text: bool(left) and left.pop(), nothing)
+    assert valve.values() == before and not valve.active
+
+
+def test_parameters_that_do_not_come_back_are_told():
+    class Stubborn(SupervisedValve):
+        def apply(self, changes):
+            super().apply({name: value for name, value in changes.items() if name != "u_max"})
+
+    valve = Stubborn({}, BEFORE)
+    with pytest.raises(Fault, match="u_max could not be set back"):
+        sequence.restore(valve, {**valve.values(), "u_max": 5.0})
+
+
+@pytest.mark.campaign
+def test_from_first_to_last_step():
+    """dcarc on a valve with friction: afterwards its gains differ, and they do what was said."""
+    valve = SupervisedValve({"friction.coulomb": 0.6, "lvdt.noise": 0.004}, BEFORE)
+    before, asked = valve.values(), []
+    with sequence.reversible(valve, before, nothing):
+        found = sequence.run(
+            valve, PLAN._replace(law="dcarc"), before, lambda text: asked.append(text) or True, nothing
+        )
+    assert len(asked) == 6 and valve.active
+    assert valve.values() == {**before, **found.applied}
+    assert found.applied["controller"] == "dcarc" and "u_max" not in found.applied
+    assert {name.split(".")[0] for name in found.applied} <= {"controller", "dcarc", "arc", "reshaping"}
+    assert np.max(np.abs(valve.voltages)) <= LIMITS.voltage
+    assert np.max(np.abs(valve.readings)) <= LIMITS.travel
+    assert found.verification.measured.e_rms < 2.0 * found.verification.expected.e_rms + 0.002
+    assert found.friction.coulomb == pytest.approx(0.6, abs=0.03)
+    json.dumps(sequence.as_dict(found)["applied"])
+    sequence.restore(valve, before)
+    assert valve.values() == before
+
+
+@pytest.mark.parametrize(
+    ("limits", "law", "words"),
+    [
+        (Limits(12.0, 1.0), "pid", "--max-voltage is 12 V; it must lie between 0.1 V and u_max, 9 V"),
+        (Limits(3.0, 9.0), "pid", "--travel is 9 V; it must lie between 0.2 V and"),
+        (Limits(3.0, 1.0), "open_loop", "open_loop has no gains to choose"),
+    ],
+)
+def test_plans_that_do_not_fit_are_refused_before_anything_happens(limits, law, words):
+    values = updated(CONTROLLER, defaults(CONTROLLER), BEFORE)
+    with pytest.raises(ParameterError, match=words):
+        sequence.check(PLAN._replace(limits=limits, law=law), values)
+
+
+def test_the_watch_ends_it_at_the_first_wrong_message():
+    watch = Watch(LIMITS)
+    watch.voltage(3.0)
+    for wrong in (3.0001, -3.0001, float("nan")):
+        with pytest.raises(Fault, match="beyond the limit"):
+            watch.voltage(wrong)
+    watch.reading(1.6)
+    watch.reading(1.6)
+    watch.reading(1.4)  # two may be noise
+    watch.reading(-1.6)
+    watch.reading(-1.6)
+    with pytest.raises(Fault, match="beyond the travel"):
+        watch.reading(-1.6)
+    watch.diagnosis(False, "LVDT readings lost: bridged")
+    with pytest.raises(Fault, match="LVDT silent"):
+        watch.diagnosis(True, "LVDT silent")
+    with pytest.raises(Fault, match="limit cycle"):
+        watch.diagnosis(False, "voltage oscillates at 8 Hz with 2 V: limit cycle of law and valve")
+
+
+@settings(max_examples=30)
+@given(
+    st.floats(0.1, 100.0),
+    st.lists(st.floats(1e-3, 1e6), min_size=4, max_size=4),
+    st.sampled_from(["", "2", "y"]),
+)
+def test_a_backup_has_every_parameter_to_the_last_bit(tmp_path_factory, u_max, gamma, name):
+    folder = tmp_path_factory.mktemp("backup")
+    values = updated(
+        CONTROLLER,
+        defaults(CONTROLLER),
+        {"u_max": u_max, "arc.gamma": gamma, "load_file": name, "controller": "dcarc"},
+    )
+    backup.write(folder, "/boom/controller", values)
+    assert backup.read(folder) == ("/boom/controller", values, backup.RUNNING)
+    backup.mark(folder, "/boom/controller", backup.DONE)
+    assert backup.read(folder).state == backup.DONE
+    assert backup.differences({**values, "u_max": 0.1}, values) in ({"u_max": u_max}, {})
+
+
+def test_a_damaged_backup_is_told(tmp_path):
+    assert backup.read(tmp_path) is None
+    (tmp_path / backup.STATE).write_text("{")
+    with pytest.raises(ParameterError, match="is damaged"):
+        backup.read(tmp_path)

@@ -1,0 +1,245 @@
+"""valve-control commission over DDS: to its end, undone, stopped at random moments, killed."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import rclpy
+from bench import LIMIT, call, set_parameters, spin_until
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
+from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.srv import GetParameters
+from rclpy.parameter import parameter_value_to_python
+
+from valve_control.nodes.harness.processes import Listener, process
+from valve_control.parameters import files
+from valve_control.parameters.table import CONTROLLER
+
+VOLTAGE, TRAVEL = 3.5, 1.5  # V
+PERIOD = 0.004  # s: four times the usual one, since a busy machine is late by some ms
+# The simulated valve waits for its voltage, so that a busy machine is no dead time.
+VALVE = ["-p", f"sample_period:={PERIOD}", "-p", "patience:=1.0", "-p", "disturbance.offset:=0.2"]
+VALVE += ["-p", "friction.coulomb:=0.6", "-p", "lvdt.noise:=0.004"]
+# On a busy machine readings are late and lost, which is not what is tested here.
+PATIENT = [
+    "-p",
+    f"sample_period:={PERIOD}",
+    "-p",
+    "lvdt.hold_samples:=5000",
+    "-p",
+    "lvdt.period_limit:=1000.0",
+]
+PATIENT += ["-p", "command_timeout:=0.0", "-p", "lvdt.frozen_samples:=0"]
+BEFORE = ["-p", "controller:=arc", "-p", "arc.k1:=77.0", "-p", "u_max:=9.0", "-p", "reshaping.lead:=0.004"]
+QUICK = ["--budget", "60", "--valves", "3", "--unseen", "8", "--max-chatter", "0.4"]
+
+
+@pytest.fixture
+def ros(monkeypatch, request):
+    """A node in a domain that no other test uses: what was killed stays in its graph for a while."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(215 + (os.getpid() + hash(request.node.name)) % 17))
+    rclpy.init()
+    node = rclpy.create_node("test")
+    yield node
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+class Everything:
+    """Every voltage and reading, and services of the controller."""
+
+    def __init__(self, ros):
+        self.ros = ros
+        self.listener = Listener("listener", ("valve_voltage", "spool_position"))
+        self.limited = []  # times [ns] and values [V] of u_max
+        ros.create_subscription(ParameterEvent, "/parameter_events", self._note, 100)
+
+    def _note(self, event):
+        for changed in event.changed_parameters:
+            if event.node == "/controller" and changed.name == "u_max":
+                stamp = event.stamp.sec * 10**9 + event.stamp.nanosec
+                self.limited.append((stamp, changed.value.double_value))
+
+    def fetch(self):
+        self.listener.fetch()
+        return True
+
+    def largest(self):
+        """The largest voltage [V] since the controller got its limit, and at the end that of 0 V."""
+        assert self.limited[0][1] == VOLTAGE
+        stamps = np.array(self.listener.stamps["valve_voltage"])
+        given = np.abs(self.listener.values["valve_voltage"])[stamps > self.limited[0][0]]
+        assert len(given) > 300
+        return np.max(given)
+
+    @property
+    def voltages(self):
+        self.listener.fetch()
+        return self.listener.values["valve_voltage"]
+
+    def wait(self, samples):
+        """Until so many more voltages have come."""
+        until = len(self.voltages) + samples
+        spin_until(self.ros, lambda: len(self.voltages) >= until, f"{samples} voltages", 120.0)
+
+    def parameters(self):
+        names = [p.name for p in CONTROLLER]
+        got = call(
+            self.ros, GetParameters, "/controller/get_parameters", GetParameters.Request(names=names)
+        ).values
+        return {
+            name: value if isinstance(value, (bool, int, float, str)) else list(value)
+            for name, value in zip(names, map(parameter_value_to_python, got), strict=True)
+        }
+
+    def active(self):
+        answer = call(self.ros, GetState, "/controller/get_state", GetState.Request())
+        return answer.current_state.id == State.PRIMARY_STATE_ACTIVE
+
+
+@contextmanager
+def running(ros, tmp_path):
+    with (
+        process("valve_simulator", VALVE, tmp_path / "sim.log"),
+        process("controller", [*BEFORE, *PATIENT], tmp_path / "c.log"),
+    ):
+        seen = Everything(ros)
+        try:
+            spin_until(ros, lambda: len(seen.voltages) > 100, "voltages")
+            yield seen
+        finally:
+            seen.listener.destroy_node()
+
+
+@contextmanager
+def commission(tmp_path, *arguments):
+    command = [sys.executable, "-m", "valve_control.cli", "commission", "--folder", str(tmp_path / "kept")]
+    if "--undo" not in arguments:
+        command += ["--yes", "--max-voltage", str(VOLTAGE), "--travel", str(TRAVEL)]
+    with (tmp_path / "said.log").open("w") as said:
+        child = subprocess.Popen(
+            [*command, *arguments], stdout=said, stderr=said, stdin=subprocess.DEVNULL, env=os.environ
+        )
+        try:
+            yield child
+        finally:
+            child.kill()
+            child.wait()
+
+
+def ended(seen, child, limit=60.0):
+    """Exit status, with every message fetched meanwhile."""
+    spin_until(seen.ros, lambda: seen.fetch() and child.poll() is not None, "end of commission", limit)
+    return child.returncode
+
+
+def begun(seen, tmp_path, child):
+    """The parameters from before are kept."""
+    state = tmp_path / "kept" / "state.json"
+    spin_until(seen.ros, lambda: state.exists() or child.poll() is not None, "the backup", 60.0)
+    assert child.poll() is None, (tmp_path / "said.log").read_text()
+
+
+@pytest.mark.campaign
+def test_to_its_end_and_undone(ros, tmp_path):
+    with running(ros, tmp_path) as seen:
+        before = seen.parameters()
+        with commission(tmp_path, "--controller", "dcarc", *QUICK) as child:
+            status = ended(seen, child, 280.0)
+        said = (tmp_path / "said.log").read_text()
+        assert status == 0, said
+        after = seen.parameters()
+        assert seen.largest() <= VOLTAGE
+        assert seen.active()
+        found = json.loads((tmp_path / "kept" / "commission.json").read_text())
+        assert after == {**before, **found["applied"]} and after["controller"] == "dcarc"
+        assert files.load(str(tmp_path / "kept" / "tuned.yaml"))["controller"] == found["applied"]
+        assert found["valve"]["friction"]["coulomb"] == pytest.approx(0.6, abs=0.06)
+        assert found["valve"]["static_gain"] == pytest.approx(0.829, rel=0.03)
+        assert found["valve"]["offset"] == pytest.approx(0.2, abs=0.03)
+        page = (tmp_path / "kept" / "report.html").read_text(encoding="utf-8")
+        assert "The gains of dcarc are accepted" in page
+        with commission(tmp_path, "--undo") as child:
+            assert ended(seen, child) == 0, (tmp_path / "said.log").read_text()
+        assert seen.parameters() == before and seen.active()
+
+
+MOMENTS = [random.Random(11 + i).randint(500, 4000) for i in range(int(os.environ.get("MOMENTS", "4")))]
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_stopped_at_a_random_moment(ros, tmp_path, moment):
+    """``moment``: samples after the parameters were kept. By Ctrl-C, SIGTERM, or a fault of the LVDT."""
+    how = ("SIGINT", "fault", "SIGTERM")[moment % 3]
+    with running(ros, tmp_path) as seen:
+        before = seen.parameters()
+        with commission(tmp_path) as child:
+            begun(seen, tmp_path, child)
+            seen.wait(moment)
+            if how == "fault":
+                assert set_parameters(ros, "valve_simulator", fault__lvdt="second_publisher").successful
+                assert set_parameters(ros, "valve_simulator", fault__valve="stuck").successful
+                assert set_parameters(ros, "valve_simulator", fault__lvdt="out_of_range").successful
+            else:
+                child.send_signal(getattr(signal, how))
+            count = len(seen.voltages)
+            status = ended(seen, child)
+        said = (tmp_path / "said.log").read_text()
+        assert status == (1 if how == "fault" else 130), said
+        assert "Traceback" not in said
+        assert not seen.active()
+        spin_until(ros, lambda: seen.voltages[-1] == 0.0, "0 V")
+        assert seen.largest() <= VOLTAGE
+        assert seen.parameters() == before, said
+        assert "all its parameters are as before" in said
+        quiet = len(seen.voltages)
+        print(f"{how} after {moment}: {quiet - count} more voltages")
+
+
+@pytest.mark.campaign
+def test_killed_it_leaves_the_valve_at_neutral_and_can_be_undone(ros, tmp_path):
+    with running(ros, tmp_path) as seen:
+        before = seen.parameters()
+        with commission(tmp_path) as child:
+            begun(seen, tmp_path, child)
+            seen.wait(2000)
+            child.send_signal(signal.SIGKILL)
+            ended(seen, child)
+            # The controller keeps the limits, and leads to neutral by itself.
+            spin_until(ros, lambda: np.max(np.abs(seen.voltages[-100:])) == 0.0, "0 V")
+        assert seen.parameters() != before
+        assert seen.largest() <= VOLTAGE
+        with commission(tmp_path) as child:  # not with the parameters of a commissioning as those from before
+            assert ended(seen, child) == 2
+        assert "--undo brings them back" in (tmp_path / "said.log").read_text()
+        with commission(tmp_path, "--undo") as child:
+            assert ended(seen, child) == 0
+        assert seen.parameters() == before and seen.active()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--undo", "--folder", "nowhere"], "there is no controller /controller"),
+        (["--max-voltage", "-1"], "--max-voltage is -1; it must be above 0"),
+        (["--activate"], "--activate goes with --undo"),
+        (["--node", "a b"], "--node a b is no full name of a node"),
+        (["--controller", "pidd"], "there is no such law"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(tmp_path, arguments, words, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "102")
+    done = subprocess.run(
+        [sys.executable, "-m", "valve_control.cli", "commission", "--yes", *arguments],
+        cwd=tmp_path, capture_output=True, text=True, timeout=3 * LIMIT, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2 and words in done.stderr, done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1 and not list(tmp_path.iterdir())

@@ -1,0 +1,249 @@
+"""Defines the sub-command `commission`: tests, tunes and verifies a running valve over ROS, and undoes it."""
+
+import argparse
+import math
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from valve_control import interrupts, outputs
+from valve_control.cli.common import check_processes, say
+from valve_control.parameter import ParameterError, word
+
+if TYPE_CHECKING:
+    from valve_control.commissioning.sequence import Plan, Result
+    from valve_control.nodes.commission import Controller
+
+FAILED = 1  # exit status if the parameters are those from before
+
+
+def add_commands(commands: Any) -> None:
+    """Add commission to the command's sub-commands."""
+    commission = commands.add_parser(
+        "commission",
+        help="a running valve over ROS: tests within limits, model, gains, verification",
+        description="Commission a running valve, simulated or real: noise at rest, static gain, friction and "
+        "dead zone, frequency response, model, gains, verification run. Voltage and travel stay within their "
+        "limits, which the controller itself keeps. Ctrl-C, a fault or a failure lead to 0 V at once, and to "
+        "the parameters from before.",
+    )
+    commission.add_argument("--node", default="/controller", metavar="NAME", help="full name (/controller)")
+    group = commission.add_argument_group("limits")
+    group.add_argument("--max-voltage", type=float, default=4.0, metavar="V", help="to either side (4 V)")
+    group.add_argument("--travel", type=float, default=2.0, metavar="V", help="of the reading (2 V)")
+    group = commission.add_argument_group("what is tuned")
+    group.add_argument("--controller", metavar="LAW", help="law to tune (the one that is in force)")
+    group.add_argument("--max-chatter", type=float, default=0.25, metavar="C_U", help="(0.25)")
+    group.add_argument("--budget", type=int, default=200, metavar="N", help="sets of gains (200)")
+    group.add_argument("--valves", type=int, default=6, metavar="N", help="that are simulated (6)")
+    group.add_argument("--unseen", type=int, default=32, metavar="N", help="valves to verify on (32)")
+    group.add_argument("--seed", type=int, default=1, metavar="N", help="of the search (1)")
+    group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
+    group = commission.add_argument_group("how it goes on")
+    group.add_argument("--yes", action="store_true", help="no question before each step")
+    group.add_argument("--undo", action="store_true", help="bring the parameters from before back, and leave")
+    group.add_argument("--activate", action="store_true", help="with --undo: activate the controller too")
+    output = commission.add_argument_group("what comes out")
+    output.add_argument(
+        "--folder", default="out/commission", help="parameters from before and report (out/commission)"
+    )
+    output.add_argument("--json", metavar="FILE", help="result as JSON; - for standard output alone")
+    commission.set_defaults(run=_commission)
+
+
+def _commission(arguments: argparse.Namespace) -> int:
+    _check(arguments)
+    from valve_control.commissioning.bench import Fault
+
+    try:
+        from valve_control.nodes.commission import connected
+    except ImportError as error:
+        raise ParameterError(f"commission needs ROS 2: {error}") from error
+    interrupts.watch(signal.SIGTERM, signal.SIGHUP)
+    with connected(arguments.node) as controller:
+        try:
+            if arguments.undo:
+                return _undo(arguments, controller)
+            return _run(arguments, controller)
+        except Fault as fault:
+            print(f"valve-control: {fault}", file=sys.stderr)
+            return FAILED
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    check_processes("threads", arguments.threads)
+    for name in ("valves", "unseen", "budget"):
+        if getattr(arguments, name) < 1:
+            raise ParameterError(f"--{name} is {getattr(arguments, name)}; it must be at least 1")
+    for name in ("max_voltage", "travel", "max_chatter"):
+        value = getattr(arguments, name)
+        if not 0.0 < value < math.inf:
+            raise ParameterError(f"--{name.replace('_', '-')} is {value:g}; it must be above 0, and finite")
+    if arguments.activate and not arguments.undo:
+        raise ParameterError("--activate goes with --undo; a commissioning activates the controller itself")
+    if not all(part.isidentifier() for part in arguments.node.strip("/").split("/")):
+        raise ParameterError(f"--node {arguments.node} is no full name of a node, such as /boom/controller")
+    if arguments.controller is not None:
+        from valve_control.laws.registry import LAWS
+
+        if arguments.controller not in LAWS:
+            raise ParameterError(
+                f"--controller {arguments.controller}: there is no such law; there are {', '.join(LAWS)}"
+            )
+    if not arguments.undo and not arguments.yes and not sys.stdin.isatty():
+        raise ParameterError("nobody can be asked before each step; --yes commissions without questions")
+    if arguments.json not in (None, "-"):
+        outputs.check([arguments.json])
+
+
+def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
+    from valve_control.commissioning import backup, sequence
+
+    kept = backup.read(Path(arguments.folder))
+    if kept is None:
+        raise ParameterError(f"there is no commissioning in {arguments.folder}; --folder names another one")
+    if kept.node != controller.name:
+        raise ParameterError(
+            f"{arguments.folder} has the parameters of {kept.node}, not of {controller.name}; give --node or "
+            "--folder"
+        )
+    count = sequence.restore(controller, kept.values)
+    backup.mark(Path(arguments.folder), kept.node, backup.UNDONE)
+    say(arguments, f"{count} parameters of {kept.node} set back; all are as before the commissioning")
+    if arguments.activate:
+        controller.on()
+    if not controller.active:
+        say(arguments, "the controller is inactive and gives 0 V; --undo --activate lets it work again")
+    return 0
+
+
+def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
+    from valve_control.commissioning.bench import Limits
+    from valve_control.commissioning.sequence import Plan
+
+    return Plan(
+        Limits(arguments.max_voltage, arguments.travel),
+        arguments.controller or law,
+        arguments.max_chatter,
+        arguments.budget,
+        arguments.valves,
+        arguments.unseen,
+        arguments.seed,
+        arguments.threads,
+    )
+
+
+def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
+    from valve_control.commissioning import backup, sequence
+    from valve_control.commissioning.bench import Fault
+
+    folder = Path(arguments.folder)
+    before = controller.values()
+    kept = backup.read(folder)
+    if kept is not None and kept.state == backup.RUNNING and backup.differences(before, kept.values):
+        raise ParameterError(
+            f"a commissioning of {kept.node} was not brought to its end, and {folder} has the parameters "
+            "from before it; --undo brings them back"
+        )
+    plan = _plan(arguments, word(before, "controller"))
+    sequence.check(plan, before)
+    controller.meet_valve()
+    backup.write(folder, controller.name, before)
+    say(arguments, f"wrote {folder / backup.PARAMETERS}: the parameters from before")
+    steps = _Steps(arguments)
+    told: list[str] = []
+    try:
+        with sequence.reversible(controller, before, told.append):
+            result = sequence.run(controller, plan, before, steps.confirm, steps.progress)
+            backup.mark(folder, controller.name, backup.DONE)
+    except BaseException as error:
+        steps.close()
+        backup_safe = "all its parameters are as before" in told
+        if backup_safe:
+            backup.mark(folder, controller.name, backup.ABORTED)
+        if isinstance(error, Fault) and not backup_safe:
+            told.append(f"its parameters from before are in {folder}; --undo brings them back")
+        for text in told:
+            print(text, file=sys.stderr)
+        if isinstance(error, (ParameterError, sequence.Refused)):
+            print(f"valve-control: {error}", file=sys.stderr)
+            return FAILED
+        raise
+    steps.close()
+    _write(arguments, result)
+    return 0
+
+
+class _Steps:
+    """Asks before each step, and shows its progress."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self._arguments = arguments
+        self._bar: Any = None
+
+    def confirm(self, text: str) -> bool:
+        """Whether to go on; the question says what comes next."""
+        self.close()
+        say(self._arguments, f"next: {text}")
+        if self._arguments.yes:
+            return True
+        print("go on? [y/N] ", end="", file=sys.stderr, flush=True)
+        return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+    def progress(self, name: str, done: float, total: float) -> None:
+        """Show that ``done`` of ``total`` are over."""
+        from tqdm import tqdm
+
+        if self._bar is None or self._bar.desc != f"{name:14}":
+            self.close()
+            terminal = sys.stderr.isatty()
+            self._bar = tqdm(
+                total=total,
+                desc=f"{name:14}",
+                bar_format="{desc} {bar} {n:.0f}/{total:.0f}, {remaining} left",
+                ascii=not terminal,
+                mininterval=0.2 if terminal else 5.0,
+            )
+        self._bar.update(done - self._bar.n)
+
+    def close(self) -> None:
+        """End the bar that is shown."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+
+def _write(arguments: argparse.Namespace, result: "Result") -> None:
+    from valve_control.commissioning import report, sequence
+    from valve_control.parameters import files
+
+    folder = Path(arguments.folder)
+    made = result.verification
+    about = [
+        "valve-control " + " ".join(arguments.line),
+        f"e_rms {made.measured.e_rms:.4g} V and c_u {made.measured.c_u:.3f} in the verification run",
+    ]
+    valve = sequence.valve_values(result)
+    texts = {
+        "tuned.yaml": files.as_yaml({arguments.node: result.applied}, about),
+        "valve.yaml": files.as_yaml({"/**/valve_simulator": valve}, ["The valve as commissioning found it."]),
+        "commission.json": outputs.as_json(sequence.as_dict(result)),
+        "report.html": report.page(result),
+    }
+    say(
+        arguments,
+        f"{result.tuned.law}: e_rms {1e3 * made.measured.e_rms:.2f} mV, c_u {made.measured.c_u:.3f} on the "
+        f"running valve ({1e3 * made.expected.e_rms:.2f} mV, {made.expected.c_u:.3f} in simulation"
+        + (f"; {1e3 * made.former.e_rms:.2f} mV with the parameters from before" if made.former else "")
+        + ")",
+    )
+    for name, text in texts.items():
+        outputs.write(str(folder / name), text)
+        say(arguments, f"wrote {folder / name}")
+    if arguments.json == "-":
+        print(texts["commission.json"], end="")
+    elif arguments.json is not None:
+        outputs.write(arguments.json, texts["commission.json"])
+        say(arguments, f"wrote {arguments.json}")

@@ -1,0 +1,1 @@
+"""Commissions a running valve: tests within limits, model, gains, verification; knows no ROS."""

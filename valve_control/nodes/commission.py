@@ -1,0 +1,313 @@
+"""Reaches a running controller for `valve-control commission`, and looks at every message meanwhile."""
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64
+
+from valve_control.commissioning.bench import Course, Fault, Limits, Record, Seen, Told
+from valve_control.commissioning.watch import Watch
+from valve_control.nodes.adapter import EVERYTHING, SAMPLES, NumberSubscription, PolledSubscription, encoded
+from valve_control.nodes.rclpy_internals import WaitSet
+from valve_control.parameter import ParameterError, Value, Values
+from valve_control.parameters.table import CONTROLLER
+
+MEET = 10.0  # s  in which controller and valve have to be found
+ANSWER = 5.0  # s  in which a service has to answer
+AGAIN = 1.5  # s  after which it is asked again: a server that does not know the client yet cannot answer
+SILENT = 1.0  # s  without a reading, or without a voltage, from which on something is broken
+LOOK = 0.01  # s  most between two looks at what has come
+LAST_WORD = 0.2  # s  in which the last messages arrive
+Sample = tuple[int, int, float]  # number, time of sending [ns], V
+
+
+class Controller:
+    """A running controller ``name`` (full name), as ``commissioning.bench.Bench`` describes it.
+
+    ``period`` [s]: of its readings.
+    """
+
+    def __init__(self, node: Node, name: str) -> None:
+        self._node = node
+        self.name = "/" + name.strip("/")
+        namespace = self.name.rpartition("/")[0]
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        self._topics = {
+            part: f"{namespace}/{part}"
+            for part in ("spool_command", "spool_trajectory", "spool_position", "valve_voltage")
+        }
+        self._readings = NumberSubscription(node, self._topics["spool_position"], EVERYTHING)
+        self._voltages = NumberSubscription(node, self._topics["valve_voltage"], EVERYTHING)
+        self._diagnostics = PolledSubscription(node, DiagnosticArray, "/diagnostics", EVERYTHING)
+        self._commands = node.create_publisher(Float64, self._topics["spool_command"], SAMPLES)
+        self._clients = {
+            service: node.create_client(kind, f"{self.name}/{service}")
+            for service, kind in (
+                ("get_parameters", GetParameters),
+                ("set_parameters_atomically", SetParametersAtomically),
+                ("change_state", ChangeState),
+                ("get_state", GetState),
+            )
+        }
+        self._setting: list[Any] = []  # answers that are still to come
+        self._period = 0.0
+        self._heard = {"reading": time.monotonic(), "voltage": time.monotonic()}
+
+    # Life
+
+    def meet(self) -> None:
+        """Wait until the controller is there with all its services. Raises Fault."""
+        end = time.monotonic() + MEET
+        for client in self._clients.values():
+            while not client.service_is_ready():
+                if time.monotonic() > end:
+                    raise Fault(f"there is no controller {self.name}; is it running, in this ROS domain?")
+                self._executor.spin_once(timeout_sec=0.05)
+
+    def meet_valve(self) -> None:
+        """Wait for readings, and see that nobody else commands. Raises Fault."""
+        end = time.monotonic() + MEET
+        came: list[Sample] = []
+        while not (came and self._commands.get_subscription_count() and self._count("valve_voltage")):
+            if time.monotonic() > end:
+                topic = self._topics["spool_position" if not came else "spool_command"]
+                raise Fault(
+                    f"no reading has come on {topic} within {MEET:g} s"
+                    if not came
+                    else f"{self.name} does not read {topic}"
+                )
+            self._executor.spin_once(timeout_sec=0.05)
+            came += self._taken(self._readings)
+        # What was killed stays in the graph for a while.
+        for topic, own in (("spool_command", 1), ("spool_trajectory", 0), ("valve_voltage", 1)):
+            while self._count(topic) > own:
+                if time.monotonic() > end + MEET:
+                    raise Fault(f"somebody else publishes on {self._topics[topic]}; end that first")
+                self._executor.spin_once(timeout_sec=0.05)
+
+    def _count(self, topic: str) -> int:
+        return int(self._node.count_publishers(self._topics[topic]))
+
+    # Services
+
+    def values(self) -> Values:
+        """All parameters. Raises Fault."""
+        self._settle()
+        names = [parameter.name for parameter in CONTROLLER]
+        got = self._call("get_parameters", GetParameters.Request(names=names)).values
+        values: Values = {}
+        for parameter, message in zip(CONTROLLER, got, strict=True):
+            value = parameter_value_to_python(message)
+            if value is None:
+                raise Fault(
+                    f"{self.name} has no parameter {parameter.name}: it is no controller of this version"
+                )
+            values[parameter.name] = value if isinstance(value, (bool, int, float, str)) else list(value)
+        self._period = float(str(values["sample_period"]))
+        return values
+
+    def apply(self, changes: Mapping[str, Value]) -> None:
+        """Set all ``changes`` or none. Raises Fault."""
+        if not changes:
+            return
+        request = SetParametersAtomically.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg() for name, value in changes.items()]
+        )
+        result = self._call("set_parameters_atomically", request).result
+        if not result.successful:
+            raise Fault(f"{self.name} refuses the parameters: {result.reason}")
+
+    def on(self) -> None:
+        """Activate the controller. Raises Fault."""
+        state = self._state()
+        if state == State.PRIMARY_STATE_UNCONFIGURED:
+            self._change(Transition.TRANSITION_CONFIGURE)
+            state = self._state()
+        if state != State.PRIMARY_STATE_ACTIVE:
+            self._change(Transition.TRANSITION_ACTIVATE)
+            if self._state() != State.PRIMARY_STATE_ACTIVE:
+                raise Fault(f"{self.name} cannot be activated")
+        self._wait_for_control()
+        for subscription in (self._readings, self._voltages):
+            for _ in subscription.take():  # of before
+                pass
+        self._heard = dict.fromkeys(self._heard, time.monotonic())
+
+    def _wait_for_control(self) -> None:
+        """Wait until the controller, which begins without a reading, says that it controls. Raises Fault."""
+        for _ in self._diagnostics.take():
+            pass
+        end, text = time.monotonic() + ANSWER, "nothing"
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=LOOK)
+            for error, text in self._said():
+                if not error and text not in ("inactive", "unconfigured"):
+                    return
+        raise Fault(f"the controller says: {text}")
+
+    def _said(self) -> Iterator[tuple[bool, str]]:
+        """What the controller has said of itself, and whether it gives 0 V."""
+        for message, _ in self._diagnostics.take():
+            for status in message.status:
+                if status.name == self.name.lstrip("/"):
+                    yield status.level == DiagnosticStatus.ERROR, status.message
+
+    def off(self) -> None:
+        """Deactivate the controller, which gives 0 V. Raises Fault."""
+        self._change(Transition.TRANSITION_DEACTIVATE)
+        if self._state() == State.PRIMARY_STATE_ACTIVE:
+            raise Fault(f"{self.name} is still active")
+
+    @property
+    def active(self) -> bool:
+        """Whether the controller works. Raises Fault."""
+        return bool(self._state() == State.PRIMARY_STATE_ACTIVE)
+
+    def _state(self) -> int:
+        return int(self._call("get_state", GetState.Request()).current_state.id)
+
+    def _change(self, transition: int) -> None:
+        self._call("change_state", ChangeState.Request(transition=Transition(id=transition)))
+
+    def _call(self, service: str, request: Any) -> Any:
+        """Answer of a service, which is asked again if it does not come. Raises Fault."""
+        client = self._clients[service]
+        end = time.monotonic() + ANSWER
+        futures = []
+        while True:
+            futures.append(client.call_async(request))
+            if service == "set_parameters_atomically":
+                self._setting.append(futures[-1])
+            again = min(end, time.monotonic() + AGAIN)
+            while time.monotonic() < again:
+                self._executor.spin_once(timeout_sec=LOOK)
+                for future in futures:
+                    if future.done():
+                        return future.result()
+            if time.monotonic() >= end:
+                raise Fault(f"{self.name} does not answer {service} within {ANSWER:g} s")
+
+    def _settle(self) -> None:
+        """Wait for parameters that were being set when something else began."""
+        end = time.monotonic() + AGAIN
+        while any(not future.done() for future in self._setting) and time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=LOOK)
+        self._setting.clear()
+
+    # Messages
+
+    def watch(self, limits: Limits) -> None:
+        """Look at what has come. Raises Fault."""
+        self._look(Watch(limits))
+
+    def drive(self, course: Course, limits: Limits, told: Told) -> Record:
+        """Give the commands of ``course``, one for each reading. Raises Fault."""
+        self._look(Watch(limits))
+        watch = Watch(limits)
+        wait_set = WaitSet(1, 0, 0, 0, 0, 0, self._node.context.handle)
+        readings: list[Sample] = []
+        voltages: list[Sample] = []
+        commands: list[tuple[int, float]] = []
+        number = 0
+
+        def give(value: float) -> None:
+            limited = max(-limits.voltage, min(limits.voltage, value))
+            self._commands.publish(encoded(limited))
+            commands.append((time.time_ns(), limited))
+
+        give(next(course))
+        while True:
+            wait_set.clear_entities()
+            wait_set.add_subscription(self._readings.handle)
+            wait_set.wait(round(LOOK * 1e9))
+            came, answers = self._look(watch)
+            voltages += answers
+            if not came:
+                continue
+            readings += came
+            number = came[-1][0] - readings[0][0]
+            told(number * self._period)
+            try:
+                give(course.send(Seen((number + 1) * self._period, came[-1][2])))
+            except StopIteration:
+                return _paired(readings, voltages, commands, self._period)
+
+    def _look(self, watch: Watch) -> tuple[list[Sample], list[Sample]]:
+        """New readings and voltages. Raises Fault at the first message that is not as it should be."""
+        voltages, readings = self._taken(self._voltages), self._taken(self._readings)
+        now = time.monotonic()
+        for _, _, value in voltages:
+            watch.voltage(value)
+        for _, _, value in readings:
+            watch.reading(value)
+        for error, text in self._said():
+            watch.diagnosis(error, text)
+        for name, came in (("reading", readings), ("voltage", voltages)):
+            if came:
+                self._heard[name] = now
+            elif now > self._heard[name] + SILENT:
+                raise Fault(f"no {name} has come for {now - self._heard[name]:.1f} s")
+        return readings, voltages
+
+    @staticmethod
+    def _taken(subscription: NumberSubscription) -> list[Sample]:
+        return [
+            (info["publication_sequence_number"], info["source_timestamp"], value)
+            for value, info in subscription.take()
+        ]
+
+
+def _paired(
+    readings: list[Sample], voltages: list[Sample], commands: list[tuple[int, float]], period: float
+) -> Record:
+    """Each reading with the voltage that is in force until the next one, and the command of that voltage."""
+    numbers = np.array([number for number, _, _ in readings])
+    index = numbers - numbers[0]
+    if np.any(np.diff(index) <= 0):  # a middleware that does not number
+        index = np.arange(len(readings))
+    count = int(index[-1]) + 1
+    reading = np.full(count, np.nan)
+    reading[index] = [value for _, _, value in readings]
+    stamps = np.interp(np.arange(count), index, [stamp for _, stamp, _ in readings])
+    until = np.append(stamps[1:], stamps[-1] + period * 1e9)
+    given = np.array([stamp for _, stamp, _ in voltages])
+    volts = np.array([value for _, _, value in voltages])
+    newest = np.searchsorted(given, until, side="left") - 1
+    sent = np.array([stamp for stamp, _ in commands])
+    wanted = np.array([value for _, value in commands])
+    last = np.maximum(np.searchsorted(sent, stamps, side="right") - 1, 0)
+    return Record(period, reading, volts[np.maximum(newest, 0)], wanted[last])
+
+
+@contextmanager
+def connected(name: str) -> Iterator[Controller]:
+    """The running controller ``name``, in a ROS context of its own.
+
+    Raises ParameterError if there is none.
+    """
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("commissioner")
+    try:
+        controller = Controller(node, name)
+        try:
+            controller.meet()
+        except Fault as fault:
+            raise ParameterError(str(fault)) from fault
+        yield controller
+        time.sleep(LAST_WORD)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
