@@ -73,6 +73,7 @@ MEANINGS = {
     "spool_position": "LVDT reading [V], the clock of the loop",
     "valve_voltage": "solenoid voltage [V], one for each reading",
     "~/state": "terms of law and supervisor, names in `layout.dim`, every `state_decimation`-th one",
+    "~/terms/NAME": "one of these terms, for each name in `state_topics`",
     "~/journal": "all that the controller took in and gave, a row each, every 0.1 s",
     "~/memory": "all that the controller remembers and its parameters, as JSON, every `memory_period`",
     "/diagnostics": "mode, reasons and counts, once a second and at once with each change",
@@ -131,10 +132,14 @@ def _entity(node: str, call: ast.AST) -> Entity | None:
         _, name, last = arguments
     else:
         return None
-    if not isinstance(name, ast.Constant):
+    if isinstance(name, ast.JoinedStr):  # a name for each of several
+        text = "".join(str(part.value) if isinstance(part, ast.Constant) else "NAME" for part in name.values)
+    elif isinstance(name, ast.Constant):
+        text = str(name.value)
+    else:
         return None
     qos = "" if kind == "serves" else QOS[ast.unparse(last)]
-    return Entity(node, kind, str(name.value), ast.unparse(type_name), qos)
+    return Entity(node, kind, text, ast.unparse(type_name), qos)
 
 
 def topics() -> str:

@@ -49,6 +49,13 @@ CONTROLLER: Table = (
     ),
     Parameter("state_decimation", 10, "", "every n-th sample appears on ~/state; 0: none", 0, 100000),
     Parameter(
+        "state_topics",
+        [""],
+        "",
+        "terms of ~/state that are also published one by one under their names, as numbers on ~/terms/NAME, "
+        "for tools that show no labels; those that the law in force does not have are silent; empty: none",
+    ),
+    Parameter(
         "memory_period",
         1.0,
         "s",
