@@ -9,6 +9,7 @@ NODES = [
     "command_source",
     "manifold",
     "recorder",
+    "dashboard",
 ]
 TOOLS = ["demo", "faults", "lockstep", "joiners", "paper"]
 
@@ -24,7 +25,7 @@ setup(
         (f"share/{NAME}/config/axis", glob("config/axis/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.xml")),
     ],
-    package_data={NAME: ["py.typed", "nodes/*.xml", "export/*.c"]},
+    package_data={NAME: ["py.typed", "nodes/*.xml", "export/*.c", "dashboard/*.js", "dashboard/*.css"]},
     install_requires=[
         "setuptools",
         "numpy>=1.26",
@@ -42,6 +43,7 @@ setup(
     ],
     extras_require={
         "axis": ["ruckig>=0.14"],
+        "dashboard": ["nicegui>=3.18,<4"],
         "test": [
             "pytest>=7.4",
             "hypothesis>=6.90",
@@ -49,6 +51,8 @@ setup(
             "pyserial>=3.5",
             "fmpy>=0.3.20",
             "ruckig>=0.14",
+            "nicegui>=3.18,<4",
+            "selenium>=4.30",
         ],
     },
     python_requires=">=3.11",

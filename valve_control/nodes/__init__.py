@@ -13,7 +13,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 use_own_profile(os.environ)
 
-NODES = ("controller", "valve_simulator", "command_source", "manifold", "recorder")
+NODES = ("controller", "valve_simulator", "command_source", "manifold", "recorder", "dashboard")
 TOOLS = ("demo", "faults", "lockstep", "joiners", "paper")
 
 

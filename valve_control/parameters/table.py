@@ -376,6 +376,17 @@ RECORDER: Table = (
     Parameter("report_period", 5.0, "s", "time between two lines about the progress", 0.1, 1e6),
 )
 
+DASHBOARD: Table = (
+    Parameter("port", 8080, "", "port of the page on 127.0.0.1; 0: any that is free", 0, 65535),
+    Parameter(
+        "token",
+        "",
+        "",
+        "word that the page's address must have (?token=...) to change anything; empty: a new one at each start",
+    ),
+    Parameter("folder", "out/dashboard", "", "folder of recordings, reports and results of runs"),
+)
+
 ROS = ("use_sim_time", "start_type_description_service")
 NODES: dict[str, Table] = {
     "controller": CONTROLLER,
@@ -383,6 +394,7 @@ NODES: dict[str, Table] = {
     "command_source": COMMAND,
     "manifold": MANIFOLD,
     "recorder": RECORDER,
+    "dashboard": DASHBOARD,
 }
 
 
