@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from valve_control.parameter import Value, Values
 
-TOGETHER = 1.0  # s  changes of the same parameters that follow each other so closely are one: a slider that is drawn
+TOGETHER = 1.0  # s  changes of the same parameters that follow so closely are one: a slider that is drawn
 MOST = 500  # changes
 
 

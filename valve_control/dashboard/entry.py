@@ -8,6 +8,8 @@ from valve_control.parameter import Value
 
 STEPS = 1000  # places of a slider
 DECADES = 2.0  # from which on a range that does not touch 0 gets a logarithmic slider
+FAR = 1000.0  # end from which on a range that begins at 0 gets one too ...
+LEAST = 1e-9  # ... which begins at this share of its end
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
 
 
@@ -84,36 +86,49 @@ def shown(value: Value) -> str:
 
 
 class Scale(NamedTuple):
-    """The places 0 to STEPS of a slider over a range of values."""
+    """The places 0 to STEPS of a slider over a range of values.
+
+    A logarithmic one begins at ``floor``; where the range begins at 0, place 0 is 0 all the same.
+    """
 
     low: float
     high: float
-    logarithmic: bool
+    floor: float = 0.0  # above 0: logarithmic from here on
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether equal ways are equal ratios."""
+        return self.floor > 0.0
 
     def place(self, value: float) -> int:
         """Nearest place of ``value``."""
         value = min(max(value, self.low), self.high)
-        if self.logarithmic:
-            share = math.log(value / self.low) / math.log(self.high / self.low)
-        else:
+        if not self.logarithmic:
             share = (value - self.low) / (self.high - self.low)
+        elif value < self.floor:
+            share = 0.0
+        else:
+            share = math.log(value / self.floor) / math.log(self.high / self.floor)
         return round(share * STEPS)
 
     def value(self, place: float) -> float:
         """Value at ``place``, rounded to what the slider can tell apart, and inside the range."""
         share = min(max(place / STEPS, 0.0), 1.0)
+        if share == 0.0:
+            return self.low
         if self.logarithmic:
-            value = self.low * (self.high / self.low) ** share
-            digits = 4
+            value, digits = self.floor * (self.high / self.floor) ** share, 4
         else:
-            value = self.low + share * (self.high - self.low)
-            digits = 6
+            value, digits = self.low + share * (self.high - self.low), 6
         return min(max(float(f"{value:.{digits}g}"), self.low), self.high)
 
 
 def scale(field: Field) -> Scale | None:
-    """Scale of a slider for ``field``; logarithmic where its range spans decades; None for what has no range."""
+    """Scale of a slider for ``field``, logarithmic where its range spans decades; None if it has no range."""
     if not field.bounded or field.low >= field.high:
         return None
-    decades = math.log10(field.high / field.low) if field.low > 0.0 else 0.0
-    return Scale(field.low, field.high, decades >= DECADES)
+    if field.low > 0.0 and math.log10(field.high / field.low) >= DECADES:
+        return Scale(field.low, field.high, field.low)
+    if field.low == 0.0 and field.high >= FAR:
+        return Scale(0.0, field.high, 1.0 if field.kind == "integer" else field.high * LEAST)
+    return Scale(field.low, field.high)

@@ -6,6 +6,7 @@ import struct
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from valve_control.dashboard.history import EMPTY, KEPT, Course
 from valve_control.dashboard.machine import Machine
@@ -51,7 +52,7 @@ def view(text: str) -> View:
 
 
 def frame(machine: Machine, wanted: View, now: float) -> bytes:
-    """A frame: length of the head (4 bytes), head as JSON, then for each signal time, low and high as float32.
+    """A frame: length of the head (4 bytes), head as JSON, for each signal time, low and high as float32.
 
     Times are in seconds from the ``start`` that stands in the head. Numbers are of little-endian order.
     """
@@ -89,7 +90,7 @@ def _course(valve: Valve | None, name: str, start: float, end: float, columns: i
     return EMPTY if history is None else history.course(start, end, columns)
 
 
-def sample(frame: bytes) -> dict[str, np.ndarray]:  # type: ignore[type-arg]
+def sample(frame: bytes) -> dict[str, npt.NDArray[np.float32]]:
     """Signals of a frame by name, each with three rows: time, low, high."""
     (length,) = struct.unpack_from("<I", frame)
     head = json.loads(frame[4 : 4 + length])

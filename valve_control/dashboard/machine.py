@@ -1,4 +1,4 @@
-"""Collects all valves, and changes them for the page: each change is applied as a whole or refused with its reason."""
+"""Collects all valves, and changes them for the page: each change as a whole, or refused with its reason."""
 
 import asyncio
 import threading

@@ -1,4 +1,4 @@
-"""The page of one window: what is seen, tuned and done; what may change the machine is checked here each time."""
+"""The page of one window; whether it may change the machine is checked here each time."""
 
 import time
 from collections.abc import Awaitable, Callable, Iterator
@@ -21,11 +21,17 @@ SLOW = 1.0  # s
 COLOURS = {"info": "", "warning": "vc-warning", "error": "vc-error"}
 STYLE = Path(__file__).with_name("page.css")
 NO_VALVE = (
-    "No valve on the graph yet: no node publishes spool_position or valve_voltage. Start a controller, for example "
-    "ros2 launch valve_control cascade.launch.xml, in this ROS_DOMAIN_ID and discovery range. It appears here by itself."
+    "No valve on the graph yet: no node publishes spool_position or valve_voltage. Start a controller, "
+    "such as ros2 launch valve_control cascade.launch.xml, in this ROS_DOMAIN_ID and discovery range. It "
+    "appears here by itself."
 )
-LOOK_ONLY = "This window may only look: the address has no token. The dashboard's terminal shows the whole address."
-WRONG_TOKEN = "This window may only look: the token in the address is wrong. The dashboard's terminal shows the right one."
+LOOK_ONLY = (
+    "This window may only look: its address has no token. The dashboard's terminal shows the whole one."
+)
+WRONG_TOKEN = (
+    "This window may only look: the token in its address is wrong. The dashboard's terminal shows the right "
+    "one."
+)
 OTHER = "Another window writes; this one looks on."
 
 
@@ -60,7 +66,6 @@ class Page:
         self._writer = writer
         self._tokened = right(token, given)
         self._wrong = bool(given) and not self._tokened
-        self._tab = ""
         self._shown: str | None = None
         self._guarded: list[ui.element] = []
         self._could: bool | None = None
@@ -72,6 +77,11 @@ class Page:
     def may_write(self) -> bool:
         """Whether this window may change the machine now."""
         return self._tokened and self._writer.writes(self._tab)
+
+    @property
+    def _tab(self) -> str:
+        """The browser's name of this window, which outlives a reload; "" until it is connected."""
+        return self._client.tab_id or ""
 
     def allowed(self) -> bool:
         """The same; if not, says so."""
@@ -89,13 +99,23 @@ class Page:
 
     def tell(self, text: str, kind: str = "warning") -> None:
         """Show one sentence for a while."""
+        if self._client.is_deleted:
+            return
         with self._root:
             ui.notify(text, type="negative" if kind == "error" else "warning", position="top", timeout=6000)
+
+    def say(self, valve: Valve, text: str, mark: bool = False) -> None:
+        """Write a line into a valve's log, and a mark into its plots."""
+        with self.machine.lock:
+            now = time.time()
+            valve.say(now, "info", text)
+            if mark:
+                valve.mark(now, text)
 
     @contextmanager
     def controls(self) -> Iterator[ui.element]:
         """What is made inside can be used only while this window writes."""
-        with ui.element("div").classes("vc-controls").props("inert") as box:
+        with ui.element("div").classes("vc-controls").props("" if self.may_write else "inert") as box:
             self._guarded.append(box)
             yield box
 
@@ -112,8 +132,9 @@ class Page:
         valve = self.valve
         return valve.controller if valve is not None else None
 
-    async def build(self) -> None:
-        """Build the page, then find out which window this is."""
+    def build(self) -> None:
+        """Build the page."""
+        self._client = ui.context.client
         ui.add_head_html(f"<style>{STYLE.read_text(encoding='utf-8')}</style>")
         ui.query("html").props('lang="en"')
         ui.colors(primary="#0072b2", negative="#b3261e", positive="#00664a", warning="#8a5a00")
@@ -126,14 +147,8 @@ class Page:
                     self._plots = Plots(self._act)
                 with ui.element("section").classes("vc-side").props('aria-label="Tune and do"'):
                     self._build_side()
-        self._timers = [ui.timer(REFRESH, self._refresh), ui.timer(SLOW, self._refresh_slowly)]
-        client = ui.context.client
-        await client.connected()
-        self._tab = client.tab_id or client.id
-        if self._tokened:
-            self._writer.claim(self._tab, time.monotonic())
-        client.on_disconnect(lambda: self._writer.left(self._tab, time.monotonic()))
-        await self._refresh()
+        ui.timer(REFRESH, self._refresh)
+        ui.timer(SLOW, self._refresh_slowly)
 
     def _build_head(self) -> None:
         with ui.element("header").classes("vc-head"):
@@ -144,15 +159,21 @@ class Page:
             ui.space()
             self._stop_button = ui.button("STOP (space)", on_click=self._stop, color="negative")
             self._stop_button.props("id=stop no-caps").classes("vc-stop")
-            self._activate_button = ui.button("Activate", on_click=self._activate).props("id=activate no-caps outline")
+            self._activate_button = ui.button("Activate", on_click=self._activate).props(
+                "id=activate no-caps outline"
+            )
         with ui.element("div").classes("vc-standing"):
             self._standing_label = ui.label("").props("id=standing role=status")
-            self._claim_button = ui.button("Write here", on_click=self._claim).props("id=claim dense no-caps outline")
+            self._claim_button = ui.button("Write here", on_click=self._claim).props(
+                "id=claim dense no-caps outline"
+            )
         self._notice = ui.label(NO_VALVE).classes("vc-notice").props("id=notice role=status")
 
     def _build_side(self) -> None:
         with ui.tabs().props("dense no-caps align=left") as tabs:
-            names = [ui.tab(name).props(f"id=tab-{name.lower()}") for name in ("Tune", "Do", "Log", "Latency")]
+            names = [
+                ui.tab(name).props(f"id=tab-{name.lower()}") for name in ("Tune", "Do", "Log", "Latency")
+            ]
         with ui.tab_panels(tabs, value=names[0], keep_alive=True, animated=False).classes("vc-panels"):
             with ui.tab_panel(names[0]):
                 self._tuning = Tuning(self)
@@ -182,7 +203,7 @@ class Page:
         said = await self.machine.stop()
         for text in said:
             self.tell(text, "error")
-        await self._refresh()
+        self._refresh()
 
     async def _activate(self) -> None:
         valve, node = self.valve, self.controller
@@ -207,7 +228,11 @@ class Page:
 
     # Refreshing
 
-    async def _refresh(self) -> None:
+    def _refresh(self) -> None:
+        if self._client.is_deleted:
+            return
+        if self._tokened:
+            self._writer.claim(self._tab, time.monotonic())
         now = time.time()
         with self.machine.lock:
             options = {namespace: valve.name for namespace, valve in sorted(self.machine.valves.items())}
@@ -287,5 +312,3 @@ class Page:
                 f"reading to voltage: median {histogram.p50:.3f} ms, 99 % below {histogram.p99:.3f} ms, "
                 f"largest {histogram.largest:.3f} ms; the last {int(histogram.counts.sum())} voltages"
             )
-
-

@@ -25,11 +25,13 @@ HOST = "127.0.0.1"
 NAMES = [HOST, "localhost"]
 START = 30.0  # s
 END = 3.0  # s
+RECONNECT = 10.0  # s that a window may be without connection and go on afterwards
 # The browser itself refuses every request that would leave this host. NiceGUI builds its page in scripts
 # inside the page, and Vue compiles templates, hence the two unsafe ones.
 POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data:; font-src 'self' data:; connect-src 'self'; frame-ancestors 'none'; form-action 'self'"
+    "img-src 'self' data:; font-src 'self' data:; connect-src 'self'; frame-ancestors 'none'; "
+    "form-action 'self'"
 )
 
 
@@ -48,8 +50,8 @@ class Server:
         except OSError as error:
             self._socket.close()
             raise PortTaken(
-                f"port {port} of {HOST} cannot be had: {(error.strerror or str(error)).lower()}; choose another "
-                "with -p port:=8081, or any free one with -p port:=0"
+                f"port {port} of {HOST} cannot be had: {(error.strerror or str(error)).lower()}; choose "
+                "another with -p port:=8081, or any free one with -p port:=0"
             ) from error
         self.address = f"http://{HOST}:{self._socket.getsockname()[1]}/"
         self._programs = Programs()
@@ -63,9 +65,9 @@ class Server:
         folder.mkdir(parents=True, exist_ok=True)
         app.mount("/files", StaticFiles(directory=folder), name="files")
 
-        @ui.page("/", title="valve_control")
-        async def page(token: str = "") -> None:
-            await Page(machine, writer, self._programs, folder, self._token, token).build()
+        @ui.page("/", title="valve_control", response_timeout=START)
+        def page(token: str = "") -> None:
+            Page(machine, writer, self._programs, folder, self._token, token).build()
 
         self._token = token
         ui.run_with(
@@ -74,10 +76,18 @@ class Server:
             title="valve_control",
             favicon=FAVICON,
             binding_refresh_interval=0.5,
+            reconnect_timeout=RECONNECT,
         )
         app.add_middleware(_Policy)
         app.add_middleware(TrustedHostMiddleware, allowed_hosts=NAMES)
-        config = uvicorn.Config(app, log_level="warning", access_log=False, ws_ping_interval=20.0, lifespan="on")
+        config = uvicorn.Config(
+            app,
+            log_level="warning",
+            timeout_graceful_shutdown=1,
+            access_log=False,
+            ws_ping_interval=20.0,
+            lifespan="on",
+        )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
@@ -96,8 +106,9 @@ class Server:
     def stop(self) -> None:
         """End the programs that were started from the page, and the server."""
         self._programs.end_all()
+        # Windows that are open are cut off; that needs no words in the terminal.
+        logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
         self._server.should_exit = True
-        self._server.force_exit = True
         self._thread.join(END)
         self._socket.close()
 
@@ -149,5 +160,3 @@ class _Policy:
             await send(message)
 
         await self._app(scope, receive, sending if scope["type"] == "http" else send)
-
-

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nicegui import events, ui
 
@@ -36,7 +36,9 @@ class Row:
             ui.label(field.name).classes("vc-name")
             self._entry = self._make_entry()
             if self._scale is not None:
-                self._slider = ui.slider(min=0, max=1000, step=1).props(f'aria-label="slider of {field.name}"')
+                self._slider = ui.slider(min=0, max=1000, step=1).props(
+                    f'aria-label="slider of {field.name}"'
+                )
                 self._slider.on("update:model-value", self._slid, throttle=THROTTLE)
             else:
                 ui.element("span")
@@ -51,7 +53,9 @@ class Row:
             return ui.switch(on_change=self._chosen).props(title)
         if field.choices:
             return ui.select(list(field.choices), on_change=self._chosen).props(f"dense outlined {title}")
-        entry = ui.input().props(f'dense outlined inputmode="text" autocomplete="off" spellcheck="false" {title}')
+        entry = ui.input().props(
+            f'dense outlined inputmode="text" autocomplete="off" spellcheck="false" {title}'
+        )
         entry.on("keydown.enter", self._typed)
         entry.on("blur", self._typed)
         entry.on("focus", self._focused)
@@ -68,7 +72,7 @@ class Row:
             if not self._typing:
                 self._entry.set_value(shown(value) if draft is None else draft)
         else:
-            self._entry.set_value(value)
+            self._entry.value = value
         if self._scale is not None and not self._busy and isinstance(value, (int, float)):
             self._slider.set_value(self._scale.place(value))
         reason = self._node.refusals.get(name, "")
@@ -89,7 +93,7 @@ class Row:
             await self._form.enter(self.field, text)
         self.refresh()
 
-    async def _chosen(self, event: events.ValueChangeEventArguments) -> None:
+    async def _chosen(self, event: events.ValueChangeEventArguments[Any]) -> None:
         if event.value != self._node.values.get(self.field.name):
             await self._form.enter(self.field, shown(event.value))
             self.refresh()
@@ -138,7 +142,9 @@ class Tuning:
         self._hint = ui.label("no controller yet").classes("vc-help").props("id=tune-hint")
         with self._page.controls():
             with ui.element("div").classes("vc-buttons"):
-                self._at_once = ui.switch("apply at once", value=True, on_change=self._switched).props("id=at-once")
+                self._at_once = ui.switch("apply at once", value=True, on_change=self._switched).props(
+                    "id=at-once"
+                )
                 self._apply = self._button("Apply", self._apply_drafts, "apply")
                 self._discard = self._button("Discard", self._discard_drafts, "discard")
             with ui.element("div").classes("vc-buttons"):
@@ -156,7 +162,9 @@ class Tuning:
                 self._button("Load", lambda: self._use_file("load"), "load")
             self._said = ui.label("").classes("vc-help").props("id=file-answer role=status")
             self._law_box = ui.element("div")
-        self._filter = ui.input("find a parameter", on_change=self._filtered).props("dense outlined clearable id=filter")
+        self._filter = ui.input("find a parameter", on_change=self._filtered).props(
+            "dense outlined clearable id=filter"
+        )
         self._list = ui.element("div")
 
     def _button(self, text: str, act: events.Handler, name: str) -> ui.button:  # type: ignore[type-arg]
@@ -229,7 +237,8 @@ class Tuning:
         with self._list:
             for group in self._bodies:
                 self._groups[group] = ui.expansion(
-                    f"{group} ({len(self._bodies[group])})", on_value_change=lambda e, g=group: self._opened(g, e.value)
+                    f"{group} ({len(self._bodies[group])})",
+                    on_value_change=lambda e, g=group: self._opened(g, e.value),
                 ).props(f"dense id=group-{group}")
 
     def _opened(self, group: str, open_: bool) -> None:

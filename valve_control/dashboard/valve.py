@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -158,10 +159,8 @@ class Valve:
         if (mode, reason) != (self.mode, self.reason):
             self.say(time, level, f"{mode}: {reason}" if reason and reason != mode else mode)
         self.mode, self.reason, self.figures = mode, reason, figures
-        try:
+        with suppress(ValueError):
             self.period = 1e-3 * float(figures.get("period_ms", "")) or self.period
-        except ValueError:
-            pass
 
     def commanded(self, time: Array, value: Array) -> None:
         """Add commands [V] with their times [s]."""

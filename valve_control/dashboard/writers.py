@@ -2,7 +2,7 @@
 
 import hmac
 
-GONE = 4.0  # s without its window after which the place is free; a reload takes less
+GONE = 5.0  # s without a sign of its window after which the place is free; a reload takes less
 
 
 def right(token: str, given: str) -> bool:
@@ -15,20 +15,17 @@ class Writer:
 
     def __init__(self) -> None:
         self._tab = ""
-        self._left = float("inf")  # s  when its window was closed
+        self._seen = float("-inf")  # s  when it was last there
 
     def claim(self, tab: str, now: float, by_force: bool = False) -> bool:
-        """Whether ``tab`` writes from ``now`` [s] on: if nobody does, it did before, or ``by_force``."""
-        free = self._tab in ("", tab) or now > self._left + GONE
-        if free or by_force:
-            self._tab, self._left = tab, float("inf")
-        return self._tab == tab
+        """Whether ``tab`` writes from ``now`` [s] on: if nobody does, it did before, or ``by_force``.
+
+        Who writes says so again and again; else the place is free after a while.
+        """
+        if tab and (by_force or self._tab in ("", tab) or now > self._seen + GONE):
+            self._tab, self._seen = tab, now
+        return self.writes(tab)
 
     def writes(self, tab: str) -> bool:
         """Whether ``tab`` is the one that writes."""
         return bool(tab) and self._tab == tab
-
-    def left(self, tab: str, now: float) -> None:
-        """Note at ``now`` [s] that the window of ``tab`` was closed or is loaded anew."""
-        if self._tab == tab:
-            self._left = now

@@ -208,9 +208,12 @@ class Watched:
 
     def poll(self) -> None:
         """Hand on all that has come."""
+        # Voltages first, commands last: what caused something is there when that is looked at.
+        voltages, readings = self._taken("valve_voltage"), self._taken("spool_position")
         commands = self._taken("spool_command")
-        points = [(info["source_timestamp"], p.positions[0]) for p, info in self._points.take() if p.positions]
-        readings, voltages = self._taken("spool_position"), self._taken("valve_voltage")
+        points = [
+            (info["source_timestamp"], p.positions[0]) for p, info in self._points.take() if p.positions
+        ]
         with self._node.machine.lock:
             for data, take in (
                 (commands or points, self.valve.commanded),
@@ -238,7 +241,8 @@ class Watched:
     def _poll_state(self) -> None:
         if self._states is None:
             return
-        rows, stamps = [], []
+        rows: list[Any] = []
+        stamps: list[int] = []
         for data, info in self._states.take():
             if not (self._prefix and data.startswith(self._prefix)):
                 self._tell(rows, stamps)
@@ -267,7 +271,7 @@ class Watched:
 
 
 class Dashboard(Worker):
-    """Watches all valves of the graph and hands the page's wishes to their nodes; the page runs in a thread."""
+    """Watches all valves of the graph, hands the page's wishes to their nodes; the page runs in a thread."""
 
     def __init__(self) -> None:
         super().__init__("dashboard")
@@ -299,7 +303,8 @@ class Dashboard(Worker):
             if (error.name or "").startswith("valve_control"):
                 raise
             raise Failure(
-                f"the dashboard needs {error.name}, which is not installed: pip install 'valve_control[dashboard]'"
+                f"the dashboard needs {error.name}, which is not installed: "
+                "pip install 'valve_control[dashboard]'"
             ) from error
         token = word(self._values, "token") or secrets.token_urlsafe(9)
         folder = Path(word(self._values, "folder")).expanduser().absolute()
@@ -344,7 +349,9 @@ class Dashboard(Worker):
     def trigger(self, service: str) -> "Future[Answer]":
         """Call a service of type std_srvs/Trigger."""
         node, _, name = service.rpartition("/")
-        return self._request(node, Trigger, name, Trigger.Request(), lambda got: Answer(got.success, got.message))
+        return self._request(
+            node, Trigger, name, Trigger.Request(), lambda got: Answer(got.success, got.message)
+        )
 
     def transition(self, node: str, name: str) -> "Future[Answer]":
         """Lead a managed node through a transition such as activate."""
@@ -426,7 +433,9 @@ class Dashboard(Worker):
             remote = self._remotes.get(event.node)
             if remote is not None:
                 changed = [*event.new_parameters, *event.changed_parameters]
-                remote.event({p.name: plain(parameter_value_to_python(p.value)) for p in changed if p.value.type})
+                remote.event(
+                    {p.name: plain(parameter_value_to_python(p.value)) for p in changed if p.value.type}
+                )
 
     def _take_diagnostics(self) -> None:
         for data, _ in self._diagnostics.take():
@@ -517,7 +526,9 @@ class Dashboard(Worker):
                 valve.simulator = state
         self._remotes[name] = Remote(self, valve, state)
 
-    def _look_at_node(self, name: str, remote: Remote, alive: set[bytes], services: Mapping[str, Any]) -> None:
+    def _look_at_node(
+        self, name: str, remote: Remote, alive: set[bytes], services: Mapping[str, Any]
+    ) -> None:
         before = self._lives.get(name)
         state, valve, now = remote.state, remote.valve, time.time()
         self._lives[name] = alive if before is None else alive | (before if not alive else set())
@@ -544,12 +555,14 @@ class Dashboard(Worker):
             valve.say(now, "info", f"{state.name} has {len(values)} parameters")
             if state.lost:
                 names = ", ".join(sorted(state.lost))
-                valve.say(now, "warning", f"{state.name} started with other values than it had before: {names}")
+                valve.say(now, "warning", f"{state.name} came back with other values of {names}")
             if state is valve.controller and "set_parameters_atomically" in state.services:
                 wanting = {"save_parameters", "load_parameters"} - state.services
                 if wanting:
-                    valve.say(now, "warning", f"{state.name} is an older or another controller: it lacks "
-                              + ", ".join(sorted(wanting)))  # fmt: skip
+                    lacks = ", ".join(sorted(wanting))
+                    valve.say(
+                        now, "warning", f"{state.name} is an older or another controller: it lacks {lacks}"
+                    )
 
     def finish(self) -> None:
         """End the page and the programs that it has started."""

@@ -382,7 +382,7 @@ DASHBOARD: Table = (
         "token",
         "",
         "",
-        "word that the page's address must have (?token=...) to change anything; empty: a new one at each start",
+        "word that the page's address must have (?token=...) to change anything; empty: a new one each time",
     ),
     Parameter("folder", "out/dashboard", "", "folder of recordings, reports and results of runs"),
 )
