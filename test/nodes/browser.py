@@ -110,6 +110,27 @@ class Window:
         entry.send_keys(text, Keys.ENTER)
         self.blur()
 
+    def fill(self, name, text):
+        """Put a text into the field with the id ``name``."""
+        from selenium.webdriver import Keys
+
+        entry = self.find(f"#{name} input")
+        self.js("arguments[0].scrollIntoView({block: 'center'})", entry)
+        entry.click()
+        entry.send_keys(Keys.CONTROL, "a")
+        entry.send_keys(text)
+        self.blur()
+
+    def choose(self, selector, word):
+        """Choose an entry of a list."""
+        self.click(selector)
+
+        def item():
+            items = self.driver.find_elements("css selector", ".q-menu .q-item")
+            return next((i for i in items if i.text == word), None)
+
+        until(item, f"{word} in {selector}").click()
+
     def refusal(self, name):
         return self.text(f"[data-name='{name}'] .vc-refusal")
 

@@ -37,7 +37,9 @@ def test_every_sample_of_the_loop_is_in_the_frames(ros, tmp_path):
     ):
         address = started(tmp_path / "d.log")
         motion.bench.connect()
-        spin_until(ros, lambda: motion.bench.lvdt.get_subscription_count() == 2, "the dashboard's subscription")
+        spin_until(
+            ros, lambda: motion.bench.lvdt.get_subscription_count() == 2, "the dashboard's subscription"
+        )
         wire = f"{address.split('?')[0].replace('http', 'ws')}frames"
         with connect(wire) as page:
 

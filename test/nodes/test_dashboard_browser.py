@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from bench import get_double, set_parameters, spin_until
-from browser import needs_browser, until, window
+from browser import get, needs_browser, until, window
 
 from valve_control.nodes.harness.processes import process
 
@@ -23,7 +23,7 @@ CALM = {
     "controller": [
         "sample_period:=0.005", "lvdt.hold_samples:=2000", "lvdt.period_limit:=1000.0",
         "lvdt.frozen_samples:=0", "lvdt.disturbance:=0.0", "command_timeout:=0.0", "state_decimation:=2",
-        "lvdt.max_rate:=1e7",
+        "lvdt.max_rate:=1e7", "pid.kp:=1.0", "pid.ki:=20.0", "pid.kd:=0.0",
     ],
     "valve_simulator": ["sample_period:=0.005", "voltage_timeout:=0.0", "friction.coulomb:=0.2"],
     "command_source": [
@@ -90,6 +90,19 @@ def page(browser, page_address):
     return browser
 
 
+def settled(read):
+    """What ``read`` gives once it has given it twice."""
+    values = [None]
+
+    def twice():
+        values.append(read())
+        time.sleep(0.3)
+        return values[-1] == values[-2]
+
+    until(twice, "a value that stays")
+    return values[-1]
+
+
 def kp(ros):
     return get_double(ros, "pid.kp")
 
@@ -100,43 +113,44 @@ def test_a_gain_moved_by_its_slider_changes_the_loop_and_the_plot(page, ros):
     until(lambda: page.figure("e_rms") > 0.0, "indices")
     before, error = kp(ros), page.figure("e_rms")
     slider = page.find("[data-name='pid.kp'] .q-slider")
-    page.drag(slider, page.js("return arguments[0].querySelector('.q-slider__thumb')", slider), 0.9)
+    page.drag(slider, page.js("return arguments[0].querySelector('.q-slider__thumb')", slider), 0.6)
     spin_until(ros, lambda: kp(ros) > 2.0 * before, "a larger gain")
     focus = page.find(
         "[data-name='pid.kp'] .q-slider [tabindex='0'], [data-name='pid.kp'] .q-slider[tabindex='0']"
     )
-    moved = kp(ros)
+    moved = settled(lambda: kp(ros))
     page.js("arguments[0].focus()", focus)
     page.keys(Keys.ARROW_LEFT)
     spin_until(ros, lambda: 0.9 * moved < kp(ros) < moved, "one step of the keyboard")
+    # All moves of one slider in quick succession are one change.
     page.press("#undo")
-    spin_until(ros, lambda: kp(ros) == moved, "the step taken back")
-    page.press("#undo")
+    if settled(lambda: kp(ros)) != before:
+        page.press("#undo")
     spin_until(ros, lambda: kp(ros) == before, "the gain as before")
     slider = page.find("[data-name='pid.ki'] .q-slider")
     page.drag(slider, page.js("return arguments[0].querySelector('.q-slider__thumb')", slider), -0.1)
     spin_until(ros, lambda: get_double(ros, "pid.ki") == 0.0, "the integral gain at the left end")
     until(lambda: page.shown("pid.ki") == "0.0", "the value beside the slider")
-    page.type("pid.static_feedforward", "0,5")  # with a decimal comma
-    spin_until(ros, lambda: get_double(ros, "pid.static_feedforward") == 0.5, "the feedforward")
-    # Without integral and with half the feedforward the error is larger, and so it is drawn.
+    page.type("pid.static_feedforward", "0,05")  # with a decimal comma
+    spin_until(ros, lambda: get_double(ros, "pid.static_feedforward") == 0.05, "the feedforward")
+    # Without integral and almost no feedforward the error is larger, and so it is drawn.
     until(
-        lambda: page.figure("e_rms") > 3.0 * error, f"a larger error than {error} V: {page.text('#indices')}"
+        lambda: page.figure("e_rms") > 1.5 * error, f"a larger error than {error} V: {page.text('#indices')}"
     )
     page.click("#tab-log")
-    page.wait_for("#log", "pid.static_feedforward 1.18 → 0.5")
+    page.wait_for("#log", "pid.static_feedforward 1.18 → 0.05")
     page.click("#tab-tune")
     PICTURES.mkdir(parents=True, exist_ok=True)
     page.driver.save_screenshot(str(PICTURES / "dashboard_tune.png"))
     page.press("#undo")
     spin_until(ros, lambda: get_double(ros, "pid.static_feedforward") == 1.18, "the feedforward as before")
     page.press("#undo")
-    spin_until(ros, lambda: get_double(ros, "pid.ki") == 940.0, "the integral gain as before")
-    until(lambda: page.figure("e_rms") < 2.0 * error, "the error as before")
+    spin_until(ros, lambda: get_double(ros, "pid.ki") == 20.0, "the integral gain as before")
+    until(lambda: page.figure("e_rms") < 1.2 * error, "the error as before")
     page.keys("y")
     spin_until(ros, lambda: get_double(ros, "pid.ki") == 0.0, "the change made again with Y")
     page.keys("u")
-    spin_until(ros, lambda: get_double(ros, "pid.ki") == 940.0, "taken back again with U")
+    spin_until(ros, lambda: get_double(ros, "pid.ki") == 20.0, "taken back again with U")
 
 
 def test_a_refused_value_shows_its_reason_and_changes_nothing(page, ros):
@@ -157,31 +171,31 @@ def test_a_refused_value_shows_its_reason_and_changes_nothing(page, ros):
 
 def test_several_changes_are_applied_together_or_not_at_all(page, ros):
     page.press("#at-once .q-toggle__inner, #at-once")
-    page.type("pid.kp", "12")
+    page.type("pid.kp", "1.2")
     page.type("pid.break_frequency", "0.1")
     page.wait_for("#apply", "Apply 2 together")
-    assert kp(ros) == 15.0
+    assert kp(ros) == 1.0
     page.press("#apply")
     page.wait_for("#refusal", "none of the 2 was changed")
-    assert kp(ros) == 15.0
+    assert kp(ros) == 1.0
     # A reload loses nothing: what was typed is there, and not applied.
     page.open(page.driver.current_url)
     page.wait_for("#standing", "This window writes")
-    until(lambda: page.shown("pid.kp") == "12" and page.shown("pid.break_frequency") == "0.1", "the drafts")
+    until(lambda: page.shown("pid.kp") == "1.2" and page.shown("pid.break_frequency") == "0.1", "the drafts")
     page.press("#discard")
-    until(lambda: page.shown("pid.kp") == "15.0", "the values in force")
+    until(lambda: page.shown("pid.kp") == "1.0", "the values in force")
 
 
 def test_two_sets_are_compared_with_a_key(page, ros):
     page.press("#keep-a")
     page.wait_for("#sets", "set A is kept")
-    page.type("pid.kp", "14")
-    page.type("pid.kd", "0,06")
-    spin_until(ros, lambda: get_double(ros, "pid.kd") == 0.06, "the second set")
+    page.type("pid.kp", "1.4")
+    page.type("pid.kd", "0,01")
+    spin_until(ros, lambda: get_double(ros, "pid.kd") == 0.01, "the second set")
     page.press("#keep-b")
     page.wait_for("#sets", "A / B differ in 2")
     page.blur()
-    for expected in ((15.0, 0.07), (14.0, 0.06), (15.0, 0.07)):
+    for expected in ((1.0, 0.0), (1.4, 0.01), (1.0, 0.0)):
         page.keys("x")
         spin_until(ros, lambda e=expected: (kp(ros), get_double(ros, "pid.kd")) == e, f"{expected}")
     # A key pressed in a field is a letter, not a command.
@@ -189,18 +203,18 @@ def test_two_sets_are_compared_with_a_key(page, ros):
     page.keys("x", " ")
     page.blur()
     until(lambda: "is no number" in page.refusal("pid.kp"), "the letter in the field")
-    assert kp(ros) == 15.0
+    assert kp(ros) == 1.0
     page.press("#discard")
 
 
 def test_what_others_change_is_shown_and_can_be_undone(page, ros):
-    assert set_parameters(ros, pid__kp=13.0).successful
-    until(lambda: page.shown("pid.kp") == "13.0", "the value that somebody else has set")
+    assert set_parameters(ros, pid__kp=1.3).successful
+    until(lambda: page.shown("pid.kp") == "1.3", "the value that somebody else has set")
     page.click("#tab-log")
-    page.wait_for("#log", "pid.kp 15.0 → 13.0 (from elsewhere)")
+    page.wait_for("#log", "pid.kp 1.0 → 1.3 (from elsewhere)")
     page.click("#tab-tune")
     page.press("#undo")
-    spin_until(ros, lambda: kp(ros) == 15.0, "undone")
+    spin_until(ros, lambda: kp(ros) == 1.0, "undone")
 
 
 def test_the_law_is_switched_and_back(page, ros):
@@ -211,7 +225,6 @@ def test_the_law_is_switched_and_back(page, ros):
             item.click()
             break
     page.find("[data-name='arc.k1'] input")
-    page.wait_for("#log, body", "")
     page.press("#undo")
     until(
         lambda: page.driver.find_elements("css selector", "[data-name='pid.kp'] input"), "the form of the PID"
@@ -222,13 +235,13 @@ def test_parameters_are_saved_and_loaded(page, ros, folder):
     page.press("#save")
     page.wait_for("#file-answer", f"wrote {folder}/saved.yaml")
     saved = yaml.safe_load((folder / "saved.yaml").read_text())["/controller"]["ros__parameters"]
-    assert saved["pid"]["kp"] == 15.0
-    page.type("pid.kp", "11")
-    spin_until(ros, lambda: kp(ros) == 11.0, "a change")
+    assert saved["pid"]["kp"] == 1.0
+    page.type("pid.kp", "1.1")
+    spin_until(ros, lambda: kp(ros) == 1.1, "a change")
     page.press("#load")
     page.wait_for("#file-answer", "of which")
-    spin_until(ros, lambda: kp(ros) == 15.0, "the saved value")
-    until(lambda: page.shown("pid.kp") == "15.0", "the saved value on the page")
+    spin_until(ros, lambda: kp(ros) == 1.0, "the saved value")
+    until(lambda: page.shown("pid.kp") == "1.0", "the saved value on the page")
 
 
 def test_space_stops_the_valve_and_it_is_activated_again(page):
@@ -255,7 +268,7 @@ def test_pause_zoom_terms_and_view_outlive_a_reload(page):
     page.js("document.querySelector('.vc-plots').focus()")
     page.keys("p")
     until(lambda: page.text(".vc-live") == "paused", "paused")
-    end = page.plots()["end"]
+    end = settled(lambda: page.plots()["end"])
     frames = int(page.plots()["frames"])
     until(lambda: int(page.plots()["frames"]) > frames + 5, "more frames")
     assert page.plots()["end"] == end
@@ -307,7 +320,7 @@ def test_one_window_writes_and_those_without_token_look(page, page_address, ros)
         other.type("pid.kp", "3")
         other.wait_for(".q-notification", "may only look")
         other.keys("u", " ")
-        assert kp(ros) == 15.0
+        assert kp(ros) == 1.0
         other.open(page_address)
         other.wait_for("#standing", "Another window writes")
         assert not other.enabled("#undo")
@@ -319,38 +332,100 @@ def test_one_window_writes_and_those_without_token_look(page, page_address, ros)
     assert "inactive" not in page.text("#mode")
 
 
-def test_a_killed_controller_is_seen_and_its_successor_too(browser, folder, tmp_path, ros):
-    with node("valve_simulator", tmp_path, namespace="/boom"), dashboard(tmp_path) as found:
+def choose(page, name):
+    """Choose a valve."""
+    until(
+        lambda: page.js("return document.querySelector('.vc-choice').offsetParent !== null"), "several valves"
+    )
+    page.click(".vc-choice")
+
+    def item():
+        items = page.driver.find_elements("css selector", ".q-menu .q-item")
+        return next((i for i in items if i.text == name), None)
+
+    until(item, f"{name} among the valves").click()
+    until(lambda: name in page.text(".vc-choice"), f"{name} chosen")
+
+
+def test_a_killed_controller_is_seen_and_its_successor_too(page, tmp_path, ros):
+    with node("valve_simulator", tmp_path, namespace="/boom"):
         with node("controller", tmp_path, namespace="/boom") as child:
-            browser.open(found)
-            until(
-                lambda: "boom" in browser.js("return document.querySelector('.vc-choice').innerText"), "boom"
-            )
-            browser.js("document.querySelector('.vc-choice').scrollIntoView()")
-            choose(browser, "boom")
-            browser.find("[data-name='pid.kp'] input")
-            browser.type("pid.kp", "9")
-            spin_until(ros, lambda: get_double(ros, "pid.kp", "boom/controller") == 9.0, "a change")
-            browser.click("#tab-log")
-            os.kill(child.pid, signal.SIGKILL)
-            began = time.monotonic()
+            choose(page, "boom")
+            page.wait_for("#tune-hint", "/boom/controller: ")
+            page.find("[data-name='pid.kp'] input")
+            page.type("pid.kp", "0.9")
+            spin_until(ros, lambda: get_double(ros, "pid.kp", "boom/controller") == 0.9, "a change")
+            child.send_signal(signal.SIGKILL)
+            killed = time.monotonic()
+            page.wait_for("#mode", "silent")
+            assert time.monotonic() - killed < 2.0 or busy()
         with node("controller", tmp_path, namespace="/boom"):
-            browser.wait_for("#log", "started anew")
-            seen = time.monotonic() - began
-            browser.wait_for("#log", "came back with other values of pid.kp")
-            assert seen < 60.0
-            browser.click("#tab-tune")
-            browser.press("#restore")
-            spin_until(ros, lambda: get_double(ros, "pid.kp", "boom/controller") == 9.0, "the lost value")
+            log = tmp_path / "controller_boom.log"
+            until(lambda: "waiting for spool_position" in log.read_text(), "the successor")
+            began = time.monotonic()
+            page.click("#tab-log")
+            page.wait_for("#log", "/boom/controller was started anew")
+            assert time.monotonic() - began < 2.0 or busy()
+            page.wait_for("#log", "came back with other values of pid.kp")
+            page.click("#tab-tune")
+            page.press("#restore")
+            spin_until(ros, lambda: get_double(ros, "pid.kp", "boom/controller") == 0.9, "the lost value")
+    choose(page, "valve")
 
 
-def choose(browser, name):
-    """Choose a valve, where there are several."""
-    if browser.js("return document.querySelector('.vc-choice').offsetParent === null"):
-        return
-    browser.click(".vc-choice")
-    until(lambda: browser.driver.find_elements("css selector", ".q-menu .q-item"), "the valves")
-    next(i for i in browser.driver.find_elements("css selector", ".q-menu .q-item") if i.text == name).click()
+def busy():
+    """Whether others want this machine's cores too, so that times say nothing."""
+    return os.getloadavg()[0] > 1.5 * (os.cpu_count() or 1)
+
+
+def test_commands_recordings_and_faults(page, tmp_path, folder):
+    page.click("#tab-do")
+    page.press("#start")
+    page.wait_for("#command-refusal", "/command_source commands this valve already")
+    with node("valve_simulator", tmp_path, namespace="/arm"), node("controller", tmp_path, namespace="/arm"):
+        choose(page, "arm")
+        page.find("#fault-lvdt")
+        until(lambda: page.text("#command-state") == "nobody commands this valve", "no command")
+        page.fill("command-amplitude", "5")
+        page.press("#start")
+        page.wait_for("#command-refusal", "this sine reaches 5 V; the limit is 3 V; nothing was sent")
+        page.fill("command-amplitude", "0,8")
+        page.press("#record")
+        page.wait_for("#record-state", "messages")
+        page.press("#start")
+        page.wait_for("#command-state", "/arm/page_command")
+        until(lambda: page.figure("e_rms") > 0.0, "an error")
+        page.driver.save_screenshot(str(PICTURES / "dashboard_do.png"))
+        page.press("#end")
+        until(lambda: page.text("#command-state").endswith("nobody commands this valve"), "the command's end")
+        page.press("#inject")  # nothing chosen yet: no fault
+        assert page.text("#fault-answer") == ""
+        page.choose("#fault-valve", "stuck")
+        page.press("#inject")
+        page.click("#tab-log")
+        page.wait_for("#log", "fault.valve none → stuck")
+        page.click("#tab-do")
+        page.press("#no-faults")
+        page.press("#end-record")
+        page.wait_for("#report", "report of recording")
+        link = page.js("return document.querySelector('#report').href")
+        status, text = get(link)
+        assert status == 200 and "<html" in text[:500].lower() and "plotly" in text
+        assert (folder / "made" / link.rsplit("/", 1)[1]).exists()
+    choose(page, "valve")
+
+
+def test_a_run_shows_its_progress_and_what_it_wrote(page):
+    page.click("#tab-do")
+    page.fill("arguments", "--set steps=3 cycles=3 --set step_time=0.1 --output valve.yaml")
+    page.press("#start-run")
+    page.wait_for("#run-state", "ended with status 2")
+    assert "unrecognized" in page.text("#output") or "valve-control" in page.text("#output")
+    page.fill("arguments", "--valve second_order --set lvdt.noise=0.002 --output valve.yaml")
+    page.press("#start-run")
+    page.wait_for("#run-state", "running")
+    page.wait_for("#run-state", "done", 120.0)
+    page.wait_for("#made", "valve.yaml")
 
 
 def test_a_phone_shows_all_of_it(page_address):

@@ -41,6 +41,11 @@ FAULTS = ("fault.lvdt", "fault.valve", "fault.samples", "fault.jump")
 SHOWN_LINES = 30
 
 
+def named(name: str) -> ui.element:
+    """A box with an id of the page."""
+    return ui.element("div").props(f"id={name}")
+
+
 class Doing:
     """The part of the page that commands, records and runs."""
 
@@ -67,9 +72,10 @@ class Doing:
             for name in SHAPE:
                 parameter = lookup(COMMAND, name)
                 text = FIRST.get(name, as_text(parameter.default))
-                self._fields[name] = ui.input(f"{name} [{parameter.unit}]", value=text).props(
-                    f'dense outlined id=command-{name} autocomplete="off"'
-                )
+                with named(f"command-{name}"):
+                    self._fields[name] = ui.input(f"{name} [{parameter.unit}]", value=text).props(
+                        'dense outlined autocomplete="off"'
+                    )
             for title, text in LIMITS.items():
                 self._limits[title] = ui.input(title, value=text).props('dense outlined autocomplete="off"')
         with ui.element("div").classes("vc-buttons"):
@@ -226,14 +232,14 @@ class Doing:
                     field = node.fields.get(name)
                     if field is None:
                         continue
-                    title = f"dense outlined id={name.replace('.', '-')}"
-                    if field.choices:
-                        made: ui.select | ui.input = ui.select(
-                            list(field.choices), label=name, value=str(node.values[name])
+                    value = str(node.values[name])
+                    with named(name.replace(".", "-")):
+                        made: ui.select | ui.input = (
+                            ui.select(list(field.choices), label=name, value=value)
+                            if field.choices
+                            else ui.input(name, value=value)
                         )
-                    else:
-                        made = ui.input(name, value=str(node.values[name]))
-                    self._faults[name] = made.props(title)
+                    self._faults[name] = made.props("dense outlined")
             with ui.element("div").classes("vc-buttons"):
                 ui.button("Inject", on_click=self._inject).props("id=inject no-caps dense outline")
                 ui.button("No faults", on_click=self._clear).props("id=no-faults no-caps dense outline")
@@ -264,8 +270,9 @@ class Doing:
         ui.label("Runs").classes("vc-title")
         self._run = ui.select(list(RUNS[:2]), value=RUNS[0], on_change=self._example)
         self._run.props('dense outlined id=run aria-label="run"')
-        self._arguments = ui.input("arguments, as after valve-control", value=EXAMPLES[RUNS[0]])
-        self._arguments.props('dense outlined id=arguments autocomplete="off"')
+        with named("arguments"):
+            self._arguments = ui.input("arguments, as after valve-control", value=EXAMPLES[RUNS[0]])
+        self._arguments.props('dense outlined autocomplete="off"')
         with ui.element("div").classes("vc-buttons"):
             ui.button("Run", on_click=self._start_run).props("id=start-run no-caps dense outline")
             ui.button("Cancel", on_click=self._cancel_run).props("id=cancel-run no-caps dense outline")

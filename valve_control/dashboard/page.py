@@ -1,5 +1,6 @@
 """The page of one window; whether it may change the machine is checked here each time."""
 
+import math
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
@@ -282,10 +283,13 @@ class Page:
             return "gone", f"{node.name} is gone from the graph. When it is started again it appears here."
         if node.state in ("inactive", "unconfigured"):
             return node.state, ""
-        if not valve.live(now):
-            newest = max(valve.signals["position"].newest, valve.signals["voltage"].newest)
-            since = f"since {now - newest:.0f} s" if newest > 0.0 else "so far"
-            return "silent", f"No readings and no voltages of {valve.name} {since}."
+        silent = valve.silent(now)
+        if silent:
+            since = ", ".join(
+                f"no {name} " + (f"since {age:.0f} s" if age < math.inf else "so far")
+                for name, age in silent.items()
+            )
+            return f"silent: {since}", ""
         mode = valve.mode or "waiting for diagnostics"
         return f"{mode}: {valve.reason}" if valve.reason and valve.reason != mode else mode, ""
 

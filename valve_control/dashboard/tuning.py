@@ -175,6 +175,8 @@ class Tuning:
     def show(self) -> None:
         """Show another valve."""
         self._shown = self._built_for = None
+        self._clear()
+        self._hint.set_text("no controller yet")
         self.refresh()
 
     def refresh(self) -> None:
@@ -221,13 +223,16 @@ class Tuning:
         text = ", ".join(f"{name} {sets['A'][name]} / {value}" for name, value in sorted(differ.items())[:6])
         return f"set {node.comparison.active} is in force; A / B differ in {len(differ)}: {text}"
 
-    def _build_groups(self, node: NodeState) -> None:
+    def _clear(self) -> None:
         self._list.clear()
         self._law_box.clear()
         self._rows.clear()
         self._groups.clear()
         self._bodies.clear()
         self._law = ""
+
+    def _build_groups(self, node: NodeState) -> None:
+        self._clear()
         for name, field in node.fields.items():
             if name not in HIDDEN and name != LAW and not field.read_only:
                 self._bodies.setdefault(name.partition(".")[0] if "." in name else GENERAL, []).append(field)

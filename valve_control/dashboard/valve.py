@@ -193,6 +193,14 @@ class Valve:
         for at, label in enumerate(labels):
             self.terms[label].append(time, rows[:, at])
 
+    def silent(self, now: float) -> dict[str, float]:
+        """Which of readings and voltages have not come for a second, and for how long [s] (inf: never)."""
+        ages = {
+            "readings": now - self.signals["position"].newest,
+            "voltages": now - self.signals["voltage"].newest,
+        }
+        return {name: age for name, age in ages.items() if age > PRESENT}
+
     def live(self, now: float) -> bool:
         """Whether readings or voltages have come within the last second before ``now`` [s]."""
-        return max(self.signals["position"].newest, self.signals["voltage"].newest) > now - PRESENT
+        return len(self.silent(now)) < 2
