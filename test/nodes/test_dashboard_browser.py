@@ -380,12 +380,14 @@ def busy():
 
 def test_commands_recordings_and_faults(page, tmp_path, folder):
     page.click("#tab-do")
+    page.wait_for("#command-state", "/command_source")
     page.press("#start")
     page.wait_for("#command-refusal", "/command_source commands this valve already")
     with node("valve_simulator", tmp_path, namespace="/arm"), node("controller", tmp_path, namespace="/arm"):
         choose(page, "arm")
         page.find("#fault-lvdt")
         until(lambda: page.text("#command-state") == "nobody commands this valve", "no command")
+        page.wait_for("#mode", "no command yet")
         page.fill("command-amplitude", "5")
         page.press("#start")
         page.wait_for("#command-refusal", "this sine reaches 5 V; the limit is 3 V; nothing was sent")

@@ -291,7 +291,13 @@ class Page:
             )
             return f"silent: {since}", ""
         mode = valve.mode or "waiting for diagnostics"
-        return f"{mode}: {valve.reason}" if valve.reason and valve.reason != mode else mode, ""
+        several = valve.commanders if len(valve.commanders) > 1 else []
+        notice = (
+            f"{' and '.join(several)} command this valve at the same time; end all but one."
+            if several
+            else ""
+        )
+        return f"{mode}: {valve.reason}" if valve.reason and valve.reason != mode else mode, notice
 
     def _refresh_slowly(self) -> None:
         valve = self.valve
