@@ -62,8 +62,8 @@ class Server:
         async def frames(wire: WebSocket) -> None:
             await _serve_frames(wire, machine)
 
-        folder.mkdir(parents=True, exist_ok=True)
-        app.mount("/files", StaticFiles(directory=folder), name="files")
+        # The folder is made with the first thing that is put into it.
+        app.mount("/files", StaticFiles(directory=folder, check_dir=False), name="files")
 
         @ui.page("/", title="valve_control", response_timeout=START)
         def page(token: str = "") -> None:
