@@ -85,7 +85,7 @@ MEANINGS = {
 ANY = {
     "recorder": "The recorder subscribes to the topics of all valves, or to those that `topics` names.",
     "manifold": "The manifold hosts one `controller` or `valve_simulator` for each valve, in its namespace.",
-    "dashboard": "The dashboard subscribes, best effort, to the topics of all valves that it finds on the graph.",
+    "dashboard": "The dashboard subscribes, best effort, to the topics of all valves on the graph.",
 }
 QOS = {
     "SAMPLES": "reliable, keep last 10",

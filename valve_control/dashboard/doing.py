@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from nicegui import ui
 
@@ -17,12 +16,10 @@ from valve_control.commands.scenarios import SCENARIOS
 from valve_control.dashboard.entry import EntryError, number, parse
 from valve_control.dashboard.generator import check
 from valve_control.dashboard.valve import Valve
+from valve_control.dashboard.window import Window
 from valve_control.parameter import ParameterError, Value, Values, defaults, lookup, updated
 from valve_control.parameters.build import as_text
 from valve_control.parameters.table import COMMAND
-
-if TYPE_CHECKING:
-    from valve_control.dashboard.page import Page
 
 GENERATOR, RECORDER, REPORT, RUN = "generator", "recorder", "report", "run"  # places of programs
 SHAPE = (
@@ -49,7 +46,7 @@ def named(name: str) -> ui.element:
 class Doing:
     """The part of the page that commands, records and runs."""
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: Window) -> None:
         self._page = page
         self._fields: dict[str, ui.input] = {}
         self._limits: dict[str, ui.input] = {}

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nicegui import events, ui
 
 from valve_control.dashboard.changes import differing
 from valve_control.dashboard.entry import EntryError, Field, parse, scale, shown
 from valve_control.dashboard.valve import NodeState, Valve
+from valve_control.dashboard.window import Window
 from valve_control.parameter import Value
-
-if TYPE_CHECKING:
-    from valve_control.dashboard.page import Page
 
 LAW = "controller"  # the parameter that names the law
 GENERAL = "general"
@@ -118,7 +116,7 @@ class Row:
 class Tuning:
     """The part of the page that tunes."""
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: Window) -> None:
         self._page = page
         self._rows: dict[str, Row] = {}
         self._groups: dict[str, ui.expansion] = {}
