@@ -135,6 +135,8 @@ def _entity(node: str, call: ast.AST) -> Entity | None:
         return None
     if isinstance(name, ast.JoinedStr):  # a name for each of several
         text = "".join(str(part.value) if isinstance(part, ast.Constant) else "NAME" for part in name.values)
+        if not text.startswith("~/"):
+            return None
     elif isinstance(name, ast.Constant):
         text = str(name.value)
     else:

@@ -52,9 +52,12 @@ def test_a_slider_that_is_drawn_is_one_change():
     for k in range(20):
         changes.add(Change(0.1 * k, {"k1": float(k)}, {"k1": k + 1.0}, "here"))
     assert len(changes.done) == 1 and changes.back() == {"k1": 0.0}
-    changes.add(Change(2.5, {"k2": 1.0}, {"k2": 2.0}, "here"))
+    # A node that takes long to answer tears no gesture apart: the pause counts, not the wait.
+    changes.add(Change(5.0, {"k1": 20.0}, {"k1": 21.0}, "here"), asked=2.0)
+    assert len(changes.done) == 1 and changes.back() == {"k1": 0.0}
+    changes.add(Change(6.5, {"k2": 1.0}, {"k2": 2.0}, "here"))
     changes.add(Change(9.0, {"k2": 2.0}, {"k2": 3.0}, "here"))
-    assert [change.after for change in changes.done] == [{"k1": 20.0}, {"k2": 2.0}, {"k2": 3.0}]
+    assert [change.after for change in changes.done] == [{"k1": 21.0}, {"k2": 2.0}, {"k2": 3.0}]
 
 
 def test_a_node_tells_late_what_was_set_here_and_it_is_not_taken_for_others():

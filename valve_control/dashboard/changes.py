@@ -30,15 +30,15 @@ class Changes:
         self.done: list[Change] = []
         self.undone: list[Change] = []
 
-    def add(self, change: Change) -> None:
-        """Remember ``change``; what had been taken back before it cannot be made again."""
+    def add(self, change: Change, asked: float | None = None) -> None:
+        """Remember ``change``, asked for at ``asked`` [s]; what was taken back before it is not made again."""
         self.undone.clear()
         last = self.done[-1] if self.done else None
         if (
             last is not None
             and last.origin == change.origin
             and last.after.keys() == change.after.keys()
-            and change.time - last.time < TOGETHER
+            and (change.time if asked is None else asked) - last.time < TOGETHER
         ):
             self.done[-1] = Change(change.time, last.before, change.after, change.origin)
         else:

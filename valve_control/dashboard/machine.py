@@ -63,10 +63,11 @@ class Machine:
 
     async def change(self, valve: Valve, node: NodeState, values: Values, origin: str = "here") -> str:
         """Set ``values`` together; the reason if they are refused, else ""."""
+        asked = time.time()
         reason, change = await self._set(valve, node, values, origin)
         if change is not None:
             with self.lock:
-                node.changes.add(change)
+                node.changes.add(change, asked)
         return reason
 
     async def _set(
