@@ -200,6 +200,7 @@ def test_two_sets_are_compared_with_a_key(page, ros):
     page.type("pid.kp", "1.4")
     page.type("pid.kd", "0,01")
     spin_until(ros, lambda: get_double(ros, "pid.kd") == 0.01, "the second set")
+    until(lambda: page.shown("pid.kd") == "0.01", "the second set on the page")
     page.press("#keep-b")
     page.wait_for("#sets", "A / B differ in 2")
     page.blur()

@@ -31,7 +31,7 @@ class Changes:
         self.undone: list[Change] = []
 
     def add(self, change: Change, asked: float | None = None) -> None:
-        """Remember ``change``, asked for at ``asked`` [s]; what was taken back before it is not made again."""
+        """Remember ``change``, asked for at ``asked`` [s]; what was undone before cannot be redone."""
         self.undone.clear()
         last = self.done[-1] if self.done else None
         if (
