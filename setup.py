@@ -11,6 +11,7 @@ NODES = [
     "recorder",
     "axis_simulator",
     "axis_controller",
+    "dashboard",
 ]
 TOOLS = ["demo", "faults", "lockstep", "joiners", "paper"]
 
@@ -23,10 +24,11 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", glob("config/*.yaml")),
         (f"share/{NAME}/config/tuned", glob("config/tuned/*")),
+        (f"share/{NAME}/config/layouts", glob("config/layouts/*")),
         (f"share/{NAME}/config/axis", glob("config/axis/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.xml")),
     ],
-    package_data={NAME: ["py.typed", "nodes/*.xml", "export/*.c"]},
+    package_data={NAME: ["py.typed", "nodes/*.xml", "export/*.c", "dashboard/*.js", "dashboard/*.css"]},
     install_requires=[
         "setuptools",
         "numpy>=1.26",
@@ -45,6 +47,7 @@ setup(
     extras_require={
         "axis": ["ruckig>=0.14"],
         "cluster": ["distributed>=2024.1"],
+        "dashboard": ["nicegui>=3.18,<4"],
         "test": [
             "pytest>=7.4",
             "hypothesis>=6.90",
@@ -53,6 +56,8 @@ setup(
             "fmpy>=0.3.20",
             "ruckig>=0.14",
             "distributed>=2024.1",
+            "nicegui>=3.18,<4",
+            "selenium>=4.30",
         ],
     },
     python_requires=">=3.11",

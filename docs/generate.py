@@ -73,6 +73,7 @@ MEANINGS = {
     "spool_position": "LVDT reading [V], the clock of the loop",
     "valve_voltage": "solenoid voltage [V], one for each reading",
     "~/state": "terms of law and supervisor, names in `layout.dim`, every `state_decimation`-th one",
+    "~/terms/NAME": "one of these terms, for each name in `state_topics`",
     "~/journal": "all that the controller took in and gave, a row each, every 0.1 s",
     "~/memory": "all that the controller remembers and its parameters, as JSON, every `memory_period`",
     "/diagnostics": "mode, reasons and counts, once a second and at once with each change",
@@ -94,6 +95,7 @@ ANY = {
     "axis_simulator": "The process also has a node `valve_simulator`, the valve that feeds the axis, with "
     "all that belongs to it.",
     "manifold": "The manifold hosts one `controller` or `valve_simulator` for each valve, in its namespace.",
+    "dashboard": "The dashboard subscribes, best effort, to the topics of all valves on the graph.",
 }
 QOS = {
     "SAMPLES": "reliable, keep last 10",
@@ -144,10 +146,16 @@ def _entity(node: str, call: ast.AST) -> Entity | None:
         _, type_name, name, last = arguments
     else:
         return None
-    if not isinstance(name, ast.Constant):
+    if isinstance(name, ast.JoinedStr):  # a name for each of several
+        text = "".join(str(part.value) if isinstance(part, ast.Constant) else "NAME" for part in name.values)
+        if not text.startswith("~/"):
+            return None
+    elif isinstance(name, ast.Constant):
+        text = str(name.value)
+    else:
         return None
     qos = "" if kind == "serves" else QOS[ast.unparse(last)]
-    return Entity(node, kind, str(name.value), ast.unparse(type_name), qos)
+    return Entity(node, kind, text, ast.unparse(type_name), qos)
 
 
 def topics() -> str:

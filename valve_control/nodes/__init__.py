@@ -21,6 +21,7 @@ NODES = (
     "recorder",
     "axis_simulator",
     "axis_controller",
+    "dashboard",
 )
 TOOLS = ("demo", "faults", "lockstep", "joiners", "paper")
 

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -40,7 +40,7 @@ from valve_control.parameters import arguments, build, files, stability
 from valve_control.parameters.table import CONTROLLER
 from valve_control.supervision.cache_warming import CacheWarming
 from valve_control.supervision.journal import OBSERVED, Journal
-from valve_control.supervision.record import Mode
+from valve_control.supervision.record import Mode, named_terms
 from valve_control.supervision.supervisor import Supervisor
 from valve_control.supervision.trajectory import Motion
 
@@ -62,6 +62,14 @@ COMMANDING = ("spool_command", "spool_trajectory")
 WINDOW = 1000  # samples of the timing statistics
 NEVER = math.inf
 WARMING = 0.65  # of a period after a reading
+
+
+class Built(NamedTuple):
+    """What is made of a set of values before it is taken into use."""
+
+    params: Any  # of the law
+    realtime: realtime.Request
+    terms: tuple[str, ...]  # of ~/terms
 
 
 class Controller(Managed):
@@ -90,6 +98,8 @@ class Controller(Managed):
         self._uncommanded = False  # lockstep without anybody who commands
         self._state_message = Float64MultiArray()
         self._telemetry: list[list[float]] = []  # of samples, to be published
+        self._terms: dict[str, Any] = {}  # publishers of ~/terms, by name
+        self._named: list[tuple[int, Any]] = []  # place in the telemetry, publisher
         self._rows = Float64MultiArray()
         self._accounted = -NEVER  # s, last account
         self._readers = 0  # of journal and accounts
@@ -116,11 +126,12 @@ class Controller(Managed):
             self.autostart()
 
     @staticmethod
-    def _build(values: Values) -> tuple[Any, realtime.Request]:
-        return build.law_params(values), realtime.request(values)
+    def _build(values: Values) -> Built:
+        chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
+        return Built(build.law_params(values), realtime.request(values), named_terms(chosen))
 
-    def _apply(self, values: Values, built: tuple[Any, realtime.Request]) -> None:
-        params, wanted = built
+    def _apply(self, values: Values, built: Built) -> None:
+        params, wanted, terms = built
         self._values = values
         self._journal.apply(values, params)
         self._params = params
@@ -141,6 +152,9 @@ class Controller(Managed):
             self._state_message.layout = MultiArrayLayout(
                 dim=[MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
             )
+        self._chosen_terms = terms
+        if self._readings is not None:
+            self._name_terms()
         if wanted != self._realtime:
             self._realtime = wanted
             realtime.obtain(wanted, self.get_logger().warning)
@@ -157,8 +171,19 @@ class Controller(Managed):
         self._states = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
         self._memories = self.create_publisher(String, "~/memory", SAMPLES)
         self._journals = self.create_publisher(Float64MultiArray, "~/journal", SAMPLES)
+        self._name_terms()
         self._readers = self._greeting = 0
         self._subscribe()
+
+    def _name_terms(self) -> None:
+        """Have a publisher for each chosen term, and know where the law in force has it."""
+        for name in self._terms.keys() - set(self._chosen_terms):
+            self.destroy_publisher(self._terms.pop(name))
+        for name in self._chosen_terms:
+            if name not in self._terms:
+                self._terms[name] = self.create_publisher(Float64, f"~/terms/{name}", SAMPLES)
+        labels = self._supervisor.labels()
+        self._named = [(labels.index(name), self._terms[name]) for name in self._terms if name in labels]
 
     def _subscribe(self) -> None:
         # In lockstep each message is waited for.
@@ -183,6 +208,10 @@ class Controller(Managed):
         self.destroy_publisher(self._states)
         self.destroy_publisher(self._memories)
         self.destroy_publisher(self._journals)
+        for publisher in self._terms.values():
+            self.destroy_publisher(publisher)
+        self._terms.clear()
+        self._named = []
         self._readings = None
 
     def begin(self) -> None:
@@ -262,6 +291,9 @@ class Controller(Managed):
         for numbers in self._telemetry:
             self._state_message.data = numbers
             self._states.publish(self._state_message)
+            for at, publisher in self._named:
+                if not math.isnan(numbers[at]):
+                    publisher.publish(encoded(numbers[at]))
         self._telemetry.clear()
         if len(self._journal) >= MOST_ROWS:
             self._publish_journal()

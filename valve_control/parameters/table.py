@@ -49,6 +49,13 @@ CONTROLLER: Table = (
     ),
     Parameter("state_decimation", 10, "", "every n-th sample appears on ~/state; 0: none", 0, 100000),
     Parameter(
+        "state_topics",
+        [""],
+        "",
+        "terms of ~/state that are also published one by one under their names, as numbers on ~/terms/NAME, "
+        "for tools that show no labels; those that the law in force does not have are silent; empty: none",
+    ),
+    Parameter(
         "memory_period",
         1.0,
         "s",
@@ -369,6 +376,17 @@ RECORDER: Table = (
     Parameter("report_period", 5.0, "s", "time between two lines about the progress", 0.1, 1e6),
 )
 
+DASHBOARD: Table = (
+    Parameter("port", 8080, "", "port of the page on 127.0.0.1; 0: any that is free", 0, 65535),
+    Parameter(
+        "token",
+        "",
+        "",
+        "word that the page's address must have (?token=...) to change anything; empty: a new one each time",
+    ),
+    Parameter("folder", "out/dashboard", "", "folder of recordings, reports and results of runs"),
+)
+
 ROS = ("use_sim_time", "start_type_description_service")
 NODES: dict[str, Table] = {
     "controller": CONTROLLER,
@@ -376,6 +394,7 @@ NODES: dict[str, Table] = {
     "command_source": COMMAND,
     "manifold": MANIFOLD,
     "recorder": RECORDER,
+    "dashboard": DASHBOARD,
 }
 
 

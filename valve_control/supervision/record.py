@@ -1,13 +1,16 @@
 """Holds all that a supervisor remembers between two samples as one record, with the values read from it."""
 
 import math
+from collections.abc import Sequence
+from difflib import get_close_matches
 from enum import IntEnum
 from typing import Any, NamedTuple
 
 from valve_control.laws import command_lead, velocity
 from valve_control.laws.law import Law
 from valve_control.laws.projection import clip
-from valve_control.parameter import Values
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import ParameterError, Values, one_of
 from valve_control.supervision import (
     bumpless_transfer,
     command_course,
@@ -23,6 +26,18 @@ from valve_control.supervision import (
 
 Conditions = conditions.State
 HEAD = ("sample", "mode", "command", "measurement", "voltage", "offset")
+
+
+def named_terms(names: Sequence[str]) -> tuple[str, ...]:
+    """``names`` of terms of ~/state, each once. Raises ParameterError for one that no law has."""
+    known = sorted({*HEAD, *(label for law in LAWS.values() for label in law.term_labels)})
+    for name in names:
+        if name not in known:
+            near = get_close_matches(name, known, n=2)
+            hint = f"did you mean {one_of(near)}?" if near else f"they are {', '.join(known)}"
+            raise ParameterError(f"state_topics has '{name}', which is no term of any law; {hint}")
+    return tuple(dict.fromkeys(names))
+
 
 COUNTS = (
     "lvdt_lost", "lvdt_refused", "command_refused", "command_limited", "saturated", "assumption_violations",

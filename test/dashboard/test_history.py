@@ -1,0 +1,105 @@
+"""History of signals: nothing extreme is lost, whatever part of it is drawn."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from valve_control.analysis.indices import indices
+from valve_control.dashboard.history import KEPT, History, recent_indices
+
+START = 1.8e9  # s, a time of today
+
+
+def filled(count, period=0.001, values=None, parts=7):
+    history = History()
+    time = START + period * np.arange(count)
+    values = np.sin(time - START) if values is None else values
+    for t, v in zip(np.array_split(time, parts), np.array_split(values, parts), strict=True):
+        history.append(t, v)
+    return history, time, values
+
+
+@given(
+    count=st.integers(1, 60_000),
+    columns=st.integers(10, 900),
+    part=st.tuples(st.floats(0.0, 1.0), st.floats(0.001, 1.0)),
+    seed=st.integers(0, 100),
+)
+def test_the_course_has_the_extremes_of_what_it_shows(count, columns, part, seed):
+    values = np.random.default_rng(seed).standard_normal(count)
+    history, time, _ = filled(count, values=values)
+    span = part[1] * (time[-1] - time[0] + 0.01)
+    start = time[0] + part[0] * (time[-1] - time[0])
+    course = history.course(start, start + span, columns)
+    assert len(course.time) <= 2 * columns + 2
+    assert np.all(course.low <= course.high) and np.all(np.diff(course.time) >= 0.0)
+    # Whole columns, and whole blocks of 64 samples, may reach over the ends.
+    margin = 2.0 * span / columns + 0.065
+    inside = values[(time > start + margin) & (time < start + span - margin)]
+    around = values[(time >= start - margin) & (time <= start + span + margin)]
+    if len(inside):
+        assert course.low.min() <= inside.min() and course.high.max() >= inside.max()
+    if len(course.low):
+        assert course.low.min() >= around.min() and course.high.max() <= around.max()
+
+
+def test_one_sample_that_jumps_is_seen_in_ten_minutes():
+    values = np.zeros(600_000)
+    values[123_456] = 7.0
+    history, time, _ = filled(len(values), values=values, parts=100)
+    course = history.course(time[0], time[-1], 800)
+    assert course.high.max() == 7.0 and np.count_nonzero(course.high) == 1
+    at = course.time[np.argmax(course.high)]
+    assert abs(at - time[123_456]) < 1.2 * (time[-1] - time[0]) / 800
+    assert len(course.time) <= 802
+
+
+def test_few_samples_are_drawn_as_they_are():
+    history, time, values = filled(1000)
+    course = history.course(time[100], time[200], 400)
+    assert np.array_equal(course.low, course.high)
+    np.testing.assert_array_equal(course.low, values[99:202][: len(course.low)])
+
+
+def test_ten_minutes_are_kept_and_what_is_older_is_forgotten():
+    history = History()
+    period = 0.01
+    for k in range(300):
+        time = START + period * np.arange(k * 1000, (k + 1) * 1000)
+        history.append(time, time - START)
+    end = START + period * 299_999
+    time, values = history.between(end - KEPT, end)
+    assert len(time) == 60_000 and values[0] == pytest.approx(end - KEPT - START, abs=1e-6)
+    assert len(history) < 200_000
+    course = history.course(end - KEPT, end, 500)
+    assert course.high.max() == pytest.approx(end - START, abs=1.5 * period)
+
+
+def test_numbers_that_are_none_leave_a_gap_and_hide_no_others():
+    values = np.ones(10_000)
+    values[3000:6000] = np.nan
+    history, time, _ = filled(len(values), values=values)
+    course = history.course(time[0], time[-1], 100)
+    assert np.all(np.isfinite(course.low)) and np.all(course.high == 1.0)
+    assert np.max(np.diff(course.time)) == pytest.approx(3.0, abs=0.2)
+
+
+def test_a_clock_that_was_set_back_does_not_disorder_the_past():
+    history, time, _ = filled(1000)
+    history.append(time[:10], np.full(10, 99.0))
+    assert len(history) == 1000
+    history.append(np.array([time[-1] + 0.001]), np.array([5.0]))
+    assert history.newest == time[-1] + 0.001 and history.value_at(history.newest) == 5.0
+
+
+def test_indices_over_the_last_seconds_are_those_of_the_analysis():
+    error, time, e = filled(9000, values=np.random.default_rng(1).standard_normal(9000))
+    voltage, _, u = filled(9000, values=np.random.default_rng(2).standard_normal(9000))
+    found = recent_indices(error, voltage, 5.0, 0.001)
+    expected = indices(e[-5001:], u[-5001:], 0.001)
+    assert found == pytest.approx(expected)
+    late, _, _ = filled(9000)
+    late.append(time[-1:] + 10.0, np.zeros(1))
+    assert recent_indices(late, voltage, 5.0, 0.001) is None  # they do not belong together
+    assert recent_indices(History(), voltage, 5.0, 0.001) is None

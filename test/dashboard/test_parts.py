@@ -1,0 +1,124 @@
+"""Latencies, limits of commands, who writes, frames, programs, and a valve's signals."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from valve_control.commands.scenarios import command
+from valve_control.dashboard.frames import ViewError, frame, sample, view
+from valve_control.dashboard.generator import check, fastest, largest
+from valve_control.dashboard.latency import Latencies
+from valve_control.dashboard.machine import Machine
+from valve_control.dashboard.programs import Program
+from valve_control.dashboard.valve import Valve
+from valve_control.dashboard.writers import GONE, Writer, right
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters import build
+from valve_control.parameters.table import COMMAND
+
+
+def test_latencies_are_times_from_the_last_reading():
+    latencies = Latencies()
+    readings = 100.0 + 0.001 * np.arange(2000)
+    voltages = readings + np.where(np.arange(2000) % 100 == 0, 0.0008, 0.0002)
+    latencies.pair(readings, voltages)
+    latencies.pair(readings, np.array([50.0, 500.0]))  # before all, and an hour after: no answers
+    found = latencies.histogram()
+    assert found.counts.sum() == 2000
+    assert found.p50 == pytest.approx(0.2, rel=1e-3) and found.largest == pytest.approx(0.8, rel=1e-3)
+    assert Latencies().histogram() is None
+
+
+@pytest.mark.parametrize("scenario", ["point_to_point", "sine", "step", "sweep", "stepped_sine", "constant"])
+def test_limits_of_a_command_bound_what_is_sent(scenario):
+    changes = {"scenario": scenario, "amplitude": -1.5, "offset": 0.4, "steps": 3, "duration": 60.0}
+    values = updated(COMMAND, defaults(COMMAND), changes)
+    shape = build.shape(values)
+    sent = np.array([command(shape, 0.0005 * k) for k in range(12_000)])
+    assert np.max(np.abs(sent)) <= largest(shape) + 1e-12
+    if scenario != "step":
+        assert np.max(np.abs(np.diff(sent))) / 0.0005 <= fastest(shape) * (1.0 + 1e-6)
+    if scenario == "step":
+        assert math.isinf(fastest(shape))
+    check(values, largest(shape), 1e9)
+    with pytest.raises(ParameterError, match=f"the limit is {largest(shape) - 0.01:g} V"):
+        check(values, largest(shape) - 0.01, 1e9)
+
+
+def test_rates_beyond_the_limit_are_refused():
+    values = updated(COMMAND, defaults(COMMAND), {"scenario": "sine", "frequency": 10.0, "amplitude": 1.0})
+    with pytest.raises(ParameterError, match="as fast as 62.83 V/s; the limit is 60 V/s"):
+        check(values, 10.0, 60.0)
+
+
+def test_one_window_writes_a_reload_keeps_it_and_a_closed_one_gives_it_up():
+    writer = Writer()
+    assert not writer.claim("", 0.0)  # a window that is not connected yet
+    assert writer.claim("a", 0.0) and not writer.claim("b", 1.0)
+    assert writer.claim("a", 2.0)
+    assert not writer.claim("b", 2.0 + 0.9 * GONE)
+    assert writer.claim("a", 2.0 + 0.95 * GONE)  # loaded anew
+    assert not writer.claim("b", 2.0 + 1.9 * GONE)
+    assert writer.claim("b", 2.0 + 2.0 * GONE) and not writer.writes("a")
+    assert writer.claim("a", 3.0 + 2.0 * GONE, by_force=True) and not writer.writes("b")
+    assert not writer.writes("") and right("x", "x") and not right("x", "") and not right("x", "é")
+
+
+def test_a_valve_pairs_readings_with_the_command_that_held():
+    valve = Valve("/boom")
+    t = 0.001 * np.arange(10)
+    valve.commanded(np.array([-1.0, 0.0045]), np.array([1.0, 2.0]))
+    valve.read(t, np.full(10, 3.0))
+    _, error = valve.signals["error"].between(-1.0, 1.0)
+    assert error.tolist() == [2.0] * 5 + [1.0] * 5
+    silent = Valve("/arm")
+    silent.read(t, np.full(10, 3.0))
+    assert len(silent.signals["error"]) == 0  # without a command there is no error
+
+
+def test_a_frame_has_what_was_asked_for():
+    machine = Machine(None)
+    valve = machine.valve("/")
+    t = 1000.0 + 0.001 * np.arange(10_000)
+    valve.commanded(t, np.sin(t))
+    valve.mark(1008.0, "k1 1 → 2")
+    text = (
+        '{"valve": "/", "signals": ["command", "voltage", "term.none"], "span": 5, "end": 1009.0, '
+        '"columns": 300}'
+    )
+    got = sample(frame(machine, view(text), 1010.0))
+    assert set(got) == {"command", "voltage", "term.none"} and got["voltage"].shape == (3, 0)
+    time_, low, high = got["command"]
+    assert 290 <= len(time_) <= 302 and np.all(low <= high) and -0.1 < time_[0] < time_[-1] < 5.1
+    assert low.min() == pytest.approx(np.sin(t[4000:9000]).min(), abs=1e-3)
+    for wrong in (
+        "",
+        "[]",
+        "{}",
+        text.replace("300", '"x"'),
+        text.replace("5,", "1e999,").replace("1009.0", "NaN"),
+    ):
+        with pytest.raises(ViewError):
+            view(wrong)
+
+
+def test_a_program_shows_its_progress_and_ends_when_it_is_told(tmp_path):
+    script = tmp_path / "busy.py"
+    script.write_text(
+        "import sys, time\n"
+        "print('begins', flush=True)\n"
+        "sys.stderr.write('10 %\\r20 %'); sys.stderr.flush()\n"
+        "time.sleep(60)\n"
+    )
+    program = Program("busy", ["busy"], tmp_path)
+    try:
+        end = time.monotonic() + 20.0
+        while program.progress != "20 %":
+            assert time.monotonic() < end, list(program.lines)
+            time.sleep(0.01)
+        assert program.running and list(program.lines) == ["begins"]
+    finally:
+        program.end()
+    assert not program.running and program.state.startswith("ended")

@@ -1,0 +1,105 @@
+"""The dashboard's node and server without a browser: what it serves and to whom, and how it ends."""
+
+import json
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from bench import Motion, controller, spin_until
+from browser import get, until
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from valve_control.dashboard.frames import sample
+from valve_control.nodes.harness.processes import process
+
+SIGNALS = ["command", "position", "error", "voltage", "term.unsaturated_voltage"]
+
+
+def started(log):
+    until(lambda: "open http" in log.read_text(), f"the address in {log}")
+    return log.read_text().split("open ")[1].split()[0]
+
+
+def request(end=None, span=20.0):
+    return json.dumps({"valve": "/", "signals": SIGNALS, "span": span, "end": end, "columns": 2000})
+
+
+def test_every_sample_of_the_loop_is_in_the_frames(ros, tmp_path):
+    motion = Motion(ros)
+    arguments = ["-p", "port:=0", "-p", "token:=t", "-p", f"folder:={tmp_path}/made"]
+    with (
+        controller(tmp_path),
+        process("dashboard", arguments, tmp_path / "d.log") as child,
+    ):
+        address = started(tmp_path / "d.log")
+        motion.bench.connect()
+        spin_until(
+            ros, lambda: motion.bench.lvdt.get_subscription_count() == 2, "the dashboard's subscription"
+        )
+        wire = f"{address.split('?')[0].replace('http', 'ws')}frames"
+        with connect(wire) as page:
+
+            def seen():
+                page.send(request())
+                return sample(page.recv())
+
+            # Until what has just met carries.
+            until(lambda: motion.move(5) or seen()["voltage"].size > 0, "first voltages")
+            motion.bench.settle()
+            motion.move(300)
+            sent = motion.voltages[-300:]
+            until(lambda: seen()["voltage"][1][-1:] == np.float32(sent[-1]), "the last voltage")
+            frame = seen()
+            assert np.array_equal(frame["voltage"][1][-300:], np.array(sent, dtype=np.float32))
+            assert np.array_equal(frame["voltage"][1], frame["voltage"][2])  # samples as they are
+            t, error, _ = frame["error"]
+            position = frame["position"][1][-len(error) :]
+            command = frame["command"][1]
+            held = command[np.searchsorted(frame["command"][0], t[-200:], side="right") - 1]
+            np.testing.assert_allclose(error[-200:], position[-200:] - held, atol=1e-6)
+            assert frame["term.unsaturated_voltage"].shape[1] >= 300
+            page.send("this is no request")
+            with pytest.raises(ConnectionClosed, match="no request for a frame"):
+                page.recv()
+        # Pages of other hosts get neither the page nor the data.
+        own = address.split("?")[0]
+        assert get(own)[0] == 200
+        assert get(own, Host="evil.example")[0] == 400
+        with pytest.raises(InvalidStatus):
+            connect(wire, additional_headers={"Origin": "http://evil.example"})
+        began = time.monotonic()
+        child.terminate()
+        assert child.wait(20.0) == 0, (tmp_path / "d.log").read_text()
+        assert time.monotonic() - began < 20.0
+    assert "Traceback" not in (tmp_path / "d.log").read_text()
+
+
+def test_a_port_that_is_taken_is_said_in_one_sentence(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = subprocess.run(
+            [sys.executable, "-m", "valve_control.nodes.dashboard", "--ros-args", "-p", f"port:={port}"],
+            cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+    said = done.stderr.strip().splitlines()
+    assert done.returncode == 1 and len(said) == 1, done.stderr
+    assert f"port {port} of 127.0.0.1 cannot be had: address already in use" in said[0]
+    assert "-p port:=8081" in said[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nicegui_that_is_missing_is_asked_for_in_one_sentence(tmp_path):
+    script = (
+        "import sys; sys.modules['nicegui'] = None; sys.argv = ['dashboard']; "
+        "from valve_control.nodes.dashboard import main; raise SystemExit(main())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+    )
+    said = done.stderr.strip().splitlines()
+    assert done.returncode == 1 and len(said) == 1, done.stderr
+    assert "the dashboard needs nicegui" in said[0] and "pip install 'valve_control[dashboard]'" in said[0]

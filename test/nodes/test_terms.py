@@ -1,0 +1,62 @@
+"""Chosen terms of ~/state under names of their own."""
+
+from bench import Motion, controller, set_parameters, spin_until
+from std_msgs.msg import Float64
+
+CHOSEN = ("unsaturated_voltage", "voltage")
+
+
+def listen(ros, names):
+    got = {name: [] for name in names}
+    for name in names:
+        ros.create_subscription(
+            Float64, f"/controller/terms/{name}", lambda m, n=name: got[n].append(m.data), 10
+        )
+    return got
+
+
+def publishers(ros, name):
+    return ros.count_publishers(f"/controller/terms/{name}")
+
+
+def test_each_chosen_term_is_published_with_the_numbers_of_the_state(ros, tmp_path):
+    motion, got = Motion(ros), listen(ros, CHOSEN)
+    with controller(tmp_path, "-p", "state_topics:=['unsaturated_voltage','voltage','voltage']"):
+        motion.bench.connect()
+        spin_until(ros, lambda: all(publishers(ros, name) == 1 for name in CHOSEN), "publishers of terms")
+        for _ in range(3):  # until what has just met carries
+            motion.move(20)
+            motion.bench.settle()
+        motion.bench.states.clear()
+        for numbers in got.values():
+            numbers.clear()
+        motion.move(20)
+        spin_until(ros, lambda: len(motion.bench.states) == 20, "states")
+        spin_until(ros, lambda: all(len(numbers) == 20 for numbers in got.values()), "terms")
+        for name, numbers in got.items():
+            at = [entry.label for entry in motion.bench.states[0].layout.dim].index(name)
+            assert numbers == [state.data[at] for state in motion.bench.states]
+        assert len(set(got["voltage"])) > 10  # it moves
+
+
+def test_terms_are_chosen_while_it_runs_and_wrong_names_refused(ros, tmp_path):
+    motion, got = Motion(ros), listen(ros, ("a1",))
+    with controller(tmp_path):
+        motion.bench.connect()
+        result = set_parameters(ros, state_topics=["unsaturated_voltag"])
+        assert not result.successful
+        assert result.reason.startswith("state_topics has 'unsaturated_voltag', which is no term of any law")
+        assert "did you mean 'unsaturated_voltage'" in result.reason
+        assert set_parameters(ros, state_topics=["a1"]).successful
+        spin_until(ros, lambda: publishers(ros, "a1") == 1, "publisher of the term")
+        motion.move(20)
+        spin_until(ros, lambda: got["a1"], "term")
+        # The PID has no such estimate: silence, not a wrong number.
+        assert set_parameters(ros, controller="pid").successful
+        motion.bench.settle()
+        before = len(got["a1"])
+        motion.move(20)
+        motion.bench.settle()
+        assert len(got["a1"]) == before and publishers(ros, "a1") == 1
+        assert set_parameters(ros, state_topics=[""]).successful
+        spin_until(ros, lambda: publishers(ros, "a1") == 0, "no publisher of the term")

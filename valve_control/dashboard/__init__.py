@@ -1,0 +1,1 @@
+"""Shows valves in the browser, and lets one tune, compare and undo; knows no ROS."""

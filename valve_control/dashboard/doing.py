@@ -1,0 +1,363 @@
+"""What one does with a valve from the page: command it, record it, inject faults, run identify and tune."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+from nicegui import ui
+
+from valve_control.commands.scenarios import SCENARIOS
+from valve_control.dashboard.entry import EntryError, number, parse
+from valve_control.dashboard.generator import check
+from valve_control.dashboard.valve import Valve
+from valve_control.dashboard.window import Window
+from valve_control.parameter import ParameterError, Value, Values, defaults, lookup, updated
+from valve_control.parameters.build import as_text
+from valve_control.parameters.table import COMMAND
+
+GENERATOR, RECORDER, REPORT, RUN = "generator", "recorder", "report", "run"  # places of programs
+SHAPE = (
+    "amplitude", "offset", "frequency", "end_frequency", "sweep_time", "max_velocity", "max_accel", "cycle",
+    "duration",
+)  # fmt: skip
+FIRST = {"amplitude": "1.0", "frequency": "1.0", "end_frequency": "10.0", "duration": "60.0"}
+LIMITS = {"largest command [V]": "3.0", "fastest command [V/s]": "200.0"}
+RUNS = ("identify", "tune", "commission")  # of valve-control, those that it has
+EXAMPLES = {
+    "identify": "--set lvdt.noise=0.005 --output valve.yaml --figure bode.png",
+    "tune": "--controller pid --budget 200 --output tuned.yaml --html tuned.html",
+    "commission": "",
+}
+FAULTS = ("fault.lvdt", "fault.valve", "fault.samples", "fault.jump")
+SHOWN_LINES = 30
+
+
+def named(name: str) -> ui.element:
+    """A box with an id of the page."""
+    return ui.element("div").props(f"id={name}")
+
+
+class Doing:
+    """The part of the page that commands, records and runs."""
+
+    def __init__(self, page: Window) -> None:
+        self._page = page
+        self._fields: dict[str, ui.input] = {}
+        self._limits: dict[str, ui.input] = {}
+        self._faults: dict[str, ui.select | ui.input] = {}
+        self._fault_version: tuple[str, int] | None = None
+        with page.controls():
+            self._build_generator()
+            self._build_recorder()
+            self._fault_box = ui.element("div")
+            self._build_runs()
+
+    # Command generator
+
+    def _build_generator(self) -> None:
+        ui.label("Command").classes("vc-title")
+        self._scenario = ui.select(list(SCENARIOS), value="sine").props(
+            'dense outlined id=scenario aria-label="shape"'
+        )
+        with ui.element("div").classes("vc-grid"):
+            for name in SHAPE:
+                parameter = lookup(COMMAND, name)
+                text = FIRST.get(name, as_text(parameter.default))
+                with named(f"command-{name}"):
+                    self._fields[name] = ui.input(f"{name} [{parameter.unit}]", value=text).props(
+                        'dense outlined autocomplete="off"'
+                    )
+            for title, text in LIMITS.items():
+                self._limits[title] = ui.input(title, value=text).props('dense outlined autocomplete="off"')
+        with ui.element("div").classes("vc-buttons"):
+            ui.button("Start command", on_click=self._start).props("id=start no-caps dense outline")
+            ui.button("End command", on_click=self._end).props("id=end no-caps dense outline")
+        self._command_state = ui.label("").classes("vc-help").props("id=command-state role=status")
+        self._command_refusal = ui.label("").classes("vc-warning").props("id=command-refusal role=alert")
+
+    def _shape(self, valve: Valve) -> Values:
+        """Parameters of the command source inside the limits. Raises ParameterError."""
+        changes: dict[str, Value] = {"scenario": str(self._scenario.value)}
+        try:
+            for name, field in self._fields.items():
+                changes[name] = number(str(field.value))
+            limits = [number(str(field.value)) for field in self._limits.values()]
+        except EntryError as error:
+            raise ParameterError(str(error)) from error
+        node = valve.controller
+        values = node.values if node is not None else {}
+        period = values.get("sample_period", 0.001)
+        changes |= {"sample_period": period, "start": 0.0, "listeners": 1}
+        made = updated(COMMAND, defaults(COMMAND), changes)
+        bound = values.get("command_limit", limits[0])
+        assert isinstance(bound, (int, float))
+        check(made, min(limits[0], bound), limits[1])
+        return {name: made[name] for name in changes}
+
+    def _start(self) -> None:
+        valve = self._page.valve
+        if valve is None or not self._page.allowed():
+            return
+        reason = self._refused(valve)
+        if not reason:
+            try:
+                shape = self._shape(valve)
+            except ParameterError as error:
+                reason = f"{error}; nothing was sent"
+            else:
+                settings = [w for n, v in shape.items() for w in ("-p", f"{n}:={as_text(v)}")]
+                reason = self._page.programs.start(
+                    GENERATOR,
+                    f"command {shape['scenario']}",
+                    [
+                        "valve_control.nodes.command_source", "--ros-args", "-r", f"__ns:={valve.namespace}",
+                        "-r", "__node:=page_command", *settings,
+                    ],
+                    self._page.folder,
+                )  # fmt: skip
+                if not reason:
+                    self._page.say(valve, f"command {shape['scenario']} started", mark=True)
+        self._command_refusal.set_text(reason)
+
+    def _refused(self, valve: Valve) -> str:
+        node = valve.controller
+        others = [name for name in valve.commanders if not name.endswith("/page_command")]
+        if others:
+            return f"{', '.join(others)} commands this valve already; end it first, two commands would fight"
+        if node is None or not node.present:
+            return "there is no controller to command"
+        if node.state in ("inactive", "unconfigured"):
+            return "the controller is stopped; activate it first"
+        return ""
+
+    def _end(self) -> None:
+        if self._page.allowed():
+            self._page.programs.end(GENERATOR)
+
+    # Recorder
+
+    def _build_recorder(self) -> None:
+        ui.label("Recording").classes("vc-title")
+        with ui.element("div").classes("vc-buttons"):
+            ui.button("Record", on_click=self._record).props("id=record no-caps dense outline")
+            ui.button("End and report", on_click=self._end_record).props(
+                "id=end-record no-caps dense outline"
+            )
+            self._link = ui.link("", "", new_tab=True).props("id=report")
+        self._record_state = ui.label("").classes("vc-help").props("id=record-state role=status")
+
+    def _record(self) -> None:
+        valve = self._page.valve
+        if valve is None or not self._page.allowed():
+            return
+        bag = self._page.folder / time.strftime("recording_%Y%m%d_%H%M%S")
+        reason = self._page.programs.start(
+            RECORDER,
+            f"recording {bag.name}",
+            [
+                "valve_control.nodes.recorder",
+                "--ros-args",
+                "-r",
+                "__node:=page_recorder",
+                "-p",
+                f"bag:={bag}",
+            ],
+            self._page.folder,
+        )
+        self._page.say(valve, reason or f"records into {bag}", mark=not reason)
+        if reason:
+            self._page.tell(reason)
+
+    def _end_record(self) -> None:
+        if self._page.allowed():
+            self._page.programs.end(RECORDER)
+
+    def _refresh_recorder(self) -> None:
+        """Show the recording; when it has ended, have its report made."""
+        programs = self._page.programs
+        recorder, report = programs.get(RECORDER), programs.get(REPORT)
+        if recorder is None:
+            return
+        name = recorder.title.removeprefix("recording ")
+        if recorder.running:
+            last = recorder.lines[-1] if recorder.lines else "starting"
+            said = re.sub(r"^(\[.*?\] ?)+: ", "", last)
+            self._record_state.set_text(f"records into {name}: {said}")
+            self._link.set_text("")
+            return
+        target = f"{name}.html"
+        if recorder.status == 0 and (report is None or report.title != f"report of {name}"):
+            programs.start(
+                REPORT,
+                f"report of {name}",
+                ["valve_control.cli", "analyze", name, "--html", target],
+                self._page.folder,
+            )
+            return
+        if recorder.status != 0:
+            last = recorder.lines[-1] if recorder.lines else ""
+            self._record_state.set_text(f"the recording {recorder.state}: {last}")
+        elif report is not None and report.running:
+            self._record_state.set_text(f"{name} is written to {self._page.folder}; its report is being made")
+        elif report is not None and report.status == 0:
+            self._record_state.set_text(f"{name} and its report are in {self._page.folder}")
+            self._link.set_text(f"report of {name}")
+            self._link.props(f'href="/files/{target}"')
+        elif report is not None:
+            last = report.lines[-1] if report.lines else ""
+            self._record_state.set_text(f"{name} is written to {self._page.folder}; no report: {last}")
+
+    # Faults of a simulator
+
+    def _build_faults(self) -> None:
+        self._fault_box.clear()
+        self._faults.clear()
+        valve = self._page.valve
+        node = valve.simulator if valve is not None else None
+        if node is None or "fault.lvdt" not in node.fields:
+            return
+        with self._fault_box:
+            ui.label("Faults of the simulated valve").classes("vc-title")
+            with ui.element("div").classes("vc-grid"):
+                for name in FAULTS:
+                    field = node.fields.get(name)
+                    if field is None:
+                        continue
+                    value = str(node.values[name])
+                    with named(name.replace(".", "-")):
+                        made: ui.select | ui.input = (
+                            ui.select(list(field.choices), label=name, value=value)
+                            if field.choices
+                            else ui.input(name, value=value)
+                        )
+                    self._faults[name] = made.props("dense outlined")
+            with ui.element("div").classes("vc-buttons"):
+                ui.button("Inject", on_click=self._inject).props("id=inject no-caps dense outline")
+                ui.button("No faults", on_click=self._clear).props("id=no-faults no-caps dense outline")
+            self._fault_answer = ui.label("").classes("vc-warning").props("id=fault-answer role=alert")
+
+    async def _inject(self) -> None:
+        valve = self._page.valve
+        node = valve.simulator if valve is not None else None
+        if valve is None or node is None or not self._page.allowed():
+            return
+        try:
+            values = {name: parse(node.fields[name], str(box.value)) for name, box in self._faults.items()}
+        except EntryError as error:
+            self._fault_answer.set_text(str(error))
+            return
+        self._fault_answer.set_text(await self._page.machine.change(valve, node, values))
+
+    async def _clear(self) -> None:
+        valve = self._page.valve
+        node = valve.simulator if valve is not None else None
+        if valve is not None and node is not None and self._page.allowed():
+            none: Values = {name: "none" for name in ("fault.lvdt", "fault.valve")}
+            self._fault_answer.set_text(await self._page.machine.change(valve, node, none))
+
+    # identify, tune and what else valve-control has
+
+    def _build_runs(self) -> None:
+        ui.label("Runs").classes("vc-title")
+        self._run = ui.select(list(RUNS[:2]), value=RUNS[0], on_change=self._example)
+        self._run.props('dense outlined id=run aria-label="run"')
+        with named("arguments"):
+            self._arguments = ui.input("arguments, as after valve-control", value=EXAMPLES[RUNS[0]])
+        self._arguments.props('dense outlined autocomplete="off"')
+        with ui.element("div").classes("vc-buttons"):
+            ui.button("Run", on_click=self._start_run).props("id=start-run no-caps dense outline")
+            ui.button("Cancel", on_click=self._cancel_run).props("id=cancel-run no-caps dense outline")
+        self._run_state = ui.label("").classes("vc-help").props("id=run-state role=status")
+        self._output = ui.label("").classes("vc-output").props("id=output role=log")
+        self._made = ui.element("div").props("id=made")
+        self._files_of: str | None = None
+        self._offered: list[str] = []
+        threading.Thread(target=self._look_for_runs, daemon=True).start()
+
+    def _look_for_runs(self) -> None:
+        """Find which of the runs the installed command has."""
+        done = subprocess.run(
+            [sys.executable, "-m", "valve_control.cli", "--help"], capture_output=True, text=True, check=False
+        )
+        self._offered = [name for name in RUNS if re.search(rf"^  {name}\b", done.stdout, re.MULTILINE)]
+
+    def _example(self) -> None:
+        self._arguments.set_value(EXAMPLES.get(str(self._run.value), ""))
+
+    def _start_run(self) -> None:
+        valve = self._page.valve
+        if not self._page.allowed():
+            return
+        name = str(self._run.value)
+        try:
+            words = shlex.split(str(self._arguments.value or ""))
+        except ValueError as error:
+            self._run_state.set_text(f"the arguments cannot be read: {str(error).lower()}")
+            return
+        reason = self._page.programs.start(RUN, name, ["valve_control.cli", name, *words], self._page.folder)
+        if reason:
+            self._page.tell(reason)
+        elif valve is not None:
+            self._page.say(valve, f"started valve-control {name} {shlex.join(words)} in {self._page.folder}")
+
+    def _cancel_run(self) -> None:
+        if self._page.allowed():
+            self._page.programs.end(RUN)
+
+    def _refresh_run(self) -> None:
+        if self._offered and list(self._run.options) != self._offered:
+            self._run.set_options(self._offered, value=self._run.value)
+        run = self._page.programs.get(RUN)
+        if run is None:
+            return
+        self._run_state.set_text(f"{run.title}: {run.state}")
+        lines = (
+            [*list(run.lines)[-SHOWN_LINES:], run.progress]
+            if run.progress
+            else list(run.lines)[-SHOWN_LINES:]
+        )
+        self._output.set_text("\n".join(lines))
+        said = "\n".join(run.lines)
+        if not run.running and said != self._files_of:
+            self._files_of = said
+            self._made.clear()
+            with self._made:
+                for path in re.findall(r"^wrote (.+)$", said, re.MULTILINE):
+                    target = self._page.folder / path
+                    if target.is_file() and target.resolve().is_relative_to(self._page.folder.resolve()):
+                        ui.link(path, f"/files/{Path(path).as_posix()}", new_tab=True).classes("q-mr-md")
+
+    # Showing
+
+    def show(self) -> None:
+        """Show another valve."""
+        self._fault_version = None
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Show what has changed."""
+        valve = self._page.valve
+        if valve is None:
+            return
+        generator = self._page.programs.get(GENERATOR)
+        text = (
+            "commanded by " + ", ".join(valve.commanders)
+            if valve.commanders
+            else "nobody commands this valve"
+        )
+        if generator is not None:
+            text = f"{generator.title}: {generator.state}; {text}"
+        self._command_state.set_text(text)
+        node = valve.simulator
+        version = (node.name, len(node.fields)) if node is not None else None
+        if version != self._fault_version:
+            self._fault_version = version
+            self._build_faults()
+        self._refresh_recorder()
+        self._refresh_run()

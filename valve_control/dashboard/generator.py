@@ -1,0 +1,47 @@
+"""Limits of the commands that the page lets one send."""
+
+import math
+
+from valve_control.commands.scenarios import Shape, stroke_time
+from valve_control.parameter import ParameterError, Values, word
+from valve_control.parameters import build
+
+
+def largest(shape: Shape) -> float:
+    """Largest command [V] of ``shape``, either way."""
+    a, offset = shape.amplitude, shape.offset
+    if shape.scenario == "constant":
+        return abs(offset)
+    if shape.scenario in ("sine", "sweep", "stepped_sine"):
+        return abs(offset) + abs(a)
+    return max(abs(offset), abs(offset + a))
+
+
+def fastest(shape: Shape) -> float:
+    """Largest rate [V/s] of ``shape``; infinite for a step."""
+    if shape.scenario == "constant" or shape.amplitude == 0.0:
+        return 0.0
+    if shape.scenario == "step":
+        return math.inf
+    if shape.scenario == "point_to_point":
+        return stroke_time(abs(shape.amplitude), shape.max_velocity, shape.max_accel)[2]
+    top = shape.frequency if shape.scenario == "sine" else max(shape.frequency, shape.end_frequency)
+    return 2.0 * math.pi * top * abs(shape.amplitude)
+
+
+def check(values: Values, limit: float, rate_limit: float) -> Shape:
+    """Shape of the command source's ``values`` inside ± ``limit`` [V] and ``rate_limit`` [V/s].
+
+    A step has no rate; its height is limited alone. Raises ParameterError.
+    """
+    shape = build.shape(values)
+    if largest(shape) > limit:
+        raise ParameterError(
+            f"this {word(values, 'scenario')} reaches {largest(shape):g} V; the limit is {limit:g} V"
+        )
+    rate = fastest(shape)
+    if math.isfinite(rate) and rate > rate_limit:
+        raise ParameterError(
+            f"this {word(values, 'scenario')} is as fast as {rate:.4g} V/s; the limit is {rate_limit:g} V/s"
+        )
+    return shape

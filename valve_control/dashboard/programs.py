@@ -1,0 +1,123 @@
+"""Starts programs from the page, keeps what they print, and ends them with the page's process."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+LINES = 400
+PATIENCE = 5.0  # s  for a program to end after SIGINT, and again after SIGTERM
+
+
+class Program:
+    """A program that runs, or has ended. Its output is read in a thread of its own."""
+
+    def __init__(self, title: str, arguments: Sequence[str], folder: Path) -> None:
+        self.title = title
+        self.lines: deque[str] = deque(maxlen=LINES)
+        self.progress = ""  # the line that is being written, such as a progress bar
+        folder.mkdir(parents=True, exist_ok=True)
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", *arguments],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        )
+        self._reader = threading.Thread(target=self._read, name=f"output of {title}", daemon=True)
+        self._reader.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended."""
+        return self._child.poll() is None
+
+    @property
+    def status(self) -> int | None:
+        """Its exit status, None while it runs; negative: the signal that ended it."""
+        return self._child.poll()
+
+    @property
+    def state(self) -> str:
+        """In words."""
+        status = self.status
+        if status is None:
+            return "running"
+        if status < 0:
+            return f"ended by signal {-status}"
+        return "done" if status == 0 else f"ended with status {status}"
+
+    def interrupt(self, number: int = signal.SIGINT) -> None:
+        """Ask it to end."""
+        if self.running:
+            self._child.send_signal(number)
+
+    def end(self) -> None:
+        """End it, whatever it takes."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            self.interrupt(number)
+            with suppress(subprocess.TimeoutExpired):
+                self._child.wait(PATIENCE)
+                break
+        self._reader.join(PATIENCE)
+
+    def _read(self) -> None:
+        assert self._child.stdout is not None
+        rest = b""
+        while data := self._child.stdout.read1(65536):  # type: ignore[attr-defined]
+            rest += data
+            *whole, rest = rest.split(b"\n")
+            for line in whole:
+                self.lines.append(_last_writing(line))
+            self.progress = _last_writing(rest)
+        if rest:
+            self.lines.append(_last_writing(rest))
+        self.progress = ""
+
+
+def _last_writing(line: bytes) -> str:
+    """What stands in a line that was written over with carriage returns."""
+    parts = [part for part in line.decode(errors="replace").split("\r") if part.strip()]
+    return parts[-1].rstrip() if parts else ""
+
+
+class Programs:
+    """The programs that the page has started, by the place they have on it."""
+
+    def __init__(self) -> None:
+        self._running: dict[str, Program] = {}
+
+    def start(self, place: str, title: str, arguments: Sequence[str], folder: Path) -> str:
+        """Start a program (``python -m`` and ``arguments``); one sentence if there is one at its place."""
+        present = self._running.get(place)
+        if present is not None and present.running:
+            return f"{present.title} is still running; end it first"
+        try:
+            self._running[place] = Program(title, arguments, folder)
+        except OSError as error:
+            return f"{title} cannot be started in {folder}: {error.strerror}"
+        return ""
+
+    def get(self, place: str) -> Program | None:
+        """The last program that was started at a place."""
+        return self._running.get(place)
+
+    def end(self, place: str) -> None:
+        """Ask the program at a place to end; one that does not is ended by force after a while."""
+        program = self._running.get(place)
+        if program is not None and program.running:
+            threading.Thread(target=program.end, daemon=True).start()
+
+    def end_all(self) -> None:
+        """End all programs and wait for it."""
+        for program in self._running.values():
+            program.interrupt()
+        for program in self._running.values():
+            program.end()
