@@ -53,7 +53,9 @@ def parameter(name, value):
         "integer_array_value": np.array([], dtype=np.int64), "double_array_value": np.array([]),
         "string_array_value": [],
     }  # fmt: skip
-    if isinstance(value, list):
+    if isinstance(value, list) and all(isinstance(entry, str) for entry in value):
+        fields["type"], fields["string_array_value"] = 9, value
+    elif isinstance(value, list):
         fields["type"], fields["double_array_value"] = 8, np.array(value)
     else:
         fields["type"], field = kinds[type(value)]

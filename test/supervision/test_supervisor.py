@@ -607,6 +607,8 @@ def random_value(p, rng):
         return int(rng.integers(int(p.low) - 1, min(int(p.high), 2**31) + 2))
     if isinstance(p.default, str):
         return str(rng.choice(["", "x.yaml", "0", "1,2"]))
+    if isinstance(p.default, list) and all(isinstance(v, str) for v in p.default):
+        return [str(v) for v in rng.choice(["", "z1", "reference", "nonsense"], size=int(rng.integers(3)))]
     if isinstance(p.default, list):
         near = [float(v * rng.uniform(0.5, 1.5)) for v in p.default]
         return near if rng.integers(4) else [float(rng.uniform(-1e3, 1e3)) for _ in near]
