@@ -97,7 +97,10 @@ class Axis:
         spin_until(
             self.node,
             lambda: (
-                self.goals and self.goal.get_subscription_count() and self.trajectory.get_subscription_count()
+                self.goals
+                and self.positions
+                and self.goal.get_subscription_count()
+                and self.trajectory.get_subscription_count()
             ),
             "axis_controller",
             120.0,
