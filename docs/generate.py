@@ -77,7 +77,6 @@ MEANINGS = {
     "~/journal": "all that the controller took in and gave, a row each, every 0.1 s",
     "~/memory": "all that the controller remembers and its parameters, as JSON, every `memory_period`",
     "/diagnostics": "mode, reasons and counts, once a second and at once with each change",
-    "/parameter_events": "every change of a parameter, of any node",
     "/clock": "simulated time, in lockstep only",
     "~/reset": "estimates, filters and doubts about the LVDT go to their start; of an axis: hold the "
     "position, and activate the valve's controller",
