@@ -54,20 +54,21 @@ axis: $(STAMP)  ## what a fast valve buys: 200 random axes under five valves, ou
 bench: $(STAMP)  ## benchmarks, as ratios measured in one run (ARGS="--seconds 3600" for an hour's bags)
 	@$(PYTHON) -m benchmarks $(ARGS)
 
-# What needs no clock runs on two cores; the nodes have both to themselves.
+# What needs no clock runs on two cores; the nodes have both to themselves. A machine that is shared with others may put a
+# node aside for longer than a loop at 1 kHz bears: a test of nodes that fails is repeated twice, which pytest tells (R).
 test: $(STAMP)  ## the tests, without those of the campaign
 	@{ command -v chromium && command -v chromedriver; } > /dev/null && browser="make campaign runs them" \
 		|| browser="for make campaign: apt install chromium chromium-driver"; \
 	echo "left out: the dashboard's tests in a browser; $$browser"; \
 	status=0; \
 	$(PYTHON) -m pytest -n 2 --dist worksteal --ignore=test/nodes -m "not campaign" $(PYTEST_ARGS) || status=1; \
-	$(PYTHON) -m pytest test/nodes -m "not campaign" $(PYTEST_ARGS) || status=1; \
+	$(PYTHON) -m pytest test/nodes --reruns 2 -m "not campaign" $(PYTEST_ARGS) || status=1; \
 	exit $$status
 
 campaign: $(STAMP)  ## the longer tests: fault campaign, damaged bags, many starts and joiners
 	@status=0; \
 	$(PYTHON) -m pytest -n 2 --dist worksteal --ignore=test/nodes -m campaign $(PYTEST_ARGS) || status=1; \
-	$(PYTHON) -m pytest test/nodes -m campaign $(PYTEST_ARGS) || status=1; \
+	$(PYTHON) -m pytest test/nodes --reruns 2 -m campaign $(PYTEST_ARGS) || status=1; \
 	exit $$status
 
 lint: $(STAMP)  ## ruff, mypy and the order of the rooms

@@ -50,6 +50,7 @@ setup(
         "dashboard": ["nicegui>=3.18,<4"],
         "test": [
             "pytest>=7.4",
+            "pytest-rerunfailures>=12.0",
             "hypothesis>=6.90",
             "sympy>=1.12",
             "pyserial>=3.5",
