@@ -13,7 +13,7 @@ from browser import get, needs_browser, until, window
 
 from valve_control.nodes.harness.processes import process
 
-pytestmark = [pytest.mark.campaign, needs_browser]
+pytestmark = [pytest.mark.browser, needs_browser]
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 PICTURES = Path(os.environ.get("DASHBOARD_PICTURES", "out/dashboard_pictures"))
