@@ -5,6 +5,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -28,15 +29,22 @@ def request(end=None, span=20.0):
     return json.dumps({"valve": "/", "signals": SIGNALS, "span": span, "end": end, "columns": 2000})
 
 
+@contextmanager
+def connected(motion, tmp_path):
+    """A controller that the bench has met before anybody else listens."""
+    with controller(tmp_path):
+        motion.bench.connect()
+        yield
+
+
 def test_every_sample_of_the_loop_is_in_the_frames(ros, tmp_path):
     motion = Motion(ros)
     arguments = ["-p", "port:=0", "-p", "token:=t", "-p", f"folder:={tmp_path}/made"]
     with (
-        controller(tmp_path),
+        connected(motion, tmp_path),
         process("dashboard", arguments, tmp_path / "d.log") as child,
     ):
         address = started(tmp_path / "d.log")
-        motion.bench.connect()
         spin_until(
             ros, lambda: motion.bench.lvdt.get_subscription_count() == 2, "the dashboard's subscription"
         )
