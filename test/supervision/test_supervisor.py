@@ -620,9 +620,10 @@ def random_value(p, rng):
     return float(p.default * rng.uniform(0.3, 3.0))
 
 
-def test_100000_random_parameter_sets_and_messages():
+@pytest.mark.parametrize("sets", [5_000, pytest.param(100_000, marks=pytest.mark.campaign)])
+def test_random_parameter_sets_and_messages(sets):
     """No exception, no voltage that is not finite or beyond u_max, no half-applied set."""
-    rng = np.random.default_rng(11)
+    rng = np.random.default_rng(sets)
     names = [p.name for p in CONTROLLER if p.name not in ("autostart", "lockstep", "save_file")]
     values = defaults(CONTROLLER)
     supervisor = Supervisor()
@@ -630,7 +631,7 @@ def test_100000_random_parameter_sets_and_messages():
     bad = (math.nan, math.inf, -math.inf, 1e308, -1e308, 40.0)
     taken = refused = 0
     sequence, position = 0, 0.0
-    for _ in range(100_000):
+    for _ in range(sets):
         if rng.integers(200) == 0:
             values = take(supervisor, values, defaults(CONTROLLER))
         chosen = rng.choice(names, size=int(rng.integers(1, 4)), replace=False)
@@ -654,7 +655,7 @@ def test_100000_random_parameter_sets_and_messages():
         supervisor.command(command)
         voltage = supervisor.sample(reading, sequence)
         assert math.isfinite(voltage) and abs(voltage) <= values["u_max"]
-    assert taken > 20_000 and refused > 20_000
+    assert taken > 0.2 * sets and refused > 0.2 * sets
 
 
 @given(

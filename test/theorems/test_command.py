@@ -28,9 +28,12 @@ def test_bad_arguments_are_refused_in_one_sentence(capsys, monkeypatch, argument
     assert message in error and error.count("\n") == 1
 
 
+FEW = ("--loop-valves", "4", "--learning-valves", "1", "--processes", "1")
+
+
 @pytest.fixture
 def short(monkeypatch):
-    """Both experiments over in a second."""
+    """The experiments on the theorems over in a second."""
     monkeypatch.setattr(
         robust.experiment, "__defaults__", (2000, 1, ("arc",), (1e-3, 5e-4, 2e-4), 0.05, 1, None)
     )
@@ -41,7 +44,7 @@ def short(monkeypatch):
 
 def test_command_writes_table_json_and_figure(tmp_path, capsys, short):
     target, figure = tmp_path / "a.json", tmp_path / "a.svg"
-    arguments = ["--valves", "6", "--adaptive-valves", "2", "--processes", "1"]
+    arguments = ["--valves", "6", "--adaptive-valves", "2", *FEW]
     assert main(["theorems", *arguments, "--json", str(target), "--figure", str(figure)]) == 0
     out = capsys.readouterr().out
     assert "ARC, true velocity" in out and "three sines" in out
@@ -57,7 +60,7 @@ def test_results_are_written_before_the_figure_is_drawn(tmp_path, capsys, monkey
 
     monkeypatch.setattr(figures, "draw_theorems", full)
     target = tmp_path / "a.json"
-    arguments = ["--valves", "2", "--adaptive-valves", "1", "--processes", "1", "--json", str(target)]
+    arguments = ["--valves", "2", "--adaptive-valves", "1", *FEW, "--json", str(target)]
     assert main(["theorems", *arguments, "--figure", str(tmp_path / "a.png")]) != 0
     assert "No space left" in capsys.readouterr().err
     assert json.loads(target.read_text())["bound"]["valves"] == 2
