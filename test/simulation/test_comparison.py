@@ -53,20 +53,21 @@ def test_errors_of_one_valve_are_those_of_its_own_run():
     assert not np.array_equal(together.rms[:, 2], alone.rms[:, 2])
 
 
-def test_order_of_laws_on_valves_that_were_not_tuned_on():
-    """The oracle leads, dcarc has less than half of the better PID's error, and a lag costs every law."""
-    found = comparison.compare(comparison.setups(TUNED, "narrow", 0.25), 8, 31, False)
+@pytest.mark.parametrize(("limit", "most"), [(0.25, 0.36), (0.1, 0.45)])
+def test_order_of_laws_on_valves_that_were_not_tuned_on(limit, most):
+    """The oracle leads, dcarc has at most ``most`` of the better PID's error, and a lag costs every law."""
+    found = comparison.compare(comparison.setups(TUNED, "narrow", limit), 8, 31, False)
     size = {
         text: {name: comparison.geometric(np.median(e.rms, axis=1)) for name, e in by_name.items()}
         for text, by_name in found.items()
     }
     ahead, bare = size["with preview"], size["command alone"]
     assert min(ahead, key=ahead.__getitem__) == comparison.ORACLE
-    assert ahead["dcarc"] < 0.5 * min(ahead["pid_plain"], ahead["pid_reference"])
-    assert all(bare[name] > 2.0 * ahead[name] for name in ahead)
+    assert ahead["dcarc"] <= most * min(ahead["pid_plain"], ahead["pid_reference"])
+    assert all(bare[name] > 1.5 * ahead[name] for name in ahead)
     # At equal chatter, by which alone errors compare.
     for name, errors in found["with preview"].items():
-        assert name == comparison.ORACLE or 0.2 < np.mean(errors.chatter) < 0.27
+        assert name == comparison.ORACLE or 0.8 * limit < np.mean(errors.chatter) < 1.08 * limit
 
 
 @pytest.mark.parametrize(
