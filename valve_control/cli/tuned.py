@@ -85,6 +85,7 @@ def _figure(found: Mapping[str, Mapping[str, "Errors"]], path: str) -> bytes:
     """Bars of the medians with a line up to the 95th percentile, by command and law."""
     import numpy as np
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogFormatter, StrMethodFormatter
 
     from valve_control.analysis.figures import COLOURS
     from valve_control.simulation import comparison
@@ -108,9 +109,13 @@ def _figure(found: Mapping[str, Mapping[str, "Errors"]], path: str) -> bytes:
                 label=f"{name}, c_u {chatter:.2f}",
             )
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.yaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
+        axes.grid(axis="y", which="both", alpha=0.3)
+        axes.set_axisbelow(True)
         axes.set_xticks(range(len(heads)), heads)
         axes.set_ylabel("true e_rms [mV]")
         axes.set_title(f"{text}: medians, lines up to the 95th percentile")
-        axes.legend(fontsize="small", ncols=3)
+        axes.legend(fontsize="small", ncols=len(by_name), loc="upper center", bbox_to_anchor=(0.5, -0.08))
     figure.tight_layout()
     return outputs.figure_bytes(figure, path)
