@@ -28,7 +28,8 @@ class Row:
         self._scale = scale(field)
         self._wanted: Value | None = None
         self._busy = False
-        self._typing = False
+        self._typing = False  # something was typed and not entered yet
+        self._entered: str | None = None  # text whose answer is awaited
         self.box = ui.element("div").classes("vc-row").props(f'data-name="{field.name}"')
         with self.box:
             ui.label(field.name).classes("vc-name")
@@ -55,8 +56,8 @@ class Row:
             f'dense outlined inputmode="text" autocomplete="off" spellcheck="false" {title}'
         )
         entry.on("keydown.enter", self._typed)
-        entry.on("blur", self._typed)
-        entry.on("focus", self._focused)
+        entry.on("blur", self._left)
+        entry.on("update:model-value", self._edited, [])
         return entry
 
     def refresh(self) -> None:
@@ -67,7 +68,7 @@ class Row:
             return
         draft = self._node.drafts.get(name)
         if isinstance(self._entry, ui.input):
-            if not self._typing:
+            if not self._typing and self._entered is None:
                 self._entry.set_value(shown(value) if draft is None else draft)
         else:
             self._entry.value = value
@@ -78,17 +79,33 @@ class Row:
         self._refusal.set_visibility(bool(reason))
         self.box.classes(add="vc-draft") if draft is not None else self.box.classes(remove="vc-draft")
 
-    def _focused(self) -> None:
+    def _edited(self) -> None:
         self._typing = True
 
-    async def _typed(self, event: events.GenericEventArguments) -> None:
+    async def _typed(self) -> None:
         self._typing = False
+        await self._enter()
+
+    async def _left(self) -> None:
+        if self._typing:
+            self._typing = False
+            await self._enter()
+
+    async def _enter(self) -> None:
+        """Hand on what stands in the field, once: the field may be left while the answer is awaited."""
         text = str(self._entry.value)
-        value = self._node.values[self.field.name]
-        if text.strip() == shown(value) and self.field.name not in self._node.drafts:
-            self._node.refusals.pop(self.field.name, None)
-        elif text != self._node.drafts.get(self.field.name) or self._form.at_once:
-            await self._form.enter(self.field, text)
+        if text == self._entered:
+            return
+        self._entered = text
+        try:
+            value = self._node.values[self.field.name]
+            if text.strip() == shown(value) and self.field.name not in self._node.drafts:
+                self._node.refusals.pop(self.field.name, None)
+            elif text != self._node.drafts.get(self.field.name) or self._form.at_once:
+                await self._form.enter(self.field, text)
+        finally:
+            if self._entered == text:
+                self._entered = None
         self.refresh()
 
     async def _chosen(self, event: events.ValueChangeEventArguments[Any]) -> None:

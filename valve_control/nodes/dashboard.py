@@ -4,7 +4,7 @@ import secrets
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
@@ -168,12 +168,16 @@ class Remote:
         depth = ListParameters.Request.DEPTH_RECURSIVE
         self.ask(ListParameters, "list_parameters", ListParameters.Request(depth=depth), listed, again)
 
-    def event(self, values: Values) -> None:
-        """Take in a change that the node has published."""
-        if self.known:
-            self._owner.machine.observed(self.valve, self.state, values)
-        else:
-            self._events.append(values)
+    def event(self, declared: Values, changed: Values) -> None:
+        """Take in what the node has published of its parameters.
+
+        A node that declares what it is known to have was started anew: its values are asked for when the
+        graph shows that, and are no change that somebody made.
+        """
+        if not self.known:
+            self._events.append({**declared, **changed})
+        elif changed:
+            self._owner.machine.observed(self.valve, self.state, changed)
 
     def destroy(self) -> None:
         """Give its clients back."""
@@ -432,10 +436,7 @@ class Dashboard(Worker):
                 continue
             remote = self._remotes.get(event.node)
             if remote is not None:
-                changed = [*event.new_parameters, *event.changed_parameters]
-                remote.event(
-                    {p.name: plain(parameter_value_to_python(p.value)) for p in changed if p.value.type}
-                )
+                remote.event(_values(event.new_parameters), _values(event.changed_parameters))
 
     def _take_diagnostics(self) -> None:
         for data, _ in self._diagnostics.take():
@@ -569,6 +570,10 @@ class Dashboard(Worker):
         if self._server is not None:
             with suppress(RuntimeError):
                 self._server.stop()
+
+
+def _values(parameters: Sequence[Any]) -> Values:
+    return {p.name: plain(parameter_value_to_python(p.value)) for p in parameters if p.value.type}
 
 
 def _guarded(act: Callable[[], None], answer: Any, refused: Callable[[str], Any]) -> Callable[[], None]:
