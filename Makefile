@@ -57,18 +57,19 @@ bench: $(STAMP)  ## benchmarks, as ratios measured in one run (ARGS="--seconds 3
 # What needs no clock runs on two cores; the nodes have both to themselves. A machine that is shared with others may put a
 # node aside for longer than a loop at 1 kHz bears: a test of nodes that fails is repeated twice, which pytest tells (R).
 test: $(STAMP)  ## the tests, without those of the campaign
-	@{ command -v chromium && command -v chromedriver; } > /dev/null && browser="make browser runs them" \
-		|| browser="for make browser: apt install chromium chromium-driver"; \
+	@{ command -v chromium && command -v chromedriver; } > /dev/null && browser="make browser and make campaign run them" \
+		|| browser="for them: apt install chromium chromium-driver, then make browser"; \
 	echo "left out: the dashboard's tests in a browser; $$browser"; \
 	status=0; \
 	$(PYTHON) -m pytest -n 2 --dist worksteal --ignore=test/nodes -m "not campaign and not browser" $(PYTEST_ARGS) || status=1; \
 	$(PYTHON) -m pytest test/nodes --reruns 2 -m "not campaign and not browser" $(PYTEST_ARGS) || status=1; \
 	exit $$status
 
-campaign: $(STAMP)  ## the longer tests: fault campaign, damaged bags, many starts and joiners
+campaign: $(STAMP)  ## the longer tests: fault campaign, damaged bags, many starts and joiners, the dashboard in Chromium
 	@status=0; \
 	$(PYTHON) -m pytest -n 2 --dist worksteal --ignore=test/nodes -m campaign $(PYTEST_ARGS) || status=1; \
 	$(PYTHON) -m pytest test/nodes --reruns 2 -m campaign $(PYTEST_ARGS) || status=1; \
+	$(PYTHON) -m pytest test/nodes/test_dashboard_browser.py --reruns 2 -m browser $(PYTEST_ARGS) || status=1; \
 	exit $$status
 
 browser: $(STAMP)  ## the dashboard in Chromium, beside real nodes

@@ -1,18 +1,21 @@
 """Latencies, limits of commands, who writes, frames, programs, and a valve's signals."""
 
+import asyncio
 import math
 import time
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
 
 from valve_control.commands.scenarios import command
+from valve_control.dashboard.entry import Field
 from valve_control.dashboard.frames import ViewError, frame, sample, view
 from valve_control.dashboard.generator import check, fastest, largest
 from valve_control.dashboard.latency import Latencies
 from valve_control.dashboard.machine import Machine
 from valve_control.dashboard.programs import Program
-from valve_control.dashboard.valve import Valve
+from valve_control.dashboard.valve import NodeState, Valve
 from valve_control.dashboard.writers import GONE, Writer, right
 from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.parameters import build
@@ -102,6 +105,50 @@ def test_a_frame_has_what_was_asked_for():
     ):
         with pytest.raises(ViewError):
             view(wrong)
+
+
+class SlowLink:
+    """A node whose answers come when they are let go, in the order of the requests."""
+
+    def __init__(self):
+        self.asked = []
+
+    def set_parameters(self, node, values):
+        answer = Future()
+        self.asked.append((values, answer))
+        return answer
+
+
+def test_changes_follow_one_another_while_an_answer_is_awaited():
+    """Undo pressed while a redo is on its way takes back what is being redone, not the change before."""
+
+    async def run():
+        link = SlowLink()
+        machine = Machine(link)
+        valve = machine.valve("/")
+        node = NodeState("/controller")
+        node.answered({name: Field(name, "double", "") for name in ("kp", "ki")}, {"kp": 1.0, "ki": 20.0})
+
+        async def answered(count):
+            while len(link.asked) < count:
+                await asyncio.sleep(0)
+            link.asked[count - 1][1].set_result("")
+
+        for count, values in enumerate(({"kp": 2.0}, {"ki": 0.0}), 1):
+            await asyncio.gather(machine.change(valve, node, values), answered(count))
+        await asyncio.gather(machine.undo(valve, node), answered(3))
+        assert node.values == {"kp": 2.0, "ki": 20.0}
+        redo = asyncio.create_task(machine.redo(valve, node))
+        undo = asyncio.create_task(machine.undo(valve, node))
+        await answered(4)
+        await redo
+        assert node.values == {"kp": 2.0, "ki": 0.0}
+        await answered(5)
+        assert await undo == "" and link.asked[4][0] == {"ki": 20.0}
+        assert node.values == {"kp": 2.0, "ki": 20.0}
+        assert len(node.changes.done) == 1 and len(node.changes.undone) == 1
+
+    asyncio.run(asyncio.wait_for(run(), 10.0))
 
 
 def test_a_program_shows_its_progress_and_ends_when_it_is_told(tmp_path):

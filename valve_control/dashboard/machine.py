@@ -3,6 +3,7 @@
 import asyncio
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future
 from typing import NamedTuple, Protocol
 
@@ -63,6 +64,10 @@ class Machine:
 
     async def change(self, valve: Valve, node: NodeState, values: Values, origin: str = "here") -> str:
         """Set ``values`` together; the reason if they are refused, else ""."""
+        async with node.turn:
+            return await self._change(valve, node, values, origin)
+
+    async def _change(self, valve: Valve, node: NodeState, values: Values, origin: str) -> str:
         asked = time.time()
         reason, change = await self._set(valve, node, values, origin)
         if change is not None:
@@ -95,27 +100,32 @@ class Machine:
 
     async def undo(self, valve: Valve, node: NodeState) -> str:
         """Take back the newest change; a sentence if that was not done, else ""."""
-        wanted = node.changes.back()
-        if not wanted:
-            return "there is nothing to undo"
-        count = len(node.changes.done)
-        reason, _ = await self._set(valve, node, wanted, "undo")
-        with self.lock:
-            if not reason and len(node.changes.done) == count:
-                node.changes.went_back()
-        return reason
+        changes = node.changes
+        return await self._step(valve, node, "undo", changes.done, changes.back, changes.went_back)
 
     async def redo(self, valve: Valve, node: NodeState) -> str:
         """Make the change again that was taken back last; a sentence if that was not done, else ""."""
-        wanted = node.changes.forth()
-        if not wanted:
-            return "there is nothing to redo"
-        count = len(node.changes.undone)
-        reason, _ = await self._set(valve, node, wanted, "redo")
-        with self.lock:
-            if not reason and len(node.changes.undone) == count:
-                node.changes.went_forth()
-        return reason
+        changes = node.changes
+        return await self._step(valve, node, "redo", changes.undone, changes.forth, changes.went_forth)
+
+    async def _step(
+        self,
+        valve: Valve,
+        node: NodeState,
+        name: str,
+        steps: list[Change],
+        values: Callable[[], Values],
+        went: Callable[[], None],
+    ) -> str:
+        async with node.turn:
+            wanted, count = values(), len(steps)
+            if not wanted:
+                return f"there is nothing to {name}"
+            reason, _ = await self._set(valve, node, wanted, name)
+            with self.lock:
+                if not reason and len(steps) == count:
+                    went()
+            return reason
 
     def keep(self, valve: Valve, node: NodeState, which: str) -> str:
         """Keep the present values as set A or B; a sentence for the log."""
@@ -128,15 +138,16 @@ class Machine:
 
     async def switch(self, valve: Valve, node: NodeState) -> str:
         """Go from set A to set B or back; a sentence if that was not done, else ""."""
-        which = node.comparison.other()
-        if not which:
-            return "keep one set as A and another as B first"
-        reason = await self.change(valve, node, node.comparison.sets[which], f"set {which}")
-        if not reason:
-            with self.lock:
-                node.comparison.active = which
-                node.version += 1
-        return reason
+        async with node.turn:
+            which = node.comparison.other()
+            if not which:
+                return "keep one set as A and another as B first"
+            reason = await self._change(valve, node, node.comparison.sets[which], f"set {which}")
+            if not reason:
+                with self.lock:
+                    node.comparison.active = which
+                    node.version += 1
+            return reason
 
     async def stop(self) -> list[str]:
         """Switch every controller off, which gives 0 V; a sentence for each that did not do so."""

@@ -1,5 +1,6 @@
 """Holds what the page knows of one valve and of its nodes."""
 
+import asyncio
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -58,6 +59,7 @@ class NodeState:
         self.drafts: dict[str, str] = {}  # typed and not applied
         self.refusals: dict[str, str] = {}  # reasons by name
         self.version = 0  # of all that the form shows
+        self.turn = asyncio.Lock()  # changes from here follow one another: each waits for the node's answer
         self._own: deque[tuple[float, str, Value]] = deque(maxlen=500)  # what was set from here, and when
 
     def tuned(self) -> Values:
