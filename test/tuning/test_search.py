@@ -156,3 +156,22 @@ def test_what_swings_at_rest_is_told_from_what_creeps_and_from_noise():
         assert verification._restless(trace, 0.001, 1.0) == swings, what
     voltage = 2.0 * np.sign(np.sin(2.0 * math.pi * 40.0 * times))
     assert verification._restless(np.stack([noise, noise, voltage], axis=1), 0.001, 1.0)
+
+
+def test_a_law_is_told_the_dead_time_that_is_to_be_expected():
+    """Middle of the box or that of the valve; what was given stays, and what cannot be built is left out."""
+    dcarc = LAWS["dcarc"]
+    late = [q for q in robustness.BOX if q.name == "lvdt.delay"]
+    middle = 0.5 * (late[0].low + late[0].high)
+    assert box.with_dead_time(dcarc, SETTINGS, late) == (
+        {**SETTINGS["controller"], "dcarc.delay": middle},
+        middle,
+    )
+    assert box.with_dead_time(dcarc, SETTINGS, []) == (SETTINGS["controller"], None)
+    own = {**SETTINGS, "valve_simulator": {**SETTINGS["valve_simulator"], "lvdt.delay": 0.0004}}
+    assert box.with_dead_time(dcarc, own, [])[0]["dcarc.delay"] == 0.0004
+    given_ = {**SETTINGS, "controller": {**SETTINGS["controller"], "dcarc.delay": 0.0002}}
+    assert box.with_dead_time(dcarc, given_, late) == (given_["controller"], None)
+    fast = {**SETTINGS, "controller": {**SETTINGS["controller"], "sample_period": 0.0001}}
+    assert box.with_dead_time(dcarc, fast, late) == (fast["controller"], None)
+    assert box.with_dead_time(LAWS["pid"], SETTINGS, late) == (SETTINGS["controller"], None)

@@ -115,8 +115,8 @@ def _tune(arguments: argparse.Namespace) -> int:
     paths = _paths(arguments.output, laws)
     arguments.command = files
     check_outputs(arguments, [*paths.values(), arguments.html])
-    problem, unseen = _problems(arguments, settings, files, recorded)
     asked = laws if PID in laws or arguments.alone else [*laws, PID]
+    problem, unseen = _problems(arguments, settings, files, asked, recorded)
     counts = [len(tuner.variants(LAWS[name], problem.values)) for name in asked]
     progress = Progress(arguments.budget * sum(counts), "sets of gains")
     progress(0)
@@ -141,7 +141,7 @@ def _tune(arguments: argparse.Namespace) -> int:
     written = {name: path for name, path in paths.items() if name in found and found[name].chosen.holds}
     result = _result(found, missing, laws, written)
     if recorded is not None:
-        result["recording"] = _on_recording(recorded, found)
+        result["recording"] = _on_recording(recorded, found, problem.values)
     for name, path in written.items():
         _save(path, name, problem.values, found[name], arguments)
         say(arguments, f"wrote {path}")
@@ -266,9 +266,11 @@ def _problems(
     arguments: argparse.Namespace,
     settings: dict[str, Values],
     files: list[str],
+    laws: list[str],
     recorded: "_Recorded | None" = None,
 ) -> tuple["Problem", "Problem"]:
     """What the search sees, and what verification sees. Raises ParameterError."""
+    from valve_control.laws.registry import LAWS
     from valve_control.simulation import offline
     from valve_control.tuning import box
     from valve_control.tuning.trial import Problem
@@ -278,6 +280,15 @@ def _problems(
     if not quantities:
         raise ParameterError("every quantity of the box is fixed; there is no spread to tune for")
     motions = _motions(arguments, settings, files) if recorded is None else [recorded.motion]
+    for law in map(LAWS.__getitem__, laws):
+        values, expected = box.with_dead_time(law, settings, quantities)
+        if expected is not None:
+            print(
+                f"note: {law.dead_time} {expected:g} s, what is to be expected of lvdt.delay; "
+                f"--set {law.dead_time}=… says otherwise",
+                file=sys.stderr,
+            )
+        settings = {**settings, "controller": values}
     seed = arguments.seed or 1
     study = box.study_of(settings, quantities, arguments.valves, seed)
     other = box.study_of(settings, quantities, arguments.unseen, seed + UNSEEN_SEED)
@@ -378,8 +389,11 @@ def _recorded(arguments: argparse.Namespace, settings: dict[str, Values]) -> _Re
     return _Recorded(made, learning.box(found, usual), Motion(name, wanted), found, valve, signals, measured)
 
 
-def _on_recording(recorded: _Recorded, found: dict[str, "Tuned"]) -> dict[str, Any]:
-    """What was measured, and what the gains of then and of now give on the recorded command, simulated."""
+def _on_recording(recorded: _Recorded, found: dict[str, "Tuned"], tuned: Values) -> dict[str, Any]:
+    """What was measured, and what the gains of then and of now give on the recorded command, simulated.
+
+    ``tuned``: the controller's values around which the gains were searched.
+    """
     from valve_control.recordings import what_if
     from valve_control.tuning import tuner
 
@@ -402,7 +416,7 @@ def _on_recording(recorded: _Recorded, found: dict[str, "Tuned"]) -> dict[str, A
         "measured": recorded.measured._asdict(),
         "simulated_as_it_was": simulated(values),
         "simulated_with": {
-            name: simulated({**values, **tuner.parameters_of(name, values, one.chosen)})
+            name: simulated({**values, **tuner.parameters_of(name, tuned, one.chosen)})
             for name, one in found.items()
         },
     }

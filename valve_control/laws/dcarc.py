@@ -559,6 +559,7 @@ LAW = Law(
     build=build,
     model=model,
     form=("dcarc.model", "dcarc.numerator", "dcarc.denominator", "dcarc.delay"),
+    dead_time="dcarc.delay",
     linear=without_adaptation,
     free=(
         Free("dcarc.disturbance_rate", 0.5, 60.0),

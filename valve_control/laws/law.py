@@ -50,6 +50,7 @@ class Law(NamedTuple):
     # command under which the law goes on as it is, from which a takeover lets the real one fade in
     steady_command: Callable[[Any, Start], float] = reshaped_steady_command
     form: tuple[str, ...] = ()  # parameters after whose change the state means something else
+    dead_time: str = ""  # parameter of the dead time [s] of LVDT and bus that it knows of; "": none
     linear: Callable[[Any, Any], tuple[Any, Any]] = unchanged  # Params and State with a linear step
     free: tuple[Free, ...] = ()  # numbers that a tuner may choose, besides those of the reshaping
     variants: tuple[Mapping[str, Value], ...] = (
@@ -97,6 +98,8 @@ def check(law: Any) -> Law:
     for parameter in law.parameters:
         if not parameter.name.startswith(f"{law.name}."):
             raise LawError(f"its parameter {parameter.name} must begin with '{law.name}.'")
+    if law.dead_time and law.dead_time not in {p.name for p in law.parameters}:
+        raise LawError(f"its dead_time is '{law.dead_time}'; it must be one of its parameters")
     for free in law.free:
         _check_free(free, {p.name: p for p in law.parameters})
     if law.adapts and f"{law.name}.theta_initial" not in {p.name for p in law.parameters}:

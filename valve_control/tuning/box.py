@@ -5,8 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from valve_control.parameter import ParameterError, Values, number
+from valve_control.laws.law import Law
+from valve_control.parameter import ParameterError, Values, number, updated
 from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
 from valve_control.simulation import robustness
 from valve_control.simulation.robustness import Quantity, Settings, Study
@@ -41,6 +43,27 @@ def bounding(study: Study) -> list[valve.Params]:
         point[varied] = ends
         corners.append(build.valve_params(robustness.valve_of(study, 0, point, period)))
     return [*corners, *drawn(study._replace(valves=SCATTERED))]
+
+
+def with_dead_time(law: Law, settings: Settings, box: Sequence[Quantity]) -> tuple[Values, float | None]:
+    """The controller's values with the dead time [s] that ``law`` may expect, and that time.
+
+    It is the middle of what the valves of ``box`` have, or that of the valve of ``settings``. None: the law
+    does not ask for it, has been told another than 0, or cannot be built with it.
+    """
+    values = settings["controller"]
+    if not law.dead_time or number(values, law.dead_time) != 0.0:
+        return values, None
+    expected = next(
+        (0.5 * (q.low + q.high) for q in box if q.name == "lvdt.delay"),
+        number(settings["valve_simulator"], "lvdt.delay"),
+    )
+    try:
+        changed = updated(CONTROLLER, values, {law.dead_time: expected})
+        law.build(changed)
+    except ParameterError:
+        return values, None
+    return changed, expected or None
 
 
 def check_reach(plant: Values, wanted: float, name: str) -> None:
