@@ -79,6 +79,11 @@ class Machine:
         self, valve: Valve, node: NodeState, values: Values, origin: str
     ) -> tuple[str, Change | None]:
         with self.lock:
+            if node.asking:
+                return (
+                    f"{node.name} was started anew and has not told its parameters yet; nothing was changed",
+                    None,
+                )
             wanted = differing(node.values, values)
             for name in values.keys() - wanted.keys():
                 node.drafts.pop(name, None)

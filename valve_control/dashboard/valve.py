@@ -52,6 +52,7 @@ class NodeState:
         self.values: Values = {}
         self.services: frozenset[str] = frozenset()  # names without the node's
         self.present = True
+        self.asking = False  # it was started anew and has not told its parameters since
         self.state = ""  # of its life: active, inactive ...; "" if it is not known
         self.changes = Changes()
         self.comparison = Comparison()
@@ -73,7 +74,7 @@ class NodeState:
     def answered(self, fields: Mapping[str, Field], values: Mapping[str, Value]) -> None:
         """Take in what the node has told of itself after its start, or after it was first seen."""
         before = self.tuned()
-        self.fields, self.values = dict(fields), dict(values)
+        self.fields, self.values, self.asking = dict(fields), dict(values), False
         self.lost = differing(self.tuned(), before)
         self.changes.forget()
         self.version += 1

@@ -537,13 +537,14 @@ class Dashboard(Worker):
             state.services = frozenset(
                 service.removeprefix(f"{name}/") for service in services if service.startswith(f"{name}/")
             )
-            if state.present != bool(alive):
+            if state.present != bool(alive) and (alive or before):
                 state.present = bool(alive)
                 state.version += 1
                 valve.say(now, "info" if alive else "error", f"{name} is {'back' if alive else 'gone'}")
             if before and alive - before:
                 valve.say(now, "warning", f"{name} was started anew")
                 valve.mark(now, f"{name} started anew")
+                state.asking = True
                 remote.destroy()
                 self._remotes[name] = Remote(self, valve, state)
 
