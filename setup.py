@@ -24,6 +24,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", glob("config/*.yaml")),
         (f"share/{NAME}/config/tuned", glob("config/tuned/*")),
+        (f"share/{NAME}/config/commands", glob("config/commands/*")),
         (f"share/{NAME}/config/layouts", glob("config/layouts/*")),
         (f"share/{NAME}/config/axis", glob("config/axis/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.xml")),

@@ -85,6 +85,7 @@ class Measured(NamedTuple):
     rate: float  # LVDT readings per second
     lead: int  # voltages that the controller had published before the first command
     joined: int  # readings that the simulator had published before the controller's first voltage
+    held: float  # V, where the controller held the spool before the first command
     pause: float  # s, longest between two commands: how long a process was put aside
 
 
@@ -140,6 +141,7 @@ def measure(listener: Listener, period: float, duration: float) -> Measured:
         rate=(len(inside) - 1) / span,
         lead=voltage_number - 1,
         joined=max(0, reading_number - voltage_number),  # 0 V while the LVDT is silent answers no reading
+        held=float(np.median(readings[reading_times < command_times[0]][-SHIFT_SAMPLES:])),
         pause=float(np.max(np.diff(command_times[command_times < command_times[0] + duration]))),
     )
 
@@ -211,13 +213,13 @@ def _drain(listener: Listener) -> None:
         time.sleep(0.02)
 
 
-def offline_twin(run: DemoRun, lead: int, joined: int) -> tuple[Indices, str]:
-    """Indices of the same run without middleware: same LVDT noise, same ``lead`` samples of standstill.
+def offline_twin(run: DemoRun, lead: int, joined: int, held: float) -> tuple[Indices, str]:
+    """Indices of the same run without middleware: same LVDT noise, held at ``held`` [V] for ``lead`` samples.
 
     Beside them the warning of law and valve, "" if there is none.
     """
     values = values_of(run)
-    command = np.concatenate([np.zeros(lead), build.commands(values["command_source"])])
+    command = np.concatenate([np.full(lead, held), build.commands(values["command_source"])])
     twin = offline.simulate(values["controller"], values["valve_simulator"], command, noise_start=joined)
     return indices((twin.measurement - twin.command)[lead:], twin.voltage[lead:], twin.period), twin.warning
 
@@ -240,7 +242,7 @@ def report(runs: list[tuple[DemoRun, Measured]], folder: Path) -> bool:
     print(f"\n{HEADER}")
     for run, measured in runs:
         over_dds = indices(measured.measurement - measured.command, measured.voltage, measured.period)
-        twin, warning = offline_twin(run, measured.lead, measured.joined)
+        twin, warning = offline_twin(run, measured.lead, measured.joined, measured.held)
         law = values_of(run)["controller"]
         saturated = float(np.mean(np.abs(measured.voltage) >= float(str(law["u_max"]))))
         least = float(str(law["oscillation_limit"]))
