@@ -49,7 +49,7 @@ def test_launch_file_names_only_what_exists(path):
     root = ET.parse(path).getroot()
     assert root.tag == "launch"
     declared = arguments(root)
-    own = {"machine", "message"} if path.name == AXIS else {"controller", "valve", "rate"}
+    own = {"machine", "message", "upper_level"} if path.name == AXIS else {"controller", "valve", "rate"}
     assert own | {"namespace", "record"} <= set(declared)
     for arg in root.findall("arg"):
         assert arg.get("default") is not None and arg.get("description"), arg.get("name")
@@ -97,7 +97,8 @@ def test_the_axis_is_launched_with_each_machine_and_message():
     root = ET.parse(ROOT / "launch" / AXIS).getroot()
     machines = {path.stem for path in (ROOT / "config" / "axis").glob("*.yaml")}
     assert choices(root, "machine") == machines - {"hopsan_position_servo"}  # at 100 kHz, for no node
-    assert choices(root, "message") == set(lookup(ROS_NODES["axis_controller"], "message").choices)
+    for name in ("message", "upper_level"):
+        assert choices(root, name) == set(lookup(ROS_NODES["axis_controller"], name).choices)
 
 
 @pytest.mark.parametrize(

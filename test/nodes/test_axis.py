@@ -111,12 +111,20 @@ class Axis:
         return self.positions[-1].position[0]
 
 
-@pytest.mark.parametrize("machine", ["bench", pytest.param("press", marks=pytest.mark.campaign)])
-def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine):
+@pytest.mark.parametrize(
+    ("machine", "level", "duration"),
+    [
+        ("bench", "axis_pid", 0.9),
+        ("bench", "axis_arc", 0.6),
+        pytest.param("press", "axis_pid", 0.9, marks=pytest.mark.campaign),
+        pytest.param("crane_boom", "axis_arc", 2.0, marks=pytest.mark.campaign),
+    ],
+)
+def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine, level, duration):
     """A trajectory over DDS, sensors with noise, a valve with friction: voltages and commands, to the bit."""
-    values = settings(
-        machine, axis_controller={"duration": 0.9, "pause": 0.05, "back": False, "distance": 0.05}
-    )
+    distance = 0.05 if duration > 0.6 else 0.03
+    course = {"duration": duration, "pause": 0.05, "back": False, "distance": distance}
+    values = settings(machine, axis_controller={"upper_level": level, **course})
     made = run.setup(values)
     twin = run.simulate(made)
     wanted = len(made.goals)
@@ -133,7 +141,7 @@ def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine):
     lockstep = {
         "axis_simulator": ["valve_simulator:clock:=lockstep", "valve_simulator:listeners:=2"],
         "controller": ["lockstep:=true", "lvdt.frozen_samples:=0", "state_decimation:=0"],
-        "axis_controller": ["lockstep:=true"],
+        "axis_controller": ["lockstep:=true", f"upper_level:={level}"],
     }
     with machine_running(tmp_path, machine, **lockstep):
         spin_until(ros, lambda: publisher.get_subscription_count() == 1, "axis_controller", 120.0)
@@ -152,7 +160,7 @@ def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine):
         assert len(numbers) >= 0.99 * wanted
         got = np.array([kept[name][k] for k in numbers])
         assert np.array_equal(got, expected[np.array(numbers) - 1]), name
-    assert np.ptp(twin.signals["position"]) > 0.045
+    assert np.ptp(twin.signals["position"]) > 0.9 * distance
 
 
 class Played(Axis):
@@ -258,6 +266,24 @@ def test_wrong_readings_are_bridged_then_the_axis_stops_until_it_is_reset(ros, t
         axis.commands.clear()
         spin_until(ros, lambda: len(axis.commands) >= 3, "0 V again and again")
         assert set(axis.commands) == {0.0}
+        assert child.poll() is None
+
+
+def test_axis_arc_without_pressure_sensors_stops_with_one_sentence_and_takes_no_other_level(ros, tmp_path):
+    axis = Played(ros)
+    given = ("upper_level:=axis_arc", "sensor.timeout:=0.2", "stop.controller:=''")
+    with upper_level(tmp_path, *given) as child:
+        end = time.monotonic() + 30.0
+        while not axis.commands:  # before it stops there are none
+            assert time.monotonic() < end
+            axis.send(0.2)
+            rclpy.spin_once(ros, timeout_sec=0.05)
+        axis.told(
+            "stopped, 0 V: there is no pressure_a and pressure_b, which axis_arc needs; the upper_level"
+        )
+        assert set(axis.commands) == {0.0}
+        refused = set_parameters(ros, "axis_controller", upper_level="axis_pid")
+        assert not refused.successful and "does not change; start it again" in refused.reason
         assert child.poll() is None
 
 
