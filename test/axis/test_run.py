@@ -135,7 +135,7 @@ def test_the_command_prints_what_it_finds_and_refuses_in_one_sentence(capfd, tmp
 
 
 @pytest.mark.parametrize("level", ["axis_pid", "axis_arc"])
-@pytest.mark.parametrize("machine", ["bench", "crane_boom", "press"])
+@pytest.mark.parametrize("machine", ["bench", "crane_boom", "crane_arm", "press"])
 def test_each_machine_moves_there_and_back_within_its_limit(machine, level):
     folder = files.config_folder() / "axis"
     path = str(folder / f"{machine}.yaml")

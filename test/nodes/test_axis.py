@@ -309,6 +309,57 @@ def test_an_axis_whose_sensor_fails_ends_with_0_v_on_the_valve(ros, tmp_path):
         assert axis.volts[-1] == 0.0
 
 
+def test_both_axes_of_the_arm_follow_goals_through_one_manifold_and_a_stop_ends_one_alone(ros, tmp_path):
+    """The processes of launch/arm.launch.xml with their files, here in lockstep."""
+    arm = str(files.config_folder() / "arm.yaml")
+    rooms = {valve: ["-r", f"__ns:=/{valve}", "--params-file", path_of(f"crane_{valve}")] for valve in VALVES}
+    heard = tmp_path / "heard.yaml"  # by the upper level and by this test
+    heard.write_text("/**/axis_simulator:\n  ros__parameters:\n    listeners: 2\n")
+    clock = ["-p", "clock:=lockstep", "--params-file", str(heard)]
+    positions = {valve: [] for valve in VALVES}
+    with ExitStack() as stack:
+
+        def begin(node, name, words):
+            stack.enter_context(process(node, [*words, "--params-file", arm], tmp_path / f"{name}.log"))
+
+        begin("manifold", "manifold", ["-p", "lockstep:=true", "-p", "lvdt.frozen_samples:=0"])
+        for valve, words in rooms.items():
+            begin("axis_simulator", f"{valve}_simulator", [*words, *clock])
+            level = "axis_arc" if valve == "arm" else "axis_pid"
+            own = ["-p", "lockstep:=true", "-p", f"upper_level:={level}"]
+            begin("axis_controller", f"{valve}_controller", [*words, *own])
+        goals = {valve: ros.create_publisher(Float64, f"/{valve}/goal_position", SAMPLES) for valve in VALVES}
+
+        def listen(valve):
+            def hear(message):
+                positions[valve].append(message.position[message.name.index(valve)])
+
+            ros.create_subscription(JointState, f"/{valve}/joint_states", hear, SAMPLES)
+
+        def there(valve, goal):
+            spin_until(ros, lambda: abs(positions[valve][-1] - goal) < 0.002, f"{valve} at {goal} m", 60.0)
+
+        for valve in VALVES:
+            listen(valve)
+        spin_until(
+            ros,
+            lambda: all(positions.values()) and all(p.get_subscription_count() for p in goals.values()),
+            "both axes",
+            120.0,
+        )
+        for valve, way in VALVES.items():
+            goals[valve].publish(Float64(data=0.3 + way))
+        for valve, way in VALVES.items():
+            there(valve, 0.3 + way)
+        assert call(ros, Trigger, "/boom/axis_controller/stop", Trigger.Request()).success
+        goals["arm"].publish(Float64(data=0.3))
+        there("arm", 0.3)
+        assert abs(positions["boom"][-1] - 0.3 - VALVES["boom"]) < 0.005
+
+
+VALVES = {"boom": 0.02, "arm": -0.02}  # m  to go
+
+
 @pytest.mark.parametrize(
     ("node", "words", "sentence"),
     [
