@@ -99,7 +99,7 @@ def test_the_spools_velocity_and_acceleration_are_the_derivatives_of_its_command
     ("changes", "words"),
     [
         ({"machine": ""}, "machine is empty; it must name a file in config/axis"),
-        ({"machine": "benhc"}, "machine is 'benhc'; it must be 'bench', 'crane_boom'"),
+        ({"machine": "benhc"}, "machine is 'benhc'; it must be 'bench', 'crane_arm'"),
         ({"sample_period": 0.002}, "0.001 s for the machine 'bench' and 0.002 s for axis_controller"),
         ({"overlap": 20.0}, "overlap is 20 V, no less than spool_limit, 10 V"),
     ],
