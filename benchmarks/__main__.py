@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks import bags, batch, handover, latency, start
+from benchmarks import axes, bags, batch, handover, latency, start
 from valve_control import outputs
 
-PARTS = ("batch", "start", "loop", "bags", "export")
+PARTS = ("batch", "axes", "start", "loop", "bags", "export")
 
 
 def misses(figures: Mapping[str, float], wanted: Mapping[str, tuple[str, float]]) -> list[str]:
@@ -38,6 +38,7 @@ def main() -> int:
         folder = Path(name)
         parts: dict[str, tuple[Callable[[], dict[str, Any]], Mapping[str, tuple[str, float]]]] = {
             "batch": (lambda: batch.run(folder), batch.WANTED),
+            "axes": (axes.run, axes.WANTED),
             "start": (start.run, start.WANTED),
             "loop": (lambda: latency.run(folder), latency.WANTED),
             "export": (lambda: handover.run(folder), handover.WANTED),

@@ -10,15 +10,16 @@ from pathlib import Path
 import pytest
 
 from valve_control.laws.registry import LAWS
-from valve_control.parameter import ParameterError, lookup
+from valve_control.parameter import ParameterError, defaults, lookup
 from valve_control.parameters import files, launching
-from valve_control.parameters.axis import ROS_NODES
+from valve_control.parameters.arguments import addressed
+from valve_control.parameters.axis import ROS_NODES, known_machine
 from valve_control.parameters.table import NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "launch").glob("*.launch.xml"))
-AXIS = "axis.launch.xml"  # of a machine, not of a valve
-VALVES = [path for path in FILES if path.name != AXIS]
+AXIS, ARM = "axis.launch.xml", "arm.launch.xml"  # of machines, not of a valve
+VALVES = [path for path in FILES if path.name not in (AXIS, ARM)]
 VARIABLE = re.compile(r"\$\(var (\w+)\)")
 
 
@@ -41,7 +42,7 @@ def files_for(*nodes):
 
 
 def test_there_are_launch_files():
-    assert {path.name for path in FILES} == {"valve.launch.xml", "cascade.launch.xml", AXIS}
+    assert {path.name for path in FILES} == {"valve.launch.xml", "cascade.launch.xml", AXIS, ARM}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
@@ -49,14 +50,15 @@ def test_launch_file_names_only_what_exists(path):
     root = ET.parse(path).getroot()
     assert root.tag == "launch"
     declared = arguments(root)
-    own = {"machine", "message"} if path.name == AXIS else {"controller", "valve", "rate"}
+    own = {"controller", "valve", "rate"} if path in VALVES else {"message", "upper_level"}
+    own |= {"machine"} if path.name == AXIS else set()
     assert own | {"namespace", "record"} <= set(declared)
     for arg in root.findall("arg"):
         assert arg.get("default") is not None and arg.get("description"), arg.get("name")
     text = path.read_text(encoding="utf-8")
     derived = {let.get("name") for let in root.findall("let")}
     assert set(VARIABLE.findall(text)) == set(declared) | derived
-    assert (CALL.findall(text) or path.name == AXIS) and all(
+    assert (CALL.findall(text) or path not in VALVES) and all(
         hasattr(launching, name) for name in CALL.findall(text)
     )
     executables = re.search(r"NODES = \[(.*?)\]", (ROOT / "setup.py").read_text(), re.DOTALL).group(1)
@@ -97,7 +99,47 @@ def test_the_axis_is_launched_with_each_machine_and_message():
     root = ET.parse(ROOT / "launch" / AXIS).getroot()
     machines = {path.stem for path in (ROOT / "config" / "axis").glob("*.yaml")}
     assert choices(root, "machine") == machines - {"hopsan_position_servo"}  # at 100 kHz, for no node
-    assert choices(root, "message") == set(lookup(ROS_NODES["axis_controller"], "message").choices)
+    for launched in (root, ET.parse(ROOT / "launch" / ARM).getroot()):
+        for name in ("message", "upper_level"):
+            assert choices(launched, name) == set(lookup(ROS_NODES["axis_controller"], name).choices)
+
+
+def started(group, space=""):
+    """Full name, executable and parameter files of each node in a group, and in those inside it."""
+    pushed = group.find("push_ros_namespace")
+    name = "" if pushed is None else VARIABLE.sub("", pushed.get("namespace"))
+    inside = f"{space}/{name}" if name else space
+    for node in group.findall("node"):
+        paths = [p.get("from").split("valve_control)/")[1] for p in node.findall("param") if p.get("from")]
+        yield f"{inside}/{node.get('exec')}", node.get("exec"), [ROOT / path for path in paths]
+    for inner in group.findall("group"):
+        yield from started(inner, inside)
+
+
+def test_both_axes_of_the_arm_take_their_machines_and_the_manifold_has_their_valves():
+    found = {name: paths for name, _, paths in started(ET.parse(ROOT / "launch" / ARM).getroot())}
+    valves = arguments_of("/manifold", found.pop("/manifold"))["valves"]
+    assert found.pop("/recorder") == []
+    nodes = ("axis_simulator", "axis_controller")
+    assert set(found) == {f"/{valve}/{node}" for valve in valves for node in nodes}
+    for valve in valves:
+        simulated, upper = (arguments_of(name, found[name]) for name in (f"/{valve}/{n}" for n in nodes))
+        assert simulated["joint"] == upper["joint"] == valve
+        assert upper["machine"] == f"crane_{valve}"
+        assert known_machine(upper["machine"])["cylinder.area_a"] == simulated["cylinder.area_a"]
+        assert arguments_of(f"/{valve}/valve_simulator", found[f"/{valve}/axis_simulator"][:1])
+        # The law of its valve comes from the manifold's file, to the node that a stop deactivates.
+        assert upper["stop.controller"] == "controller"
+        assert arguments_of(f"/{valve}/controller", [ROOT / "config" / "arm.yaml"])["controller"] == "pid"
+
+
+def arguments_of(name, paths):
+    """Values that a node of the full ``name`` has from ``paths``, the later ones winning."""
+    table = ROS_NODES[name.rsplit("/", 1)[1]]
+    values = defaults(table)
+    for path in paths:
+        values.update(addressed(str(path), name, table))
+    return values
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ COLCON = shutil.which("colcon", path=f"{Path(sys.executable).parent}{os.pathsep}
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*.yaml")), ids=lambda p: p.name)
 def test_config_files_load_and_build(path):
-    changes = files.load(str(path))
+    changes = files.load(str(path), nodes=axis.ROS_NODES)
     assert any(changes.values())
     values = {node: updated(t, defaults(t), changes[node]) for node, t in table.NODES.items()}
     build.law_params(values["controller"])

@@ -35,14 +35,16 @@ NOISY = {
 }
 
 
-def test_plain_python_and_batches_give_the_bits_of_a_compiled_run():
-    made = run.setup(settings(**NOISY, duration=1.5, pause=0.1, back=False))
+@pytest.mark.parametrize("level", ["axis_pid", "axis_arc"])
+def test_plain_python_and_batches_give_the_bits_of_a_compiled_run(level):
+    made = run.setup(settings(**NOISY, upper_level=level, duration=1.5, pause=0.1, back=False))
     one = run.simulate(made)
     plain = run.simulate(made._replace(goals=made.goals[:500]), compiled=False)
     for name, signal in plain.signals.items():
         assert np.array_equal(signal, one.signals[name][:500]), name
     others = [made._replace(seed=seed) for seed in (5, 1, 7)]
-    assert run.simulate_many(others, threads=2)[1] == one.indices
+    mixed = [*others, run.setup(settings(duration=0.1, course="step"))]
+    assert run.simulate_many(mixed, threads=2)[1] == one.indices
     assert run.simulate(made).indices == one.indices  # a run leaves nothing behind
     assert one.indices.e_rms > 0.0 and one.indices.chatter > 0.0
 
@@ -112,11 +114,15 @@ def test_the_command_prints_what_it_finds_and_refuses_in_one_sentence(capfd, tmp
     monkeypatch.chdir(tmp_path)
     assert main(["axis", "--controller", "open_loop", "--duration", "3", "--json", "-"]) == 0
     assert '"e_rms"' in capfd.readouterr().out
+    assert main(["axis", "--upper", "axis_arc", "--controller", "open_loop", "--json", "-"]) == 0
+    assert '"upper_level": "axis_arc"' in capfd.readouterr().out
     refusals = {
         "beyond the stroke": ["--set", "offset=0.2"],
         "cylinder.stroke is -1 m": ["--set", "cylinder.stroke=-1"],
         "there is no parameter 'kpp'": ["--set", "kpp=1"],
         "the motion to 0.35 m ends at": ["--duration", "0.6"],
+        "upper_level is 'arc'; it must be 'axis_pid' or 'axis_arc'": ["--upper", "arc"],
+        "axis_arc.k1 is 600 1/s": ["--upper", "axis_arc", "--set", "axis_arc.k1=600"],
         "the load stalls it": ["--set", "load.force=-1e6"],
     }
     files = "ros__parameters: {sample_period: 0.002}"
@@ -128,10 +134,12 @@ def test_the_command_prints_what_it_finds_and_refuses_in_one_sentence(capfd, tmp
         assert words in said and said.count("\n") == 1, said
 
 
-@pytest.mark.parametrize("machine", ["bench", "crane_boom", "press"])
-def test_each_machine_moves_there_and_back_within_its_limit(machine):
+@pytest.mark.parametrize("level", ["axis_pid", "axis_arc"])
+@pytest.mark.parametrize("machine", ["bench", "crane_boom", "crane_arm", "press"])
+def test_each_machine_moves_there_and_back_within_its_limit(machine, level):
     folder = files.config_folder() / "axis"
-    given = files.given([str(folder / f"{machine}.yaml")], {}, [], None, AXIS_NODES)
+    path = str(folder / f"{machine}.yaml")
+    given = files.given([path], {"axis_controller": {"upper_level": level}}, [], None, AXIS_NODES)
     base = run.default_settings()
     made = run.setup({node: updated(table, base[node], given[node]) for node, table in AXIS_NODES.items()})
     assert np.ptp(made.goals[:, 0]) > 0.09

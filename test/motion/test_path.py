@@ -109,3 +109,15 @@ def test_goals_that_cannot_be_reached_are_refused():
             path.towards(target, REST, LIMITS, ABLE)
     with pytest.raises(ParameterError, match=r"the motion to 0.499 m reaches 0.5\d+ m, outside the stroke"):
         path.towards(0.499, Goal(0.49, 0.25, 0.0), LIMITS, ABLE)
+
+
+def test_round_distances_are_reached_though_a_profile_is_the_limit_of_two():
+    """10 mm at 2 m/s² and 40 m/s³: the acceleration just reaches its limit, where ruckig finds no way."""
+    for at in (0.12, 0.25, 0.3):
+        for way in (0.01, -0.01, 0.02, 0.05):
+            made = path.towards(at + way, Goal(at, 0.0, 0.0), LIMITS, ABLE)
+            rows = course.point_to_point(at, [at + way], 0.0, LIMITS, 0.001, 1.5)
+            assert rows[-1, 0] == pytest.approx(at + way, abs=1e-12)
+            assert np.max(np.abs(rows[:, 2])) <= 2.0 + 1e-9
+            for k in range(0, len(rows) - 1, 50):
+                assert path.goal_of(made, k * MS) == pytest.approx(tuple(rows[k]), abs=1e-9)

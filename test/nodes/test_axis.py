@@ -111,12 +111,20 @@ class Axis:
         return self.positions[-1].position[0]
 
 
-@pytest.mark.parametrize("machine", ["bench", pytest.param("press", marks=pytest.mark.campaign)])
-def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine):
+@pytest.mark.parametrize(
+    ("machine", "level", "duration"),
+    [
+        ("bench", "axis_pid", 0.9),
+        ("bench", "axis_arc", 0.6),
+        pytest.param("press", "axis_pid", 0.9, marks=pytest.mark.campaign),
+        pytest.param("crane_boom", "axis_arc", 2.0, marks=pytest.mark.campaign),
+    ],
+)
+def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine, level, duration):
     """A trajectory over DDS, sensors with noise, a valve with friction: voltages and commands, to the bit."""
-    values = settings(
-        machine, axis_controller={"duration": 0.9, "pause": 0.05, "back": False, "distance": 0.05}
-    )
+    distance = 0.05 if duration > 0.6 else 0.03
+    course = {"duration": duration, "pause": 0.05, "back": False, "distance": distance}
+    values = settings(machine, axis_controller={"upper_level": level, **course})
     made = run.setup(values)
     twin = run.simulate(made)
     wanted = len(made.goals)
@@ -133,7 +141,7 @@ def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine):
     lockstep = {
         "axis_simulator": ["valve_simulator:clock:=lockstep", "valve_simulator:listeners:=2"],
         "controller": ["lockstep:=true", "lvdt.frozen_samples:=0", "state_decimation:=0"],
-        "axis_controller": ["lockstep:=true"],
+        "axis_controller": ["lockstep:=true", f"upper_level:={level}"],
     }
     with machine_running(tmp_path, machine, **lockstep):
         spin_until(ros, lambda: publisher.get_subscription_count() == 1, "axis_controller", 120.0)
@@ -152,7 +160,7 @@ def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine):
         assert len(numbers) >= 0.99 * wanted
         got = np.array([kept[name][k] for k in numbers])
         assert np.array_equal(got, expected[np.array(numbers) - 1]), name
-    assert np.ptp(twin.signals["position"]) > 0.045
+    assert np.ptp(twin.signals["position"]) > 0.9 * distance
 
 
 class Played(Axis):
@@ -261,6 +269,24 @@ def test_wrong_readings_are_bridged_then_the_axis_stops_until_it_is_reset(ros, t
         assert child.poll() is None
 
 
+def test_axis_arc_without_pressure_sensors_stops_with_one_sentence_and_takes_no_other_level(ros, tmp_path):
+    axis = Played(ros)
+    given = ("upper_level:=axis_arc", "sensor.timeout:=0.2", "stop.controller:=''")
+    with upper_level(tmp_path, *given) as child:
+        end = time.monotonic() + 30.0
+        while not axis.commands:  # before it stops there are none
+            assert time.monotonic() < end
+            axis.send(0.2)
+            rclpy.spin_once(ros, timeout_sec=0.05)
+        axis.told(
+            "stopped, 0 V: there is no pressure_a and pressure_b, which axis_arc needs; the upper_level"
+        )
+        assert set(axis.commands) == {0.0}
+        refused = set_parameters(ros, "axis_controller", upper_level="axis_pid")
+        assert not refused.successful and "does not change; start it again" in refused.reason
+        assert child.poll() is None
+
+
 def test_an_axis_whose_sensor_fails_ends_with_0_v_on_the_valve(ros, tmp_path):
     axis = Axis(ros)
     lockstep = {
@@ -281,6 +307,57 @@ def test_an_axis_whose_sensor_fails_ends_with_0_v_on_the_valve(ros, tmp_path):
         end = time.monotonic() + 0.5
         spin_until(ros, lambda: time.monotonic() > end, "calm")
         assert axis.volts[-1] == 0.0
+
+
+def test_both_axes_of_the_arm_follow_goals_through_one_manifold_and_a_stop_ends_one_alone(ros, tmp_path):
+    """The processes of launch/arm.launch.xml with their files, here in lockstep."""
+    arm = str(files.config_folder() / "arm.yaml")
+    rooms = {valve: ["-r", f"__ns:=/{valve}", "--params-file", path_of(f"crane_{valve}")] for valve in VALVES}
+    heard = tmp_path / "heard.yaml"  # by the upper level and by this test
+    heard.write_text("/**/axis_simulator:\n  ros__parameters:\n    listeners: 2\n")
+    clock = ["-p", "clock:=lockstep", "--params-file", str(heard)]
+    positions = {valve: [] for valve in VALVES}
+    with ExitStack() as stack:
+
+        def begin(node, name, words):
+            stack.enter_context(process(node, [*words, "--params-file", arm], tmp_path / f"{name}.log"))
+
+        begin("manifold", "manifold", ["-p", "lockstep:=true", "-p", "lvdt.frozen_samples:=0"])
+        for valve, words in rooms.items():
+            begin("axis_simulator", f"{valve}_simulator", [*words, *clock])
+            level = "axis_arc" if valve == "arm" else "axis_pid"
+            own = ["-p", "lockstep:=true", "-p", f"upper_level:={level}"]
+            begin("axis_controller", f"{valve}_controller", [*words, *own])
+        goals = {valve: ros.create_publisher(Float64, f"/{valve}/goal_position", SAMPLES) for valve in VALVES}
+
+        def listen(valve):
+            def hear(message):
+                positions[valve].append(message.position[message.name.index(valve)])
+
+            ros.create_subscription(JointState, f"/{valve}/joint_states", hear, SAMPLES)
+
+        def there(valve, goal):
+            spin_until(ros, lambda: abs(positions[valve][-1] - goal) < 0.002, f"{valve} at {goal} m", 60.0)
+
+        for valve in VALVES:
+            listen(valve)
+        spin_until(
+            ros,
+            lambda: all(positions.values()) and all(p.get_subscription_count() for p in goals.values()),
+            "both axes",
+            120.0,
+        )
+        for valve, way in VALVES.items():
+            goals[valve].publish(Float64(data=0.3 + way))
+        for valve, way in VALVES.items():
+            there(valve, 0.3 + way)
+        assert call(ros, Trigger, "/boom/axis_controller/stop", Trigger.Request()).success
+        goals["arm"].publish(Float64(data=0.3))
+        there("arm", 0.3)
+        assert abs(positions["boom"][-1] - 0.3 - VALVES["boom"]) < 0.005
+
+
+VALVES = {"boom": 0.02, "arm": -0.02}  # m  to go
 
 
 @pytest.mark.parametrize(

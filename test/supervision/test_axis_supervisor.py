@@ -99,7 +99,7 @@ def test_the_spools_velocity_and_acceleration_are_the_derivatives_of_its_command
     ("changes", "words"),
     [
         ({"machine": ""}, "machine is empty; it must name a file in config/axis"),
-        ({"machine": "benhc"}, "machine is 'benhc'; it must be 'bench', 'crane_boom'"),
+        ({"machine": "benhc"}, "machine is 'benhc'; it must be 'bench', 'crane_arm'"),
         ({"sample_period": 0.002}, "0.001 s for the machine 'bench' and 0.002 s for axis_controller"),
         ({"overlap": 20.0}, "overlap is 20 V, no less than spool_limit, 10 V"),
     ],
@@ -108,3 +108,45 @@ def test_an_upper_level_that_cannot_be_is_refused(changes, words):
     with pytest.raises(Exception) as error:
         designed(**changes)
     assert words in str(error.value)
+
+
+def test_with_pressures_that_cannot_be_believed_axis_arc_is_stopped_and_axis_pid_is_not():
+    for level, stops in (("axis_pid", False), ("axis_arc", True)):
+        p, _ = designed(upper_level=level, sensor__hold_samples=2)
+        assert supervisor.needs_pressures(p) == stops
+        s = supervisor.at_rest(p)
+        for k in range(1, 20):
+            s = supervisor.sample(p, s, Reading(math.nan, 0.2, 50e5, 80e5), k * MS)
+            assert not s.stopped and abs(s.command) <= 10.0
+        command = s.command
+        for k, wrong in enumerate((math.nan, 80e5 + 9e7, math.inf), 20):
+            assert s.command == command
+            s = supervisor.sample(p, s, Reading(math.nan, 0.2, 50e5, wrong), k * MS)
+        assert bool(s.stopped) == stops and (s.command == 0.0 or not stops)
+        assert set(supervisor.estimates(p, s)) == ({"mass_kg", *LEARNT} if stops else set())
+
+
+LEARNT = ("damping_Ns_m", "coulomb_N", "force_N", "bulk_modulus_Pa")
+
+
+def test_without_pressure_sensors_axis_arc_stops_with_one_sentence():
+    p, _ = designed(upper_level="axis_arc")
+    s = supervisor.without_pressures(supervisor.at_rest(p), ["a", "b"])
+    assert supervisor.mode(s) == (
+        Mode.SAFE,
+        "stopped, 0 V: there is no pressure_a and pressure_b, which axis_arc needs; the upper_level axis_pid "
+        "needs none",
+    )
+
+
+def test_the_first_sample_of_axis_arc_is_that_of_an_axis_at_rest_after_each_reset():
+    p, _ = designed(upper_level="axis_arc")
+    readings = [Reading(math.nan, 0.2, 50e5, 80e5)] * 50
+    commands = []
+    s = supervisor.at_rest(p)
+    for _ in range(2):
+        for k, reading in enumerate(readings, 1):
+            s = supervisor.sample(p, s, reading, (s.samples + k) * MS)
+            commands.append(s.command)
+        s = supervisor.reset(p, s)
+    assert commands[:50] == commands[50:]

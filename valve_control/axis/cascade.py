@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from valve_control.closed_loop import Sample
 from valve_control.laws import command_lead
-from valve_control.motion import axis_pid
 from valve_control.motion.course import Goal
 from valve_control.plant import axis, machine
 
@@ -31,7 +30,7 @@ SIGNALS = (
 class Params(NamedTuple):
     """Upper level, lead of the spool command, law of the valve."""
 
-    upper: axis_pid.Params
+    upper: Any
     lead: command_lead.Params
     valve_law: Any
 
@@ -39,7 +38,7 @@ class Params(NamedTuple):
 class State(NamedTuple):
     """States of the same."""
 
-    upper: axis_pid.State
+    upper: Any
     lead: command_lead.State
     valve_law: Any
 
@@ -64,6 +63,11 @@ class Measured(NamedTuple):
     last_begin: float  # sample with which the last part of the run begins
 
 
+def upper_step(p: Any, s: Any, goal: Goal, reading: machine.Reading) -> Any:
+    """Placeholder for the step of the upper level; returns (spool command, state, terms)."""
+    raise NotImplementedError
+
+
 def valve_law_step(p: Any, s: Any, command: float, reading: float, offset: float) -> Any:
     """Placeholder for the step of the valve's law; returns (voltage, state, terms)."""
     raise NotImplementedError
@@ -76,9 +80,9 @@ def goal_given(params: float, state: float, given: Array) -> tuple[Goal, float]:
 
 def step(
     p: Params, s: State, goal: Goal, reading: machine.Reading, offset: float
-) -> tuple[float, State, axis_pid.Terms]:
+) -> tuple[float, State, Any]:
     """Compute one sample of both levels; returns the voltage [V], the next state and the upper terms."""
-    command, upper, terms = axis_pid.step(p.upper, s.upper, goal, reading)
+    command, upper, terms = upper_step(p.upper, s.upper, goal, reading)
     lead = command_lead.step(p.lead, s.lead, command)
     led = command_lead.led(p.lead, lead, command)
     voltage, law, _ = valve_law_step(p.valve_law, s.valve_law, led, reading.spool, offset)

@@ -16,7 +16,7 @@ from valve_control.compiling import compile_function
 from valve_control.laws import command_lead
 from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
-from valve_control.motion import axis_pid, course
+from valve_control.motion import course, upper
 from valve_control.parameter import ParameterError, Values, defaults, number, word
 from valve_control.parameters import axis as parameters
 from valve_control.parameters import build
@@ -36,6 +36,7 @@ class Setup(NamedTuple):
     begin: machine.State
     goals: Array  # rows of Goal
     seed: int
+    level: str  # the upper level, of upper.LEVELS
 
 
 class Indices(NamedTuple):
@@ -85,7 +86,9 @@ def goals_of(values: Values, position: float) -> Array:
 
 def setup(settings: dict[str, Values]) -> Setup:
     """Build what is simulated from checked values by node. Raises ParameterError."""
-    at, upper, law_values = (settings[name] for name in ("axis_simulator", "axis_controller", "controller"))
+    at, upper_values, law_values = (
+        settings[name] for name in ("axis_simulator", "axis_controller", "controller")
+    )
     period = number(at, "sample_period")
     for node in ("axis_controller", "controller"):
         other = number(settings[node], "sample_period")
@@ -95,52 +98,55 @@ def setup(settings: dict[str, Values]) -> Setup:
             )
     plant = parameters.machine_params(at, settings["valve_simulator"])
     begin = parameters.start(plant, at)
-    goals = goals_of(upper, number(at, "start.position"))
+    goals = goals_of(upper_values, number(at, "start.position"))
     if np.min(goals[:, 0]) < 0.0 or np.max(goals[:, 0]) > plant.axis.cylinder.stroke:
         raise ParameterError(
             f"the course goes from {np.min(goals[:, 0]):g} m to {np.max(goals[:, 0]):g} m, beyond the stroke "
             f"of {plant.axis.cylinder.stroke:g} m"
         )
-    gains = parameters.velocity_gains(plant.axis, at)
     lead = command_lead.build(law_values) or command_lead.Params(
         0.0, 1.0, 1.0, number(law_values, "command_limit"), period
     )
     law = word(law_values, "controller")
     return Setup(
         law=law,
-        cascade=cascade.Params(axis_pid.build(upper, *gains), lead, build.law_params(law_values)),
+        cascade=cascade.Params(
+            parameters.upper_level(upper_values, plant.axis, at), lead, build.law_params(law_values)
+        ),
         machine=plant,
         begin=begin,
         goals=goals,
         seed=int(number(at, "seed")),
+        level=word(upper_values, "upper_level"),
     )
 
 
 @cache
-def _loop(law: types.ModuleType, compiled: bool) -> Callable[..., Any]:
+def _loop(law: types.ModuleType, level: types.ModuleType, compiled: bool) -> Callable[..., Any]:
+    steps = {"valve_law_step": law.step, "upper_step": level.step}
     if compiled:
-        both = compile_function(cascade.step, {"valve_law_step": compile_function(law.step)})
+        both = compile_function(cascade.step, {name: compile_function(f) for name, f in steps.items()})
     else:
-        scope = {**cascade.step.__globals__, "valve_law_step": law.step}
+        scope = {**cascade.step.__globals__, **steps}
         both = types.FunctionType(cascade.step.__code__, scope, cascade.step.__name__)
     return closed_loop.build({**cascade.FUNCTIONS, "law_step": both}, compiled, nogil=True)
 
 
 def indices_of(s: Setup, signals: Array, compiled: bool = True) -> Indices:
     """Run ``s``; ``signals`` (n×11) receives what ``cascade.shown`` returns at each sample."""
-    law = LAWS[s.law].module
+    law, level = LAWS[s.law].module, upper.LEVELS[s.level]
     n = len(s.goals)
     noise = np.random.default_rng(s.seed).standard_normal((n, machine.NOISES))
     first = machine.read(s.machine, s.begin, noise[0])
     rest = s.begin._replace(history=s.begin.history.copy())
     states = cascade.State(
-        axis_pid.initial(s.cascade.upper),
+        level.initial(s.cascade.upper),
         command_lead.initial(0.0),
         law.initial(s.cascade.valve_law, Start(first.spool, 0.0, first.spool, 0.0, 0.0)),
     )
     period = s.machine.axis.period
     last = float(n - min(n, round(LAST / period)))
-    end = _loop(law, compiled)(
+    end = _loop(law, level, compiled)(
         closed_loop.Parts(0.0, s.cascade, s.machine, cascade.Measured(s.machine, last)),
         closed_loop.Parts(0.0, states, rest, cascade.EMPTY),
         s.goals,
@@ -195,8 +201,8 @@ def simulate_many(
         done()
         return found
 
-    for name in {s.law for s in setups}:
-        warm_up(next(s for s in setups if s.law == name))
+    for s in {(s.law, s.level): s for s in setups}.values():
+        warm_up(s)
     pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
     try:
         return list(pool.map(one, setups))

@@ -27,6 +27,9 @@ def add_commands(commands: Any) -> None:
     )
     group = axis.add_argument_group("what is simulated")
     group.add_argument("--controller", choices=CONTROLLERS, help="law of the valve (default: arc)")
+    group.add_argument(
+        "--upper", metavar="LEVEL", help="what commands the spool: axis_pid or axis_arc (axis_pid)"
+    )
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (3.0)")
     group.add_argument("--seed", type=int, metavar="N", help="seed of the sensors' noise (1)")
     group.add_argument(
@@ -76,7 +79,7 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
 
     direct: dict[str, dict[str, Any]] = {
         "controller": {"controller": arguments.controller},
-        "axis_controller": {"duration": arguments.duration},
+        "axis_controller": {"duration": arguments.duration, "upper_level": arguments.upper},
         "axis_simulator": {"seed": arguments.seed},
     }
     notes: list[str] = []
@@ -112,7 +115,9 @@ def _axis(arguments: argparse.Namespace) -> None:
     if arguments.figure is not None:
         _draw(Path(arguments.figure), setup, found)
         say(arguments, f"wrote {arguments.figure}")
-    write_json(arguments, {"controller": setup.law, **i._asdict(), **_extremes(found)})
+    write_json(
+        arguments, {"controller": setup.law, "upper_level": setup.level, **i._asdict(), **_extremes(found)}
+    )
 
 
 def _delta(arguments: argparse.Namespace) -> None:
@@ -120,7 +125,7 @@ def _delta(arguments: argparse.Namespace) -> None:
 
     from valve_control.axis import delta, study
 
-    names = ("controller", "duration", "seed", "csv", "figure")
+    names = ("controller", "upper", "duration", "seed", "csv", "figure")
     given = [f"--{name}" for name in names if getattr(arguments, name) is not None]
     given += ["--set"] * bool(arguments.set) + ["--params-file"] * bool(arguments.params_file)
     if given:

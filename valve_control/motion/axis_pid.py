@@ -47,9 +47,18 @@ class Terms(NamedTuple):
     spool: float  # V
 
 
+AT_REST = Terms(0.0, 0.0, 0.0)
+NEEDS_PRESSURES = False
+
+
 def initial(p: Params) -> State:
     """At rest at its goal."""
     return State(0.0, velocity.State(0.0, 0.0))
+
+
+def estimates(s: State) -> dict[str, float]:
+    """What has been learnt of the axis, by name with unit: nothing."""
+    return {}
 
 
 def step(p: Params, s: State, goal: Goal, reading: Reading) -> tuple[float, State, Terms]:

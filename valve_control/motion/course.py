@@ -1,7 +1,7 @@
 """Courses of an axis: where it is to be at each sample, with velocity and acceleration."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,24 @@ class Limits(NamedTuple):
     jerk: float  # m/s³
 
 
+def planned(wanted: Any) -> Any:
+    """Trajectory of ruckig for its input ``wanted``, None if there is none.
+
+    ruckig raises an error where a profile is the limit of two kinds, such as a distance in which the
+    acceleration just reaches its limit. With a limit less by a millionth it is one of them.
+    """
+    import ruckig
+
+    for share in (1.0, 1.0 - 1e-6):
+        wanted.max_acceleration = [share * limit for limit in wanted.max_acceleration]
+        path = ruckig.Trajectory(1)
+        try:
+            return path if ruckig.Ruckig(1).calculate(wanted, path) >= 0 else None
+        except ruckig.RuckigError:
+            continue
+    return None
+
+
 def point_to_point(
     start: float, goals: Sequence[float], pause: float, limits: Limits, period: float, duration: float
 ) -> Array:
@@ -48,8 +66,8 @@ def point_to_point(
         wanted.current_position, wanted.target_position = [at], [goal]
         wanted.max_velocity, wanted.max_acceleration = [limits.velocity], [limits.acceleration]
         wanted.max_jerk = [limits.jerk]
-        path = ruckig.Trajectory(1)
-        if ruckig.Ruckig(1).calculate(wanted, path) < 0:
+        path = planned(wanted)
+        if path is None:
             raise ParameterError(f"there is no motion from {at:g} m to {goal:g} m within the limits")
         first = int(np.ceil(begun / period - 1e-9))
         last = int(np.floor((begun + path.duration) / period + 1e-9))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.motion.course import Goal, Limits
+from valve_control.motion.course import Goal, Limits, planned
 from valve_control.parameter import ParameterError
 
 Array = npt.NDArray[np.float64]
@@ -220,8 +220,8 @@ def towards(target: float, present: Goal, limits: Limits, able: Range) -> Path:
     wanted.current_velocity, wanted.current_acceleration = [present.velocity], [present.acceleration]
     wanted.max_velocity, wanted.max_acceleration = [speed], [limits.acceleration]
     wanted.max_jerk = [limits.jerk]
-    found = ruckig.Trajectory(1)
-    if ruckig.Ruckig(1).calculate(wanted, found) < 0:
+    found = planned(wanted)
+    if found is None:
         raise ParameterError(
             f"there is no motion from {present.position:g} m to {target:g} m within the limits"
         )

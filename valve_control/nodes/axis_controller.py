@@ -69,6 +69,7 @@ class AxisController(Managed):
         self._pressures = dict.fromkeys(("a", "b"), math.nan)
         self._stamps: dict[str, Any] = dict.fromkeys(("a", "b"))
         self._heard_rooms = dict.fromkeys(("a", "b"), NEVER)  # s  when their pressures came
+        self._waits_since = NEVER  # s  first reading without pressures that the upper level needs
         self._paired = False  # lockstep: whether both pressures are those of the reading
         self._foreign = ""  # joints of a message without ours
         self._said: tuple[Mode, str] | None = None
@@ -86,6 +87,8 @@ class AxisController(Managed):
             raise ParameterError("the sample_period of a running upper level does not change; start it again")
         if self._values and values["stop.controller"] != self._values["stop.controller"]:
             raise ParameterError("stop.controller of a running node does not change; start it again")
+        if self._values and values["upper_level"] != self._values["upper_level"]:
+            raise ParameterError("the upper_level of a running node does not change; start it again")
         return axis_supervisor.design(values)
 
     def _apply(self, values: Values, built: tuple[axis_supervisor.Params, path.Range]) -> None:
@@ -228,10 +231,10 @@ class AxisController(Managed):
         now = time.monotonic()
         if not self._lockstep:
             self._take_pressures(None)
-            if self._needs_pressures:
-                self._watch_pressures(now)
         self._heard = now
         self._watch_at = NEVER if self._lockstep else now + self._timeout
+        if self._needs_pressures and not self._lockstep and not self._watch_pressures(now):
+            return
         stamp = reading.header.stamp.sec * NANO + reading.header.stamp.nanosec
         position = reading.position[list(reading.name).index(joint)]
         if self._state.goal is None:
@@ -264,12 +267,19 @@ class AxisController(Managed):
                 self._heard_rooms[room] = time.monotonic()
         self._paired = stamp is not None and all(s == stamp for s in self._stamps.values())
 
-    def _watch_pressures(self, now: float) -> None:
-        """Stop if a pressure that the upper level needs is silent."""
+    def _watch_pressures(self, now: float) -> bool:
+        """Stop if a pressure that the upper level needs is silent; False while the first is awaited."""
+        missing = [room for room, heard in self._heard_rooms.items() if heard == NEVER]
+        if missing:
+            self._waits_since = min(self._waits_since, now)
+            if now - self._waits_since <= self._timeout:
+                return False
+            self._state = axis_supervisor.without_pressures(self._state, missing)
         for room, heard in self._heard_rooms.items():
             if now - heard > self._timeout:
                 text = f"no pressure {room} for {now - heard:.3g} s"
                 self._state = axis_supervisor.stopped(self._state, text)
+        return True
 
     # What is wanted
 
@@ -370,6 +380,7 @@ class AxisController(Managed):
             "goal_m": f"{s.goal.position:.6f}" if s.goal is not None else "",
             "error_m": f"{s.terms.error:.6f}",
             "command_V": f"{s.command:.4f}",
+            **axis_supervisor.estimates(self._params, s),
         }
         self._diagnostics.publish(diagnostics(self, level, text, values))
 

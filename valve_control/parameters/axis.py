@@ -5,9 +5,10 @@ The valve that feeds it has the parameters of ``valve_simulator``; they are thos
 
 import math
 from pathlib import Path
+from typing import Any
 
 from valve_control.laws.common import SAMPLE_PERIOD
-from valve_control.motion import axis_pid
+from valve_control.motion import axis_arc_sampled, axis_pid, upper
 from valve_control.parameter import (
     Parameter,
     ParameterError,
@@ -126,7 +127,15 @@ NOMINAL = 70e5  # Pa  pressure difference of relief.flow
 
 AXIS_CONTROLLER: Table = (
     SAMPLE_PERIOD,
+    Parameter(
+        "upper_level",
+        "axis_pid",
+        "",
+        "axis_pid: velocity feedforward and PID; axis_arc: adaptive, of position, velocity and load force",
+        choices=tuple(upper.LEVELS),
+    ),
     *axis_pid.PARAMETERS,
+    *axis_arc_sampled.PARAMETERS,
     Parameter(
         "course",
         "point_to_point",
@@ -275,10 +284,15 @@ def steady_speed(p: axis.Params, supply: float, outwards: bool) -> float:
     return math.sqrt(max(0.0, left) / loss)
 
 
+def supply_pressure(values: Values) -> float:
+    """Pressure [Pa] at which the supply feeds the axis: of a pump that of its relief valve."""
+    constant = word(values, "supply.kind") == "constant"
+    return number(values, "supply.pressure" if constant else "relief.pressure")
+
+
 def velocity_gains(p: axis.Params, values: Values) -> tuple[float, float]:
     """Velocity per spool position beyond the overlap [m/s/V], outwards and inwards. Raises ParameterError."""
-    constant = word(values, "supply.kind") == "constant"
-    supply = number(values, "supply.pressure" if constant else "relief.pressure")
+    supply = supply_pressure(values)
     found = []
     for outwards, overlap in ((True, p.overlaps.pa), (False, p.overlaps.pb)):
         speed = steady_speed(p, supply, outwards)
@@ -289,6 +303,17 @@ def velocity_gains(p: axis.Params, values: Values) -> tuple[float, float]:
             )
         found.append(speed / (p.full_scale * (1.0 - max(0.0, overlap))))
     return found[0], found[1]
+
+
+def upper_level(values: Values, plant: axis.Params, machine_values: Values) -> Any:
+    """Params of the upper level that ``values`` of ``axis_controller`` choose. Raises ParameterError.
+
+    ``plant`` is what is known of the axis, with the values of ``axis_simulator`` that it was made from.
+    """
+    gains = velocity_gains(plant, machine_values)
+    if word(values, "upper_level") == axis_arc_sampled.NAME:
+        return axis_arc_sampled.build(values, plant, supply_pressure(machine_values))
+    return axis_pid.build(values, *gains)
 
 
 def known_machine(name: str) -> Values:

@@ -9,9 +9,11 @@ safe      stopped: 0 V is commanded until ``reset``, because the sensors cannot 
 """
 
 import math
-from typing import NamedTuple
+import types
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-from valve_control.motion import axis_pid, path
+from valve_control.motion import axis_pid, path, upper
 from valve_control.motion.course import Goal
 from valve_control.parameter import ParameterError, Values, number, word
 from valve_control.parameters import axis as parameters
@@ -26,7 +28,8 @@ REPORTED = 1.0  # s for which a refusal stays reported
 class Params(NamedTuple):
     """The upper level and what is watched."""
 
-    upper: axis_pid.Params
+    level: types.ModuleType  # the upper level, of upper.LEVELS
+    upper: Any
     watch: axis_watch.Params
     error_limit: float  # m  0.0: none
     period: float  # s
@@ -35,14 +38,14 @@ class Params(NamedTuple):
 class State(NamedTuple):
     """All that is remembered between two samples."""
 
-    upper: axis_pid.State
+    upper: Any
     watch: axis_watch.State
     path: path.Path | None
     begun: int | None  # ns  time of the path's beginning, None: with the next reading
     goal: Goal | None  # None before the first reading
     jerk: float  # m/s³  of the goal
     command: float  # V
-    terms: axis_pid.Terms
+    terms: Any
     stopped: str  # why; "": it is not
     bridged: str  # what is wrong with the reading that is bridged
     refused: str  # what was refused of late
@@ -66,11 +69,11 @@ def design(values: Values) -> tuple[Params, path.Range]:
             f"{number(values, 'sample_period'):g} s for axis_controller; they must be equal"
         )
     built = parameters.axis_params(known)
-    gains = parameters.velocity_gains(built, known)
-    upper = axis_pid.build(values, *gains)
-    low, high, beyond = 0.0, built.cylinder.stroke, upper.limit - upper.overlap
+    moved = axis_pid.build(values, *parameters.velocity_gains(built, known))
+    low, high, beyond = 0.0, built.cylinder.stroke, moved.limit - moved.overlap
     if beyond <= 0.0:
-        raise ParameterError(f"overlap is {upper.overlap:g} V, no less than spool_limit, {upper.limit:g} V")
+        raise ParameterError(f"overlap is {moved.overlap:g} V, no less than spool_limit, {moved.limit:g} V")
+    level = upper.LEVELS[word(values, "upper_level")]
     watch = axis_watch.Params(
         low,
         high,
@@ -81,27 +84,28 @@ def design(values: Values) -> tuple[Params, path.Range]:
         int(number(values, "sensor.hold_samples")),
     )
     able = path.Range(
-        low, high, upper.gain_out * beyond, upper.gain_in * beyond, number(values, "start_tolerance")
+        low, high, moved.gain_out * beyond, moved.gain_in * beyond, number(values, "start_tolerance")
     )
-    return Params(upper, watch, number(values, "error_limit"), number(values, "sample_period")), able
+    made = parameters.upper_level(values, built, known)
+    return Params(level, made, watch, number(values, "error_limit"), number(values, "sample_period")), able
 
 
 def needs_pressures(p: Params) -> bool:
     """Whether the upper level works with the pressures."""
-    return False
+    return bool(p.level.NEEDS_PRESSURES)
 
 
 def at_rest(p: Params) -> State:
     """Before the first reading."""
     return State(
-        axis_pid.initial(p.upper),
+        p.level.initial(p.upper),
         axis_watch.UNKNOWN,
         None,
         None,
         None,
         0.0,
         0.0,
-        axis_pid.Terms(0.0, 0.0, 0.0),
+        p.level.AT_REST,
         "",
         "",
         "",
@@ -180,7 +184,7 @@ def sample(p: Params, s: State, reading: Reading, time: int) -> State:
             goal = path.goal_of(following, time - begun)
         if time >= begun + following.end:
             following = None
-    command, upper, terms = axis_pid.step(p.upper, s.upper, goal, reading)
+    command, after, terms = p.level.step(p.upper, s.upper, goal, reading)
     if not math.isfinite(command):
         return stopped(s, f"the upper level's command is {command}")
     if 0.0 < p.error_limit < abs(terms.error):
@@ -188,7 +192,7 @@ def sample(p: Params, s: State, reading: Reading, time: int) -> State:
             s, f"the position is {abs(terms.error):.4g} m off its goal, error_limit is {p.error_limit:g} m"
         )
     return s._replace(
-        upper=upper,
+        upper=after,
         path=following,
         begun=begun,
         goal=goal,
@@ -197,6 +201,17 @@ def sample(p: Params, s: State, reading: Reading, time: int) -> State:
         terms=terms,
         bridged="",
     )
+
+
+def without_pressures(s: State, rooms: Sequence[str]) -> State:
+    """State when no pressure of ``rooms`` has ever come, which the upper level needs."""
+    topics = " and ".join(f"pressure_{room}" for room in rooms)
+    return stopped(s, f"there is no {topics}, which axis_arc needs; the upper_level axis_pid needs none")
+
+
+def estimates(p: Params, s: State) -> dict[str, str]:
+    """What the upper level has learnt of the axis, in words by name with unit."""
+    return {name: f"{value:.4g}" for name, value in p.level.estimates(s.upper).items()}
 
 
 def silent(s: State, elapsed: float) -> State:
@@ -208,4 +223,5 @@ def spool_motion(p: Params, s: State) -> axis_pid.Motion:
     """Motion of the spool that is commanded: at rest where it is held or stopped."""
     if s.stopped or s.goal is None:
         return axis_pid.Motion(s.command, 0.0, 0.0)
-    return axis_pid.motion(p.upper, s.upper, s.goal, s.jerk, s.terms)
+    moved: axis_pid.Motion = p.level.motion(p.upper, s.upper, s.goal, s.jerk, s.terms)
+    return moved
