@@ -155,9 +155,13 @@ def compared(law: Law, budget: int, times: int, seed: int) -> dict[str, Any]:
     settled: Mapping[str, Value] = {}
     variants = tuner.variants(law, problem.values)
     with tqdm.tqdm(total=times * budget * len(variants), desc=law.name, unit="sets") as bar:
+
+        def told(done: int) -> None:
+            bar.update(done)
+
         for variant in variants:
             there = problem._replace(values=updated(CONTROLLER, problem.values, variant))
-            one = long_search(law, there, times * budget, seed, lambda n: bool(bar.update(n)) and None)
+            one = long_search(law, there, times * budget, seed, told)
             if one[0] < long[0]:
                 long, settled = one, variant
     result: dict[str, Any] = {
