@@ -214,14 +214,18 @@ class Controller:
         self._look(Watch(limits))
 
     def drive(self, course: Course, limits: Limits, told: Told) -> Record:
-        """Give the commands of ``course``, one for each reading. Raises Fault."""
+        """Give the commands of ``course``, one for each reading. Raises Fault.
+
+        A command is for the next reading. It is sent when the voltage that answers this one has come: the
+        controller would take it now or then, as chance has it, if it were sent with the reading.
+        """
         self._look(Watch(limits))
         watch = Watch(limits)
-        wait_set = WaitSet(1, 0, 0, 0, 0, 0, self._node.context.handle)
+        wait_set = WaitSet(2, 0, 0, 0, 0, 0, self._node.context.handle)
         readings: list[Sample] = []
         voltages: list[Sample] = []
         commands: list[tuple[int, float]] = []
-        number = 0
+        following: float | None = None
 
         def give(value: float) -> None:
             limited = max(-limits.voltage, min(limits.voltage, value))
@@ -232,18 +236,23 @@ class Controller:
         while True:
             wait_set.clear_entities()
             wait_set.add_subscription(self._readings.handle)
+            wait_set.add_subscription(self._voltages.handle)
             wait_set.wait(round(LOOK * 1e9))
             came, answers = self._look(watch)
             voltages += answers
-            if not came:
-                continue
-            readings += came
-            number = came[-1][0] - readings[0][0]
-            told(number * self._period)
-            try:
-                give(course.send(Seen((number + 1) * self._period, came[-1][2])))
-            except StopIteration:
-                return _paired(readings, voltages, commands, self._period)
+            if came:
+                if following is not None:
+                    give(following)
+                readings += came
+                number = came[-1][0] - readings[0][0]
+                told(number * self._period)
+                try:
+                    following = course.send(Seen((number + 1) * self._period, came[-1][2]))
+                except StopIteration:
+                    return _paired(readings, voltages, commands, self._period)
+            if following is not None and voltages and voltages[-1][1] >= readings[-1][1]:
+                give(following)
+                following = None
 
     def _look(self, watch: Watch) -> tuple[list[Sample], list[Sample]]:
         """New readings and voltages. Raises Fault at the first message that is not as it should be."""
