@@ -5,8 +5,10 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
+import rclpy
 from bench import (
     HOLD,
     Bench,
@@ -260,3 +262,44 @@ def test_a_best_effort_driver_is_heard(ros, tmp_path):
         assert set_parameters(ros, lockstep=False).successful
         spin_until(ros, matched(1, 1), "both drivers again")
         spin_until(ros, lambda: heard(drivers[0], 0.03), "reading 0.03")
+
+
+@pytest.mark.parametrize("trigger", ["spool_position", "valve_voltage"])
+def test_a_command_for_each_message_that_paces_it(ros, tmp_path, trigger):
+    """Exactly one, and none for messages of the other topic; a change of the topic while it runs counts."""
+    other = "valve_voltage" if trigger == "spool_position" else "spool_position"
+    got = []
+    ros.create_subscription(Float64, "spool_command", lambda message: got.append(message.data), 1000)
+    senders = {topic: ros.create_publisher(Float64, topic, 10) for topic in (trigger, other)}
+    settings = (
+        "scenario:=constant",
+        "amplitude:=0.7",
+        "offset:=0.0",
+        "listeners:=1",
+        "delay:=0.0",
+        "duration:=60.0",
+    )
+
+    def sent():
+        """One message on both topics; whether a command came of it within half a second."""
+        before = len(got)
+        for one in senders.values():
+            one.publish(Float64(data=0.0))
+        end = time.monotonic() + 0.5
+        while len(got) == before and time.monotonic() < end:
+            rclpy.spin_once(ros, timeout_sec=0.05)
+        return len(got) > before
+
+    def paced_by(topic):
+        spin_until(ros, lambda: senders[topic].get_subscription_count() == 1, f"source on {topic}")
+        spin_until(ros, sent, "the first command")  # both sides know each other now
+        begin = len(got)
+        assert all(sent() for _ in range(20))
+        assert len(got) == begin + 20
+
+    arguments = [word for s in (f"trigger:={other}", *settings) for word in ("-p", s)]
+    with process("command_source", arguments, tmp_path / "source.log"):
+        paced_by(other)
+        assert set_parameters(ros, "command_source", trigger=trigger).successful
+        spin_until(ros, lambda: senders[other].get_subscription_count() == 0, "the other topic left")
+        paced_by(trigger)

@@ -24,14 +24,15 @@ SHAPING = [p.name for p in COMMAND if not p.name.startswith("fault.")]
 class CommandSource(Worker):
     """Publishes `spool_command` (or `spool_trajectory`), from the moment on at which enough others listen.
 
-    Once per sample period or LVDT reading, or every few of them. A change of its shape starts it from its
+    Once per sample period, LVDT reading or voltage, or every few of them. A change of its shape starts it from its
     beginning; at the end the last value is held. In lockstep the first command is for the first reading, and
     each reading calls for the command of the next.
     """
 
     def __init__(self) -> None:
         super().__init__("command_source")
-        self._readings: NumberSubscription | None = None
+        self._pacing: NumberSubscription | None = None  # what each command follows
+        self._topic = ""  # of it
         self._shaped_by: list[Any] = []
         self._commands: list[float] = []
         self._rates: list[float] = []
@@ -88,12 +89,13 @@ class CommandSource(Worker):
         self._began: float | None = None
         self._done = False
         self._trigger = word(values, "trigger")
-        if self._trigger != "timer" and self._readings is None:
-            self._readings = NumberSubscription(self, "spool_position", SAMPLES)
+        topic = {"timer": "", "lockstep": "spool_position"}.get(self._trigger, self._trigger)
+        if topic != self._topic:
+            if self._pacing is not None:
+                self._pacing.destroy()
+            self._topic = topic
+            self._pacing = NumberSubscription(self, topic, SAMPLES) if topic else None
             self._ahead = False
-        elif self._trigger == "timer" and self._readings is not None:
-            self._readings.destroy()
-            self._readings = None
         self._next = time.monotonic()
         self.get_logger().info(
             f"{values['scenario']}: {len(self._commands) * self._period:g} s of commands, "
@@ -106,8 +108,8 @@ class CommandSource(Worker):
         return self.create_publisher(Float64, "spool_command", SAMPLES)
 
     def inputs(self) -> Sequence[NumberSubscription]:
-        """Subscription of the readings, if they pace the commands."""
-        return () if self._readings is None else (self._readings,)
+        """Subscription of the readings or voltages, if they pace the commands."""
+        return () if self._pacing is None else (self._pacing,)
 
     def due(self) -> float:
         """Time [s] of the timer's next command, or of the next look for listeners."""
@@ -124,7 +126,7 @@ class CommandSource(Worker):
             self._next = max(self._next + self._period, now)
             self._send(now / self._period)
             return True
-        assert self._readings is not None
+        assert self._pacing is not None
         worked = False
         if self._trigger == "lockstep" and self._began is None:
             if self._publisher.get_subscription_count() < self._listeners:
@@ -135,7 +137,7 @@ class CommandSource(Worker):
                 self._ahead = True
                 self._publish(0)
             worked = True
-        for _, info in self._readings.take():
+        for _, info in self._pacing.take():
             if self._trigger == "lockstep":
                 self._publish(self._sent)
             else:

@@ -296,9 +296,10 @@ COMMAND: Table = (
         "trigger",
         "timer",
         "",
-        "what paces the commands: a timer of the node's own, spool_position (one command per reading), or "
+        "what paces the commands: a timer of the node's own, spool_position (one command per reading), "
+        "valve_voltage (one per voltage: in time for the next reading, and not too soon), or "
         "lockstep (the first at once, each further one per reading, none lost)",
-        choices=("timer", "spool_position", "lockstep"),
+        choices=("timer", "spool_position", "valve_voltage", "lockstep"),
     ),
     Parameter(
         "message",

@@ -50,9 +50,9 @@ class DemoRun(NamedTuple):
 TABLE_1 = "point to point (Table 1, Fig. 5)"
 TUNED = "the same with gains that valve-control tune found"
 SINE = "6 Hz sine, model (3) (Fig. 4)"
-# The controller and the demo itself listen; the upper level runs in step with the LVDT.
+# The controller and the demo itself listen; the upper level sends a command when the last one has been used.
 # A desktop may put a process aside for tens of milliseconds, which is not what the demo is about.
-PACE = {"listeners": 2, "trigger": "spool_position", "lvdt.hold_samples": 100}
+PACE = {"listeners": 2, "trigger": "valve_voltage", "lvdt.hold_samples": 100}
 CALIBRATED = "d3fxe_experiment.yaml"
 STROKES = {**PACE, "duration": 6.0}
 SINE_SETTINGS = {"scenario": "sine", "amplitude": 1.0, "frequency": 6.0, "duration": 6.0}
