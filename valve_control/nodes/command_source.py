@@ -24,9 +24,9 @@ SHAPING = [p.name for p in COMMAND if not p.name.startswith("fault.")]
 class CommandSource(Worker):
     """Publishes `spool_command` (or `spool_trajectory`), from the moment on at which enough others listen.
 
-    Once per sample period, LVDT reading or voltage, or every few of them. A change of its shape starts it from its
-    beginning; at the end the last value is held. In lockstep the first command is for the first reading, and
-    each reading calls for the command of the next.
+    Once per sample period, LVDT reading or voltage, or every few of them. A change of its shape starts it
+    from its beginning; at the end the last value is held. In lockstep the first command is for the first
+    reading, and each reading calls for the command of the next.
     """
 
     def __init__(self) -> None:
