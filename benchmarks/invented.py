@@ -2,7 +2,8 @@
 
 Each valve has order 2 to 4, 3 to 40 Hz, friction up to 1.5 V, dead time up to 2 ms, noise of 1 to 15 mV.
 What is run are the commands that a user types: ``identify`` on simulated data, ``tune`` of dcarc and pid
-around what it has written, ``simulate`` of both on the valve itself. Motions are as fast as the valve is.
+around what it has written, ``simulate`` of both on the valve itself. Motions are as fast as the valve is,
+up to 14 Hz.
 """
 
 import argparse
@@ -28,6 +29,7 @@ from valve_control.parameters import files
 PERIOD = 0.001  # s
 DURATION = 4.0  # s
 SLOW = 6.0  # Hz  the valve of the paper, for which the motions below are made
+FASTEST = 14.0  # Hz  faster motions would be cut by the limits (6), (7) of the reshaping, whatever the law
 LAWS = ("dcarc", "pid")
 # What identify has measured; gain, flow force, offset, static friction and drift stay open.
 KNOWN = ("speed", "lvdt.delay", "lvdt.noise", "friction.coulomb")
@@ -64,7 +66,7 @@ def invented(random: np.random.Generator) -> tuple[float, Values]:
 
 def motions(frequency: float) -> dict[str, np.ndarray[Any, Any]]:
     """Strokes and sines [V] for a valve of this bandwidth [Hz]."""
-    t, fast = np.arange(round(DURATION / PERIOD)) * PERIOD - 0.2, frequency / SLOW
+    t, fast = np.arange(round(DURATION / PERIOD)) * PERIOD - 0.2, min(frequency, FASTEST) / SLOW
     shape = Shape("point_to_point", 1.2, 0.0, 0.0, 1.0, 1.0, 25.0 * fast, 1500.0 * fast * fast, 0.8, 1.0)
     swell = 0.5 - 0.5 * np.cos(math.pi * np.clip(t / 0.5, 0.0, 1.0))
     return {
