@@ -130,7 +130,8 @@ def long_search(
                 costs[i] += 20.0 + missed
             else:
                 kept.append((i, gains))
-        for (i, gains), outcome in zip(kept, trial.run(law, problem, [g for _, g in kept]), strict=True):
+        outcomes = trial.run(law, problem, [gains for _, gains in kept]) if kept else []
+        for (i, gains), outcome in zip(kept, outcomes, strict=True):
             error, loud = trial.error_of(problem, outcome), float(np.mean(outcome.saturated))
             beyond = max(0.0, math.log(max(outcome.chatter, 1e-9) / QUIET)) + max(0.0, loud - 0.02)
             costs[i] += math.log(error) + 6.0 * beyond if math.isfinite(error) else 100.0
