@@ -50,7 +50,14 @@ def test_its_margins_are_told_and_its_gains_are_found():
     ]
     motion = trial.Motion("sine", COMMAND)
     problem = trial.Problem(
-        settings(), [motion], plants, plants, trial.Limits(3.0, 20.0, 0.0005, 10.0, 0.02), False, False, 1
+        settings(),
+        [motion],
+        plants,
+        plants,
+        trial.Limits(3.0, 20.0, 0.0005, 10.0, 0.05, 0.02),
+        False,
+        False,
+        1,
     )
     told = margins.margins(LAWS["lead"], build.law_params(settings()), margins.prepared(plants))
     assert np.all(np.isfinite(told.gain_db)) and told.gain_db[0] > told.gain_db[1] > 3.0

@@ -20,7 +20,7 @@ from valve_control.tuning.trial import Gains
 
 FREE = [free for law in LAWS.values() for free in law.free]
 SETTINGS = {node: defaults(table) for node, table in NODES.items()}
-LIMITS = trial.Limits(2.0, 15.0, 0.0003, 12.0, 0.02)
+LIMITS = trial.Limits(2.0, 15.0, 0.0003, 12.0, 0.05, 0.02)
 NARROW = ("gain", "speed", "friction.coulomb")
 
 

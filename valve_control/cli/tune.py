@@ -77,6 +77,13 @@ def add_commands(commands: Any) -> None:
     limits.add_argument("--delay-margin", type=float, default=0.0005, metavar="S", help="(0.0005 s)")
     limits.add_argument("--peak", type=float, default=12.0, metavar="DB", help="of the sensitivity (12 dB)")
     limits.add_argument(
+        "--swing",
+        type=float,
+        default=0.05,
+        metavar="V",
+        help="about rest, that friction may sustain (0.05 V)",
+    )
+    limits.add_argument(
         "--saturation", type=float, default=0.02, metavar="X", help="mean share of the samples (0.02)"
     )
     group = tune.add_argument_group("search")
@@ -168,7 +175,7 @@ def _check(arguments: argparse.Namespace) -> None:
             raise ParameterError(f"--{name} is {getattr(arguments, name)}; it must be at least {least}")
     if arguments.max_chatter is not None and arguments.max_error is not None:
         raise ParameterError("--max-chatter and --max-error contradict each other; give one of them")
-    for name in ("max_chatter", "max_error", "peak"):
+    for name in ("max_chatter", "max_error", "peak", "swing"):
         value = getattr(arguments, name)
         if value is not None and not 0.0 < value < math.inf:
             raise ParameterError(f"--{name.replace('_', '-')} is {value:g}; it must be above 0, and finite")
@@ -228,6 +235,7 @@ def _limits(arguments: argparse.Namespace) -> "Limits":
         arguments.phase_margin,
         arguments.delay_margin,
         arguments.peak,
+        arguments.swing,
         arguments.saturation,
     )
 

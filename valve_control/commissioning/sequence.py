@@ -25,8 +25,7 @@ from valve_control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, Value, Values, defaults, number, updated
 from valve_control.parameters.table import CONTROLLER, NODES
 from valve_control.simulation import offline
-from valve_control.tuning import box, tuner, verification
-from valve_control.tuning.trial import Limits as Margins
+from valve_control.tuning import box, trial, tuner, verification
 from valve_control.tuning.trial import Problem
 from valve_control.tuning.tuner import Aim, Tuned
 
@@ -36,7 +35,6 @@ RATE = 0.4  # 1/s  times the limit of the voltage: rate of the triangle
 TURNS = 4  # of the triangle
 ROUNDS = 3  # of friction and lag
 SILENCE = 0.5  # s  of the command, after which the controller leads to neutral
-MARGINS = Margins(3.0, 20.0, 0.0005, 12.0, 0.02)  # those of ``tune``
 UNSEEN_SEED = 1_000_003  # added to the seed for valves that the search does not see
 WORSE = 2.0  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
@@ -302,7 +300,9 @@ def _tuned(
         box.study_of(settings, quantities, count, seed)
         for count, seed in ((plan.valves, plan.seed), (plan.unseen, plan.seed + UNSEEN_SEED))
     )
-    problem = Problem(values, motions, box.drawn(seen), box.bounding(seen), MARGINS, False, False, plan.seed)
+    problem = Problem(
+        values, motions, box.drawn(seen), box.bounding(seen), trial.USUAL, False, False, plan.seed
+    )
     unseen = problem._replace(plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + UNSEEN_SEED)
     law = LAWS[plan.law]
     total = plan.budget * len(tuner.variants(law, values))

@@ -2,7 +2,8 @@
 
 The loop is cut at the voltage. Law and valve are linear for small motions around rest
 (parameters/linear_loop.py), and the response of both at z = exp(iωΔT) is that of the samples, exactly: hold,
-dead time and aliasing included.
+dead time and aliasing included. Friction has no linear form; which swings it sustains tells its describing
+function (friction_swing.py).
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ import numpy.typing as npt
 from valve_control.laws.law import Law
 from valve_control.parameters import linear_loop
 from valve_control.plant import valve
+from valve_control.tuning import friction_swing
 
 Array = npt.NDArray[np.float64]
 LOWEST = 0.05  # Hz  of the frequencies looked at; the highest is half the sampling rate
@@ -32,6 +34,7 @@ class Margins(NamedTuple):
     delay_s: Array  # s   of more dead time
     sensitivity_db: Array  # dB  peak of 1/(1 + L)
     response_db: Array  # dB  peak of L/(1 + L)
+    swing_v: Array  # V   amplitude of the largest swing about rest that friction sustains
 
 
 class Box(NamedTuple):
@@ -41,6 +44,8 @@ class Box(NamedTuple):
     omega: Array  # F  rad/s
     z: linear_loop.Complex  # F
     response: linear_loop.Complex  # N×F
+    coulomb: Array  # N  V
+    presliding: Array  # N  V
 
 
 def prepared(plants: Sequence[valve.Params]) -> Box:
@@ -52,7 +57,8 @@ def prepared(plants: Sequence[valve.Params]) -> Box:
     valves = linear_loop.linear_valves(plants)
     z = np.exp(1j * omega * plants[0].period)
     z[-1] = -1.0
-    return Box(valves, omega, z, linear_loop.valve_response(valves, z))
+    coulomb, presliding = np.array([(p.disturbance.coulomb, p.disturbance.presliding) for p in plants]).T
+    return Box(valves, omega, z, linear_loop.valve_response(valves, z), coulomb, presliding)
 
 
 @cache
@@ -70,13 +76,14 @@ def margins(law: Law, params: Any, box: Box) -> Margins:
     with np.errstate(divide="ignore"):
         sensitivity = -20.0 * np.log10(np.min(np.abs(1.0 + loop), axis=1))
         response = 20.0 * np.log10(np.max(np.abs(loop / (1.0 + loop)), axis=1))
-    found = Margins(radius, gain, reduction, phase, delay, sensitivity, response)
+    swing = friction_swing.swings(loop, box.response, box.z, box.coulomb, box.presliding)
+    found = Margins(radius, gain, reduction, phase, delay, sensitivity, response, swing)
     return _without_unstable(found)
 
 
 def worst(found: Margins) -> Margins:
     """The least of each margin and the largest of each peak over the valves, as arrays of one entry."""
-    highest = ("radius", "sensitivity_db", "response_db")
+    highest = ("radius", "sensitivity_db", "response_db", "swing_v")
     return Margins._make(
         np.array([np.max(values) if name in highest else np.min(values)])
         for name, values in found._asdict().items()
@@ -92,7 +99,8 @@ def as_dict(found: Margins, i: int = 0) -> dict[str, float | None]:
 def _without_unstable(found: Margins) -> Margins:
     stable = found.radius < 1.0 + EDGE
     peaks = {
-        name: np.where(stable, getattr(found, name), np.inf) for name in ("sensitivity_db", "response_db")
+        name: np.where(stable, getattr(found, name), np.inf)
+        for name in ("sensitivity_db", "response_db", "swing_v")
     }
     left = {
         name: np.where(stable, getattr(found, name), 0.0)

@@ -141,6 +141,7 @@ def _margins(unseen: Problem, found: Mapping[str, Tuned]) -> str:
             f"{1e3 * limits.delay_s:g}",
             f"{limits.sensitivity_db:g}",
             "",
+            f"{limits.swing:g}",
         ]
     ]
     for name, one in found.items():
@@ -154,6 +155,7 @@ def _margins(unseen: Problem, found: Mapping[str, Tuned]) -> str:
                 text(worst["delay_s"], 1e3),
                 text(worst["sensitivity_db"]),
                 text(worst["response_db"]),
+                text(worst["swing_v"]),
             ]
         )
     head = [
@@ -164,6 +166,7 @@ def _margins(unseen: Problem, found: Mapping[str, Tuned]) -> str:
         "delay [ms]",
         "sensitivity [dB]",
         "response [dB]",
+        "swing by friction [V]",
     ]
     return "<p>The least of each over all valves, of the peaks the largest.</p>" + pages.table(head, rows)
 

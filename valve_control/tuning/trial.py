@@ -39,7 +39,13 @@ class Limits(NamedTuple):
     phase_deg: float
     delay_s: float
     sensitivity_db: float  # at most
+    swing: float  # V  at most; of the swing about rest that friction sustains
     saturated: float  # at most; share of the samples at the limit of the voltage
+
+
+USUAL = Limits(
+    gain_db=3.0, phase_deg=20.0, delay_s=0.0005, sensitivity_db=12.0, swing=0.05, saturated=0.02
+)  # where nothing else is asked for
 
 
 class Problem(NamedTuple):
@@ -212,4 +218,6 @@ def violation(limits: Limits, found: margins.Margins, share: float = 1.0) -> flo
             if name == "gain_db":
                 missing += max(0.0, 1.0 - float(np.min(found.reduction_db)) / wanted)
     most = limits.sensitivity_db / share
-    return missing + max(0.0, float(np.max(found.sensitivity_db)) / most - 1.0)
+    missing += max(0.0, float(np.max(found.sensitivity_db)) / most - 1.0)
+    swing = float(np.max(found.swing_v)) / (limits.swing / share)
+    return missing + (math.log(swing) if swing > 1.0 else 0.0)

@@ -157,6 +157,10 @@ def _margins_missed(limits: trial.Limits, worst: dict[str, float | None]) -> lis
     if peak is None or peak > limits.sensitivity_db:
         shown = "without end" if peak is None else f"{peak:.3g} dB"
         reasons.append(f"the sensitivity peaks at {shown}, above {limits.sensitivity_db:g} dB")
+    swing = worst["swing_v"]
+    if swing is None or swing > limits.swing:
+        shown = "any size" if swing is None else f"{swing:.3g} V"
+        reasons.append(f"friction can sustain a swing of {shown} about rest, above {limits.swing:g} V")
     return reasons
 
 

@@ -1,0 +1,107 @@
+"""Swings that friction sustains: the describing function against the bristles, predictions against runs."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import files
+from valve_control.parameters.stability import FREE
+from valve_control.parameters.table import CONTROLLER
+from valve_control.plant import valve
+from valve_control.simulation import batch, comparison
+from valve_control.tuning import friction_swing, margins
+
+PERIOD = 0.001
+RUBBING = FREE._replace(coulomb=1.0, presliding=1.0)
+GAINS = "config/tuned/wide_0.25_pid_reference.yaml"
+
+
+def first_harmonic(deflection, samples):
+    """Of the bristles that ``valve.friction`` moves, over x = deflection·sin; ``samples`` in a cycle."""
+    omega = 2.0 * math.pi / samples  # per period of 1 s
+    z, force = 0.0, np.empty(samples)
+    for k in range(4 * samples):
+        velocity = deflection * omega * math.cos(omega * (k + 1))
+        level, z = valve.friction(RUBBING, 1.0, z, velocity, 0.0, 1.0)
+        force[k % samples] = level
+    wave = np.exp(-1j * omega * np.arange(samples))
+    return complex(2.0 / samples * np.sum(force * wave)) / (-1j * deflection)
+
+
+@given(st.floats(-2.0, 1.5))
+def test_describing_function_is_the_first_harmonic_of_the_bristles(exponent):
+    deflection = 10.0**exponent
+    found = complex(friction_swing.describing_function(np.array([deflection]))[0])
+    assert first_harmonic(deflection, 4000) == pytest.approx(found, rel=0.01, abs=1e-5)
+
+
+def test_describing_function_goes_from_a_spring_to_coulomb_friction():
+    """2·I1(α)/cosh α is 4/√(2πα) for large α."""
+    large = 1e6
+    small, rubs = friction_swing.describing_function(np.array([1e-6, large]))
+    assert small == pytest.approx(1.0, abs=1e-5)
+    assert rubs.imag * large == pytest.approx(4.0 / math.pi, abs=1e-5)
+    assert rubs.real * large == pytest.approx(4.0 / math.sqrt(2.0 * math.pi * large), rel=1e-5)
+
+
+@pytest.mark.parametrize("frequency", [10.0, 30.0, 60.0])
+@pytest.mark.parametrize("deflection", [0.2, 1.0])
+def test_sampled_bristles_are_ahead_by_one_and_a_half_periods(frequency, deflection):
+    samples = round(1.0 / (PERIOD * frequency))
+    sampled = first_harmonic(deflection, samples)
+    found = complex(friction_swing.describing_function(np.array([deflection]))[0])
+    ahead = np.angle(sampled / found) * samples / (2.0 * math.pi)
+    assert ahead == pytest.approx(friction_swing.AHEAD, abs=0.2)
+
+
+def rubbing(coulomb, presliding):
+    """A valve on which the swings of GAINS were seen: slow poles, fast zeros, much gain."""
+    made = comparison.made_of(
+        1.35, 0.8, 1.22, 0.0005, FREE._replace(coulomb=coulomb, presliding=presliding, flow_force=0.3)
+    )
+    return made._replace(lvdt=made.lvdt._replace(noise=0.0, resolution=0.0))
+
+
+@pytest.mark.parametrize(("coulomb", "presliding"), [(1.4, 0.035), (1.0, 0.03), (1.4, 0.02)])
+def test_predicted_swing_is_that_of_a_run(coulomb, presliding):
+    """The largest over the levels of friction up to the valve's own, after a step."""
+    values = files.load(GAINS)["controller"]
+    law = LAWS["pid"]
+    params = law.build(updated(CONTROLLER, defaults(CONTROLLER), values))
+    plants = [rubbing(share * coulomb, presliding) for share in np.linspace(0.1, 1.0, 19)]
+    predicted = margins.margins(law, params, margins.prepared(plants[-1:])).swing_v[0]
+    command = np.where(np.arange(6000) < 100, 0.0, 0.3)
+    traces = np.empty((len(plants), len(command), 3))
+    seeds = np.ones(len(plants), dtype=int)
+    batch.simulate(batch.Batch(law.name, params, batch.records(plants), seeds, command), 1, traces)
+    last = traces[:, -2000:, 0]
+    amplitude = math.sqrt(2.0) * np.max(np.std(last, axis=1))
+    assert predicted > 0.04
+    assert amplitude == pytest.approx(predicted, rel=0.15)
+
+
+def test_without_friction_nothing_swings_and_more_of_it_swings_more():
+    values = files.load(GAINS)["controller"]
+    law = LAWS["pid"]
+    params = law.build(updated(CONTROLLER, defaults(CONTROLLER), values))
+    plants = [rubbing(coulomb, 0.03) for coulomb in (0.0, 0.4, 0.8, 1.6)]
+    found = margins.margins(law, params, margins.prepared(plants)).swing_v
+    assert found[0] == 0.0 and np.all(np.diff(found) > 0.0)
+
+
+def test_coulomb_friction_without_a_spring_is_the_limit_of_short_presliding():
+    """Where the loop crosses the axis of N = j·4F/(πA), the swing does not depend on the spring."""
+    z = np.exp(1j * np.linspace(0.05, 0.2, 400))
+    crossing = (30.0j + np.linspace(5.0, -5.0, 400) * (1.0 - 0.2j))[None]  # N, from spring to negative spring
+    valve_response = np.full((1, 400), 0.5 + 0.0j)
+    loop = -1.0 - crossing * z**friction_swing.AHEAD * valve_response
+    level = np.array([1.2])
+    bare = friction_swing.swings(loop, valve_response, z, level, np.array([0.0]))
+    short = friction_swing.swings(loop, valve_response, z, level, np.array([1e-6]))
+    assert bare[0] == pytest.approx(4.0 * 1.2 / (math.pi * 30.0), rel=1e-3)
+    assert short[0] <= bare[0]

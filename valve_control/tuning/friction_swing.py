@@ -1,0 +1,69 @@
+"""Predicts swings about rest that friction sustains, by the describing function of the valve's friction.
+
+The bristles of the simulated friction obey dz/dt = (v - |v|·z)/δ, friction is F·z (Dahl 1968). In a swing
+x = A·sin(ωt) they go along a hysteresis loop, from -tanh(α) to tanh(α) and back, with α = A/δ. Its first
+harmonic over that of x is (F/δ)·n(α), whatever the frequency, with
+
+    n(α) = 2·I1(α)/(α·cosh α) + j·4·(α - tanh α)/(π·α²),
+
+I1 the modified Bessel function: a spring of F/δ for the smallest swings, which wears off and rubs in larger
+ones, until 4·F/(π·A) of Coulomb friction is left, a quarter of a period ahead of x. A loop of the valve G
+and the law -C swings by itself where 1 + C·G + N·G = 0 (Gelb and Vander Velde, Multiple-Input Describing
+Functions and Nonlinear System Design, 1968, section 3.1), that is where N = -(1/G + C).
+
+In the sampled valve the bristles are ahead of that by one and a half periods: their force over a period is
+that of its end, and backward Euler takes the velocity of the end for the whole of it.
+"""
+
+import numpy as np
+import numpy.typing as npt
+import scipy.special
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+AHEAD = 1.5  # periods by which the sampled bristles are ahead of the position
+DEFLECTIONS = np.geomspace(1e-3, 1e3, 600)  # α that are tabulated; beyond, n(α) is that of Coulomb friction
+
+
+def describing_function(deflection: Array) -> Complex:
+    """n(α) of the ``deflection`` α = A/δ > 0, in parts of F/δ."""
+    a = np.asarray(deflection, dtype=float)
+    spring = 4.0 * scipy.special.i1e(a) / (a * (1.0 + np.exp(-2.0 * a)))
+    with np.errstate(invalid="ignore"):
+        rubbing = np.where(a < 1e-2, 4.0 * a / (3.0 * np.pi), 4.0 * (a - np.tanh(a)) / (np.pi * a * a))
+    return np.asarray(spring + 1j * rubbing, dtype=complex)
+
+
+_TABLE = describing_function(DEFLECTIONS)
+_PHASE, _SIZE = np.angle(_TABLE), np.abs(_TABLE)
+
+
+def swings(loop: Complex, valve: Complex, z: Complex, coulomb: Array, presliding: Array) -> Array:
+    """Amplitude [V] of the largest swing about rest that friction sustains on each of N valves; 0.0: none.
+
+    ``loop`` (N×F): C·G, ``valve`` (N×F): G [V/V], at ``z`` (F) of ascending frequency. ``coulomb`` [V] and
+    ``presliding`` [V] (N): friction of the valve. Less than these counts too, for friction is another one on
+    the next day. ``presliding`` 0.0: Coulomb friction without a spring.
+    """
+    missing = -(1.0 + loop) / valve * z**-AHEAD
+    phase = np.angle(missing)
+    deflection = np.interp(phase, _PHASE, DEFLECTIONS)
+    stiffness = np.abs(missing) / np.interp(phase, _PHASE, _SIZE)  # V/V  F/δ that swings at this frequency
+    with np.errstate(divide="ignore"):
+        most = np.minimum(presliding[:, None], coulomb[:, None] / stiffness)
+    possible = (phase > 0.0) & (phase < 0.5 * np.pi)
+    with_spring = np.max(np.where(possible, deflection * most, 0.0), axis=1)
+    return np.asarray(np.where(presliding > 0.0, with_spring, _rubbed(missing, coulomb)), dtype=float)
+
+
+def _rubbed(missing: Complex, coulomb: Array) -> Array:
+    """Likewise with Coulomb friction alone: where ``missing`` crosses the positive imaginary axis."""
+    real, imaginary = missing.real, missing.imag
+    crossing = real[:, :-1] * real[:, 1:] < 0.0
+    share = np.divide(
+        real[:, :-1], real[:, :-1] - real[:, 1:], out=np.zeros_like(real[:, 1:]), where=crossing
+    )
+    at = imaginary[:, :-1] + share * (imaginary[:, 1:] - imaginary[:, :-1])
+    crossing &= at > 0.0
+    amplitude = np.divide(4.0 * coulomb[:, None], np.pi * at, out=np.zeros_like(at), where=crossing)
+    return np.max(amplitude, axis=1)
