@@ -14,7 +14,8 @@ from valve_control.parameters.stability import FREE
 from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
 from valve_control.simulation import batch, comparison
-from valve_control.tuning import friction_swing, margins
+from valve_control.tuning import friction_swing, margins, trial, verification
+from valve_control.tuning.trial import Gains
 
 PERIOD = 0.001
 RUBBING = FREE._replace(coulomb=1.0, presliding=1.0)
@@ -74,7 +75,8 @@ def test_predicted_swing_is_that_of_a_run(coulomb, presliding):
     law = LAWS["pid"]
     params = law.build(updated(CONTROLLER, defaults(CONTROLLER), values))
     plants = [rubbing(share * coulomb, presliding) for share in np.linspace(0.1, 1.0, 19)]
-    predicted = margins.margins(law, params, margins.prepared(plants[-1:])).swing_v[0]
+    box = margins.prepared(plants[-1:])
+    predicted = margins.margins(law, params, box).swing_v[0] + box.own_swing[0]
     command = np.where(np.arange(6000) < 100, 0.0, 0.3)
     traces = np.empty((len(plants), len(command), 3))
     seeds = np.ones(len(plants), dtype=int)
@@ -85,12 +87,37 @@ def test_predicted_swing_is_that_of_a_run(coulomb, presliding):
     assert amplitude == pytest.approx(predicted, rel=0.15)
 
 
+def test_a_valve_whose_zeros_left_its_poles_swings_at_a_constant_voltage():
+    """No loop, no noise: friction at the input of a model that is not passive there feeds the swing.
+
+    Where poles and zeros of (3) have the same speed the spool comes to rest.
+    """
+    law = LAWS["open_loop"]
+    params = law.build(defaults(CONTROLLER))
+    command = np.where(np.arange(4000) < 100, 0.0, 0.5)
+    for zeros in (0.8, 1.25):
+        plant = comparison.made_of(1.4, 0.8, zeros, 0.0, FREE._replace(coulomb=1.5, presliding=0.04))
+        plant = plant._replace(lvdt=plant.lvdt._replace(noise=0.0, resolution=0.0))
+        traces = np.empty((1, len(command), 3))
+        batch.simulate(
+            batch.Batch(law.name, params, batch.records([plant]), np.ones(1, int), command), 1, traces
+        )
+        assert np.ptp(traces[0, -2000:, 2]) == 0.0
+        amplitude = math.sqrt(2.0) * float(np.std(traces[0, -2000:, 0]))
+        own = margins.prepared([plant]).own_swing[0]
+        if zeros == 0.8:
+            assert own < 0.01 and amplitude < 0.001
+        else:
+            assert own > 0.04 and amplitude == pytest.approx(own, rel=0.2)
+
+
 def test_without_friction_nothing_swings_and_more_of_it_swings_more():
     values = files.load(GAINS)["controller"]
     law = LAWS["pid"]
     params = law.build(updated(CONTROLLER, defaults(CONTROLLER), values))
     plants = [rubbing(coulomb, 0.03) for coulomb in (0.0, 0.4, 0.8, 1.6)]
-    found = margins.margins(law, params, margins.prepared(plants)).swing_v
+    box = margins.prepared(plants)
+    found = margins.margins(law, params, box).swing_v + box.own_swing
     assert found[0] == 0.0 and np.all(np.diff(found) > 0.0)
 
 
@@ -105,3 +132,20 @@ def test_coulomb_friction_without_a_spring_is_the_limit_of_short_presliding():
     short = friction_swing.swings(loop, valve_response, z, level, np.array([1e-6]))
     assert bare[0] == pytest.approx(4.0 * 1.2 / (math.pi * 30.0), rel=1e-3)
     assert short[0] <= bare[0]
+
+
+def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():
+    """The loop makes the swing of the valve a fifth larger, above what counts as rest; margins say so too."""
+    values = updated(CONTROLLER, defaults(CONTROLLER), files.load(GAINS)["controller"])
+    law = LAWS["pid"]
+    params = law.build(values)
+    plants = [rubbing(1.4, 0.035), rubbing(1.4, 0.035)._replace(gain_scale=4.0)]
+    box = margins.prepared(plants[:1])
+    assert margins.margins(law, params, box).swing_v[0] < 0.6 * box.own_swing[0]
+    motion = trial.Motion("rest", np.zeros(1000))
+    problem = trial.Problem(values, [motion], plants, plants, trial.USUAL, False, False, 1)
+    led = verification.steps(PERIOD).wanted
+    traces = np.empty((2, len(led), 3))
+    batch.simulate(batch.Batch(law.name, params, batch.records(plants), np.ones(2, int), led), 1, traces)
+    assert all(verification._restless(trace[-1000:], PERIOD, 1.0) for trace in traces)
+    assert verification.cycling(law, problem, Gains({}, 0.0), plants).tolist() == [1]

@@ -81,7 +81,7 @@ def add_commands(commands: Any) -> None:
         type=float,
         default=0.05,
         metavar="V",
-        help="about rest, that friction may sustain (0.05 V)",
+        help="by which the loop may enlarge swings about rest that friction sustains (0.05 V)",
     )
     limits.add_argument(
         "--saturation", type=float, default=0.02, metavar="X", help="mean share of the samples (0.02)"

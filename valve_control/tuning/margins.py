@@ -34,7 +34,7 @@ class Margins(NamedTuple):
     delay_s: Array  # s   of more dead time
     sensitivity_db: Array  # dB  peak of 1/(1 + L)
     response_db: Array  # dB  peak of L/(1 + L)
-    swing_v: Array  # V   amplitude of the largest swing about rest that friction sustains
+    swing_v: Array  # V   by which the loop makes the largest swing larger that friction sustains about rest
 
 
 class Box(NamedTuple):
@@ -46,6 +46,7 @@ class Box(NamedTuple):
     response: linear_loop.Complex  # N×F
     coulomb: Array  # N  V
     presliding: Array  # N  V
+    own_swing: Array  # N  V  of the valve at a constant voltage
 
 
 def prepared(plants: Sequence[valve.Params]) -> Box:
@@ -58,7 +59,9 @@ def prepared(plants: Sequence[valve.Params]) -> Box:
     z = np.exp(1j * omega * plants[0].period)
     z[-1] = -1.0
     coulomb, presliding = np.array([(p.disturbance.coulomb, p.disturbance.presliding) for p in plants]).T
-    return Box(valves, omega, z, linear_loop.valve_response(valves, z), coulomb, presliding)
+    response = linear_loop.valve_response(valves, z)
+    own = friction_swing.swings(np.zeros_like(response), response, z, coulomb, presliding)
+    return Box(valves, omega, z, response, coulomb, presliding, own)
 
 
 @cache
@@ -77,7 +80,8 @@ def margins(law: Law, params: Any, box: Box) -> Margins:
         sensitivity = -20.0 * np.log10(np.min(np.abs(1.0 + loop), axis=1))
         response = 20.0 * np.log10(np.max(np.abs(loop / (1.0 + loop)), axis=1))
     swing = friction_swing.swings(loop, box.response, box.z, box.coulomb, box.presliding)
-    found = Margins(radius, gain, reduction, phase, delay, sensitivity, response, swing)
+    added = np.maximum(swing - box.own_swing, 0.0)
+    found = Margins(radius, gain, reduction, phase, delay, sensitivity, response, added)
     return _without_unstable(found)
 
 

@@ -166,7 +166,7 @@ def _margins(unseen: Problem, found: Mapping[str, Tuned]) -> str:
         "delay [ms]",
         "sensitivity [dB]",
         "response [dB]",
-        "swing by friction [V]",
+        "more swing [V]",
     ]
     return "<p>The least of each over all valves, of the peaks the largest.</p>" + pages.table(head, rows)
 

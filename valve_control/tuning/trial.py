@@ -39,7 +39,7 @@ class Limits(NamedTuple):
     phase_deg: float
     delay_s: float
     sensitivity_db: float  # at most
-    swing: float  # V  at most; of the swing about rest that friction sustains
+    swing: float  # V  at most; by which the loop enlarges swings about rest that friction sustains
     saturated: float  # at most; share of the samples at the limit of the voltage
 
 

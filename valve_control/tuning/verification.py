@@ -1,6 +1,7 @@
 """Verifies gains on valves, noise and motions that the search did not see, before they are accepted."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,7 +9,9 @@ import numpy.typing as npt
 
 from valve_control.analysis.limit_cycle import limit_cycle
 from valve_control.laws.law import Law
-from valve_control.parameter import number
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import Values, number, updated
+from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
 from valve_control.simulation import batch
 from valve_control.tuning import margins, trial
@@ -22,6 +25,8 @@ HELD = 1.0  # s
 RESTING = 0.5  # s  at the end of each step, in which the loop has to rest
 REST = 0.05  # V  amplitude about a straight line from which on it does not: noise stays far below
 TURNS = 4  # crossings of that line; what creeps has two
+OWN = 2.0  # times a valve's own swing at a constant voltage, up to which that of the loop is the valve's
+SETTLED = 2.0  # s  after which a valve at a constant voltage rests, unless it swings by itself
 CHUNK = 512  # valves whose signals are kept at a time
 SLACK = 1.05  # times the limit of the chatter, which valves that were not seen may have
 
@@ -60,7 +65,8 @@ def cycling(
 
     Each step, and the end of each motion, is held for HELD; in the last RESTING of it the spool has to rest,
     and the voltage must not show what a controller node reports as an oscillation. While a command moves,
-    friction answers it with harmonics, which are no limit cycle. A run that does not stay finite counts.
+    friction answers it with harmonics, which are no limit cycle. A run that does not stay finite counts. A
+    valve that swings at a constant voltage, and in the loop less than OWN times as much, does not.
     """
     values = trial.values_with(problem, gains)
     params = law.build(values)
@@ -71,7 +77,7 @@ def cycling(
     for motion in problem.motions:
         still = np.full(held, motion.wanted[-1])
         tried.append((motion._replace(wanted=np.concatenate([motion.wanted, still])), problem))
-    found: set[int] = set()
+    found: dict[int, _Swing] = {}
     for motion, sender in tried:
         led = trial.given(law, params, values, gains, sender, motion.wanted)
         ends = [len(led), len(led) - held] if motion.name == STEPS_NAME else [len(led)]
@@ -85,9 +91,58 @@ def cycling(
                 traces,
             )
             for i, trace in enumerate(traces):
-                if any(_restless(trace[end - held : end], period, least) for end in ends):
-                    found.add(first + i)
-    return np.array(sorted(found), dtype=np.int64)
+                for end in ends:
+                    part = trace[end - held : end]
+                    if _restless(part, period, least):
+                        found[first + i] = max(found.get(first + i, _Swing(0.0, 0.0)), _swing(part, period))
+    return _by_feedback(values, plants, found)
+
+
+class _Swing(NamedTuple):
+    """A swing about rest."""
+
+    amplitude: float  # V
+    voltage: float  # V  mean
+
+
+def _swing(trace: Array, period: float) -> _Swing:
+    """Of the end of a ``trace`` (n×3) at one command."""
+    last = trace[-round(RESTING / period) :]
+    amplitude = math.sqrt(2.0) * float(np.std(_about_a_line(last[:, 0])))
+    return _Swing(amplitude if math.isfinite(amplitude) else math.inf, float(np.mean(last[:, 2])))
+
+
+def _about_a_line(position: Array) -> Array:
+    times = np.linspace(-1.0, 1.0, len(position))
+    swing = position - np.mean(position)
+    made: Array = swing - times * (times @ swing) / (times @ times)
+    return made
+
+
+def _by_feedback(
+    values: Values, plants: Sequence[valve.Params], found: Mapping[int, _Swing]
+) -> npt.NDArray[np.int64]:
+    """Numbers of those ``found`` that are not the valve's own swings at a constant voltage."""
+    numbers = sorted(found)
+    if not numbers:
+        return np.array([], dtype=np.int64)
+    bare = LAWS["open_loop"]
+    params = bare.build(updated(CONTROLLER, values, {"open_loop.static_gain": 1.0}))
+    period = number(values, "sample_period")
+    voltages = np.array([found[i].voltage for i in numbers])
+    voltages[~np.isfinite(voltages)] = 0.0
+    command = np.repeat(voltages[:, None], round(SETTLED / period), axis=1)
+    kept = []
+    for first in range(0, len(numbers), CHUNK):
+        some = numbers[first : first + CHUNK]
+        traces = np.empty((len(some), command.shape[1], 3))
+        rows = batch.records([plants[i] for i in some])
+        made = batch.Batch(bare.name, params, rows, np.array(some), command[first : first + CHUNK])
+        batch.simulate(made, None, traces)
+        for i, trace in zip(some, traces, strict=True):
+            if not OWN * _swing(trace, period).amplitude > found[i].amplitude:
+                kept.append(i)
+    return np.array(kept, dtype=np.int64)
 
 
 def _restless(trace: Array, period: float, least: float) -> bool:
@@ -95,10 +150,8 @@ def _restless(trace: Array, period: float, least: float) -> bool:
     if not np.all(np.isfinite(trace)):
         return True
     last = round(RESTING / period)
-    position, voltage = trace[-last:, 0], trace[:, 2]
-    times = np.linspace(-1.0, 1.0, last)
-    swing = position - np.mean(position)
-    swing = swing - times * (times @ swing) / (times @ times)
+    voltage = trace[:, 2]
+    swing = _about_a_line(trace[-last:, 0])
     crossings = np.count_nonzero(np.diff(np.signbit(swing)))
     if float(np.ptp(swing)) > 2.0 * REST and crossings >= TURNS:
         return True
@@ -160,7 +213,9 @@ def _margins_missed(limits: trial.Limits, worst: dict[str, float | None]) -> lis
     swing = worst["swing_v"]
     if swing is None or swing > limits.swing:
         shown = "any size" if swing is None else f"{swing:.3g} V"
-        reasons.append(f"friction can sustain a swing of {shown} about rest, above {limits.swing:g} V")
+        reasons.append(
+            f"feedback adds {shown} to the swing that friction sustains about rest, above {limits.swing:g} V"
+        )
     return reasons
 
 
