@@ -66,4 +66,5 @@ def _rubbed(missing: Complex, coulomb: Array) -> Array:
     at = imaginary[:, :-1] + share * (imaginary[:, 1:] - imaginary[:, :-1])
     crossing &= at > 0.0
     amplitude = np.divide(4.0 * coulomb[:, None], np.pi * at, out=np.zeros_like(at), where=crossing)
-    return np.max(amplitude, axis=1)
+    made: Array = np.max(amplitude, axis=1)
+    return made
