@@ -9,7 +9,6 @@ browser's process that draws it, and of the dashboard's.
 import argparse
 import shutil
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -171,8 +170,7 @@ def main() -> int:
         return 1
 
     def work() -> int:
-        with tempfile.TemporaryDirectory(prefix="valve_control-page-") as name:
-            result = measured(arguments.minutes, Path(name))
+        result = measured(arguments.minutes, out)
         names = list(result["course"][0])
         print("  ".join(f"{name:>17}" for name in names))
         for row in result["course"]:
