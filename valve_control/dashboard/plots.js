@@ -11,13 +11,17 @@ const PANELS = [
   { title: "command and position [V]", signals: ["command", "position"], height: 190 },
   { title: "error: position minus command [V]", signals: ["error"], height: 130 },
   { title: "voltage [V]", signals: ["voltage"], height: 130 },
-  { title: "terms of the law", signals: [], height: 150 },
+  { title: "terms of the law", of: "term.", height: 150 },
+  { title: "axis: position and goal [m]", of: "axis.", but: "axis.pressure", height: 150 },
+  { title: "axis: pressures [bar]", of: "axis.pressure", height: 130 },
 ];
 const STYLES = {
   command: { colour: "#000000", dash: [6, 3] },
   position: { colour: "#0072b2", dash: [] },
   error: { colour: "#d55e00", dash: [] },
   voltage: { colour: "#009e73", dash: [] },
+  "axis.goal": { colour: "#000000", dash: [6, 3] },
+  "axis.position": { colour: "#0072b2", dash: [] },
 };
 
 function niceStep(range, count) {
@@ -48,14 +52,14 @@ export default {
         </details>
         <span class="vc-live" role="status">{{ status }}</span>
       </div>
-      <div v-for="(panel, i) in panels" :key="i" v-show="i < 3 || terms.length" class="vc-panel">
+      <div v-for="(panel, i) in panels" :key="i" v-show="drawn(panel).length" class="vc-panel">
         <div class="vc-legend"><b>{{ panel.title }}</b> <span :ref="'legend' + i"></span></div>
         <canvas :ref="'canvas' + i" :style="{ height: panel.height + 'px' }" role="img" :aria-label="panel.title"></canvas>
       </div>
     </div>`,
   props: { valve: String },
   data() {
-    return { panels: PANELS, spans: SPANS, span: 5, end: null, paused: false, terms: [], labels: [], status: "connecting" };
+    return { panels: PANELS, spans: SPANS, span: 5, end: null, paused: false, terms: [], labels: [], axis: [], status: "connecting" };
   },
   mounted() {
     try {
@@ -118,10 +122,16 @@ export default {
         setTimeout(() => this.connect(), 1000);
       };
     },
+    // Names of the signals of a panel that are there to be drawn.
+    drawn(panel) {
+      if (panel.signals) return panel.signals;
+      const there = [...this.terms.map((name) => "term." + name), ...this.axis.map((name) => "axis." + name)];
+      return there.filter((name) => name.startsWith(panel.of) && !(panel.but && name.startsWith(panel.but)));
+    },
     ask() {
       if (!this.socket || this.socket.readyState !== WebSocket.OPEN) return;
       this.asked = performance.now();
-      const signals = ["command", "position", "error", "voltage", ...this.terms.map((name) => "term." + name)];
+      const signals = this.panels.flatMap((panel) => this.drawn(panel));
       const columns = Math.max(100, Math.round(this.$el.clientWidth || 600));
       this.socket.send(JSON.stringify({ valve: this.valve, signals, span: this.span, end: this.end, columns }));
     },
@@ -136,6 +146,7 @@ export default {
         at += 3 * count;
       }
       if (head.labels.join() !== this.labels.join()) this.labels = head.labels;
+      if (head.axis.join() !== this.axis.join()) this.axis = head.axis;
       this.last = { ...head, signals, span: this.span };
       this.draw(this.last);
       const now = performance.now();
@@ -218,7 +229,7 @@ export default {
     // Drawing
     draw(frame) {
       this.panels.forEach((panel, i) => {
-        const names = i < 3 ? panel.signals : this.terms.map((name) => "term." + name);
+        const names = this.drawn(panel);
         if (names.length) this.drawPanel(frame, names, this.$refs["canvas" + i][0], this.$refs["legend" + i][0], i === 0);
       });
     },
@@ -307,7 +318,7 @@ export default {
         if (at === null) nearest = time.length - 1;
         const value = nearest < 0 ? "" : lows[nearest] === highs[nearest] ? lows[nearest].toPrecision(4)
           : `${lows[nearest].toPrecision(3)} to ${highs[nearest].toPrecision(3)}`;
-        const title = name.replace("term.", "").replace(/[^\w.-]/g, "");
+        const title = name.replace(/^(term|axis)\./, "").replace(/[^\w.\- ]/g, "");
         told += `<span style="color:${style.colour}">${style.dash.length ? "\u2504" : "\u2014"} ${title} ${value}</span> `;
       });
       if (at !== null) {
