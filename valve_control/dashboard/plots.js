@@ -8,12 +8,12 @@ const SPANS = [1, 2, 5, 10, 30, 60, 120, 300, 600]; // s
 const COLOURS = ["#e69f00", "#56b4e9", "#cc79a7", "#0072b2", "#d55e00", "#009e73"];
 const DASHES = [[], [6, 3], [2, 2], [8, 3, 2, 3], [12, 4], [1, 3]];
 const PANELS = [
-  { title: "command and position [V]", signals: ["command", "position"], height: 190 },
-  { title: "error: position minus command [V]", signals: ["error"], height: 130 },
-  { title: "voltage [V]", signals: ["voltage"], height: 130 },
-  { title: "terms of the law", of: "term.", height: 150 },
-  { title: "axis: position and goal [m]", of: "axis.", but: "axis.pressure", height: 150 },
-  { title: "axis: pressures [bar]", of: "axis.pressure", height: 130 },
+  { name: "motion", title: "command and position [V]", signals: ["command", "position"], height: 190 },
+  { name: "error", title: "error: position minus command [V]", signals: ["error"], height: 130 },
+  { name: "voltage", title: "voltage [V]", signals: ["voltage"], height: 130 },
+  { name: "terms", title: "terms of the law", of: "term.", height: 150 },
+  { name: "axis", title: "axis: position and goal [m]", of: "axis.", but: "axis.pressure", height: 150 },
+  { name: "pressures", title: "axis: pressures [bar]", of: "axis.pressure", height: 130 },
 ];
 const STYLES = {
   command: { colour: "#000000", dash: [6, 3] },
@@ -52,7 +52,7 @@ export default {
         </details>
         <span class="vc-live" role="status">{{ status }}</span>
       </div>
-      <div v-for="(panel, i) in panels" :key="i" v-show="drawn(panel).length" class="vc-panel">
+      <div v-for="(panel, i) in panels" :key="i" v-show="drawn(panel).length" class="vc-panel" :data-panel="panel.name">
         <div class="vc-legend"><b>{{ panel.title }}</b> <span :ref="'legend' + i"></span></div>
         <canvas :ref="'canvas' + i" :style="{ height: panel.height + 'px' }" role="img" :aria-label="panel.title"></canvas>
       </div>
