@@ -1,8 +1,9 @@
 """Layouts for PlotJuggler and Foxglove: what these programs read of them is there, and names our topics.
 
-What they read stands in their sources: PlotJuggler 3.17 (plot_docker.cpp, plotwidget.cpp), its ROS 2 plugins 2.3
-(parser_configuration.cpp), and Lichtblick 1.12, the open successor of Foxglove Studio (panels/Plot/utils/config.ts,
-CurrentLayoutContext/actions.ts). Names that they do not know they pass over without a word.
+What they read stands in their sources: PlotJuggler 3.17 (plot_docker.cpp, plotwidget.cpp), its plugins for
+ROS 2.3 (parser_configuration.cpp), and Lichtblick 1.10, the open successor of Foxglove Studio
+(panels/Plot/utils/config.ts, CurrentLayoutContext/actions.ts). Names that they do not know they pass over
+without a word. Neither program was opened.
 """
 
 import json

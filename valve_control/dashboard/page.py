@@ -345,7 +345,7 @@ class Page:
             histogram = valve.latencies.histogram()
             missing = valve.missing
             counts = {name: valve.figures.get(name, "") for name in ("lvdt_lost", "overruns")}
-        lost = f"   lost by the loop {counts['lvdt_lost'] or '?'}, not seen here {missing}"
+        lost = f"   readings lost {counts['lvdt_lost'] or '?'}, messages not seen here {missing}"
         if found is None:
             self._indices.set_text(f"last 5 s: no error and voltage together{lost}")
         else:

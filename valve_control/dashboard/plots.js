@@ -2,6 +2,7 @@
 // What is shown (span, pause, terms) belongs to this window and outlives a reload.
 
 const FRAME = 1000 / 30; // ms between two frames, at the least
+const LEFT = 40; // px for the numbers beside the plots
 const GAP = 0.3; // s without a sample, across which no line is drawn
 const SPANS = [1, 2, 5, 10, 30, 60, 120, 300, 600]; // s
 // Okabe and Ito's colours, which the colour-blind tell apart; dashes tell them apart in print.
@@ -83,7 +84,7 @@ export default {
       this.zoom(event.deltaY > 0 ? 1.25 : 0.8, this.share(event));
     }, { passive: false });
     this.$el.addEventListener("pointerdown", (event) => {
-      if (event.target.tagName === "CANVAS") this.drag = { x: event.clientX, end: this.shownEnd(), width: event.target.clientWidth };
+      if (event.target.tagName === "CANVAS") this.drag = { x: event.clientX, end: this.shownEnd(), width: event.target.clientWidth - LEFT };
     });
     this.$el.addEventListener("pointermove", (event) => {
       this.pointer = event.target.tagName === "CANVAS" ? this.share(event) : null;
@@ -132,7 +133,7 @@ export default {
       if (!this.socket || this.socket.readyState !== WebSocket.OPEN) return;
       this.asked = performance.now();
       const signals = this.panels.flatMap((panel) => this.drawn(panel));
-      const columns = Math.max(100, Math.round(this.$el.clientWidth || 600));
+      const columns = Math.max(100, Math.round((this.$el.clientWidth || 600) - LEFT));
       this.socket.send(JSON.stringify({ valve: this.valve, signals, span: this.span, end: this.end, columns }));
     },
     receive(data) {
@@ -202,7 +203,7 @@ export default {
     },
     share(event) {
       const box = event.target.getBoundingClientRect();
-      return Math.min(1, Math.max(0, (event.clientX - box.left) / box.width));
+      return Math.min(1, Math.max(0, (event.clientX - box.left - LEFT) / (box.width - LEFT)));
     },
     // Keys: what changes the machine is done by the server, which knows who may.
     typing(target) {
@@ -259,7 +260,7 @@ export default {
       low = Math.floor((low - margin) / step) * step;
       high = Math.ceil((high + margin) / step) * step;
       const bottom = height - 16;
-      const x = (t) => (t / frame.span) * width;
+      const x = (t) => LEFT + (t / frame.span) * (width - LEFT);
       const y = (v) => bottom - ((v - low) / (high - low)) * bottom;
       // Grid
       g.font = "11px sans-serif";
@@ -269,7 +270,7 @@ export default {
       g.setLineDash([]);
       g.beginPath();
       for (let v = low; v <= high + step / 2; v += step) {
-        g.moveTo(0, y(v));
+        g.moveTo(LEFT, y(v));
         g.lineTo(width, y(v));
       }
       const seconds = niceStep(frame.span, Math.max(3, width / 110));
@@ -279,20 +280,30 @@ export default {
         g.lineTo(x(t + frame.now - frame.start), bottom);
       }
       g.stroke();
-      for (let v = low; v <= high + step / 2; v += step) g.fillText(label(v, step), 2, Math.max(10, Math.min(bottom - 2, y(v) - 2)));
+      g.textAlign = "right";
+      for (let v = low; v <= high + step / 2; v += step) g.fillText(label(v, step), LEFT - 4, Math.max(10, Math.min(bottom, y(v) + 4)));
+      g.textAlign = "center";
       for (let t = first; t <= frame.end - frame.now + 1e-9; t += seconds) {
-        g.fillText(label(t, seconds) + " s", Math.max(0, Math.min(width - 40, x(t + frame.now - frame.start) - 14)), height - 3);
+        g.fillText(label(t, seconds) + " s", Math.max(LEFT, Math.min(width - 16, x(t + frame.now - frame.start))), height - 3);
       }
+      g.textAlign = "left";
       // Marks of changes
       g.strokeStyle = "#7a4b9c";
       g.fillStyle = "#5b2d80";
       g.setLineDash([3, 3]);
-      frame.marks.forEach(([t, text], k) => {
+      const free = [0, 0, 0]; // where each line of texts ends
+      frame.marks.forEach(([t, text]) => {
         g.beginPath();
         g.moveTo(x(t), 0);
         g.lineTo(x(t), bottom);
         g.stroke();
-        if (texts) g.fillText(text.length > 44 ? text.slice(0, 43) + "\u2026" : text, Math.min(x(t) + 3, width - 120), 12 + 13 * (k % 3));
+        const short = text.length > 44 ? text.slice(0, 43) + "\u2026" : text;
+        const long = g.measureText(short).width;
+        const begin = Math.min(x(t) + 3, width - long);
+        const line = free.findIndex((end) => end < begin);
+        if (!texts || line < 0) return;
+        g.fillText(short, begin, 12 + 13 * line);
+        free[line] = begin + long + 6;
       });
       // Signals
       const at = this.pointer === null ? null : this.pointer * frame.span;

@@ -213,7 +213,9 @@ class Tuning:
             self._file.set_value(str(node.values.get("save_file", "")))
         for row in self._rows.values():
             row.refresh()
-        if node.values.get(LAW) != self._law:
+        if LAW not in node.fields and GENERAL in self._groups and not self._rows:
+            self._groups[GENERAL].set_value(True)
+        elif node.values.get(LAW, "") != self._law:
             self._open_law(node)
         count = len(node.drafts)
         self._apply.set_text(f"Apply {count} together" if count else "Apply")
@@ -397,7 +399,7 @@ class Tuning:
         """Save to the file that is named, or load it."""
         if self._place is not None and self._page.allowed():
             name = str(self._file.value or "").strip()
-            self._said.set_text(await self.use_file(act, name) if name else "the name of the file is missing")
+            self._said.set_text(await self.use_file(act, name))
 
     async def use_file(self, act: str, name: str) -> str:
         """Save the values in force as YAML, or load such a file, by the services of the node; its answer."""
@@ -408,6 +410,8 @@ class Tuning:
         parameter = f"{act}_file"
         if f"{act}_parameters" not in node.services or parameter not in node.values:
             return f"{node.name} is an older or another controller: it has no {act}_parameters"
+        if not name:
+            return "the name of the file is missing"
         reason = await self._page.machine.change(valve, node, {parameter: name})
         if not reason:
             answer = await self._page.machine.trigger(valve, node, f"{act}_parameters")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.dashboard.changes import Change, Changes, Comparison, differing
+from valve_control.dashboard.changes import Change, Changes, Comparison, differing, joined
 from valve_control.dashboard.entry import Field
 from valve_control.dashboard.history import History
 from valve_control.dashboard.latency import Latencies
@@ -41,6 +41,7 @@ class Mark(NamedTuple):
 
     time: float  # s
     text: str
+    change: Change | None = None  # that it shows
 
 
 class NodeState:
@@ -164,6 +165,14 @@ class Valve:
     def mark(self, time: float, text: str) -> None:
         """Show a moment in the plots."""
         self.marks.append(Mark(time, text))
+
+    def mark_change(self, change: Change, where: str, asked: float) -> None:
+        """Show a change, asked for at ``asked`` [s], in the plots; moves of one slider are one mark."""
+        whole = joined(self.marks[-1].change if self.marks else None, change, asked)
+        if whole is not None:
+            self.marks.pop()
+        shown = whole or change
+        self.marks.append(Mark(shown.time, f"{where}{shown.text}", shown))
 
     def status(self, level: str, mode: str, reason: str, figures: dict[str, str], time: float) -> None:
         """Take in the controller's diagnostics; what is new is said in the log."""
