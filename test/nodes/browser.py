@@ -151,9 +151,17 @@ class Window:
         return found
 
 
+PHONE = {
+    "width": 390,
+    "height": 844,
+    "deviceScaleFactor": 2,
+    "mobile": True,
+}  # narrower than Chromium's windows
+
+
 @contextmanager
-def window(size="1280,950"):
-    """A window of a browser of its own, which has no network but this host."""
+def window(size="1280,950", screen=None):
+    """A window of a browser of its own, which has no network but this host; ``screen``: that of a device."""
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
 
@@ -168,6 +176,8 @@ def window(size="1280,950"):
     options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
     driver = webdriver.Chrome(options=options, service=Service(DRIVER))
     try:
+        if screen:
+            driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
         yield Window(driver)
     finally:
         driver.quit()

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import yaml
 from bench import call, get_double, set_parameters, spin_until
-from browser import get, needs_browser, until, window
+from browser import PHONE, get, needs_browser, until, window
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 from std_msgs.msg import Float64
@@ -704,11 +704,11 @@ def test_the_keyboard_alone_suffices(page, ros):
 
 
 def test_a_phone_shows_all_of_it(page_address):
-    with window("390,844") as phone:
+    with window(screen=PHONE) as phone:
         phone.open(page_address)
         phone.find("[data-name='pid.kp'] input")
         width, inner = phone.js("return [document.documentElement.scrollWidth, window.innerWidth]")
-        assert width <= inner
+        assert width <= inner == PHONE["width"]
         box = phone.js("return document.querySelector('#stop').getBoundingClientRect().toJSON()")
         assert box["right"] <= inner and box["height"] >= 40
         picture(phone, "phone")

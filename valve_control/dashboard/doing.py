@@ -294,6 +294,7 @@ class Doing:
         self._share = ui.linear_progress(show_value=False).props("id=run-share aria-label=progress")
         self._share.set_visibility(False)
         self._output = ui.label("").classes("vc-output").props("id=output role=log")
+        self._output.set_visibility(False)
         self._made = ui.element("div").props("id=made")
         self._files_of: str | None = None
         self._offered: list[str] = []
@@ -358,6 +359,7 @@ class Doing:
             else list(run.lines)[-SHOWN_LINES:]
         )
         self._output.set_text("\n".join(lines))
+        self._output.set_visibility(True)
         said = "\n".join(run.lines)
         if not run.running and said != self._files_of:
             self._files_of = said

@@ -121,7 +121,7 @@ class Page:
     def controls(self) -> Iterator[ui.element]:
         """What is made inside can be used only while this window writes."""
         with ui.element("div").classes("vc-controls").props("" if self.may_write else "inert") as box:
-            self._guarded.append(box)
+            self._guarded = [other for other in self._guarded if not other.is_deleted] + [box]
             yield box
 
     # What is shown
@@ -191,7 +191,7 @@ class Page:
             with ui.tab_panel(names[2]):
                 self._log = ui.log(max_lines=400).classes("vc-log").props("id=log role=log")
             with ui.tab_panel(names[3]):
-                self._histogram = ui.html("", sanitize=False).props("id=latency")
+                self._histogram = ui.html("", sanitize=False).classes("full-width").props("id=latency")
                 self._latency = ui.label("no voltages yet")
 
     # What is done
@@ -290,7 +290,7 @@ class Page:
         may = self.may_write
         if may != self._could:
             self._could = may
-            for box in self._guarded:
+            for box in (box for box in self._guarded if not box.is_deleted):
                 box.props(remove="inert") if may else box.props("inert")
             self._stop_button.set_enabled(self._tokened)
 
@@ -345,7 +345,7 @@ class Page:
             histogram = valve.latencies.histogram()
             missing = valve.missing
             counts = {name: valve.figures.get(name, "") for name in ("lvdt_lost", "overruns")}
-        lost = f"   readings lost {counts['lvdt_lost'] or '?'}, messages not seen here {missing}"
+        lost = f"   readings lost {counts['lvdt_lost'] or '?'}, unseen here {missing}"
         if found is None:
             self._indices.set_text(f"last 5 s: no error and voltage together{lost}")
         else:

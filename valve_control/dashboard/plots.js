@@ -327,8 +327,9 @@ export default {
         }
         g.stroke();
         if (at === null) nearest = time.length - 1;
+        const [least, largest] = nearest < 0 ? ["", ""] : [lows[nearest], highs[nearest]].map((v) => v.toPrecision(3));
         const value = nearest < 0 ? "" : lows[nearest] === highs[nearest] ? lows[nearest].toPrecision(4)
-          : `${lows[nearest].toPrecision(3)} to ${highs[nearest].toPrecision(3)}`;
+          : least === largest ? least : `${least} to ${largest}`;
         const title = name.replace(/^(term|axis)\./, "").replace(/[^\w.\- ]/g, "");
         told += `<span style="color:${style.colour}">${style.dash.length ? "\u2504" : "\u2014"} ${title} ${value}</span> `;
       });
