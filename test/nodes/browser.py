@@ -114,7 +114,7 @@ class Window:
         """Put a text into the field with the id ``name``."""
         from selenium.webdriver import Keys
 
-        entry = self.find(f"#{name} input")
+        entry = self.find(f"#{name} input, input#{name}")
         self.js("arguments[0].scrollIntoView({block: 'center'})", entry)
         entry.click()
         entry.send_keys(Keys.CONTROL, "a")

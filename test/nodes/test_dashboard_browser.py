@@ -79,7 +79,7 @@ def folder(tmp_path_factory):
 def page_address(folder):
     with (
         node("valve_simulator", folder),
-        node("controller", folder, f"save_file:={folder}/saved.yaml"),
+        node("controller", folder),
         node("command_source", folder),
         dashboard(folder) as found,
     ):
@@ -115,6 +115,8 @@ def page(browser, page_address, ros):
 
 def picture(page, name):
     """Keep a picture of what the window shows."""
+    moving = "return document.getAnimations().filter((a) => a.playState === 'running').length"
+    until(lambda: page.js(moving) == 0, "the end of all transitions")
     PICTURES.mkdir(parents=True, exist_ok=True)
     page.driver.save_screenshot(str(PICTURES / f"dashboard_{name}.png"))
 
@@ -167,6 +169,7 @@ def test_a_gain_moved_by_its_slider_changes_the_loop_and_the_plot(page, ros):
     page.wait_for("#log", "pid.static_feedforward 1.18 → 0.05")
     page.click("#tab-tune")
     until(lambda: page.js("return !!document.querySelector('#undo').offsetParent"), "the form")
+    until(lambda: page.figure("e_M") < 2.0, "the end of what the large gain did")
     picture(page, "tune")
     page.press("#undo")
     spin_until(ros, lambda: get_double(ros, "pid.static_feedforward") == 1.18, "the feedforward as before")
@@ -259,6 +262,7 @@ def test_the_law_is_switched_and_back(page, ros):
 
 
 def test_parameters_are_saved_and_loaded(page, ros, folder):
+    page.fill("file", f"{folder}/saved.yaml")
     page.press("#save")
     page.wait_for("#file-answer", f"wrote {folder}/saved.yaml")
     saved = yaml.safe_load((folder / "saved.yaml").read_text())["/controller"]["ros__parameters"]
@@ -485,8 +489,8 @@ def test_gains_that_tune_has_found_are_loaded_and_taken_back(page, ros):
     start_run(
         page,
         "tune",
-        "--controller pid --alone --budget 60 --valves 2 --unseen 4 --duration 2 --sample-period 0.005 "
-        "--set lvdt.noise=0.002 --gain-margin 1 --phase-margin 5 --peak 30 --saturation 1 "
+        "--controller pid --alone --budget 400 --valves 2 --unseen 4 --duration 2 --sample-period 0.005 "
+        "--gain-margin 1 --phase-margin 5 --peak 30 --saturation 1 "
         "--output tuned.yaml --html tuned.html",
     )
     page.wait_for("#run-explained", "Nothing on the graph is touched")

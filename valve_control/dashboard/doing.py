@@ -47,7 +47,7 @@ EXPLAINED = {
 }
 MOVING = ("commission",)
 LOADED = ("identify", "tune")  # whose parameter files are not in force yet
-SHARE = re.compile(r"(\d+(?:\.\d+)?)/(\d+(?:\.\d+)?)")  # in the line of a progress bar
+SHARE = re.compile(r"(\d+(?:\.\d+)?)(?:/| of )(\d+(?:\.\d+)?)")  # in a line of progress
 FAULTS = ("fault.lvdt", "fault.valve", "fault.samples", "fault.jump")
 SHOWN_LINES = 30
 
@@ -349,9 +349,11 @@ class Doing:
         if run is None:
             return
         self._run_state.set_text(f"{run.title}: {run.state}")
-        share = SHARE.search(run.progress)
-        self._share.set_visibility(share is not None)
-        if share is not None and float(share[2]) > 0.0:
+        share = SHARE.search(run.progress or (run.lines[-1] if run.lines else ""))
+        if not run.running:
+            self._share.set_visibility(False)
+        elif share is not None and float(share[2]) > 0.0:
+            self._share.set_visibility(True)
             self._share.set_value(min(1.0, float(share[1]) / float(share[2])))
         lines = (
             [*list(run.lines)[-SHOWN_LINES:], run.progress]

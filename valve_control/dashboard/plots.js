@@ -307,7 +307,7 @@ export default {
       });
       // Signals
       const at = this.pointer === null ? null : this.pointer * frame.span;
-      let told = "";
+      const told = [];
       names.forEach((name, k) => {
         const style = STYLES[name] || { colour: COLOURS[k % 6], dash: DASHES[k % 6] };
         const [time, lows, highs] = frame.signals[name] || [[], [], []];
@@ -330,8 +330,8 @@ export default {
         const [least, largest] = nearest < 0 ? ["", ""] : [lows[nearest], highs[nearest]].map((v) => v.toPrecision(3));
         const value = nearest < 0 ? "" : lows[nearest] === highs[nearest] ? lows[nearest].toPrecision(4)
           : least === largest ? least : `${least} to ${largest}`;
-        const title = name.replace(/^(term|axis)\./, "").replace(/[^\w.\- ]/g, "");
-        told += `<span style="color:${style.colour}">${style.dash.length ? "\u2504" : "\u2014"} ${title} ${value}</span> `;
+        const title = name.replace(/^(term|axis)\./, "");
+        told.push([style.colour, `${style.dash.length ? "\u2504" : "\u2014"} ${title} ${value} `]);
       });
       if (at !== null) {
         g.strokeStyle = "#000";
@@ -341,9 +341,22 @@ export default {
         g.moveTo(x(at), 0);
         g.lineTo(x(at), bottom);
         g.stroke();
-        told += `at ${(at + frame.start - frame.now).toFixed(3)} s`;
+        told.push(["", `at ${(at + frame.start - frame.now).toFixed(3)} s`]);
       }
-      if (legend.innerHTML !== told && (this.frames % 3 === 0 || this.paused)) legend.innerHTML = told;
+      if (this.frames % 3 === 0 || this.paused) this.tell(legend, told);
+    },
+    // Texts with their colours. The elements stay and get other texts: the browser remembers each new one for good.
+    tell(legend, told) {
+      while (legend.children.length > told.length) legend.lastElementChild.remove();
+      while (legend.children.length < told.length) {
+        legend.append(document.createElement("span"));
+        legend.lastElementChild.append("");
+      }
+      told.forEach(([colour, text], k) => {
+        const span = legend.children[k];
+        if (span.firstChild.data !== text) span.firstChild.data = text;
+        if (span.dataset.colour !== colour) span.style.color = span.dataset.colour = colour;
+      });
     },
   },
 };
