@@ -76,6 +76,12 @@ class Window:
 
         ActionChains(self.driver).send_keys(*keys).perform()
 
+    def select_all(self):
+        """Select all that stands in the field with the focus."""
+        from selenium.webdriver import ActionChains, Keys
+
+        ActionChains(self.driver).key_down(Keys.CONTROL).send_keys("a").key_up(Keys.CONTROL).perform()
+
     def drag(self, slider, thumb, share):
         """Draw a slider's thumb to a ``share`` of its length with the mouse, in several moves."""
         from selenium.webdriver import ActionChains

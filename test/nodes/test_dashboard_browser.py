@@ -690,7 +690,8 @@ def test_the_keyboard_alone_suffices(page, ros):
 
     page.blur()
     go("[data-name='pid.kp'] input")
-    page.keys(Keys.CONTROL + "a" + Keys.NULL, "1,25", Keys.ENTER)
+    page.select_all()
+    page.keys("1,25", Keys.ENTER)
     spin_until(ros, lambda: kp(ros) == 1.25, "the gain that was typed")
     go("[data-name='pid.kp'] .q-slider")
     page.keys("u")
