@@ -601,7 +601,7 @@ def shown_number(page, panel, name):
 
 def test_the_signals_of_an_axis_are_drawn_and_its_stop_is_said_and_ended(page, tmp_path, ros):
     lockstep = {
-        "axis_simulator": ["valve_simulator:clock:=lockstep"],
+        "axis_simulator": ["clock:=lockstep"],
         "controller": ["lockstep:=true", "lvdt.frozen_samples:=0"],
         "axis_controller": ["lockstep:=true"],
     }
