@@ -37,11 +37,11 @@ class Stranger(Node):
 
 
 def main():
+    rclpy.init()
     try:
-        with rclpy.init():
-            rclpy.spin(Stranger(sys.argv[1]))
+        rclpy.spin(Stranger(sys.argv[1]))
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        rclpy.try_shutdown()
 
 
 if __name__ == "__main__":
