@@ -37,7 +37,9 @@ CALM = {
         "lvdt.frozen_samples:=0", "lvdt.disturbance:=0.0", "command_timeout:=0.0", "state_decimation:=2",
         "lvdt.max_rate:=1e7", "pid.kp:=1.0", "pid.ki:=20.0", "pid.kd:=0.0",
     ],
-    "valve_simulator": ["sample_period:=0.005", "voltage_timeout:=0.0", "patience:=0.2", "friction.coulomb:=0.2"],
+    "valve_simulator": [
+        "sample_period:=0.005", "voltage_timeout:=0.0", "patience:=0.2", "friction.coulomb:=0.2",
+    ],
     "command_source": [
         "sample_period:=0.005", "scenario:=sine", "frequency:=0.5", "amplitude:=1.0", "duration:=36000.0",
     ],
