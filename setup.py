@@ -60,6 +60,7 @@ setup(
             "distributed>=2024.1",
             "nicegui>=3.18,<4",
             "selenium>=4.30",
+            "psutil>=5.9",
         ],
     },
     python_requires=">=3.11",

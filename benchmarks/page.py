@@ -2,14 +2,14 @@
 
 The cascade of the demo runs at 1 kHz, first alone, then beside the dashboard and a browser without a window
 that draws command, position, error and voltage. Readings without a voltage are lost; latency is from LVDT to
-voltage.
+voltage. Each minute the memory is told of the page's scripts (after their garbage has been collected), of the
+browser's process that draws it, and of the dashboard's.
 """
 
 import argparse
-import os
 import shutil
 import sys
-import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 from benchmarks.batch import machine
 from valve_control import outputs
@@ -25,13 +26,7 @@ from valve_control.nodes.harness.processes import bar, process, run_tool, wait_u
 
 WANTED = {"lost": 0.0, "latency_p50_ratio": 1.2, "page_process_cores": 0.5, "frames_per_second": 20.0}
 READY = 20.0  # s for the page to show itself
-TICK = os.sysconf("SC_CLK_TCK")  # per second of processor time
-
-
-def cpu_time(pid: int) -> float:
-    """Processor time [s] of a process and its threads so far."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / TICK
+MINUTE = 60.0  # s
 
 
 @contextmanager
@@ -52,15 +47,66 @@ def browser(address: str) -> Iterator[Any]:
         driver.quit()
 
 
-def heap(driver: Any) -> float:
-    """Memory [MB] that the page's scripts use, after what nobody needs has been given back."""
-    driver.execute_cdp_cmd("HeapProfiler.collectGarbage", {})
-    return float(driver.execute_script("return performance.memory.usedJSHeapSize")) / 1e6
+class Course:
+    """Frames a second and memory of a page, minute by minute, taken in a thread while the loop runs."""
 
+    def __init__(self, driver: Any, server: int) -> None:
+        self._driver = driver
+        self._server = psutil.Process(server)
+        browser = psutil.Process(driver.service.process.pid).children(recursive=True)
+        drawing = [child for child in browser if "--type=renderer" in child.cmdline()]
+        self._drawing = max(drawing, key=lambda child: child.memory_info().rss)
+        self._end = threading.Event()
+        self.rows: list[dict[str, float]] = []
+        self._thread = threading.Thread(target=self._run, name="course")
 
-def frames(driver: Any) -> int:
-    """Frames that the plots have drawn."""
-    return int(driver.execute_script("return document.querySelector('.vc-plots')?.dataset.frames || 0"))
+    def __enter__(self) -> "Course":
+        self._begin = self._before = time.monotonic()
+        self._used = self._processor_time()
+        self._frames = self._drawn()
+        self._take()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._end.set()
+        self._thread.join()
+
+    @property
+    def cores(self) -> float:
+        """Processor time of the dashboard's process for each second from the beginning to the last row."""
+        return (self._processor_time() - self._used) / (time.monotonic() - self._begin)
+
+    def _processor_time(self) -> float:
+        times = self._server.cpu_times()
+        return float(times.user + times.system)
+
+    def _drawn(self) -> int:
+        """Frames that the plots have drawn."""
+        script = "return document.querySelector('.vc-plots')?.dataset.frames || 0"
+        return int(self._driver.execute_script(script))
+
+    def _run(self) -> None:
+        minute = 1
+        while not self._end.wait(max(0.0, self._begin + minute * MINUTE - time.monotonic())):
+            self._take()
+            minute += 1
+
+    def _take(self) -> None:
+        now, drawn = time.monotonic(), self._drawn()
+        self._driver.execute_cdp_cmd("HeapProfiler.collectGarbage", {})
+        heap = self._driver.execute_cdp_cmd("Runtime.getHeapUsage", {})
+        counters = self._driver.execute_cdp_cmd("Memory.getDOMCounters", {})
+        row = {
+            "minute": (now - self._begin) / MINUTE,
+            "frames_per_second": (drawn - self._frames) / (now - self._before) if self.rows else float("nan"),
+            "scripts_MB": 1e-6 * (heap["usedSize"] + heap.get("backingStorageSize", 0)),
+            "elements": counters["nodes"],
+            "browser_MB": 1e-6 * self._drawing.memory_info().rss,
+            "dashboard_MB": 1e-6 * self._server.memory_info().rss,
+        }
+        self._before, self._frames = now, drawn
+        self.rows.append(row)
 
 
 def figures(run: demo.Measured) -> dict[str, float]:
@@ -69,35 +115,38 @@ def figures(run: demo.Measured) -> dict[str, float]:
     return {"samples": len(run.latency), "lost": run.lost, "latency_ms_p50": p50, "latency_ms_p99": p99}
 
 
-def measured(seconds: float, folder: Path) -> dict[str, Any]:
-    """Run the cascade for ``seconds`` without and with the page."""
-    sine = {**demo.PACE, "scenario": "sine", "amplitude": 1.0, "frequency": 1.0, "duration": seconds}
-    run = demo.DemoRun("page", "", ("pid.yaml", "d3fxe.yaml"), sine)
-    with bar("alone", seconds) as progress:
-        alone = demo.run_cascade(run, folder, progress)
+def measured(minutes: int, folder: Path) -> dict[str, Any]:
+    """Run the cascade for a minute without the page, and for ``minutes`` with it."""
+
+    def sine(duration: float) -> demo.DemoRun:
+        shape = {"scenario": "sine", "amplitude": 1.0, "frequency": 1.0, "duration": duration}
+        return demo.DemoRun("page", "", ("pid.yaml", "d3fxe.yaml"), {**demo.PACE, **shape})
+
+    seconds = minutes * MINUTE
+    with bar("alone", MINUTE) as progress:
+        alone = demo.run_cascade(sine(MINUTE), folder, progress)
     log = folder / "dashboard.log"
     arguments = ["-p", "port:=0", "-p", "token:=page", "-p", f"folder:={folder}/made"]
     with process("dashboard", arguments, log) as child:
         wait_until(lambda: "open http" in log.read_text(), "the dashboard's address", [child], READY)
-        with browser(log.read_text().split("open ")[1].split()[0]) as driver:
-            begin = time.monotonic(), cpu_time(child.pid), frames(driver), heap(driver)
+        address = log.read_text().split("open ")[1].split()[0]
+        with browser(address) as driver, Course(driver, child.pid) as course:
             with bar("with page", seconds) as progress:
-                beside = demo.run_cascade(run, folder, progress)
-            end = time.monotonic(), cpu_time(child.pid), frames(driver), heap(driver)
-    took = end[0] - begin[0]
+                beside = demo.run_cascade(sine(seconds), folder, progress)
+            cores = course.cores
+    rates = [row["frames_per_second"] for row in course.rows[1:]]
     result: dict[str, Any] = {
         "machine": machine(),
         "seconds": seconds,
         "alone": figures(alone),
         "with_page": figures(beside),
+        "course": course.rows,
     }
     result["figures"] = {
         "lost": result["with_page"]["lost"],
         "latency_p50_ratio": result["with_page"]["latency_ms_p50"] / result["alone"]["latency_ms_p50"],
-        "page_process_cores": (end[1] - begin[1]) / took,
-        "frames_per_second": (end[2] - begin[2]) / took,
-        "heap_MB_begin": begin[3],
-        "heap_MB_end": end[3],
+        "page_process_cores": cores,
+        "frames_per_second": min(rates),
     }
     return result
 
@@ -105,7 +154,14 @@ def measured(seconds: float, folder: Path) -> dict[str, Any]:
 def main() -> int:
     """Measure, print, write."""
     options = argparse.ArgumentParser(prog="benchmarks.page", description=__doc__)
-    options.add_argument("--seconds", type=float, default=60.0, help="length of each run (60)")
+    options.add_argument(
+        "--minutes",
+        type=int,
+        choices=range(1, 61),
+        default=1,
+        metavar="N",
+        help="of the run with the page (1)",
+    )
     options.add_argument("--out", default="out", metavar="FOLDER", help="output folder (out)")
     arguments = options.parse_args()
     out = Path(arguments.out)
@@ -114,8 +170,11 @@ def main() -> int:
         return 1
 
     def work() -> int:
-        with tempfile.TemporaryDirectory(prefix="valve_control-page-") as name:
-            result = measured(arguments.seconds, Path(name))
+        result = measured(arguments.minutes, out)
+        names = list(result["course"][0])
+        print("  ".join(f"{name:>17}" for name in names))
+        for row in result["course"]:
+            print("  ".join(f"{row[name]:17.1f}" for name in names))
         for key, value in result["figures"].items():
             wanted = f"   (wanted {WANTED[key]:g})" if key in WANTED else ""
             print(f"{key:22}{value:10.3g}{wanted}")

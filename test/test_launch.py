@@ -52,7 +52,7 @@ def test_launch_file_names_only_what_exists(path):
     declared = arguments(root)
     own = {"controller", "valve", "rate"} if path in VALVES else {"message", "upper_level"}
     own |= {"machine"} if path.name == AXIS else set()
-    assert own | {"namespace", "record"} <= set(declared)
+    assert own | {"namespace", "record", "dashboard", "port"} <= set(declared)
     for arg in root.findall("arg"):
         assert arg.get("default") is not None and arg.get("description"), arg.get("name")
     text = path.read_text(encoding="utf-8")
@@ -79,6 +79,10 @@ def test_launch_file_names_only_what_exists(path):
     for recorder in recorders:
         assert recorder.get("if") == "$(var record)" and recorder.find("param").get("value") == "$(var bag)"
     assert len(recorders) == (path.name != "cascade.launch.xml")
+    pages = [node for node in root.iter("node") if node.get("exec") == "dashboard"]
+    for page in pages:
+        assert page.get("if") == "$(var dashboard)" and page.find("param").get("value") == "$(var port)"
+    assert len(pages) == len(recorders) and declared["dashboard"] == "false"
     for include in root.iter("include"):
         target = ROOT / include.get("file").split("valve_control)/")[1]
         known = arguments(ET.parse(target).getroot())
@@ -119,7 +123,7 @@ def started(group, space=""):
 def test_both_axes_of_the_arm_take_their_machines_and_the_manifold_has_their_valves():
     found = {name: paths for name, _, paths in started(ET.parse(ROOT / "launch" / ARM).getroot())}
     valves = arguments_of("/manifold", found.pop("/manifold"))["valves"]
-    assert found.pop("/recorder") == []
+    assert found.pop("/recorder") == [] and found.pop("/dashboard") == []
     nodes = ("axis_simulator", "axis_controller")
     assert set(found) == {f"/{valve}/{node}" for valve in valves for node in nodes}
     for valve in valves:

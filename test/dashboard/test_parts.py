@@ -168,4 +168,4 @@ def test_a_program_shows_its_progress_and_ends_when_it_is_told(tmp_path):
         assert program.running and list(program.lines) == ["begins"]
     finally:
         program.end()
-    assert not program.running and program.state.startswith("ended")
+    assert not program.running and program.state == "cancelled"

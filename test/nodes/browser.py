@@ -76,6 +76,12 @@ class Window:
 
         ActionChains(self.driver).send_keys(*keys).perform()
 
+    def select_all(self):
+        """Select all that stands in the field with the focus."""
+        from selenium.webdriver import ActionChains, Keys
+
+        ActionChains(self.driver).key_down(Keys.CONTROL).send_keys("a").key_up(Keys.CONTROL).perform()
+
     def drag(self, slider, thumb, share):
         """Draw a slider's thumb to a ``share`` of its length with the mouse, in several moves."""
         from selenium.webdriver import ActionChains
@@ -114,7 +120,7 @@ class Window:
         """Put a text into the field with the id ``name``."""
         from selenium.webdriver import Keys
 
-        entry = self.find(f"#{name} input")
+        entry = self.find(f"#{name} input, input#{name}")
         self.js("arguments[0].scrollIntoView({block: 'center'})", entry)
         entry.click()
         entry.send_keys(Keys.CONTROL, "a")
@@ -151,9 +157,17 @@ class Window:
         return found
 
 
+PHONE = {
+    "width": 390,
+    "height": 844,
+    "deviceScaleFactor": 2,
+    "mobile": True,
+}  # narrower than Chromium's windows
+
+
 @contextmanager
-def window(size="1280,950"):
-    """A window of a browser of its own, which has no network but this host."""
+def window(size="1280,950", screen=None):
+    """A window of a browser of its own, which has no network but this host; ``screen``: that of a device."""
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
 
@@ -168,6 +182,8 @@ def window(size="1280,950"):
     options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
     driver = webdriver.Chrome(options=options, service=Service(DRIVER))
     try:
+        if screen:
+            driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
         yield Window(driver)
     finally:
         driver.quit()

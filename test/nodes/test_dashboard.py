@@ -1,11 +1,14 @@
 """The dashboard's node and server without a browser: what it serves and to whom, and how it ends."""
 
+import importlib.util
 import json
+import signal
 import socket
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -84,6 +87,50 @@ def test_every_sample_of_the_loop_is_in_the_frames(ros, tmp_path):
         assert child.wait(20.0) == 0, (tmp_path / "d.log").read_text()
         assert time.monotonic() - began < 20.0
     assert "Traceback" not in (tmp_path / "d.log").read_text()
+
+
+LAUNCH = """
+import sys
+from launch import LaunchDescription, LaunchService
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import AnyLaunchDescriptionSource
+path, *given = sys.argv[1:]
+include = IncludeLaunchDescription(
+    AnyLaunchDescriptionSource(path), launch_arguments=[tuple(word.split(":=")) for word in given]
+)
+service = LaunchService()
+service.include_launch_description(LaunchDescription([include]))
+sys.exit(service.run())
+"""
+
+
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as found:
+        return found.getsockname()[1]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="needs ros2 launch")
+@pytest.mark.parametrize("name", ["valve", "cascade", "axis", "arm"])
+def test_a_launch_file_starts_the_page_on_the_port_that_is_asked_for(name, tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "103")
+    path = Path(__file__).resolve().parents[2] / "launch" / f"{name}.launch.xml"
+    port, log = free_port(), tmp_path / "launch.log"
+    with log.open("wb") as output:
+        child = subprocess.Popen(
+            [sys.executable, "-c", LAUNCH, path, "dashboard:=true", f"port:={port}"],
+            cwd=tmp_path, stdout=output, stderr=output, stdin=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+        try:
+            address = started(log)
+            assert address.startswith(f"http://127.0.0.1:{port}/?token=")
+            assert get(address)[0] == 200
+        finally:
+            child.send_signal(signal.SIGINT)
+            child.wait(30.0)
+    said = log.read_text()
+    assert "Traceback" not in said, said
+    with socket.create_server(("127.0.0.1", port)):  # nobody listens there any more
+        pass
 
 
 def test_a_port_that_is_taken_is_said_in_one_sentence(tmp_path):

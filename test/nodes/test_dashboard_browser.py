@@ -2,17 +2,27 @@
 
 import itertools
 import os
+import re
 import signal
+import subprocess
+import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import yaml
-from bench import get_double, set_parameters, spin_until
-from browser import get, needs_browser, until, window
+from bench import call, get_double, set_parameters, spin_until
+from browser import PHONE, get, needs_browser, until, window
+from rcl_interfaces.srv import GetParameters
+from rclpy.parameter import parameter_value_to_python
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+from test_commission import BEFORE, PATIENT, QUICK, TRAVEL, VALVE, VOLTAGE
 
+from valve_control.nodes.adapter import SAMPLES
 from valve_control.nodes.harness.processes import process
+from valve_control.parameters.table import CONTROLLER
 
 pytestmark = [pytest.mark.browser, needs_browser]
 
@@ -27,7 +37,9 @@ CALM = {
         "lvdt.frozen_samples:=0", "lvdt.disturbance:=0.0", "command_timeout:=0.0", "state_decimation:=2",
         "lvdt.max_rate:=1e7", "pid.kp:=1.0", "pid.ki:=20.0", "pid.kd:=0.0",
     ],
-    "valve_simulator": ["sample_period:=0.005", "voltage_timeout:=0.0", "friction.coulomb:=0.2"],
+    "valve_simulator": [
+        "sample_period:=0.005", "voltage_timeout:=0.0", "patience:=0.2", "friction.coulomb:=0.2",
+    ],
     "command_source": [
         "sample_period:=0.005", "scenario:=sine", "frequency:=0.5", "amplitude:=1.0", "duration:=36000.0",
     ],
@@ -69,7 +81,7 @@ def folder(tmp_path_factory):
 def page_address(folder):
     with (
         node("valve_simulator", folder),
-        node("controller", folder, f"save_file:={folder}/saved.yaml"),
+        node("controller", folder),
         node("command_source", folder),
         dashboard(folder) as found,
     ):
@@ -101,6 +113,14 @@ def page(browser, page_address, ros):
         browser.press("#discard")
     until(lambda: browser.shown("pid.kp") == "1.0", "the value of the start")
     return browser
+
+
+def picture(page, name):
+    """Keep a picture of what the window shows."""
+    moving = "return document.getAnimations().filter((a) => a.playState === 'running').length"
+    until(lambda: page.js(moving) == 0, "the end of all transitions")
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    page.driver.save_screenshot(str(PICTURES / f"dashboard_{name}.png"))
 
 
 def settled(read):
@@ -150,8 +170,9 @@ def test_a_gain_moved_by_its_slider_changes_the_loop_and_the_plot(page, ros):
     page.click("#tab-log")
     page.wait_for("#log", "pid.static_feedforward 1.18 → 0.05")
     page.click("#tab-tune")
-    PICTURES.mkdir(parents=True, exist_ok=True)
-    page.driver.save_screenshot(str(PICTURES / "dashboard_tune.png"))
+    until(lambda: page.js("return !!document.querySelector('#undo').offsetParent"), "the form")
+    until(lambda: page.figure("e_M") < 2.0, "the end of what the large gain did")
+    picture(page, "tune")
     page.press("#undo")
     spin_until(ros, lambda: get_double(ros, "pid.static_feedforward") == 1.18, "the feedforward as before")
     page.press("#undo")
@@ -174,7 +195,7 @@ def test_a_refused_value_shows_its_reason_and_changes_nothing(page, ros):
     until(lambda: "slower than the valve itself" in page.refusal("pid.break_frequency"), "the node's reason")
     assert "nothing was changed" in page.refusal("pid.break_frequency")
     assert kp(ros) == before and get_double(ros, "pid.break_frequency") == 0.0
-    page.driver.save_screenshot(str(PICTURES / "dashboard_refused.png"))
+    picture(page, "refused")
     page.press("#discard")
     until(lambda: page.shown("pid.kp") == str(before) and not page.refusal("pid.kp"), "the value in force")
 
@@ -243,6 +264,7 @@ def test_the_law_is_switched_and_back(page, ros):
 
 
 def test_parameters_are_saved_and_loaded(page, ros, folder):
+    page.fill("file", f"{folder}/saved.yaml")
     page.press("#save")
     page.wait_for("#file-answer", f"wrote {folder}/saved.yaml")
     saved = yaml.safe_load((folder / "saved.yaml").read_text())["/controller"]["ros__parameters"]
@@ -287,13 +309,13 @@ def test_pause_zoom_terms_and_view_outlive_a_reload(page):
     until(lambda: float(page.plots()["end"]) - float(page.plots()["start"]) == pytest.approx(2.5), "zoomed")
     page.click(".vc-terms summary")
     page.click(".vc-list input[value='unsaturated_voltage']")
-    until(lambda: "unsaturated_voltage" in page.text(".vc-panel:last-child .vc-legend"), "the term's legend")
+    until(lambda: "unsaturated_voltage" in page.text("[data-panel=terms] .vc-legend"), "the term's legend")
     page.click(".vc-terms summary")
-    page.driver.save_screenshot(str(PICTURES / "dashboard_terms.png"))
+    picture(page, "terms")
     page.open(page.driver.current_url)
     until(lambda: page.text(".vc-live") == "paused", "still paused")
     assert page.plots()["end"] == end
-    until(lambda: "unsaturated_voltage" in page.text(".vc-panel:last-child .vc-legend"), "still the term")
+    until(lambda: "unsaturated_voltage" in page.text("[data-panel=terms] .vc-legend"), "still the term")
     page.keys("l")
     until(lambda: page.text(".vc-live") == "live", "live")
     until(lambda: float(page.plots()["end"]) > float(end) + 0.5, "moving on")
@@ -405,7 +427,7 @@ def test_commands_recordings_and_faults(page, tmp_path, folder):
         page.press("#start")
         page.wait_for("#command-state", "/arm/page_command")
         until(lambda: page.figure("e_rms") > 0.0, "an error")
-        page.driver.save_screenshot(str(PICTURES / "dashboard_do.png"))
+        picture(page, "do")
         page.press("#end")
         until(lambda: page.text("#command-state").endswith("nobody commands this valve"), "the command's end")
         page.press("#inject")  # nothing chosen yet: no fault
@@ -425,28 +447,281 @@ def test_commands_recordings_and_faults(page, tmp_path, folder):
     choose(page, "valve")
 
 
+def start_run(page, name, arguments):
+    """Choose a run, fill in its arguments, start it."""
+    page.click("#tab-do")
+    page.choose("#run", name)
+    page.fill("arguments", arguments)
+    page.press("#start-run")
+    page.wait_for("#run-state", f"{name}: running")
+
+
+def progress(page):
+    """The share of the run that is done, as its bar shows it; None while there is no bar."""
+    return page.js(
+        "const e = document.querySelector('#run-share');"
+        "return e && e.offsetParent ? +e.getAttribute('aria-valuenow') : null"
+    )
+
+
+def links(page):
+    """Addresses of what the run has written, by their text, in the order of the page."""
+    found = page.js("return [...document.querySelectorAll('#made a')].map((a) => [a.innerText, a.href])")
+    return dict(found)
+
+
 def test_a_run_shows_its_progress_and_what_it_wrote(page):
     page.click("#tab-do")
+    page.choose("#run", "tune")
+    page.choose("#run", "identify")
     page.fill("arguments", "--set steps=3 cycles=3 --set step_time=0.1 --output valve.yaml")
     page.press("#start-run")
     page.wait_for("#run-state", "ended with status 2")
     assert "unrecognized" in page.text("#output") or "valve-control" in page.text("#output")
-    page.fill("arguments", "--valve second_order --set lvdt.noise=0.002 --output valve.yaml")
-    page.press("#start-run")
-    page.wait_for("#run-state", "running")
+    start_run(
+        page, "identify", "--valve second_order --set lvdt.noise=0.002 --output valve.yaml --figure b.png"
+    )
     page.wait_for("#run-state", "done", 120.0)
-    page.wait_for("#made", "valve.yaml")
+    page.wait_for("#made", "b.png")
+    assert list(links(page)) == ["valve.yaml", "b.png"]
+    assert all(get(link)[0] == 200 for link in links(page).values())
+
+
+def test_gains_that_tune_has_found_are_loaded_and_taken_back(page, ros):
+    start_run(
+        page,
+        "tune",
+        "--controller pid --alone --budget 400 --valves 2 --unseen 4 --duration 2 --sample-period 0.005 "
+        "--gain-margin 1 --phase-margin 5 --peak 30 --saturation 1 "
+        "--output tuned.yaml --html tuned.html",
+    )
+    page.wait_for("#run-explained", "Nothing on the graph is touched")
+    until(lambda: (progress(page) or 0.0) > 0.0, "the progress", 120.0)
+    page.wait_for("#run-state", "done", 240.0)
+    page.wait_for("#made", "report tuned.html")
+    assert list(links(page)) == ["report tuned.html", "tuned.yaml"]
+    with window() as other:
+        other.driver.get(links(page)["report tuned.html"])
+        other.find(".plotly-graph-div svg")
+        assert [e for e in other.driver.get_log("browser") if e["level"] == "SEVERE"] == []
+    page.press("#load-made")
+    page.wait_for("#run-refusal", "of which")
+    spin_until(ros, lambda: kp(ros) != 1.0, "the tuned gain")
+    page.click("#tab-tune")
+    until(lambda: page.shown("pid.kp") == str(kp(ros)), "the tuned gain on the page")
+    page.press("#undo")
+    spin_until(ros, lambda: kp(ros) == 1.0, "the gain as before")
+
+
+def test_a_run_is_cancelled(page):
+    start_run(page, "tune", "--controller pid --alone --budget 4000 --output never.yaml")
+    page.press("#start-run")
+    page.wait_for("#run-refusal", "tune is still running; end it first")
+    until(lambda: progress(page) is not None, "the progress", 120.0)
+    page.press("#cancel-run")
+    page.wait_for("#run-state", "tune: cancelled")
+    assert "Traceback" not in page.text("#output") and not links(page)
+
+
+@contextmanager
+def to_commission(page, folder):
+    """A controller with parameters of its own and its valve, chosen on the page; its full name."""
+    valve = f"press{next(NUMBERS)}"
+    space = ["-r", f"__ns:=/{valve}"]
+    with (
+        process("valve_simulator", [*VALVE, *space], folder / "sim.log"),
+        process("controller", [*BEFORE, *PATIENT, *space], folder / "c.log"),
+    ):
+        choose(page, valve)
+        page.wait_for("#mode", "no command yet")
+        page.click("#tab-do")
+        page.choose("#run", "commission")
+        until(lambda: f"--node /{valve}/controller" in offered(page), "the name of the controller")
+        page.wait_for("#run-explained", "Moves the spool")
+        limits = f" --max-voltage {VOLTAGE} --travel {TRAVEL} --controller dcarc "
+        page.fill("arguments", offered(page) + limits + " ".join(QUICK))
+        yield f"{valve}/controller"
+    choose(page, "valve")
+
+
+def offered(page):
+    """The arguments that stand in the field."""
+    return page.js("return document.querySelector('#arguments input').value")
+
+
+def all_parameters(ros, name):
+    names = [p.name for p in CONTROLLER]
+    got = call(ros, GetParameters, f"/{name}/get_parameters", GetParameters.Request(names=names)).values
+    return {name: parameter_value_to_python(value) for name, value in zip(names, got, strict=True)}
+
+
+def test_a_valve_is_commissioned_from_the_page(page, tmp_path, ros):
+    with to_commission(page, tmp_path) as name:
+        assert all_parameters(ros, name)["controller"] == "arc"
+        page.press("#start-run")
+        page.wait_for("#run-state", "commission: running")
+        until(lambda: 0.0 < (progress(page) or 0.0) < 1.0, "the progress", 60.0)
+        page.press("#start")  # two commands would fight
+        page.wait_for("#command-refusal", "commissioner commands this valve already")
+        page.wait_for("#run-state", "commission: done", 300.0)
+        folder = f"commission_{name.split('/')[0]}"
+        page.wait_for("#made", f"report {folder}/report.html")
+        status, text = get(links(page)[f"report {folder}/report.html"])
+        assert status == 200 and "The gains of dcarc are accepted" in text
+        assert f"{folder}/before.yaml" in links(page)
+        assert all_parameters(ros, name)["controller"] == "dcarc"
+        page.click("#tab-tune")
+        page.find("[data-name='dcarc.model']")  # the form is that of the law in force
+        assert "inactive" not in page.text("#mode")
+
+
+@pytest.mark.parametrize("button", ["#cancel-run", "#stop"])
+def test_a_commissioning_that_is_ended_leaves_0_v_and_the_parameters_from_before(page, tmp_path, ros, button):
+    with to_commission(page, tmp_path) as name:
+        before = all_parameters(ros, name)
+        page.press("#start-run")
+        until(lambda: 0.0 < (progress(page) or 0.0) < 1.0, "the progress", 60.0)
+        assert all_parameters(ros, name) != before
+        page.press(button)
+        until(lambda: page.text("#run-state") in ("commission: cancelled", "commission: ended with status 1"),
+              "the end of the run")  # fmt: skip
+        page.wait_for("#output", "all its parameters are as before")
+        assert "Traceback" not in page.text("#output")
+        assert all_parameters(ros, name) == before
+        page.wait_for("#mode", "inactive")
+        page.click("#tab-tune")
+        until(lambda: page.shown("arc.k1") == "77.0", "the form with the values from before")
+        page.press("#activate")
+        until(lambda: "inactive" not in page.text("#mode"), "active again")
+
+
+def shown_number(page, panel, name):
+    """Newest number of a signal in the legend of a panel, NaN if there is none."""
+    found = re.search(rf"{name} (-?[\d.]+)", page.text(f"[data-panel={panel}] .vc-legend"))
+    return float(found[1]) if found else float("nan")
+
+
+def test_the_signals_of_an_axis_are_drawn_and_its_stop_is_said_and_ended(page, tmp_path, ros):
+    lockstep = {
+        "axis_simulator": ["clock:=lockstep"],
+        "controller": ["lockstep:=true", "lvdt.frozen_samples:=0"],
+        "axis_controller": ["lockstep:=true"],
+    }
+    assert not page.js("return !!document.querySelector('[data-panel=axis]').offsetParent")
+    axis = f"/crane{next(NUMBERS)}"
+    goal = ros.create_publisher(Float64, f"{axis}/goal_position", SAMPLES)
+    words = ["-r", f"__ns:={axis}", "--params-file", str(CONFIG / "axis" / "bench.yaml")]
+    simulated, controller, upper = (
+        process(name, words + [w for s in own for w in ("-p", s)], tmp_path / f"{name}.log")
+        for name, own in lockstep.items()
+    )
+    with simulated, controller, upper:
+        choose(page, axis[1:])
+        until(lambda: shown_number(page, "axis", "position") > 0.1, "the position of the piston", 120.0)
+        assert 1.0 < shown_number(page, "pressures", "pressure_a") < 200.0  # bar
+        assert 1.0 < shown_number(page, "pressures", "pressure_b") < 200.0
+        begun = shown_number(page, "axis", "position")
+        spin_until(ros, lambda: goal.get_subscription_count() == 1, "axis_controller")
+        goal.publish(Float64(data=begun + 0.03))
+        until(lambda: abs(shown_number(page, "axis", "goal") - begun - 0.03) < 1e-3, "the goal")
+        until(lambda: abs(shown_number(page, "axis", "position") - begun - 0.03) < 2e-3, "the piston")
+        picture(page, "axis")
+        assert call(ros, Trigger, f"{axis}/axis_controller/stop", Trigger.Request()).success
+        page.wait_for("#notice", f"{axis}/axis_controller: stopped")
+        page.wait_for("#mode", "inactive")
+        page.press("#reset")
+        until(lambda: page.text("#notice") == "", "the end of the stop")
+        until(lambda: "inactive" not in page.text("#mode"), "active again")
+    choose(page, "valve")
+
+
+@contextmanager
+def stranger(which, folder):
+    """A node that is no controller of this version."""
+    with (folder / f"{which}.log").open("wb") as log:
+        child = subprocess.Popen(
+            [sys.executable, Path(__file__).with_name("strangers.py"), which], stdout=log, stderr=log
+        )
+        try:
+            yield
+        finally:
+            child.terminate()
+            child.wait(10.0)
+
+
+def test_an_older_controller_is_named_and_what_it_has_can_be_used(page, tmp_path, ros):
+    with stranger("older", tmp_path):
+        choose(page, "older")
+        page.wait_for("#notice", "/older/older is an older or another controller: it has no parameter")
+        page.wait_for("#notice", "no change_state (it cannot be stopped or activated from here)")
+        page.wait_for("#notice", "/older/older/state does not name its numbers")
+        until(lambda: page.plots().get("live") == "true", "its signals")
+        page.type("kp", "2,5")
+        spin_until(ros, lambda: get_double(ros, "kp", "older/older") == 2.5, "its gain")
+        page.press("#save")
+        page.wait_for("#file-answer", "it has no save_parameters")
+        page.press("#stop")
+        page.click("#tab-log")
+        page.wait_for("#log", "NOT stopped: /older/older has no service change_state")
+        page.click("#tab-tune")
+    choose(page, "valve")
+    until(lambda: "inactive" in page.text("#mode"), "the other valve is stopped")
+    page.press("#activate")
+
+
+def test_a_node_without_parameters_is_watched_and_said_to_be_unknown(page, tmp_path):
+    with stranger("unknown", tmp_path):
+        choose(page, "unknown")
+        page.wait_for("#mode", "no controller")
+        page.wait_for("#notice", "valve_voltage comes from /unknown/unknown, which offers no parameters")
+        page.wait_for("#tune-hint", "no controller")
+        until(lambda: page.plots().get("live") == "true", "its signals")
+    choose(page, "valve")
+
+
+def test_the_keyboard_alone_suffices(page, ros):
+    from selenium.webdriver import Keys
+
+    def go(selector):
+        """Press Tab until what has the focus is inside ``selector``."""
+        for _ in range(80):
+            page.keys(Keys.TAB)
+            if page.js("return !!document.activeElement.closest(arguments[0])", selector):
+                return
+        raise AssertionError(f"Tab does not come to {selector}")
+
+    page.blur()
+    go("[data-name='pid.kp'] input")
+    page.select_all()
+    page.keys("1,25", Keys.ENTER)
+    spin_until(ros, lambda: kp(ros) == 1.25, "the gain that was typed")
+    go("[data-name='pid.kp'] .q-slider")
+    page.keys("u")
+    spin_until(ros, lambda: kp(ros) == 1.0, "undone")
+    page.blur()
+    go(".vc-terms summary")
+    page.keys(Keys.ENTER)
+    go(".vc-list")
+    assert page.js("return document.activeElement.type") == "checkbox"
+    page.js("document.querySelector('.vc-terms').open = false")
+    go("#tab-tune")
+    page.keys(Keys.ARROW_RIGHT, Keys.ENTER)
+    go("#scenario")
+    page.click("#tab-tune")
 
 
 def test_a_phone_shows_all_of_it(page_address):
-    with window("390,844") as phone:
+    with window(screen=PHONE) as phone:
         phone.open(page_address)
         phone.find("[data-name='pid.kp'] input")
         width, inner = phone.js("return [document.documentElement.scrollWidth, window.innerWidth]")
-        assert width <= inner
+        assert width <= inner == PHONE["width"]
         box = phone.js("return document.querySelector('#stop').getBoundingClientRect().toJSON()")
         assert box["right"] <= inner and box["height"] >= 40
-        phone.driver.save_screenshot(str(PICTURES / "dashboard_phone.png"))
+        picture(phone, "phone")
+        for tab in ("do", "log", "latency"):
+            phone.click(f"#tab-{tab}")
+            until(lambda: phone.js("return document.documentElement.scrollWidth") <= inner, f"{tab} in width")
 
 
 def test_without_a_valve_the_page_says_what_is_missing(browser, tmp_path, monkeypatch):
@@ -454,3 +729,5 @@ def test_without_a_valve_the_page_says_what_is_missing(browser, tmp_path, monkey
     with dashboard(tmp_path) as found:
         browser.driver.get(found)
         browser.wait_for("#notice", "No valve on the graph yet")
+        picture(browser, "none")
+    browser.wait_for(".vc-live", "no connection to the dashboard; trying again")

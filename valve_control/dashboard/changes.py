@@ -23,6 +23,18 @@ class Change(NamedTuple):
         return ", ".join(f"{name} {self.before[name]} → {self.after[name]}" for name in sorted(self.after))
 
 
+def joined(last: Change | None, change: Change, asked: float) -> Change | None:
+    """``last`` and ``change``, asked for at ``asked`` [s], as one, such as moves of a slider; else None."""
+    if (
+        last is not None
+        and last.origin == change.origin
+        and last.after.keys() == change.after.keys()
+        and asked - last.time < TOGETHER
+    ):
+        return Change(change.time, last.before, change.after, change.origin)
+    return None
+
+
 class Changes:
     """Changes of one node, of which the newest can be taken back, and then made again."""
 
@@ -33,14 +45,9 @@ class Changes:
     def add(self, change: Change, asked: float | None = None) -> None:
         """Remember ``change``, asked for at ``asked`` [s]; what was undone before cannot be redone."""
         self.undone.clear()
-        last = self.done[-1] if self.done else None
-        if (
-            last is not None
-            and last.origin == change.origin
-            and last.after.keys() == change.after.keys()
-            and (change.time if asked is None else asked) - last.time < TOGETHER
-        ):
-            self.done[-1] = Change(change.time, last.before, change.after, change.origin)
+        whole = joined(self.done[-1] if self.done else None, change, change.time if asked is None else asked)
+        if whole is not None:
+            self.done[-1] = whole
         else:
             self.done.append(change)
             del self.done[:-MOST]

@@ -8,6 +8,8 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from nicegui import ui
@@ -32,8 +34,20 @@ RUNS = ("identify", "tune", "commission")  # of valve-control, those that it has
 EXAMPLES = {
     "identify": "--set lvdt.noise=0.005 --output valve.yaml --figure bode.png",
     "tune": "--controller pid --budget 200 --output tuned.yaml --html tuned.html",
-    "commission": "",
+    "commission": "--node {node} --max-voltage 4 --travel 2 --folder commission{valve} --yes",
 }
+EXPLAINED = {
+    "identify": "Identifies the valve of the parameter files in simulation, or a recorded one: name its bag "
+    "first. Nothing on the graph is touched.",
+    "tune": "Searches gains on simulated valves. Nothing on the graph is touched; load what it writes to try "
+    "it.",
+    "commission": "Moves the spool of this valve within the limits in the arguments: tests it, tunes its "
+    "law, sets the gains and verifies them, without further question. Cancel or STOP leads to 0 V and to "
+    "the parameters from before.",
+}
+MOVING = ("commission",)
+LOADED = ("identify", "tune")  # whose parameter files are not in force yet
+SHARE = re.compile(r"(\d+(?:\.\d+)?)(?:/| of )(\d+(?:\.\d+)?)")  # in a line of progress
 FAULTS = ("fault.lvdt", "fault.valve", "fault.samples", "fault.jump")
 SHOWN_LINES = 30
 
@@ -120,6 +134,7 @@ class Doing:
                         "-r", "__node:=page_command", *settings,
                     ],
                     self._page.folder,
+                    moves=True,
                 )  # fmt: skip
                 if not reason:
                     self._page.say(valve, f"command {shape['scenario']} started", mark=True)
@@ -270,11 +285,16 @@ class Doing:
         with named("arguments"):
             self._arguments = ui.input("arguments, as after valve-control", value=EXAMPLES[RUNS[0]])
         self._arguments.props('dense outlined autocomplete="off"')
+        self._explained = ui.label(EXPLAINED[RUNS[0]]).classes("vc-help").props("id=run-explained")
         with ui.element("div").classes("vc-buttons"):
             ui.button("Run", on_click=self._start_run).props("id=start-run no-caps dense outline")
             ui.button("Cancel", on_click=self._cancel_run).props("id=cancel-run no-caps dense outline")
+        self._run_refusal = ui.label("").classes("vc-warning").props("id=run-refusal role=alert")
         self._run_state = ui.label("").classes("vc-help").props("id=run-state role=status")
+        self._share = ui.linear_progress(show_value=False).props("id=run-share aria-label=progress")
+        self._share.set_visibility(False)
         self._output = ui.label("").classes("vc-output").props("id=output role=log")
+        self._output.set_visibility(False)
         self._made = ui.element("div").props("id=made")
         self._files_of: str | None = None
         self._offered: list[str] = []
@@ -288,7 +308,13 @@ class Doing:
         self._offered = [name for name in RUNS if re.search(rf"^  {name}\b", done.stdout, re.MULTILINE)]
 
     def _example(self) -> None:
-        self._arguments.set_value(EXAMPLES.get(str(self._run.value), ""))
+        """Offer the arguments of the chosen run, and say what it does."""
+        name, valve = str(self._run.value), self._page.valve
+        node = valve.controller.name if valve is not None and valve.controller is not None else "/controller"
+        space = valve.namespace.strip("/").replace("/", "_") if valve is not None else ""
+        text = EXAMPLES[name].format(node=node, valve=f"_{space}" if space else "")
+        self._arguments.set_value(text)
+        self._explained.set_text(EXPLAINED[name])
 
     def _start_run(self) -> None:
         valve = self._page.valve
@@ -298,13 +324,19 @@ class Doing:
         try:
             words = shlex.split(str(self._arguments.value or ""))
         except ValueError as error:
-            self._run_state.set_text(f"the arguments cannot be read: {str(error).lower()}")
+            self._run_refusal.set_text(f"the arguments cannot be read: {str(error).lower()}")
             return
-        reason = self._page.programs.start(RUN, name, ["valve_control.cli", name, *words], self._page.folder)
-        if reason:
-            self._page.tell(reason)
-        elif valve is not None:
-            self._page.say(valve, f"started valve-control {name} {shlex.join(words)} in {self._page.folder}")
+        moves = name in MOVING
+        if moves and valve is not None and valve.commanders:
+            reason = f"{', '.join(valve.commanders)} commands this valve; end it first"
+        else:
+            reason = self._page.programs.start(
+                RUN, name, ["valve_control.cli", name, *words], self._page.folder, moves
+            )
+        self._run_refusal.set_text(reason)
+        if not reason and valve is not None:
+            text = f"started valve-control {name} {shlex.join(words)} in {self._page.folder}"
+            self._page.say(valve, text, mark=moves)
 
     def _cancel_run(self) -> None:
         if self._page.allowed():
@@ -317,27 +349,51 @@ class Doing:
         if run is None:
             return
         self._run_state.set_text(f"{run.title}: {run.state}")
+        share = SHARE.search(run.progress or (run.lines[-1] if run.lines else ""))
+        if not run.running:
+            self._share.set_visibility(False)
+        elif share is not None and float(share[2]) > 0.0:
+            self._share.set_visibility(True)
+            self._share.set_value(min(1.0, float(share[1]) / float(share[2])))
         lines = (
             [*list(run.lines)[-SHOWN_LINES:], run.progress]
             if run.progress
             else list(run.lines)[-SHOWN_LINES:]
         )
         self._output.set_text("\n".join(lines))
+        self._output.set_visibility(True)
         said = "\n".join(run.lines)
         if not run.running and said != self._files_of:
             self._files_of = said
-            self._made.clear()
-            with self._made:
-                for path in re.findall(r"^wrote (.+)$", said, re.MULTILINE):
-                    target = self._page.folder / path
-                    if target.is_file() and target.resolve().is_relative_to(self._page.folder.resolve()):
-                        ui.link(path, f"/files/{Path(path).as_posix()}", new_tab=True).classes("q-mr-md")
+            self._show_made(run.title, re.findall(r"^wrote ([^:\n]+)", said, re.MULTILINE))
+
+    def _show_made(self, run: str, paths: Sequence[str]) -> None:
+        """Link what a run has written, reports first; offer to load its parameters."""
+        self._made.clear()
+        with self._made:
+            for path in sorted(paths, key=lambda path: not path.endswith(".html")):
+                target = (self._page.folder / path).resolve()
+                if not (target.is_file() and target.is_relative_to(self._page.folder.resolve())):
+                    continue
+                title = f"report {path}" if path.endswith(".html") else path
+                ui.link(title, f"/files/{Path(path).as_posix()}", new_tab=True).classes("q-mr-md")
+                if path.endswith(".yaml") and run in LOADED:
+                    ui.button(f"Load {path}", on_click=partial(self._load, str(target))).props(
+                        "id=load-made dense no-caps outline"
+                    )
+
+    async def _load(self, path: str) -> None:
+        """Let the controller load parameters that a run has written."""
+        if self._page.allowed():
+            self._run_refusal.set_text(await self._page.load(path))
 
     # Showing
 
     def show(self) -> None:
         """Show another valve."""
         self._fault_version = None
+        if self._run.value in MOVING:
+            self._example()  # for this valve
         self.refresh()
 
     def refresh(self) -> None:

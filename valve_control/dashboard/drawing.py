@@ -22,7 +22,9 @@ def histogram_svg(histogram: Histogram) -> str:
     texts = ""
     for tick in TICKS:
         share = _share(tick, float(low), float(high))
-        texts += f'<text x="{share * (WIDTH - 24):.0f}" y="{HEIGHT + FOOT - 4}">{tick:g}</text>'
+        anchor = "start" if tick == TICKS[0] else "end" if tick == TICKS[-1] else "middle"
+        word = f"{tick:g} ms" if tick == TICKS[-1] else f"{tick:g}"
+        texts += f'<text x="{share * WIDTH:.0f}" y="{HEIGHT + FOOT - 4}" text-anchor="{anchor}">{word}</text>'
     return (
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT + FOOT}" width="100%" font-size="11" fill="#0072b2" '
         f'role="img" aria-label="latency in ms, median {histogram.p50:.3f}">{bars}{texts}</svg>'

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from valve_control.dashboard.history import EMPTY, KEPT, Course
 from valve_control.dashboard.machine import Machine
-from valve_control.dashboard.valve import SIGNALS, Valve
+from valve_control.dashboard.valve import Valve
 
 MOST_COLUMNS = 4000
 MOST_SIGNALS = 16
@@ -63,6 +63,7 @@ def frame(machine: Machine, wanted: View, now: float) -> bytes:
         courses = {name: _course(valve, name, start, end, wanted.columns) for name in wanted.signals}
         marks = [m for m in valve.marks if start <= m.time <= end] if valve is not None else []
         labels = valve.labels if valve is not None else ()
+        axis = list(valve.axis) if valve is not None else []
         live = valve is not None and valve.live(now)
     head = json.dumps(
         {
@@ -71,6 +72,7 @@ def frame(machine: Machine, wanted: View, now: float) -> bytes:
             "now": now,
             "live": live,
             "labels": labels,
+            "axis": axis,
             "signals": [[name, len(course.time)] for name, course in courses.items()],
             "marks": [[mark.time - start, mark.text] for mark in marks],
         }
@@ -86,7 +88,9 @@ def frame(machine: Machine, wanted: View, now: float) -> bytes:
 def _course(valve: Valve | None, name: str, start: float, end: float, columns: int) -> Course:
     if valve is None:
         return EMPTY
-    history = valve.signals.get(name) if name in SIGNALS else valve.terms.get(name.removeprefix("term."))
+    kind, _, own = name.partition(".")
+    known = {"term": valve.terms, "axis": valve.axis}.get(kind, {})
+    history = valve.signals.get(name) or known.get(own)
     return EMPTY if history is None else history.course(start, end, columns)
 
 

@@ -47,20 +47,21 @@ class Machine:
                 self.valves[namespace] = Valve(namespace)
             return self.valves[namespace]
 
-    def note(self, valve: Valve, node: NodeState, change: Change | None) -> None:
+    def note(self, valve: Valve, node: NodeState, change: Change | None, asked: float) -> None:
         """Say a change in the log, mark it in the plots."""
         if change is not None:
             where = "" if node is valve.controller else f"{node.name}: "
             valve.say(change.time, "info", f"{where}{change.text} ({change.origin})")
-            valve.mark(change.time, f"{where}{change.text}")
+            valve.mark_change(change, where, asked)
 
     def observed(self, valve: Valve, node: NodeState, values: Values) -> None:
         """Take in values that a node says it has. What others changed can be undone too."""
         with self.lock:
-            change = node.observed(values, time.time())
+            now = time.time()
+            change = node.observed(values, now)
             if change is not None:
                 node.changes.add(change)
-            self.note(valve, node, change)
+            self.note(valve, node, change, now)
 
     async def change(self, valve: Valve, node: NodeState, values: Values, origin: str = "here") -> str:
         """Set ``values`` together; the reason if they are refused, else ""."""
@@ -93,14 +94,15 @@ class Machine:
                 return "", None
             if not node.present:
                 return f"{node.name} is gone; nothing was changed", None
-            node.asks(wanted, time.time())
+            asked = time.time()
+            node.asks(wanted, asked)
         reason = await asyncio.wrap_future(self.link.set_parameters(node.name, wanted))
         now = time.time()
         with self.lock:
             change = node.asked(wanted, reason, now, origin)
             if reason:
                 valve.say(now, "warning", f"refused: {reason}")
-            self.note(valve, node, change)
+            self.note(valve, node, change, asked)
         return reason, change
 
     async def undo(self, valve: Valve, node: NodeState) -> str:

@@ -105,6 +105,10 @@ class Page:
         with self._root:
             ui.notify(text, type="negative" if kind == "error" else "warning", position="top", timeout=6000)
 
+    async def load(self, path: str) -> str:
+        """Let the controller that is shown load a parameter file; its answer."""
+        return await self._tuning.use_file("load", path)
+
     def say(self, valve: Valve, text: str, mark: bool = False) -> None:
         """Write a line into a valve's log, and a mark into its plots."""
         with self.machine.lock:
@@ -117,7 +121,7 @@ class Page:
     def controls(self) -> Iterator[ui.element]:
         """What is made inside can be used only while this window writes."""
         with ui.element("div").classes("vc-controls").props("" if self.may_write else "inert") as box:
-            self._guarded.append(box)
+            self._guarded = [other for other in self._guarded if not other.is_deleted] + [box]
             yield box
 
     # What is shown
@@ -163,6 +167,10 @@ class Page:
             self._activate_button = ui.button("Activate", on_click=self._activate).props(
                 "id=activate no-caps outline"
             )
+            self._reset_button = ui.button("Reset the axis", on_click=self._reset).props(
+                "id=reset no-caps outline"
+            )
+            self._reset_button.set_visibility(False)
         with ui.element("div").classes("vc-standing"):
             self._standing_label = ui.label("").props("id=standing role=status")
             self._claim_button = ui.button("Write here", on_click=self._claim).props(
@@ -183,7 +191,7 @@ class Page:
             with ui.tab_panel(names[2]):
                 self._log = ui.log(max_lines=400).classes("vc-log").props("id=log role=log")
             with ui.tab_panel(names[3]):
-                self._histogram = ui.html("", sanitize=False).props("id=latency")
+                self._histogram = ui.html("", sanitize=False).classes("full-width").props("id=latency")
                 self._latency = ui.label("no voltages yet")
 
     # What is done
@@ -200,7 +208,7 @@ class Page:
         if not self._tokened:
             self.tell(self._standing()[0])
             return
-        self.programs.end("generator")
+        self.programs.end_moving()
         said = await self.machine.stop()
         for text in said:
             self.tell(text, "error")
@@ -213,6 +221,15 @@ class Page:
         reason = await self.machine.activate(valve, node)
         if reason:
             self.tell(reason)
+
+    async def _reset(self) -> None:
+        """End the stop of an axis."""
+        valve = self.valve
+        if valve is None or valve.upper is None or not self.allowed():
+            return
+        answer = await self.machine.trigger(valve, valve.upper, "reset")
+        if not answer.done:
+            self.tell(answer.text)
 
     def _claim(self) -> None:
         if self._tokened:
@@ -248,11 +265,14 @@ class Page:
         self._plots.show(valve.namespace)
         with self.machine.lock:
             mode, notice = self._words(valve, now)
+            notices = [notice] if notice else self._notices(valve)
             lines = [line for line in valve.log if line.number > self._logged]
         self._mode.set_text(mode)
         self._mode.classes(replace=f"vc-mode vc-mode-{mode.split(' ')[0].strip(':,')}")
-        self._notice.set_text(notice)
-        self._notice.set_visibility(bool(notice))
+        self._notice.set_text("\n".join(notices))
+        self._notice.set_visibility(bool(notices))
+        upper = valve.upper
+        self._reset_button.set_visibility(upper is not None and upper.failing and self.may_write)
         node = valve.controller
         resting = node is not None and node.state == "inactive"
         self._activate_button.set_visibility(resting and self.may_write)
@@ -270,7 +290,7 @@ class Page:
         may = self.may_write
         if may != self._could:
             self._could = may
-            for box in self._guarded:
+            for box in (box for box in self._guarded if not box.is_deleted):
                 box.props(remove="inert") if may else box.props("inert")
             self._stop_button.set_enabled(self._tokened)
 
@@ -278,7 +298,13 @@ class Page:
         """Mode of the valve, and what is to be said about it beyond that."""
         node = valve.controller
         if node is None:
-            return "no controller", f"{valve.name} has readings, but no controller publishes valve_voltage."
+            unknown = " and ".join(valve.strangers)
+            return "no controller", (
+                f"valve_voltage comes from {unknown}, which offers no parameters: no controller of "
+                "valve_control. Its signals can be watched; there is nothing to tune or to stop here."
+                if unknown
+                else f"{valve.name} has readings, but no controller publishes valve_voltage."
+            )
         if not node.present:
             return "gone", f"{node.name} is gone from the graph. When it is started again it appears here."
         if node.state in ("inactive", "unconfigured"):
@@ -291,13 +317,24 @@ class Page:
             )
             return f"silent: {since}", ""
         mode = valve.mode or "waiting for diagnostics"
-        several = valve.commanders if len(valve.commanders) > 1 else []
-        notice = (
-            f"{' and '.join(several)} command this valve at the same time; end all but one."
-            if several
-            else ""
-        )
-        return f"{mode}: {valve.reason}" if valve.reason and valve.reason != mode else mode, notice
+        return f"{mode}: {valve.reason}" if valve.reason and valve.reason != mode else mode, ""
+
+    @staticmethod
+    def _notices(valve: Valve) -> list[str]:
+        """What is to be said about a valve besides its mode."""
+        said = [node.wanting for node in valve.nodes if node.present and node.wanting]
+        if valve.unnamed and valve.controller is not None:
+            said.append(
+                f"{valve.controller.name}/state does not name its numbers: the terms of the law cannot be "
+                "shown."
+            )
+        if len(valve.commanders) > 1:
+            said.append(
+                f"{' and '.join(valve.commanders)} command this valve at the same time; end all but one."
+            )
+        if valve.upper is not None and valve.upper.failing:
+            said.append(f"{valve.upper.name}: {valve.upper.state}")
+        return said
 
     def _refresh_slowly(self) -> None:
         valve = self.valve
@@ -308,7 +345,7 @@ class Page:
             histogram = valve.latencies.histogram()
             missing = valve.missing
             counts = {name: valve.figures.get(name, "") for name in ("lvdt_lost", "overruns")}
-        lost = f"   lost by the loop {counts['lvdt_lost'] or '?'}, not seen here {missing}"
+        lost = f"   readings lost {counts['lvdt_lost'] or '?'}, unseen here {missing}"
         if found is None:
             self._indices.set_text(f"last 5 s: no error and voltage together{lost}")
         else:

@@ -2,22 +2,27 @@
 // What is shown (span, pause, terms) belongs to this window and outlives a reload.
 
 const FRAME = 1000 / 30; // ms between two frames, at the least
+const LEFT = 40; // px for the numbers beside the plots
 const GAP = 0.3; // s without a sample, across which no line is drawn
 const SPANS = [1, 2, 5, 10, 30, 60, 120, 300, 600]; // s
 // Okabe and Ito's colours, which the colour-blind tell apart; dashes tell them apart in print.
 const COLOURS = ["#e69f00", "#56b4e9", "#cc79a7", "#0072b2", "#d55e00", "#009e73"];
 const DASHES = [[], [6, 3], [2, 2], [8, 3, 2, 3], [12, 4], [1, 3]];
 const PANELS = [
-  { title: "command and position [V]", signals: ["command", "position"], height: 190 },
-  { title: "error: position minus command [V]", signals: ["error"], height: 130 },
-  { title: "voltage [V]", signals: ["voltage"], height: 130 },
-  { title: "terms of the law", signals: [], height: 150 },
+  { name: "motion", title: "command and position [V]", signals: ["command", "position"], height: 190 },
+  { name: "error", title: "error: position minus command [V]", signals: ["error"], height: 130 },
+  { name: "voltage", title: "voltage [V]", signals: ["voltage"], height: 130 },
+  { name: "terms", title: "terms of the law", of: "term.", height: 150 },
+  { name: "axis", title: "axis: position and goal [m]", of: "axis.", but: "axis.pressure", height: 150 },
+  { name: "pressures", title: "axis: pressures [bar]", of: "axis.pressure", height: 130 },
 ];
 const STYLES = {
   command: { colour: "#000000", dash: [6, 3] },
   position: { colour: "#0072b2", dash: [] },
   error: { colour: "#d55e00", dash: [] },
   voltage: { colour: "#009e73", dash: [] },
+  "axis.goal": { colour: "#000000", dash: [6, 3] },
+  "axis.position": { colour: "#0072b2", dash: [] },
 };
 
 function niceStep(range, count) {
@@ -48,14 +53,14 @@ export default {
         </details>
         <span class="vc-live" role="status">{{ status }}</span>
       </div>
-      <div v-for="(panel, i) in panels" :key="i" v-show="i < 3 || terms.length" class="vc-panel">
+      <div v-for="(panel, i) in panels" :key="i" v-show="drawn(panel).length" class="vc-panel" :data-panel="panel.name">
         <div class="vc-legend"><b>{{ panel.title }}</b> <span :ref="'legend' + i"></span></div>
         <canvas :ref="'canvas' + i" :style="{ height: panel.height + 'px' }" role="img" :aria-label="panel.title"></canvas>
       </div>
     </div>`,
   props: { valve: String },
   data() {
-    return { panels: PANELS, spans: SPANS, span: 5, end: null, paused: false, terms: [], labels: [], status: "connecting" };
+    return { panels: PANELS, spans: SPANS, span: 5, end: null, paused: false, terms: [], labels: [], axis: [], status: "connecting" };
   },
   mounted() {
     try {
@@ -79,7 +84,7 @@ export default {
       this.zoom(event.deltaY > 0 ? 1.25 : 0.8, this.share(event));
     }, { passive: false });
     this.$el.addEventListener("pointerdown", (event) => {
-      if (event.target.tagName === "CANVAS") this.drag = { x: event.clientX, end: this.shownEnd(), width: event.target.clientWidth };
+      if (event.target.tagName === "CANVAS") this.drag = { x: event.clientX, end: this.shownEnd(), width: event.target.clientWidth - LEFT };
     });
     this.$el.addEventListener("pointermove", (event) => {
       this.pointer = event.target.tagName === "CANVAS" ? this.share(event) : null;
@@ -118,11 +123,17 @@ export default {
         setTimeout(() => this.connect(), 1000);
       };
     },
+    // Names of the signals of a panel that are there to be drawn.
+    drawn(panel) {
+      if (panel.signals) return panel.signals;
+      const there = [...this.terms.map((name) => "term." + name), ...this.axis.map((name) => "axis." + name)];
+      return there.filter((name) => name.startsWith(panel.of) && !(panel.but && name.startsWith(panel.but)));
+    },
     ask() {
       if (!this.socket || this.socket.readyState !== WebSocket.OPEN) return;
       this.asked = performance.now();
-      const signals = ["command", "position", "error", "voltage", ...this.terms.map((name) => "term." + name)];
-      const columns = Math.max(100, Math.round(this.$el.clientWidth || 600));
+      const signals = this.panels.flatMap((panel) => this.drawn(panel));
+      const columns = Math.max(100, Math.round((this.$el.clientWidth || 600) - LEFT));
       this.socket.send(JSON.stringify({ valve: this.valve, signals, span: this.span, end: this.end, columns }));
     },
     receive(data) {
@@ -136,6 +147,7 @@ export default {
         at += 3 * count;
       }
       if (head.labels.join() !== this.labels.join()) this.labels = head.labels;
+      if (head.axis.join() !== this.axis.join()) this.axis = head.axis;
       this.last = { ...head, signals, span: this.span };
       this.draw(this.last);
       const now = performance.now();
@@ -191,7 +203,7 @@ export default {
     },
     share(event) {
       const box = event.target.getBoundingClientRect();
-      return Math.min(1, Math.max(0, (event.clientX - box.left) / box.width));
+      return Math.min(1, Math.max(0, (event.clientX - box.left - LEFT) / (box.width - LEFT)));
     },
     // Keys: what changes the machine is done by the server, which knows who may.
     typing(target) {
@@ -218,7 +230,7 @@ export default {
     // Drawing
     draw(frame) {
       this.panels.forEach((panel, i) => {
-        const names = i < 3 ? panel.signals : this.terms.map((name) => "term." + name);
+        const names = this.drawn(panel);
         if (names.length) this.drawPanel(frame, names, this.$refs["canvas" + i][0], this.$refs["legend" + i][0], i === 0);
       });
     },
@@ -248,7 +260,7 @@ export default {
       low = Math.floor((low - margin) / step) * step;
       high = Math.ceil((high + margin) / step) * step;
       const bottom = height - 16;
-      const x = (t) => (t / frame.span) * width;
+      const x = (t) => LEFT + (t / frame.span) * (width - LEFT);
       const y = (v) => bottom - ((v - low) / (high - low)) * bottom;
       // Grid
       g.font = "11px sans-serif";
@@ -258,7 +270,7 @@ export default {
       g.setLineDash([]);
       g.beginPath();
       for (let v = low; v <= high + step / 2; v += step) {
-        g.moveTo(0, y(v));
+        g.moveTo(LEFT, y(v));
         g.lineTo(width, y(v));
       }
       const seconds = niceStep(frame.span, Math.max(3, width / 110));
@@ -268,24 +280,34 @@ export default {
         g.lineTo(x(t + frame.now - frame.start), bottom);
       }
       g.stroke();
-      for (let v = low; v <= high + step / 2; v += step) g.fillText(label(v, step), 2, Math.max(10, Math.min(bottom - 2, y(v) - 2)));
+      g.textAlign = "right";
+      for (let v = low; v <= high + step / 2; v += step) g.fillText(label(v, step), LEFT - 4, Math.max(10, Math.min(bottom, y(v) + 4)));
+      g.textAlign = "center";
       for (let t = first; t <= frame.end - frame.now + 1e-9; t += seconds) {
-        g.fillText(label(t, seconds) + " s", Math.max(0, Math.min(width - 40, x(t + frame.now - frame.start) - 14)), height - 3);
+        g.fillText(label(t, seconds) + " s", Math.max(LEFT, Math.min(width - 16, x(t + frame.now - frame.start))), height - 3);
       }
+      g.textAlign = "left";
       // Marks of changes
       g.strokeStyle = "#7a4b9c";
       g.fillStyle = "#5b2d80";
       g.setLineDash([3, 3]);
-      frame.marks.forEach(([t, text], k) => {
+      const free = [0, 0, 0]; // where each line of texts ends
+      frame.marks.forEach(([t, text]) => {
         g.beginPath();
         g.moveTo(x(t), 0);
         g.lineTo(x(t), bottom);
         g.stroke();
-        if (texts) g.fillText(text.length > 44 ? text.slice(0, 43) + "\u2026" : text, Math.min(x(t) + 3, width - 120), 12 + 13 * (k % 3));
+        const short = text.length > 44 ? text.slice(0, 43) + "\u2026" : text;
+        const long = g.measureText(short).width;
+        const begin = Math.min(x(t) + 3, width - long);
+        const line = free.findIndex((end) => end < begin);
+        if (!texts || line < 0) return;
+        g.fillText(short, begin, 12 + 13 * line);
+        free[line] = begin + long + 6;
       });
       // Signals
       const at = this.pointer === null ? null : this.pointer * frame.span;
-      let told = "";
+      const told = [];
       names.forEach((name, k) => {
         const style = STYLES[name] || { colour: COLOURS[k % 6], dash: DASHES[k % 6] };
         const [time, lows, highs] = frame.signals[name] || [[], [], []];
@@ -305,10 +327,11 @@ export default {
         }
         g.stroke();
         if (at === null) nearest = time.length - 1;
+        const [least, largest] = nearest < 0 ? ["", ""] : [lows[nearest], highs[nearest]].map((v) => v.toPrecision(3));
         const value = nearest < 0 ? "" : lows[nearest] === highs[nearest] ? lows[nearest].toPrecision(4)
-          : `${lows[nearest].toPrecision(3)} to ${highs[nearest].toPrecision(3)}`;
-        const title = name.replace("term.", "").replace(/[^\w.-]/g, "");
-        told += `<span style="color:${style.colour}">${style.dash.length ? "\u2504" : "\u2014"} ${title} ${value}</span> `;
+          : least === largest ? least : `${least} to ${largest}`;
+        const title = name.replace(/^(term|axis)\./, "");
+        told.push([style.colour, `${style.dash.length ? "\u2504" : "\u2014"} ${title} ${value} `]);
       });
       if (at !== null) {
         g.strokeStyle = "#000";
@@ -318,9 +341,22 @@ export default {
         g.moveTo(x(at), 0);
         g.lineTo(x(at), bottom);
         g.stroke();
-        told += `at ${(at + frame.start - frame.now).toFixed(3)} s`;
+        told.push(["", `at ${(at + frame.start - frame.now).toFixed(3)} s`]);
       }
-      if (legend.innerHTML !== told && (this.frames % 3 === 0 || this.paused)) legend.innerHTML = told;
+      if (this.frames % 3 === 0 || this.paused) this.tell(legend, told);
+    },
+    // Texts with their colours. The elements stay and get other texts: the browser remembers each new one for good.
+    tell(legend, told) {
+      while (legend.children.length > told.length) legend.lastElementChild.remove();
+      while (legend.children.length < told.length) {
+        legend.append(document.createElement("span"));
+        legend.lastElementChild.append("");
+      }
+      told.forEach(([colour, text], k) => {
+        const span = legend.children[k];
+        if (span.firstChild.data !== text) span.firstChild.data = text;
+        if (span.dataset.colour !== colour) span.style.color = span.dataset.colour = colour;
+      });
     },
   },
 };

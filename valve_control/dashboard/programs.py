@@ -11,14 +11,18 @@ from contextlib import suppress
 from pathlib import Path
 
 LINES = 400
-PATIENCE = 5.0  # s  for a program to end after SIGINT, and again after SIGTERM
+PATIENCE = (
+    10.0  # s  for a program to end after SIGINT, and again after SIGTERM: commission sets parameters back
+)
+CANCELLED = 130  # exit status of a command of this package after SIGINT
 
 
 class Program:
     """A program that runs, or has ended. Its output is read in a thread of its own."""
 
-    def __init__(self, title: str, arguments: Sequence[str], folder: Path) -> None:
+    def __init__(self, title: str, arguments: Sequence[str], folder: Path, moves: bool = False) -> None:
         self.title = title
+        self.moves = moves  # a valve
         self.lines: deque[str] = deque(maxlen=LINES)
         self.progress = ""  # the line that is being written, such as a progress bar
         folder.mkdir(parents=True, exist_ok=True)
@@ -50,6 +54,8 @@ class Program:
         status = self.status
         if status is None:
             return "running"
+        if status in (CANCELLED, -signal.SIGINT):
+            return "cancelled"
         if status < 0:
             return f"ended by signal {-status}"
         return "done" if status == 0 else f"ended with status {status}"
@@ -94,13 +100,15 @@ class Programs:
     def __init__(self) -> None:
         self._running: dict[str, Program] = {}
 
-    def start(self, place: str, title: str, arguments: Sequence[str], folder: Path) -> str:
+    def start(
+        self, place: str, title: str, arguments: Sequence[str], folder: Path, moves: bool = False
+    ) -> str:
         """Start a program (``python -m`` and ``arguments``); one sentence if there is one at its place."""
         present = self._running.get(place)
         if present is not None and present.running:
             return f"{present.title} is still running; end it first"
         try:
-            self._running[place] = Program(title, arguments, folder)
+            self._running[place] = Program(title, arguments, folder, moves)
         except OSError as error:
             return f"{title} cannot be started in {folder}: {error.strerror}"
         return ""
@@ -114,6 +122,12 @@ class Programs:
         program = self._running.get(place)
         if program is not None and program.running:
             threading.Thread(target=program.end, daemon=True).start()
+
+    def end_moving(self) -> None:
+        """Ask all programs that move a valve to end: what was stopped must not begin again by itself."""
+        for place, program in self._running.items():
+            if program.moves:
+                self.end(place)
 
     def end_all(self) -> None:
         """End all programs and wait for it."""

@@ -173,8 +173,8 @@ class Tuning:
             self._refusal = ui.label("").classes("vc-refusal").props("id=refusal role=alert")
             with ui.element("div").classes("vc-buttons"):
                 self._file = ui.input("file").props('dense outlined id=file autocomplete="off"')
-                self._button("Save", lambda: self._use_file("save"), "save")
-                self._button("Load", lambda: self._use_file("load"), "load")
+                self._button("Save", lambda: self._use_field("save"), "save")
+                self._button("Load", lambda: self._use_field("load"), "load")
             self._said = ui.label("").classes("vc-help").props("id=file-answer role=status")
             self._law_box = ui.element("div")
         self._filter = ui.input("find a parameter", on_change=self._filtered).props(
@@ -213,7 +213,9 @@ class Tuning:
             self._file.set_value(str(node.values.get("save_file", "")))
         for row in self._rows.values():
             row.refresh()
-        if node.values.get(LAW) != self._law:
+        if LAW not in node.fields and GENERAL in self._groups and not self._rows:
+            self._groups[GENERAL].set_value(True)
+        elif node.values.get(LAW, "") != self._law:
             self._open_law(node)
         count = len(node.drafts)
         self._apply.set_text(f"Apply {count} together" if count else "Apply")
@@ -393,24 +395,27 @@ class Tuning:
             node.version += 1
         self.refresh()
 
-    async def _use_file(self, act: str) -> None:
-        """Save the values in force as YAML, or load such a file, by the services of the node."""
+    async def _use_field(self, act: str) -> None:
+        """Save to the file that is named, or load it."""
+        if self._place is not None and self._page.allowed():
+            name = str(self._file.value or "").strip()
+            self._said.set_text(await self.use_file(act, name))
+
+    async def use_file(self, act: str, name: str) -> str:
+        """Save the values in force as YAML, or load such a file, by the services of the node; its answer."""
         place = self._place
-        if place is None or not self._page.allowed():
-            return
+        if place is None:
+            return "there is no controller"
         valve, node = place
-        name = str(self._file.value or "").strip()
         parameter = f"{act}_file"
         if f"{act}_parameters" not in node.services or parameter not in node.values:
-            self._said.set_text(f"{node.name} is an older or another controller: it has no {act}_parameters")
-            return
+            return f"{node.name} is an older or another controller: it has no {act}_parameters"
         if not name:
-            self._said.set_text("the name of the file is missing")
-            return
+            return "the name of the file is missing"
         reason = await self._page.machine.change(valve, node, {parameter: name})
         if not reason:
             answer = await self._page.machine.trigger(valve, node, f"{act}_parameters")
             reason = answer.text
             await asyncio.sleep(0.1)  # for the word of the node about its new values
-        self._said.set_text(reason)
         self.refresh()
+        return reason

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.dashboard.changes import Change, Changes, Comparison, differing
+from valve_control.dashboard.changes import Change, Changes, Comparison, differing, joined
 from valve_control.dashboard.entry import Field
 from valve_control.dashboard.history import History
 from valve_control.dashboard.latency import Latencies
@@ -41,6 +41,7 @@ class Mark(NamedTuple):
 
     time: float  # s
     text: str
+    change: Change | None = None  # that it shows
 
 
 class NodeState:
@@ -54,6 +55,8 @@ class NodeState:
         self.present = True
         self.asking = False  # it was started anew and has not told its parameters since
         self.state = ""  # of its life: active, inactive ...; "" if it is not known
+        self.failing = False  # it says that something is wrong
+        self.wanting = ""  # sentence about what it lacks beside a controller of this version, "" if nothing
         self.changes = Changes()
         self.comparison = Comparison()
         self.lost: Values = {}  # values that were in force before it was started anew, where they differ
@@ -125,6 +128,10 @@ class Valve:
         self.signals = {name: History() for name in SIGNALS}
         self.terms: dict[str, History] = {}
         self.labels: tuple[str, ...] = ()
+        self.unnamed = False  # the controller publishes a state whose numbers have no names
+        self.axis: dict[
+            str, History
+        ] = {}  # position [m], goal [m], pressure_a [bar] ... of an axis that it moves
         self.latencies = Latencies()
         self.commanders: list[str] = []  # nodes that publish commands
         self.missing = 0  # messages that the page did not see, by their numbers
@@ -132,6 +139,8 @@ class Valve:
         self.marks: deque[Mark] = deque(maxlen=MARKS)
         self.controller: NodeState | None = None
         self.simulator: NodeState | None = None
+        self.upper: NodeState | None = None  # of the axis
+        self.strangers: list[str] = []  # nodes that publish voltages, and offer no parameters
         self.mode, self.reason = "", ""
         self.figures: dict[str, str] = {}  # of the controller's diagnostics
         self.period = 0.001  # s
@@ -146,7 +155,7 @@ class Valve:
     @property
     def nodes(self) -> Sequence[NodeState]:
         """Its nodes that are known."""
-        return [node for node in (self.controller, self.simulator) if node is not None]
+        return [node for node in (self.controller, self.simulator, self.upper) if node is not None]
 
     def say(self, time: float, level: str, text: str) -> None:
         """Write a line into the log."""
@@ -156,6 +165,14 @@ class Valve:
     def mark(self, time: float, text: str) -> None:
         """Show a moment in the plots."""
         self.marks.append(Mark(time, text))
+
+    def mark_change(self, change: Change, where: str, asked: float) -> None:
+        """Show a change, asked for at ``asked`` [s], in the plots; moves of one slider are one mark."""
+        whole = joined(self.marks[-1].change if self.marks else None, change, asked)
+        if whole is not None:
+            self.marks.pop()
+        shown = whole or change
+        self.marks.append(Mark(shown.time, f"{where}{shown.text}", shown))
 
     def status(self, level: str, mode: str, reason: str, figures: dict[str, str], time: float) -> None:
         """Take in the controller's diagnostics; what is new is said in the log."""
@@ -195,6 +212,10 @@ class Valve:
                 self.terms.setdefault(label, History())
         for at, label in enumerate(labels):
             self.terms[label].append(time, rows[:, at])
+
+    def moved(self, name: str, time: Array, value: Array) -> None:
+        """Add readings of the axis that the valve moves: a position or goal [m], or a pressure [bar]."""
+        self.axis.setdefault(name, History()).append(time, value)
 
     def silent(self, now: float) -> dict[str, float]:
         """Which of readings and voltages have not come for a second, and for how long [s] (inf: never)."""

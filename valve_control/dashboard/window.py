@@ -27,6 +27,9 @@ class Window(Protocol):
     def allowed(self) -> bool:
         """Whether this window may change the machine now; if not, says so."""
 
+    async def load(self, path: str) -> str:
+        """Let the controller that is shown load a parameter file; its answer."""
+
     def tell(self, text: str, kind: str = "warning") -> None:
         """Show one sentence for a while."""
 

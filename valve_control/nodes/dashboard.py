@@ -4,7 +4,7 @@ import secrets
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
@@ -19,6 +19,7 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
@@ -47,6 +48,24 @@ EVENTS = "/parameter_events"
 NUMBER = "std_msgs/msg/Float64"
 POINT = "trajectory_msgs/msg/JointTrajectoryPoint"
 READINGS = {"spool_position": NUMBER, "valve_voltage": NUMBER}
+AXIS = {
+    "joint_states": "sensor_msgs/msg/JointState",
+    "pressure_a": "sensor_msgs/msg/FluidPressure",
+    "pressure_b": "sensor_msgs/msg/FluidPressure",
+    "axis_goal": POINT,
+}
+MOST_JOINTS = 6  # of one message
+BAR = 1e5  # Pa
+# What publishes these is a valve's ...
+PARTIES = {"valve_voltage": "controller", "spool_position": "simulator", "axis_goal": "upper"}
+NEEDED = ("list_parameters", "describe_parameters", "get_parameters", "set_parameters_atomically")
+# What a controller of this version has beside them, and what goes without it.
+EXPECTED = {
+    "change_state": "it cannot be stopped or activated from here",
+    "save_parameters": "its parameters cannot be saved",
+    "load_parameters": "no file can be loaded",
+}
+MUTE = 5.0  # s after which a node that does not tell its parameters is said not to
 LIST, SAVE = "/list_parameters", "/save_parameters"
 LEVELS = ("info", "warning", "error", "error")
 KINDS = {1: "bool", 2: "integer", 3: "double", 4: "string", 8: "doubles", 9: "strings"}
@@ -58,6 +77,7 @@ TYPES = {
     "doubles": Parameter.Type.DOUBLE_ARRAY,
     "strings": Parameter.Type.STRING_ARRAY,
 }
+LAW = "controller"  # the parameter that names the law
 ONE_OF = "one of "  # before the choices in a descriptor's constraints
 TRANSITIONS = {
     "configure": Transition.TRANSITION_CONFIGURE,
@@ -104,6 +124,7 @@ class Remote:
         self._clients: dict[str, Any] = {}
         self._seen: float | None = None
         self._asking = False
+        self._met = time.monotonic()
         self._events: list[Values] = []
         self.known = False
 
@@ -123,17 +144,11 @@ class Remote:
         """Ask for names, descriptions and values, until they have come."""
         if self.known or self._asking:
             return
-        clients = [
-            self.client(kind, name)
-            for kind, name in (
-                (ListParameters, "list_parameters"),
-                (DescribeParameters, "describe_parameters"),
-                (GetParameters, "get_parameters"),
-                (SetParametersAtomically, "set_parameters_atomically"),
-            )
-        ]
+        kinds = (ListParameters, DescribeParameters, GetParameters, SetParametersAtomically)
+        clients = [self.client(kind, name) for kind, name in zip(kinds, NEEDED, strict=True)]
         if not all(client.service_is_ready() for client in clients):
             self._seen = None
+            self._told_nothing(now)
             return
         self._seen = now if self._seen is None else self._seen
         if now < self._seen + ACQUAINT:
@@ -142,6 +157,7 @@ class Remote:
 
         def again() -> None:
             self._asking = False
+            self._told_nothing(time.monotonic())
 
         def listed(answer: Any) -> None:
             names = list(answer.result.names)
@@ -157,7 +173,7 @@ class Remote:
                     }
                     for event in self._events:
                         values.update({n: v for n, v in event.items() if n in values})
-                    self.known = True
+                    self.known, self._told = True, time.monotonic()
                     self._owner.learned(self, fields, values)
 
                 self.ask(GetParameters, "get_parameters", GetParameters.Request(names=names), got, again)
@@ -167,6 +183,39 @@ class Remote:
 
         depth = ListParameters.Request.DEPTH_RECURSIVE
         self.ask(ListParameters, "list_parameters", ListParameters.Request(depth=depth), listed, again)
+
+    def _told_nothing(self, now: float) -> None:
+        """Say what is missing if the node has not told its parameters for a while."""
+        if now < self._met + MUTE:
+            return
+        missing = [name for name in NEEDED if name not in self.state.services]
+        why = f"it offers no service {' and no '.join(missing)}" if missing else "it does not answer"
+        self.want(f"{self.state.name} has not told its parameters: {why}; it can be watched, not tuned")
+
+    def want(self, text: str) -> None:
+        """Say what the node lacks, once in the log."""
+        with self._owner.machine.lock:
+            if text != self.state.wanting:
+                self.state.wanting = text
+                self.state.version += 1
+                if text:
+                    self.valve.say(time.time(), "warning", text)
+
+    def compare(self) -> None:
+        """Say what a controller that has told its parameters lacks beside one of this version."""
+        if (
+            not self.known
+            or self.state is not self.valve.controller
+            or time.monotonic() < self._told + ACQUAINT
+        ):
+            return
+        name, services = self.state.name, self.state.services
+        lacks = [
+            f"no {service} ({without})" for service, without in EXPECTED.items() if service not in services
+        ]
+        if LAW not in self.state.fields:
+            lacks.insert(0, f"no parameter '{LAW}'")
+        self.want(f"{name} is an older or another controller: it has {', '.join(lacks)}" if lacks else "")
 
     def event(self, declared: Values, changed: Values) -> None:
         """Take in what the node has published of its parameters.
@@ -197,6 +246,7 @@ class Watched:
             for name in ("spool_command", "spool_position", "valve_voltage")
         }
         self._points = PointSubscription(node, f"{base}/spool_trajectory", WATCHED)
+        self._axis: dict[str, PolledSubscription] = {}
         self._states: PolledSubscription | None = None
         self._state_topic = ""
         self._last: dict[str, int] = {}
@@ -210,6 +260,27 @@ class Watched:
             self._state_topic = topic
             self._states = PolledSubscription(self._node, Float64MultiArray, topic, WATCHED, raw=True)
 
+    def watch_axis(self, name: str) -> None:
+        """Read a topic of the axis that the valve moves."""
+        if name not in self._axis:
+            topic = f"{self.valve.namespace.rstrip('/')}/{name}"
+            self._axis[name] = (
+                PointSubscription(self._node, topic, WATCHED)
+                if AXIS[name] == POINT
+                else PolledSubscription(
+                    self._node, JointState if name == "joint_states" else FluidPressure, topic, WATCHED
+                )
+            )
+
+    def _moved(self) -> dict[str, list[tuple[int, float]]]:
+        """What has come from the axis: times [ns] and values by the name of the signal."""
+        came: dict[str, list[tuple[int, float]]] = {}
+        for topic, subscription in self._axis.items():
+            for message, info in subscription.take():
+                for signal, value in _axis_values(topic, message):
+                    came.setdefault(signal, []).append((info["source_timestamp"], value))
+        return came
+
     def poll(self) -> None:
         """Hand on all that has come."""
         # Voltages first, commands last: what caused something is there when that is looked at.
@@ -218,7 +289,11 @@ class Watched:
         points = [
             (info["source_timestamp"], p.positions[0]) for p, info in self._points.take() if p.positions
         ]
+        moved = self._moved()
         with self._node.machine.lock:
+            for name, data in moved.items():
+                stamps, values = zip(*data, strict=True)
+                self.valve.moved(name, 1e-9 * np.array(stamps, dtype=np.float64), np.array(values))
             for data, take in (
                 (commands or points, self.valve.commanded),
                 (readings, self.valve.read),
@@ -257,7 +332,8 @@ class Watched:
                     continue
                 labels = tuple(dim.label for dim in message.layout.dim)
                 count = len(message.data)
-                if count == 0 or len(labels) != count or data[1] != 1:
+                self.valve.unnamed = count > 0 and len(labels) != count
+                if count == 0 or self.valve.unnamed or data[1] != 1:
                     continue
                 row = np.array(message.data)
                 at = data.rfind(row.tobytes())
@@ -272,6 +348,19 @@ class Watched:
     def _tell(self, rows: list[Any], stamps: list[int]) -> None:
         if rows:
             self.valve.told(self._labels, 1e-9 * np.array(stamps, dtype=np.float64), np.array(rows))
+
+
+def _axis_values(topic: str, message: Any) -> Iterator[tuple[str, float]]:
+    """Signals of a message of the axis: positions in m, pressures in bar."""
+    if topic == "joint_states":
+        several = len(message.position) > 1
+        for name, value in list(zip(message.name, message.position, strict=False))[:MOST_JOINTS]:
+            yield (f"position of {name}" if several else "position"), value
+    elif topic == "axis_goal":
+        if message.positions:
+            yield "goal", message.positions[0]
+    else:
+        yield topic, message.fluid_pressure / BAR
 
 
 class Dashboard(Worker):
@@ -460,9 +549,11 @@ class Dashboard(Worker):
                 mode = resting or figures.get("mode", "")
                 level = LEVELS[min(status.level[0], 3)] if not resting else "warning"
                 valve.status(level, mode, status.message, figures, now)
-            elif status.level[0] and status.message != remote.state.state:
+            else:
+                remote.state.failing = LEVELS[min(status.level[0], 3)] == "error"
+                if status.message != remote.state.state and (status.level[0] or remote.state.state):
+                    valve.say(now, LEVELS[min(status.level[0], 3)], f"{remote.state.name}: {status.message}")
                 remote.state.state = status.message
-                valve.say(now, LEVELS[min(status.level[0], 3)], f"{remote.state.name}: {status.message}")
 
     # The graph
 
@@ -478,24 +569,34 @@ class Dashboard(Worker):
         for name in services:
             if name.endswith(SAVE) and name.removesuffix(SAVE) in nodes:
                 node = name.removesuffix(SAVE)
-                self._meet(node.rpartition("/")[0] or "/", node, controller=True)
+                self._meet(node.rpartition("/")[0] or "/", node, "controller")
+        moving = []
         for topic, types in self.get_topic_names_and_types():
             base, _, last = topic.rpartition("/")
             if READINGS.get(last) in types and self.count_publishers(topic):
                 self._valve(base or "/")
+            elif AXIS.get(last) in types and self.count_publishers(topic):
+                moving.append((base or "/", last))
+        for namespace, name in moving:
+            if namespace in self._watched:
+                self._watched[namespace].watch_axis(name)
         for namespace in self._watched:
             self._look_at_valve(namespace, nodes)
         for name, remote in list(self._remotes.items()):
             self._look_at_node(name, remote, lives.get(name, set()), services)
             self._remotes[name].learn(now)
+            self._remotes[name].compare()
 
     def _look_at_valve(self, namespace: str, nodes: set[str]) -> None:
         base = namespace.rstrip("/")
-        for topic, controller in (("valve_voltage", True), ("spool_position", False)):
+        strangers = set()
+        for topic, party in PARTIES.items():
             for info in self.get_publishers_info_by_topic(f"{base}/{topic}"):
                 name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
                 if name in nodes:
-                    self._meet(namespace, name, controller)
+                    self._meet(namespace, name, party)
+                elif topic == "valve_voltage":
+                    strangers.add(name)
         commanders = {
             f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for topic in ("spool_command", "spool_trajectory")
@@ -504,6 +605,7 @@ class Dashboard(Worker):
         with self.machine.lock:
             valve = self._watched[namespace].valve
             valve.commanders = sorted(commanders)
+            valve.strangers = sorted(strangers)
 
     def _valve(self, namespace: str) -> Valve:
         valve = self.machine.valve(namespace)
@@ -513,18 +615,16 @@ class Dashboard(Worker):
                 valve.say(time.time(), "info", f"found in namespace {namespace}")
         return valve
 
-    def _meet(self, namespace: str, name: str, controller: bool) -> None:
-        """Get to know a node of a valve."""
+    def _meet(self, namespace: str, name: str, party: str) -> None:
+        """Get to know a node of a valve: its controller, its simulator, or the upper level of its axis."""
         valve = self._valve(namespace)
-        if name in self._remotes or (valve.controller if controller else valve.simulator) is not None:
+        if name in self._remotes or getattr(valve, party) is not None:
             return
         with self.machine.lock:
             state = NodeState(name)
-            if controller:
-                valve.controller = state
+            setattr(valve, party, state)
+            if party == "controller":
                 self._watched[namespace].watch_state(f"{name}/state")
-            else:
-                valve.simulator = state
         self._remotes[name] = Remote(self, valve, state)
 
     def _look_at_node(
@@ -558,13 +658,6 @@ class Dashboard(Worker):
             if state.lost:
                 names = ", ".join(sorted(state.lost))
                 valve.say(now, "warning", f"{state.name} came back with other values of {names}")
-            if state is valve.controller and "set_parameters_atomically" in state.services:
-                wanting = {"save_parameters", "load_parameters"} - state.services
-                if wanting:
-                    lacks = ", ".join(sorted(wanting))
-                    valve.say(
-                        now, "warning", f"{state.name} is an older or another controller: it lacks {lacks}"
-                    )
 
     def finish(self) -> None:
         """End the page and the programs that it has started."""
