@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from valve_control.axis.study import Result
 
 CONTROLLERS = lookup(NODES["controller"], "controller").choices
+_WAYS = {"lines": "by its own method", "exact_in_time": "by our steps"}
 
 
 def add_commands(commands: Any) -> None:
@@ -172,7 +173,7 @@ def _axes(arguments: argparse.Namespace) -> None:
         raise ParameterError(f"--axes is {arguments.axes}; it must lie between 1 and 100000")
     if arguments.threads is not None:
         check_processes("threads", arguments.threads)
-    against = None if arguments.references is None else hopsan.compare(Path(arguments.references))
+    against = {} if arguments.references is None else hopsan.compare(Path(arguments.references))
     with tqdm(total=arguments.axes * len(study.VALVES), unit="axis") as bar:
         found = study.study(arguments.axes, arguments.threads, bar.update)
 
@@ -199,12 +200,14 @@ def _axes(arguments: argparse.Namespace) -> None:
                 f"{name:<11}{m['gain']:>10.1f}{m['bandwidth_hz']:>16.2f}{1e3 * m['e_rms_m']:>12.3f}"
                 f"{1e3 * m['e_max_m']:>12.3f}{1e-3 * m['energy_j']:>13.3f}{m['chatter']:>9.4f}"
             )
-        for name, worst in (against or {}).items():
-            print(f"Hopsan's Position Servo, {name}: largest deviation {worst:.4f} of the range")
+        for way, by_name in against.items():
+            worst = ", ".join(f"{name} {value:.2g}" for name, value in by_name.items())
+            print(f"Hopsan's Position Servo {_WAYS[way]}, largest deviation over the range: {worst}")
     if arguments.figure is not None:
         _draw_axes(Path(arguments.figure), found)
         say(arguments, f"wrote {arguments.figure}")
-    write_json(arguments, {"hopsan": against, **medians, "axes": arguments.axes})
+    told: dict[str, Any] = {**against["lines"], "exact_in_time": against["exact_in_time"]} if against else {}
+    write_json(arguments, {"hopsan": told or None, **medians, "axes": arguments.axes})
 
 
 def _draw_axes(path: Path, found: "Mapping[str, Sequence[Result]]") -> None:
