@@ -103,7 +103,7 @@ def test_the_position_servo_meets_its_whole_reference():
     assert exact["position"] < 0.01 and exact["valve"] < 0.01 and exact["step"] == 0.0
 
 
-# 8 of the 1000 rows of "Hydraulic43ValveTest.hvd" (Models/Component Test Validations, since ba4f449dd of 2014).
+# 8 of the 1000 rows of "Hydraulic43ValveTest.hvd" (Models/Component Test Validations, ba4f449dd, 2014-07-11).
 QUOTED_FLOWS = np.array(
     [
         [0.1, -0.0028444, 0.00285873, -0.00285873, 0.0028444],

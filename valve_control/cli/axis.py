@@ -187,18 +187,19 @@ def _axes(arguments: argparse.Namespace) -> None:
         "e_max_m": lambda r: r.motion.e_max,
         "energy_j": lambda r: r.motion.energy,
         "chatter": lambda r: r.motion.chatter,
+        "reach_hz": lambda r: r.reach,
     }
     medians = {
         column: {name: middle(name, pick) for name in study.VALVES} for column, pick in columns.items()
     }
     if arguments.json != "-":
         print(f"medians of {arguments.axes} axes")
-        print("             kp [1/s]  bandwidth [Hz]  e_rms [mm]  e_max [mm]  energy [kJ]      c_u")
+        print("             kp [1/s]  bandwidth [Hz]  e_rms [mm]  e_max [mm]  energy [kJ]      c_u  reach of any law [Hz]")
         for name in study.VALVES:
             m = {column: values[name] for column, values in medians.items()}
             print(
                 f"{name:<11}{m['gain']:>10.1f}{m['bandwidth_hz']:>16.2f}{1e3 * m['e_rms_m']:>12.3f}"
-                f"{1e3 * m['e_max_m']:>12.3f}{1e-3 * m['energy_j']:>13.3f}{m['chatter']:>9.4f}"
+                f"{1e3 * m['e_max_m']:>12.3f}{1e-3 * m['energy_j']:>13.3f}{m['chatter']:>9.4f}{m['reach_hz']:>23.2f}"
             )
         for way, by_name in against.items():
             worst = ", ".join(f"{name} {value:.2g}" for name, value in by_name.items())
