@@ -100,3 +100,13 @@ def test_no_law_gets_a_slow_valve_as_far_as_a_servo_valve():
     ends = [study.reach(study.Axis(base, values), base.machine.valve.u_max) for base in (slow, servo)]
     assert 14.8 < ends[0] < 22.0 and ends[1] == study.FREQUENCIES[-1]
     assert study.reach(study.Axis(slow, values), 2.0 * slow.machine.valve.u_max) == ends[0]  # the amplifier's
+
+
+def test_the_gain_of_axis_arc_is_its_three_rates():
+    """A larger gain follows a motion better, and no rate is beyond what the period allows."""
+    base = study.base_of("servo", "axis_arc")
+    axis = study.Axis(base, study.random_axis(1))
+    goals = study.course.point_to_point(axis.at, [axis.at + 0.02], 0.1, study.LIMITS, study.PERIOD, 0.8)
+    errors = [axis.follow(gain, goals)[0].e_rms for gain in (5.0, 20.0)]
+    assert errors[1] < 0.8 * errors[0]
+    study.Axis(base, {**study.random_axis(1), "load.mass": 5.0}).follow(1e4, goals)  # refused elsewhere

@@ -2,8 +2,8 @@
 
 Per axis and valve the proportional gain of the upper level is half of that from which a small step does not
 come to rest (a gain margin of 2). With it the axis follows a motion limited in jerk, and small sines, from
-which the bandwidth is found. Beside it stands how far any law could get: the amplifier's whole voltage, there and
-back at each frequency, makes the largest sine that there is.
+which the bandwidth is found. Beside it stands how far any law could get: the amplifier's whole voltage, there
+and back at each frequency, makes the largest sine that there is.
 """
 
 import os
@@ -16,14 +16,15 @@ import numpy.typing as npt
 
 from valve_control.axis import cascade, run
 from valve_control.compiling import compile_function
-from valve_control.motion import course
-from valve_control.parameter import Values, number, updated
+from valve_control.motion import axis_arc_sampled, course
+from valve_control.parameter import Values, defaults, number, updated
 from valve_control.parameters import axis as parameters
 from valve_control.parameters import files
 from valve_control.parameters.axis import AXIS, AXIS_NODES
 from valve_control.plant import machine
 
 Array = npt.NDArray[np.float64]
+UPPER = AXIS_NODES["axis_controller"]
 VALVES = ("open_loop", "pid", "oarc", "dcarc", "servo")
 TUNED = {"pid": "pid_reference", "oarc": "oarc", "dcarc": "dcarc"}  # of config/tuned/narrow_0.25_*.yaml
 SERVO = 2.0 * np.pi * 100.0  # rad/s  of the ideal valve, damped with 0.7
@@ -47,6 +48,16 @@ BOX = {
     "supply.pressure": (100e5, 160e5),
 }  # drawn evenly in logarithm
 LIMITS = course.Limits(0.25, 2.0, 40.0)
+ARC: Values = {
+    "upper_level": axis_arc_sampled.NAME,
+    "axis_arc.learning": 2.0,
+    "axis_arc.force_range": 300.0,
+    "axis_arc.observer": 100.0,
+    "overlap_zone": 0.2,
+}  # as config/axis/bench.yaml
+ARC_RATES = (1.0, 0.375, 0.25)  # -  k1, k2 and k3 of axis_arc over its gain, as there
+ARC_LEADS = {"open_loop": 0.02, "servo": 0.003}  # s  valve's lag and half a period; 4 ms of the others
+FASTEST = axis_arc_sampled.FASTEST / PERIOD  # 1/s  rate that axis_arc takes
 
 
 class Result(NamedTuple):
@@ -59,7 +70,7 @@ class Result(NamedTuple):
 
 
 def valve_settings(name: str) -> dict[str, Values]:
-    """Settings by node of the valve ``name``, of VALVES, with its controller."""
+    """Settings by node of the valve ``name``, of VALVES, with its controller, under axis_pid."""
     folder = files.config_folder()
     settings = run.default_settings()
     paths = [] if name == "servo" else [str(folder / "d3fxe.yaml")]
@@ -110,7 +121,15 @@ class Axis:
         plant = base.machine._replace(axis=axis, sensors=parameters.sensors(values))
         out, into = parameters.velocity_gains(axis, values)
         overlap = 0.8 * axis.overlaps.pa * axis.full_scale  # what its user knows of it
-        upper = base.cascade.upper._replace(gain_out=out, gain_in=into, overlap=overlap)
+        if base.level == axis_arc_sampled.NAME:
+            model = axis_arc_sampled.model_of(axis, parameters.supply_pressure(values))
+            own = axis_arc_sampled.own_frequency(model, axis.bulk_modulus, 1.0 / axis.load.mass)
+            changes: Values = {"overlap": overlap, "axis_arc.coupling": min(own, FASTEST)}
+            changes["axis_arc.lead"] = base.cascade.upper.lead
+            level = updated(UPPER, defaults(UPPER), {**ARC, **changes})
+            upper = parameters.upper_level(level, axis, values)
+        else:
+            upper = base.cascade.upper._replace(gain_out=out, gain_in=into, overlap=overlap)
         self.at = number(values, "start.position")
         self.speed = min(out, into) * axis.full_scale
         self._setup = base._replace(
@@ -129,7 +148,12 @@ class Axis:
 
     def follow(self, gain: float, goals: Array) -> tuple[run.Indices, Array]:
         """Indices and true position [m] with the ``gain`` [1/s] on a course."""
-        upper = self._setup.cascade.upper._replace(kp=gain)
+        upper = self._setup.cascade.upper
+        if self._setup.level == axis_arc_sampled.NAME:
+            k1, k2, k3 = (min(gain * rate, FASTEST) for rate in ARC_RATES)
+            upper = upper._replace(law=upper.law._replace(k1=k1, k2=k2, k3=k3))
+        else:
+            upper = upper._replace(kp=gain)
         setup = self._setup._replace(cascade=self._setup.cascade._replace(upper=upper), goals=goals)
         signals = np.empty((len(goals), len(cascade.SIGNALS)))
         return run.indices_of(setup, signals), signals[:, cascade.SIGNALS.index("position")]
@@ -216,11 +240,24 @@ def judge(base: run.Setup, values: Values) -> Result:
     return Result(gain, bandwidth(axis, gain), motion, reach(axis, base.machine.valve.u_max))
 
 
+def base_of(name: str, level: str) -> run.Setup:
+    """The cascade of the valve ``name`` under the upper ``level``, above an axis that is to be replaced."""
+    settings = valve_settings(name)
+    if level == axis_arc_sampled.NAME:
+        lead = ARC_LEADS.get(name, 0.004)
+        changes: Values = {**ARC, "axis_arc.lead": lead}
+        settings["axis_controller"] = updated(UPPER, settings["axis_controller"], changes)
+    return run.setup(settings)
+
+
 def study(
-    axes: int, threads: int | None = None, done: Callable[[], object] = lambda: None
+    axes: int,
+    threads: int | None = None,
+    done: Callable[[], object] = lambda: None,
+    level: str = "axis_pid",
 ) -> dict[str, list[Result]]:
     """Results by valve of the axes 0 to ``axes`` - 1; ``done`` is called after each axis under a valve."""
-    bases = {name: run.setup(valve_settings(name)) for name in VALVES}
+    bases = {name: base_of(name, level) for name in VALVES}
     for base in bases.values():
         run.warm_up(base)
         Axis(base, random_axis(0)).driven(np.zeros(1))

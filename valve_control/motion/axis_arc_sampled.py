@@ -224,6 +224,20 @@ PARAMETERS: Table = (
 )
 
 
+def model_of(plant: axis.Params, supply: float) -> Model:
+    """What is known of the axis ``plant`` at a ``supply`` pressure [Pa]."""
+    c, k = plant.cylinder, plant.coefficients
+    return Model(
+        c.area_a, c.area_b, c.stroke, c.dead_a, c.dead_b, supply, plant.supply.tank,
+        k.pa, k.pb, k.at, k.bt, plant.laminar,
+    )  # fmt: skip
+
+
+def own_frequency(m: Model, bulk: float, mobility: float) -> float:
+    """ω_h [1/s] in the middle of the stroke, of ``bulk`` modulus [Pa] and ``mobility`` [1/kg]."""
+    return math.sqrt(bulk * mobility * axis_arc.stiffness(m, 0.5 * m.stroke))
+
+
 def build(values: Values, plant: axis.Params, supply: float) -> Params:
     """Params from checked values, for the axis that is known as ``plant`` at a ``supply`` pressure [Pa].
 
@@ -239,7 +253,7 @@ def build(values: Values, plant: axis.Params, supply: float) -> Params:
         raise ParameterError(
             f"overlap is {overlap:g} V, no less than spool.full_scale, {plant.full_scale:g} V"
         )
-    c, k, load = plant.cylinder, plant.coefficients, plant.load
+    c, load = plant.cylinder, plant.load
     mass = of("mass") or load.mass
     resting = load.force - plant.supply.tank * (c.area_a - c.area_b)
     begin = Theta(
@@ -249,13 +263,8 @@ def build(values: Values, plant: axis.Params, supply: float) -> Params:
         resting / mass,
         of("bulk_modulus") or plant.bulk_modulus,
     )
-    model = Model(
-        c.area_a, c.area_b, c.stroke, c.dead_a, c.dead_b, supply, plant.supply.tank,
-        k.pa, k.pb, k.at, k.bt, plant.laminar,
-    )  # fmt: skip
-    coupling = of("coupling") or math.sqrt(
-        begin.bulk * begin.mobility * axis_arc.stiffness(model, 0.5 * c.stroke)
-    )
+    model = model_of(plant, supply)
+    coupling = of("coupling") or own_frequency(model, begin.bulk, begin.mobility)
     for name in ("k1", "k2", "k3", "coupling", "observer"):
         rate = coupling if name == "coupling" else of(name)
         if rate * period > FASTEST:
