@@ -159,10 +159,11 @@ def step(p: Params, s: State, goal: Goal, reading: Reading) -> tuple[float, Stat
 
 
 def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> Motion:
-    """Spool command with the derivatives that the course gives it; ``s``, ``terms``: after the step.
+    """Where the spool is to be now, with the course's derivatives; ``s``, ``terms``: after the step.
 
     At constant velocity the opening is h·v/q (docs/axis_arc.md): course's acceleration and jerk times that.
-    What the errors add has no derivative worth the name.
+    What the errors add has no derivative worth the name. The command is that of the lead later; the course's
+    part of it is taken back, as with these derivatives the valve's law makes up for its own lag.
     """
     m, law = p.law.model, p.law
     x = Measured(s.position, s.velocity, s.pressure_a, s.pressure_b)
@@ -173,7 +174,8 @@ def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> Motion
         slope *= jumping / law.overlap_zone
     if abs(terms.spool) >= law.limit:
         slope = 0.0
-    return Motion(terms.spool, slope * goal.acceleration, slope * jerk)
+    early = p.lead * (goal.acceleration + 0.5 * p.lead * jerk)  # m/s
+    return Motion(terms.spool - slope * early, slope * goal.acceleration, slope * jerk)
 
 
 PARAMETERS: Table = (
