@@ -134,6 +134,23 @@ def test_the_command_prints_what_it_finds_and_refuses_in_one_sentence(capfd, tmp
         assert words in said and said.count("\n") == 1, said
 
 
+@pytest.mark.parametrize("law", ["arc", "pid"])
+def test_the_lead_of_axis_arc_counts_once_whether_it_sends_commands_or_trajectories(law):
+    """On the bench; counted twice, the error under arc is 1.15 times that with commands."""
+    folder = files.config_folder() / "axis"
+    errors = {}
+    for message in ("command", "trajectory"):
+        for lead in (0.0005, 0.004):
+            own = {"upper_level": "axis_arc", "message": message, "axis_arc.lead": lead}
+            own = {"axis_controller": own, "controller": {"controller": law}}
+            given = files.given([str(folder / "bench.yaml")], own, [], None, AXIS_NODES)
+            base = run.default_settings()
+            made = {node: updated(table, base[node], given[node]) for node, table in AXIS_NODES.items()}
+            errors[message, lead] = run.simulate(run.setup(made)).indices.e_rms
+    assert errors["trajectory", 0.004] < 1.05 * errors["command", 0.004]
+    assert errors["trajectory", 0.004] < 1.05 * errors["trajectory", 0.0005]
+
+
 @pytest.mark.parametrize("level", ["axis_pid", "axis_arc"])
 @pytest.mark.parametrize("machine", ["bench", "crane_boom", "crane_arm", "press"])
 def test_each_machine_moves_there_and_back_within_its_limit(machine, level):

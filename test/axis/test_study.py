@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
+import scipy.optimize
 import scipy.signal
 
-from valve_control.axis import study
+from valve_control.axis import run, study
 from valve_control.cli import main
 from valve_control.parameters import axis as parameters
 
@@ -64,3 +65,48 @@ def test_what_cannot_be_studied_is_refused(capfd, tmp_path):
     for arguments in (["--axes", "0"], ["--threads", "0"], ["--references", str(tmp_path)]):
         assert main(["axes", *arguments]) == 2
         assert capfd.readouterr().err.count("\n") == 1
+
+
+class Driven:
+    """In place of a ``study.Axis``: a valve of second order before an integrator, whose reach is known."""
+
+    speed, gain, w = 0.1, 0.01, 2.0 * math.pi * 5.0  # m/s, m/s/V, rad/s
+
+    def driven(self, voltages):
+        system = ([self.gain * self.w**2], [1.0, 1.4 * self.w, self.w**2, 0.0])
+        b, a, _ = scipy.signal.cont2discrete(system, study.PERIOD, "zoh")
+        return scipy.signal.lfilter(b.ravel(), a, voltages)
+
+
+def test_the_reach_is_where_the_whole_voltage_makes_the_sine_at_minus_3_db():
+    """4/π·u_max·|G| against the sine; only 0.25 of the speed counts, so both fall with 1/f from it."""
+    axis, u_max = Driven(), 10.0
+
+    def left(f):
+        valve = 1.0 / abs(1.0 - (2.0 * math.pi * f / axis.w) ** 2 + 1.4j * 2.0 * math.pi * f / axis.w)
+        made = 4.0 / math.pi * u_max * axis.gain * valve / (2.0 * math.pi * f)
+        return made - math.sqrt(0.5) * study.sine_amplitude(axis.speed, f)
+
+    expected = scipy.optimize.brentq(left, 3.0, 60.0)
+    assert 8.0 < expected < 20.0
+    assert study.reach(axis, u_max) == pytest.approx(expected, rel=0.03)
+    assert study.reach(axis, 100.0 * u_max) == study.FREQUENCIES[-1]
+
+
+def test_no_law_gets_a_slow_valve_as_far_as_a_servo_valve():
+    """Axis 2 of the study: at 10 V the spool of the slow valve does not move far enough."""
+    values = study.random_axis(2)
+    slow, servo = (run.setup(study.valve_settings(name)) for name in ("dcarc", "servo"))
+    ends = [study.reach(study.Axis(base, values), base.machine.valve.u_max) for base in (slow, servo)]
+    assert 14.8 < ends[0] < 22.0 and ends[1] == study.FREQUENCIES[-1]
+    assert study.reach(study.Axis(slow, values), 2.0 * slow.machine.valve.u_max) == ends[0]  # the amplifier's
+
+
+def test_the_gain_of_axis_arc_is_its_three_rates():
+    """A larger gain follows a motion better, and no rate is beyond what the period allows."""
+    base = study.base_of("servo", "axis_arc")
+    axis = study.Axis(base, study.random_axis(1))
+    goals = study.course.point_to_point(axis.at, [axis.at + 0.02], 0.1, study.LIMITS, study.PERIOD, 0.8)
+    errors = [axis.follow(gain, goals)[0].e_rms for gain in (5.0, 20.0)]
+    assert errors[1] < 0.8 * errors[0]
+    study.Axis(base, {**study.random_axis(1), "load.mass": 5.0}).follow(1e4, goals)  # refused elsewhere

@@ -322,6 +322,21 @@ def test_a_relief_valve_holds_the_pump_at_its_characteristic():
     assert now == pytest.approx(100e5 + excess, rel=1e-4)
 
 
+def test_the_stops_of_the_relief_valve_hold_its_poppet_and_not_the_forces_on_it():
+    """Below its pressure it closes within τ·ln(1 + k/|balance|); a lag towards 0 would take 3τ and more."""
+    p = machine(supply__kind="pump", supply__volume=0.99, supply__flow=1e-6, relief__pressure=140e5)
+    s = at_rest(p, supply=120.0)
+    balance = axis.relief_balance(p.supply, 120e5)
+    begin = 0.5 * abs(balance)
+    assert begin < p.supply.relief_limit and balance < 0.0 and s.relief == 0.0
+    states = course(p, s._replace(relief=begin), 3, lambda t: (0.0, 0.0), axis.step)
+    closes = p.supply.relief_time * math.log(1.5)
+    assert states[1].relief == states[3].relief == 0.0 and closes < p.period
+    half = axis.integrate(p, s._replace(relief=begin), 0.5 * closes, 0.0, 0.0)
+    expected = balance + (begin - balance) * math.exp(-0.5 * closes / p.supply.relief_time)
+    assert half.relief == pytest.approx(expected, rel=0.02)
+
+
 # Properties
 
 machines = st.fixed_dictionaries(

@@ -7,9 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.closed_loop import Sample
-from valve_control.laws import command_lead
+from valve_control.laws import command_lead, reshaping
 from valve_control.motion.course import Goal
 from valve_control.plant import axis, machine
+from valve_control.plant.amplifier import saturate
 
 Array = npt.NDArray[np.float64]
 SIGNALS = (
@@ -33,6 +34,9 @@ class Params(NamedTuple):
     upper: Any
     lead: command_lead.Params
     valve_law: Any
+    trajectory: bool  # the command comes with its derivatives
+    reshaped: bool  # which the valve's law reshapes by what follows
+    reshaping: reshaping.Params
 
 
 class State(NamedTuple):
@@ -41,6 +45,7 @@ class State(NamedTuple):
     upper: Any
     lead: command_lead.State
     valve_law: Any
+    acceleration: float  # m/s²  of the goal at the sample before
 
 
 class Tally(NamedTuple):
@@ -68,6 +73,11 @@ def upper_step(p: Any, s: Any, goal: Goal, reading: machine.Reading) -> Any:
     raise NotImplementedError
 
 
+def upper_motion(p: Any, s: Any, goal: Goal, jerk: float, terms: Any) -> Any:
+    """Placeholder for the upper level's spool command with its derivatives."""
+    raise NotImplementedError
+
+
 def valve_law_step(p: Any, s: Any, command: float, reading: float, offset: float) -> Any:
     """Placeholder for the step of the valve's law; returns (voltage, state, terms)."""
     raise NotImplementedError
@@ -83,10 +93,20 @@ def step(
 ) -> tuple[float, State, Any]:
     """Compute one sample of both levels; returns the voltage [V], the next state and the upper terms."""
     command, upper, terms = upper_step(p.upper, s.upper, goal, reading)
-    lead = command_lead.step(p.lead, s.lead, command)
-    led = command_lead.led(p.lead, lead, command)
+    if p.trajectory:
+        jerk = (goal.acceleration - s.acceleration) / p.lead.period
+        wanted = upper_motion(p.upper, upper, goal, jerk, terms)
+        lead = s.lead
+        led = saturate(wanted.position, p.lead.limit)
+        if p.reshaped:
+            moving = 1.0 if led == wanted.position else 0.0
+            rate, change = moving * wanted.velocity, moving * wanted.acceleration
+            led = reshaping.command_of(p.reshaping, led, rate, change)
+    else:
+        lead = command_lead.step(p.lead, s.lead, command)
+        led = command_lead.led(p.lead, lead, command)
     voltage, law, _ = valve_law_step(p.valve_law, s.valve_law, led, reading.spool, offset)
-    return voltage, State(upper, lead, law), terms
+    return voltage, State(upper, lead, law, goal.acceleration), terms
 
 
 def measure(p: Measured, s: Tally, now: Sample, plant: machine.State) -> tuple[Tally, bool]:

@@ -1,31 +1,60 @@
-"""Rebuilds Hopsan's example "Position Servo" (config/axis/hopsan_position_servo.yaml) and compares it."""
+"""Rebuilds Hopsan's example "Position Servo" (config/axis/hopsan_position_servo.yaml) and compares it.
+
+By our own step, exact in time, and by Hopsan's method with Hopsan's step (``transmission_lines.py``).
+"""
 
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.axis import run
-from valve_control.parameter import ParameterError, updated
+from valve_control.axis import run, transmission_lines
+from valve_control.axis.transmission_lines import Servo
+from valve_control.compiling import compile_function
+from valve_control.parameter import ParameterError, Values, number, numbers, updated
 from valve_control.parameters import files
 from valve_control.parameters.axis import AXIS_NODES
 
 Array = npt.NDArray[np.float64]
 NAMES = ("position", "step", "valve", "relief")  # columns behind the time in Hopsan's reference
 FILE = "Position Servo.hvd"
+METRES = 1e-3  # m/V  of the spool
+
+
+def _settings(changes: tuple[str, ...] = ()) -> dict[str, Values]:
+    path = files.config_folder() / "axis" / "hopsan_position_servo.yaml"
+    given = files.given([str(path)], {}, changes, None, AXIS_NODES)
+    begun = run.default_settings()
+    return {node: updated(table, begun[node], given[node]) for node, table in AXIS_NODES.items()}
 
 
 def position_servo(settings: tuple[str, ...] = ()) -> tuple[Array, dict[str, Array]]:
     """Times [s] and columns by NAMES (m, m, m, m³/s/√Pa); ``settings`` as of --set change the machine."""
-    path = files.config_folder() / "axis" / "hopsan_position_servo.yaml"
-    given = files.given([str(path)], {}, settings, None, AXIS_NODES)
-    begun = run.default_settings()
-    made = run.simulate(
-        run.setup({node: updated(table, begun[node], given[node]) for node, table in AXIS_NODES.items()})
-    )
+    made = run.simulate(run.setup(_settings(settings)))
     s = made.signals
-    columns = (s["position"], s["goal"], 1e-3 * s["spool"], s["relief"])  # 1 V of spool is 1 mm
+    columns = (s["position"], s["goal"], METRES * s["spool"], s["relief"])
     return made.time, dict(zip(NAMES, columns, strict=True))
+
+
+def by_lines(
+    period: float = transmission_lines.PERIOD, duration: float = 3.0
+) -> tuple[Array, dict[str, Array]]:
+    """The same by transmission lines with steps of a ``period`` [s], over ``duration`` [s]."""
+    values = _settings()
+    made, upper, valve = run.setup(values), values["axis_controller"], values["valve_simulator"]
+    mass, damped, w2 = numbers(valve, "denominator")
+    before = number(upper, "offset")
+    servo = Servo(
+        axis=made.machine.axis,
+        upper=made.cascade.upper,
+        spool=(w2, damped, mass),
+        before=before,
+        after=before + number(upper, "distance"),
+        pause=number(upper, "pause"),
+    )
+    rows = compile_function(transmission_lines.position_servo)(servo, period, round(duration / period))
+    rows[:, 3] *= METRES
+    return rows[:, 0], dict(zip(NAMES, rows[:, 1:].T, strict=True))
 
 
 def deviations(times: Array, columns: dict[str, Array], reference: Array) -> dict[str, Array]:
@@ -47,10 +76,13 @@ def reference(folder: Path, name: str = FILE) -> Array:
     return rows
 
 
-def compare(folder: Path) -> dict[str, float]:
-    """Largest deviation from the reference in ``folder``, by name without the step. Raises ParameterError."""
+def compare(folder: Path) -> dict[str, dict[str, float]]:
+    """Largest deviation from the reference in ``folder``, by way and name. Raises ParameterError."""
     rows = reference(folder)
     if rows.ndim != 2 or rows.shape[1] != 1 + len(NAMES) or len(rows) < 2:
         raise ParameterError(f"{folder / FILE} has not the columns time, {', '.join(NAMES)}")
-    found = deviations(*position_servo(), rows)
-    return {name: float(np.max(found[name])) for name in NAMES if name != "step"}
+    found = {}
+    for way, (times, columns) in {"lines": by_lines(), "exact_in_time": position_servo()}.items():
+        by_name = deviations(times, columns, rows)
+        found[way] = {name: float(np.max(by_name[name])) for name in NAMES}
+    return found

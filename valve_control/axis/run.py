@@ -13,7 +13,7 @@ import numpy.typing as npt
 from valve_control import closed_loop
 from valve_control.axis import cascade
 from valve_control.compiling import compile_function
-from valve_control.laws import command_lead
+from valve_control.laws import command_lead, reshaping
 from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
 from valve_control.motion import course, upper
@@ -25,6 +25,9 @@ from valve_control.plant import axis, machine
 
 Array = npt.NDArray[np.float64]
 LAST = 1.0  # s  the end of a run, within which the axis has settled
+
+
+NOT_RESHAPED = reshaping.Params(1.0, 1.0, 1.0, 1.0, 1.0)  # of a law that takes a command as it is
 
 
 class Setup(NamedTuple):
@@ -108,10 +111,17 @@ def setup(settings: dict[str, Values]) -> Setup:
         0.0, 1.0, 1.0, number(law_values, "command_limit"), period
     )
     law = word(law_values, "controller")
+    law_params = build.law_params(law_values)
+    reshaped = LAWS[law].reshapes(law_params)
     return Setup(
         law=law,
         cascade=cascade.Params(
-            parameters.upper_level(upper_values, plant.axis, at), lead, build.law_params(law_values)
+            parameters.upper_level(upper_values, plant.axis, at),
+            lead,
+            law_params,
+            word(upper_values, "message") == "trajectory",
+            reshaped,
+            law_params.reshaping if reshaped else NOT_RESHAPED,
         ),
         machine=plant,
         begin=begin,
@@ -123,7 +133,7 @@ def setup(settings: dict[str, Values]) -> Setup:
 
 @cache
 def _loop(law: types.ModuleType, level: types.ModuleType, compiled: bool) -> Callable[..., Any]:
-    steps = {"valve_law_step": law.step, "upper_step": level.step}
+    steps = {"valve_law_step": law.step, "upper_step": level.step, "upper_motion": level.motion}
     if compiled:
         both = compile_function(cascade.step, {name: compile_function(f) for name, f in steps.items()})
     else:
@@ -143,6 +153,7 @@ def indices_of(s: Setup, signals: Array, compiled: bool = True) -> Indices:
         level.initial(s.cascade.upper),
         command_lead.initial(0.0),
         law.initial(s.cascade.valve_law, Start(first.spool, 0.0, first.spool, 0.0, 0.0)),
+        float(s.goals[0, 2]),
     )
     period = s.machine.axis.period
     last = float(n - min(n, round(LAST / period)))

@@ -2,7 +2,8 @@
 
 Per axis and valve the proportional gain of the upper level is half of that from which a small step does not
 come to rest (a gain margin of 2). With it the axis follows a motion limited in jerk, and small sines, from
-which the bandwidth is found.
+which the bandwidth is found. Beside it stands how far any law could get: the amplifier's whole voltage, there
+and back at each frequency, makes the largest sine that there is.
 """
 
 import os
@@ -14,13 +15,16 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.axis import cascade, run
-from valve_control.motion import course
-from valve_control.parameter import Values, number, updated
+from valve_control.compiling import compile_function
+from valve_control.motion import axis_arc_sampled, course
+from valve_control.parameter import Values, defaults, number, updated
 from valve_control.parameters import axis as parameters
 from valve_control.parameters import files
 from valve_control.parameters.axis import AXIS, AXIS_NODES
+from valve_control.plant import machine
 
 Array = npt.NDArray[np.float64]
+UPPER = AXIS_NODES["axis_controller"]
 VALVES = ("open_loop", "pid", "oarc", "dcarc", "servo")
 TUNED = {"pid": "pid_reference", "oarc": "oarc", "dcarc": "dcarc"}  # of config/tuned/narrow_0.25_*.yaml
 SERVO = 2.0 * np.pi * 100.0  # rad/s  of the ideal valve, damped with 0.7
@@ -32,6 +36,8 @@ MARGIN = 2.0
 SINE = 0.002  # m  amplitude of the sines, less where the speed would be
 SHARE = 0.25  # of full speed that sines may take
 FREQUENCIES = np.geomspace(0.5, 60.0, 22)  # Hz
+SQUARE_CYCLES = 8  # of the whole voltage there and back, of which the later half counts
+SQUARE_FROM = 3.0  # Hz  lowest of its frequencies: below, the piston would come to its stops
 BOX = {
     "load.mass": (50.0, 400.0),
     "load.damping": (200.0, 1500.0),
@@ -42,6 +48,16 @@ BOX = {
     "supply.pressure": (100e5, 160e5),
 }  # drawn evenly in logarithm
 LIMITS = course.Limits(0.25, 2.0, 40.0)
+ARC: Values = {
+    "upper_level": axis_arc_sampled.NAME,
+    "axis_arc.learning": 2.0,
+    "axis_arc.force_range": 300.0,
+    "axis_arc.observer": 100.0,
+    "overlap_zone": 0.2,
+}  # as config/axis/bench.yaml
+ARC_RATES = (1.0, 0.375, 0.25)  # -  k1, k2 and k3 of axis_arc over its gain, as there
+ARC_LEADS = {"open_loop": 0.02, "servo": 0.003}  # s  valve's lag and half a period; 4 ms of the others
+FASTEST = axis_arc_sampled.FASTEST / PERIOD  # 1/s  rate that axis_arc takes
 
 
 class Result(NamedTuple):
@@ -50,10 +66,11 @@ class Result(NamedTuple):
     gain: float  # 1/s
     bandwidth: float  # Hz  where a small sine is at -3 dB or -90°
     motion: run.Indices
+    reach: float  # Hz  where no voltage within the amplifier's limit moves the axis by that sine at -3 dB
 
 
 def valve_settings(name: str) -> dict[str, Values]:
-    """Settings by node of the valve ``name``, of VALVES, with its controller."""
+    """Settings by node of the valve ``name``, of VALVES, with its controller, under axis_pid."""
     folder = files.config_folder()
     settings = run.default_settings()
     paths = [] if name == "servo" else [str(folder / "d3fxe.yaml")]
@@ -104,7 +121,15 @@ class Axis:
         plant = base.machine._replace(axis=axis, sensors=parameters.sensors(values))
         out, into = parameters.velocity_gains(axis, values)
         overlap = 0.8 * axis.overlaps.pa * axis.full_scale  # what its user knows of it
-        upper = base.cascade.upper._replace(gain_out=out, gain_in=into, overlap=overlap)
+        if base.level == axis_arc_sampled.NAME:
+            model = axis_arc_sampled.model_of(axis, parameters.supply_pressure(values))
+            own = axis_arc_sampled.own_frequency(model, axis.bulk_modulus, 1.0 / axis.load.mass)
+            changes: Values = {"overlap": overlap, "axis_arc.coupling": min(own, FASTEST)}
+            changes["axis_arc.lead"] = base.cascade.upper.lead
+            level = updated(UPPER, defaults(UPPER), {**ARC, **changes})
+            upper = parameters.upper_level(level, axis, values)
+        else:
+            upper = base.cascade.upper._replace(gain_out=out, gain_in=into, overlap=overlap)
         self.at = number(values, "start.position")
         self.speed = min(out, into) * axis.full_scale
         self._setup = base._replace(
@@ -114,12 +139,58 @@ class Axis:
             seed=int(number(values, "seed")),
         )
 
+    def driven(self, voltages: Array) -> Array:
+        """True position [m] at each sample, with ``voltages`` [V] on the valve and no controller."""
+        s = self._setup.begin._replace(history=self._setup.begin.history.copy())
+        out = np.empty(len(voltages))
+        compile_function(drive)(self._setup.machine, s, voltages, out)
+        return out
+
     def follow(self, gain: float, goals: Array) -> tuple[run.Indices, Array]:
         """Indices and true position [m] with the ``gain`` [1/s] on a course."""
-        upper = self._setup.cascade.upper._replace(kp=gain)
+        upper = self._setup.cascade.upper
+        if self._setup.level == axis_arc_sampled.NAME:
+            k1, k2, k3 = (min(gain * rate, FASTEST) for rate in ARC_RATES)
+            upper = upper._replace(law=upper.law._replace(k1=k1, k2=k2, k3=k3))
+        else:
+            upper = upper._replace(kp=gain)
         setup = self._setup._replace(cascade=self._setup.cascade._replace(upper=upper), goals=goals)
         signals = np.empty((len(goals), len(cascade.SIGNALS)))
         return run.indices_of(setup, signals), signals[:, cascade.SIGNALS.index("position")]
+
+
+def drive(p: machine.Params, s: machine.State, voltages: Array, out: Array) -> None:
+    """Write into ``out`` the positions [m] of a machine under ``voltages`` [V]."""
+    for k in range(len(voltages)):
+        out[k] = s.axis.x
+        s = machine.step(p, s, voltages[k])
+
+
+def sine_amplitude(speed: float, f: float) -> float:
+    """Amplitude [m] of the sine of ``f`` [Hz] that an axis of that ``speed`` [m/s] is asked for."""
+    return min(SINE, SHARE * speed / (2.0 * np.pi * f))
+
+
+def reach(axis: Axis, u_max: float) -> float:
+    """Frequency [Hz] from which no voltage within ±``u_max`` [V] moves the axis by the study's sine at -3 dB.
+
+    Of all bounded voltages the square wave has the largest fundamental, 4/π·u_max; what it makes of the
+    position is compared. Neither stability nor phase is asked for.
+    """
+    before = (SQUARE_FROM, np.inf)
+    for f in FREQUENCIES[FREQUENCIES >= SQUARE_FROM]:
+        n = round(SQUARE_CYCLES / f / PERIOD)
+        t = np.arange(n) * PERIOD
+        x = axis.driven(np.where((t + 0.5 * PERIOD) * f % 1.0 < 0.5, u_max, -u_max))
+        late = slice(n - round(SQUARE_CYCLES / 2.0 / f / PERIOD), n)
+        x = x[late] - np.polyval(np.polyfit(t[late], x[late], 1), t[late])  # without the drift
+        size = 2.0 * abs(np.mean(x * np.exp(-2j * np.pi * f * t[late])))
+        left = np.log(size / (np.sqrt(0.5) * sine_amplitude(axis.speed, f)))
+        if left <= 0.0:
+            share = before[1] / (before[1] - left) if np.isfinite(before[1]) else 0.0
+            return float(before[0] * (f / before[0]) ** share)
+        before = (f, left)
+    return float(FREQUENCIES[-1])
 
 
 def largest_gain(axis: Axis) -> float:
@@ -141,7 +212,7 @@ def bandwidth(axis: Axis, gain: float) -> float:
     """Frequency [Hz] at which a small sine is at -3 dB or -90°, whichever is first."""
     before = (FREQUENCIES[0], 1.0)
     for f in FREQUENCIES:
-        amplitude = min(SINE, SHARE * axis.speed / (2.0 * np.pi * f))
+        amplitude = sine_amplitude(axis.speed, f)
         cycles = max(3, round(f))
         rise = 2.0 * min(0.5, 1.0 / f) + 0.25
         goals = course.sine(axis.at, amplitude, f, PERIOD, rise + cycles / f)
@@ -165,16 +236,31 @@ def judge(base: run.Setup, values: Values) -> Result:
     axis = Axis(base, values)
     gain = largest_gain(axis) / MARGIN
     goals = course.point_to_point(axis.at, [axis.at + 0.1, axis.at], 0.3, LIMITS, PERIOD, 2.5)
-    return Result(gain, bandwidth(axis, gain), axis.follow(gain, goals)[0])
+    motion = axis.follow(gain, goals)[0]
+    return Result(gain, bandwidth(axis, gain), motion, reach(axis, base.machine.valve.u_max))
+
+
+def base_of(name: str, level: str) -> run.Setup:
+    """The cascade of the valve ``name`` under the upper ``level``, above an axis that is to be replaced."""
+    settings = valve_settings(name)
+    if level == axis_arc_sampled.NAME:
+        lead = ARC_LEADS.get(name, 0.004)
+        changes: Values = {**ARC, "axis_arc.lead": lead}
+        settings["axis_controller"] = updated(UPPER, settings["axis_controller"], changes)
+    return run.setup(settings)
 
 
 def study(
-    axes: int, threads: int | None = None, done: Callable[[], object] = lambda: None
+    axes: int,
+    threads: int | None = None,
+    done: Callable[[], object] = lambda: None,
+    level: str = "axis_pid",
 ) -> dict[str, list[Result]]:
     """Results by valve of the axes 0 to ``axes`` - 1; ``done`` is called after each axis under a valve."""
-    bases = {name: run.setup(valve_settings(name)) for name in VALVES}
+    bases = {name: base_of(name, level) for name in VALVES}
     for base in bases.values():
         run.warm_up(base)
+        Axis(base, random_axis(0)).driven(np.zeros(1))
     drawn = [random_axis(seed) for seed in range(axes)]
 
     def one(job: tuple[str, Values]) -> Result:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from valve_control.axis.study import Result
 
 CONTROLLERS = lookup(NODES["controller"], "controller").choices
+_WAYS = {"lines": "by its own method", "exact_in_time": "by our steps"}
 
 
 def add_commands(commands: Any) -> None:
@@ -63,6 +64,9 @@ def add_commands(commands: Any) -> None:
         "servo valve of 100 Hz; each axis with half of its largest stable gain. docs/howto/axes.md.",
     )
     axes.add_argument("--axes", type=int, default=200, metavar="N", help="how many random axes (200)")
+    axes.add_argument(
+        "--upper", choices=("axis_pid", "axis_arc"), default="axis_pid", help="upper level (axis_pid)"
+    )
     axes.add_argument("--threads", type=int, metavar="N", help="threads (all cores)")
     axes.add_argument(
         "--references", metavar="FOLDER", help="with Hopsan's Position Servo.hvd, to be compared"
@@ -172,9 +176,9 @@ def _axes(arguments: argparse.Namespace) -> None:
         raise ParameterError(f"--axes is {arguments.axes}; it must lie between 1 and 100000")
     if arguments.threads is not None:
         check_processes("threads", arguments.threads)
-    against = None if arguments.references is None else hopsan.compare(Path(arguments.references))
+    against = {} if arguments.references is None else hopsan.compare(Path(arguments.references))
     with tqdm(total=arguments.axes * len(study.VALVES), unit="axis") as bar:
-        found = study.study(arguments.axes, arguments.threads, bar.update)
+        found = study.study(arguments.axes, arguments.threads, bar.update, arguments.upper)
 
     def middle(name: str, pick: Callable[["Result"], float]) -> float:
         return float(np.median([pick(result) for result in found[name]]))
@@ -186,25 +190,33 @@ def _axes(arguments: argparse.Namespace) -> None:
         "e_max_m": lambda r: r.motion.e_max,
         "energy_j": lambda r: r.motion.energy,
         "chatter": lambda r: r.motion.chatter,
+        "reach_hz": lambda r: r.reach,
     }
     medians = {
         column: {name: middle(name, pick) for name in study.VALVES} for column, pick in columns.items()
     }
     if arguments.json != "-":
-        print(f"medians of {arguments.axes} axes")
-        print("             kp [1/s]  bandwidth [Hz]  e_rms [mm]  e_max [mm]  energy [kJ]      c_u")
+        print(f"medians of {arguments.axes} axes under {arguments.upper}; reach: of any law")
+        print(
+            "           gain [1/s]  bandwidth [Hz]  e_rms [mm]  e_max [mm]  energy [kJ]      c_u  reach [Hz]"
+        )
         for name in study.VALVES:
             m = {column: values[name] for column, values in medians.items()}
             print(
                 f"{name:<11}{m['gain']:>10.1f}{m['bandwidth_hz']:>16.2f}{1e3 * m['e_rms_m']:>12.3f}"
                 f"{1e3 * m['e_max_m']:>12.3f}{1e-3 * m['energy_j']:>13.3f}{m['chatter']:>9.4f}"
+                f"{m['reach_hz']:>12.2f}"
             )
-        for name, worst in (against or {}).items():
-            print(f"Hopsan's Position Servo, {name}: largest deviation {worst:.4f} of the range")
+        for way, by_name in against.items():
+            worst = ", ".join(f"{name} {value:.2g}" for name, value in by_name.items())
+            print(f"Hopsan's Position Servo {_WAYS[way]}, largest deviation over the range: {worst}")
     if arguments.figure is not None:
         _draw_axes(Path(arguments.figure), found)
         say(arguments, f"wrote {arguments.figure}")
-    write_json(arguments, {"hopsan": against, **medians, "axes": arguments.axes})
+    told: dict[str, Any] = {**against["lines"], "exact_in_time": against["exact_in_time"]} if against else {}
+    write_json(
+        arguments, {"hopsan": told or None, **medians, "axes": arguments.axes, "upper_level": arguments.upper}
+    )
 
 
 def _draw_axes(path: Path, found: "Mapping[str, Sequence[Result]]") -> None:

@@ -159,10 +159,11 @@ def step(p: Params, s: State, goal: Goal, reading: Reading) -> tuple[float, Stat
 
 
 def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> Motion:
-    """Spool command with the derivatives that the course gives it; ``s``, ``terms``: after the step.
+    """Where the spool is to be now, with the course's derivatives; ``s``, ``terms``: after the step.
 
     At constant velocity the opening is h·v/q (docs/axis_arc.md): course's acceleration and jerk times that.
-    What the errors add has no derivative worth the name.
+    What the errors add has no derivative worth the name. The command is that of the lead later; the course's
+    part of it is taken back, as with these derivatives the valve's law makes up for its own lag.
     """
     m, law = p.law.model, p.law
     x = Measured(s.position, s.velocity, s.pressure_a, s.pressure_b)
@@ -173,7 +174,8 @@ def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> Motion
         slope *= jumping / law.overlap_zone
     if abs(terms.spool) >= law.limit:
         slope = 0.0
-    return Motion(terms.spool, slope * goal.acceleration, slope * jerk)
+    early = p.lead * (goal.acceleration + 0.5 * p.lead * jerk)  # m/s
+    return Motion(terms.spool - slope * early, slope * goal.acceleration, slope * jerk)
 
 
 PARAMETERS: Table = (
@@ -224,6 +226,20 @@ PARAMETERS: Table = (
 )
 
 
+def model_of(plant: axis.Params, supply: float) -> Model:
+    """What is known of the axis ``plant`` at a ``supply`` pressure [Pa]."""
+    c, k = plant.cylinder, plant.coefficients
+    return Model(
+        c.area_a, c.area_b, c.stroke, c.dead_a, c.dead_b, supply, plant.supply.tank,
+        k.pa, k.pb, k.at, k.bt, plant.laminar,
+    )  # fmt: skip
+
+
+def own_frequency(m: Model, bulk: float, mobility: float) -> float:
+    """ω_h [1/s] in the middle of the stroke, of ``bulk`` modulus [Pa] and ``mobility`` [1/kg]."""
+    return math.sqrt(bulk * mobility * axis_arc.stiffness(m, 0.5 * m.stroke))
+
+
 def build(values: Values, plant: axis.Params, supply: float) -> Params:
     """Params from checked values, for the axis that is known as ``plant`` at a ``supply`` pressure [Pa].
 
@@ -239,7 +255,7 @@ def build(values: Values, plant: axis.Params, supply: float) -> Params:
         raise ParameterError(
             f"overlap is {overlap:g} V, no less than spool.full_scale, {plant.full_scale:g} V"
         )
-    c, k, load = plant.cylinder, plant.coefficients, plant.load
+    c, load = plant.cylinder, plant.load
     mass = of("mass") or load.mass
     resting = load.force - plant.supply.tank * (c.area_a - c.area_b)
     begin = Theta(
@@ -249,13 +265,8 @@ def build(values: Values, plant: axis.Params, supply: float) -> Params:
         resting / mass,
         of("bulk_modulus") or plant.bulk_modulus,
     )
-    model = Model(
-        c.area_a, c.area_b, c.stroke, c.dead_a, c.dead_b, supply, plant.supply.tank,
-        k.pa, k.pb, k.at, k.bt, plant.laminar,
-    )  # fmt: skip
-    coupling = of("coupling") or math.sqrt(
-        begin.bulk * begin.mobility * axis_arc.stiffness(model, 0.5 * c.stroke)
-    )
+    model = model_of(plant, supply)
+    coupling = of("coupling") or own_frequency(model, begin.bulk, begin.mobility)
     for name in ("k1", "k2", "k3", "coupling", "observer"):
         rate = coupling if name == "coupling" else of(name)
         if rate * period > FASTEST:

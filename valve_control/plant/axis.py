@@ -189,11 +189,23 @@ def initial(p: Params, x: float, a: float, b: float, supply: float) -> State:
     )
 
 
+def relief_balance(s: Supply, pressure: float) -> float:
+    """Opening [m³/s/√Pa], without stops, at which a supply ``pressure`` [Pa] balances the poppet."""
+    over = max(0.0, pressure - s.tank)
+    return (pressure - s.relief_pressure) / (s.relief_spring + s.relief_flow_force * over)
+
+
 def relief_opening(s: Supply, pressure: float) -> float:
     """Opening [m³/s/√Pa] at which the relief valve comes to rest at a supply ``pressure`` [Pa]."""
-    over = max(0.0, pressure - s.tank)
-    wanted = (pressure - s.relief_pressure) / (s.relief_spring + s.relief_flow_force * over)
-    return max(0.0, min(s.relief_limit, wanted))
+    return max(0.0, min(s.relief_limit, relief_balance(s, pressure)))
+
+
+def relief_rate(s: Supply, opening: float, pressure: float) -> float:
+    """Rate of the relief valve's opening; its stops hold the poppet, not the forces on it."""
+    rate = (relief_balance(s, pressure) - opening) / s.relief_time
+    if (opening <= 0.0 and rate < 0.0) or (opening >= s.relief_limit and rate > 0.0):
+        return 0.0
+    return rate
 
 
 def friction_level(load: Load, v: float) -> float:
@@ -230,7 +242,7 @@ def flows(p: Params, s: State, now: Pressures, spool: float) -> Flows:
     pb = flow(k.pb * opening(-spool, o.pb), now.supply - now.b, p.laminar).flow
     at = flow(k.at * opening(-spool, o.at), now.a - supply.tank, p.laminar).flow
     bt = flow(k.bt * opening(spool, o.bt), now.b - supply.tank, p.laminar).flow
-    relief = flow(s.relief, now.supply - supply.tank, p.laminar).flow
+    relief = flow(max(0.0, s.relief), now.supply - supply.tank, p.laminar).flow
     across = c.leakage * (now.a - now.b)
     return Flows(
         pa,
@@ -258,7 +270,7 @@ def rates(p: Params, s: State, spool: float, held: bool) -> State:
         q.into_a * swelling(s.a, volume_a),
         q.into_b * swelling(s.b, volume_b),
         q.into_supply * swelling(s.supply, p.supply.volume),
-        (relief_opening(p.supply, now.supply) - s.relief) / p.supply.relief_time,
+        relief_rate(p.supply, s.relief, now.supply),
         bristle_rate(p.load, s.v, s.bristle),
     )
 
@@ -289,7 +301,7 @@ def matrix(p: Params, s: State, spool: float, step: float, held: bool) -> Matrix
     relief = flow(1.0, now.supply - supply.tank, p.laminar)
     over = max(0.0, now.supply - supply.tank)
     gain = 1.0 / (supply.relief_spring + supply.relief_flow_force * over) / supply.relief_time
-    if not 0.0 < (now.supply - supply.relief_pressure) * gain * supply.relief_time < supply.relief_limit:
+    if relief_rate(supply, s.relief, now.supply) == 0.0:
         gain = 0.0
     relief_lag = 1.0 + h / supply.relief_time
     own_a = pa + at + c.leakage + c.external_leakage
@@ -414,7 +426,8 @@ def integrate(p: Params, s: State, step: float, spool: float, spool_after: float
         x, v = 0.0, 0.0
     elif x > p.cylinder.stroke:
         x, v = p.cylinder.stroke, 0.0
-    return State(x, v, max(s.a, 0.0), max(s.b, 0.0), max(s.supply, 0.0), s.relief, s.bristle)
+    relief = max(0.0, min(p.supply.relief_limit, s.relief))
+    return State(x, v, max(s.a, 0.0), max(s.b, 0.0), max(s.supply, 0.0), relief, s.bristle)
 
 
 def scaled(s: State, factor: float) -> State:
