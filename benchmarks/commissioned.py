@@ -39,11 +39,12 @@ SEEDS = (4, 8, 9, 11, 12)
 LEAST = 100  # voltages, after which the loop runs
 LONGEST = 400.0  # s  after which a commissioning counts as hung
 ANSWER = 20.0  # s
+SWING = 20.0  # V  the largest motion that can be believed, as a sine of the valve's bandwidth
 SIZE = 0.5  # of the motions of benchmarks.invented, which are larger than what the limits let a valve follow
 WANTED_SECONDS = 180.0
 # The simulated valve waits for its voltage, and the controller for readings: a busy machine is no dead time.
 PATIENT_VALVE = {"patience": 1.0}
-PATIENT = {"lvdt.hold_samples": 5000, "lvdt.period_limit": 1000.0, "lvdt.frozen_samples": 0}
+PATIENT = {"lvdt.hold_samples": 500, "lvdt.period_limit": 1000.0, "lvdt.frozen_samples": 0}
 
 
 def arguments_of(values: Mapping[str, Any]) -> list[str]:
@@ -101,7 +102,9 @@ def gone_through(
     """Commission the valve ``seed``; ``wanted``: arguments of ``commission``."""
     frequency, valve = invented(np.random.default_rng(seed))
     valve = {**valve, "sample_period": period}
-    usual = {"sample_period": period, **PATIENT}
+    # What a user has to say of a valve that is faster than that of the defaults.
+    fastest = max(500.0, 2.0 * math.pi * frequency * SWING)
+    usual = {"sample_period": period, "lvdt.max_rate": fastest, **PATIENT}
     about: dict[str, Any] = {
         "seed": seed, "frequency_hz": frequency, "order": len(list(valve["denominator"])) - 1, "valve": valve,  # type: ignore[arg-type]
     }  # fmt: skip
