@@ -66,12 +66,17 @@ class Known:
         own = f"{law}.denominator"
         if own in (p.name for p in CONTROLLER) and own not in gains.values:
             # Zeros far away, as of a third-order valve fitted by a fourth order, need not be invertible.
-            bare = rational.fit(exact, order, 0, True, "relative") if order > 2 else self.second
-            again = first(bare.model, bare.delay)
-            if own not in again.values:
-                raise ParameterError(next(note for note in again.notes if note.startswith(f"{law}'s")))
-            note = f"the model of {law} has no zeros: those of the fitted one cannot be inverted"
-            gains = again._replace(notes=(note, *again.notes))
+            for lower in range(order - 1, 1, -1):
+                simpler = rational.fit(exact, lower, delayed=True, weighting="relative")
+                again = first(simpler.model, simpler.delay)
+                if own in again.values:
+                    note = (
+                        f"{law} gets a model of order {lower}: the zeros of order {order} cannot be inverted"
+                    )
+                    gains = again._replace(notes=(note, *again.notes))
+                    break
+            else:
+                raise ParameterError(next(note for note in gains.notes if note.startswith(f"{law}'s")))
         self.gains, self.notes = gains.values, gains.notes
 
 
