@@ -44,7 +44,7 @@ SIZE = 0.5  # of the motions of benchmarks.invented, which are larger than what 
 WANTED_SECONDS = 180.0
 # The simulated valve waits for its voltage, and the controller for readings: a busy machine is no dead time.
 PATIENT_VALVE = {"patience": 1.0}
-PATIENT = {"lvdt.hold_samples": 500, "lvdt.period_limit": 1000.0, "lvdt.frozen_samples": 0}
+PATIENT = {"lvdt.hold_samples": 5000, "lvdt.period_limit": 1000.0, "lvdt.frozen_samples": 0}
 
 
 def arguments_of(values: Mapping[str, Any]) -> list[str]:

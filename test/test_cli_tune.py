@@ -71,6 +71,17 @@ def test_one_json_object_and_a_file_for_each_law(run, tmp_path, commands):
     assert "dcarc holds: e_rms" in page and "times the error of the best PID" in page
 
 
+def test_a_law_without_feedback_is_tuned_and_reported_too(run, tmp_path, commands):
+    """The compensator has no loop, no period of its own, and margins without end."""
+    status, out, err = run(
+        "tune", "--controller", "compensator", "--alone", *commands, *SMALL, "--html", "r.html", "--json", "-"
+    )
+    assert status in (0, 1) and "Traceback" not in err, err
+    law = json.loads(out)["laws"]["compensator"]
+    assert law["margins"]["gain_db"] is None and law["verified"]["e_rms"]["median"] > 0.0
+    assert "compensator: steps" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
 def test_what_does_not_hold_is_not_written(run, tmp_path, commands, monkeypatch):
     """Valves of verification that chatter more than those of the search: the reason is said, no file."""
     from valve_control.tuning import verification

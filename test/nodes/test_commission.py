@@ -85,10 +85,15 @@ class Everything:
         self.listener.fetch()
         return self.listener.values["valve_voltage"]
 
-    def wait(self, samples):
-        """Until so many more voltages have come."""
+    def wait(self, samples, child):
+        """Until so many more voltages have come, or ``child`` has ended."""
         until = len(self.voltages) + samples
-        spin_until(self.ros, lambda: len(self.voltages) >= until, f"{samples} voltages", 120.0)
+        spin_until(
+            self.ros,
+            lambda: len(self.voltages) >= until or child.poll() is not None,
+            f"{samples} voltages",
+            120.0,
+        )
 
     def parameters(self):
         names = [p.name for p in CONTROLLER]
@@ -207,7 +212,7 @@ def test_aborted_at_ten_random_moments(ros, tmp_path):
             (tmp_path / "kept" / "state.json").unlink(missing_ok=True)
             with commission(tmp_path, *QUICK) as child:
                 begun(seen, tmp_path, child)
-                seen.wait(moment)
+                seen.wait(moment, child)
                 said = (tmp_path / "said.log").read_text()
                 assert child.poll() is None, said
                 count = len(seen.voltages)
@@ -235,6 +240,8 @@ def test_aborted_at_ten_random_moments(ros, tmp_path):
             assert seen.parameters() == before, said
             if how == "no simulator":
                 simulator.wait()
+                # What was killed stays in the graph for a while, as a second LVDT.
+                spin_until(ros, lambda: ros.count_publishers("spool_position") == 0, "its end", 60.0)
                 stack.enter_context(process("valve_simulator", VALVE, tmp_path / "sim2.log"))
             elif not how.startswith("SIG"):
                 assert set_parameters(ros, "valve_simulator", fault__lvdt="none").successful
@@ -274,7 +281,7 @@ def test_killed_it_leaves_the_valve_at_neutral_and_can_be_undone(ros, tmp_path):
         before = seen.parameters()
         with commission(tmp_path) as child:
             begun(seen, tmp_path, child)
-            seen.wait(2000)
+            seen.wait(2000, child)
             child.send_signal(signal.SIGKILL)
             ended(seen, child)
             # The controller keeps the limits, and leads to neutral by itself.

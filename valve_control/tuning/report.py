@@ -10,7 +10,7 @@ import numpy.typing as npt
 from valve_control.analysis import page as pages
 from valve_control.analysis.figures import Line, Plot
 from valve_control.laws.registry import LAWS
-from valve_control.parameter import updated
+from valve_control.parameter import number, updated
 from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
 from valve_control.simulation import batch
@@ -192,8 +192,8 @@ def _responses(unseen: Problem, found: Mapping[str, Tuned]) -> str:
         shown = {"typical valve": int(order[len(order) // 2]), "worst valve": int(order[-1])}
         problem = unseen._replace(values=updated(CONTROLLER, unseen.values, one.chosen.variant))
         values = trial.values_with(problem, one.chosen.point.gains)
-        params = law.build(values)
-        for motion in _shown_motions(params.period):
+        params, period = law.build(values), number(values, "sample_period")
+        for motion in _shown_motions(period):
             sender = problem._replace(preview=problem.preview and motion.name != verification.STEPS_NAME)
             led = trial.given(law, params, values, one.chosen.point.gains, sender, motion.wanted)
             plants: list[valve.Params] = [unseen.plants[i] for i in shown.values()]
@@ -202,7 +202,7 @@ def _responses(unseen: Problem, found: Mapping[str, Tuned]) -> str:
             batch.simulate(
                 batch.Batch(name, params, batch.records(plants), seeds, motion.wanted, led=led), 1, traces
             )
-            times = np.arange(len(led)) * params.period
+            times: Array = np.arange(len(led), dtype=np.float64) * period
             positions = [Line("wanted", times, motion.wanted, "#888888", True)]
             positions += [Line(text, times, trace[:, 0]) for text, trace in zip(shown, traces, strict=True)]
             voltages = [Line(text, times, trace[:, 2]) for text, trace in zip(shown, traces, strict=True)]
