@@ -1,6 +1,7 @@
 """valve-control tune: the contract for scripts, files that go straight into simulate, refusals."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -69,6 +70,11 @@ def test_one_json_object_and_a_file_for_each_law(run, tmp_path, commands):
     page = (tmp_path / "r.html").read_text(encoding="utf-8")
     assert page.index("<h2>Verdict</h2>") < page.index("<h2>Error against chatter</h2>")
     assert "dcarc holds: e_rms" in page and "times the error of the best PID" in page
+    best = min(result["laws"], key=lambda law: result["laws"][law]["verified"]["e_rms"]["median"])
+    first = f"<h2>Verdict</h2>\n<p>{best} has the least error of the 2 laws whose gains are accepted.</p>"
+    assert first in page and "valve-control tune --controller dcarc,pid --command a.csv" in page
+    assert page.count('"name":"chosen"') == 2
+    assert lines_of(page, "worst valve") == {"#D55E00"}  # of position and voltage alike
 
 
 def test_a_law_without_feedback_is_tuned_and_reported_too(run, tmp_path, commands):
@@ -80,6 +86,11 @@ def test_a_law_without_feedback_is_tuned_and_reported_too(run, tmp_path, command
     law = json.loads(out)["laws"]["compensator"]
     assert law["margins"]["gain_db"] is None and law["verified"]["e_rms"]["median"] > 0.0
     assert "compensator: steps" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+def lines_of(page, name):
+    """Colours of the lines ``name`` in all figures."""
+    return set(re.findall(f'"legendgroup":"{name}","line":{{"color":"(#[0-9A-F]{{6}})"', page))
 
 
 def test_what_does_not_hold_is_not_written(run, tmp_path, commands, monkeypatch):

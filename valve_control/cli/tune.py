@@ -163,7 +163,9 @@ def _tune(arguments: argparse.Namespace) -> int:
     if arguments.html is not None:
         from valve_control.tuning import report
 
-        outputs.write(arguments.html, report.page(unseen, aim, found, missing, laws, written))
+        outputs.write(
+            arguments.html, report.page(unseen, aim, found, missing, laws, written, _typed(arguments))
+        )
         say(arguments, f"wrote {arguments.html}")
     write_json(arguments, result)
     search.kept.forget()
@@ -531,13 +533,17 @@ def _print_recording(about: dict[str, Any]) -> None:
         print(f"  {name:28} {errors}   c_u {row['c_u']:.3f}")
 
 
+def _typed(arguments: argparse.Namespace) -> str:
+    return "valve-control " + shlex.join(arguments.line)
+
+
 def _save(path: str, name: str, values: Values, one: "Tuned", arguments: argparse.Namespace) -> None:
     from valve_control.parameters import files
     from valve_control.tuning import tuner, verification
 
     reached = verification.as_dict(one.chosen.verified)
     about = [
-        "valve-control " + shlex.join(arguments.line),
+        _typed(arguments),
         f"On {reached['valves']} valves that the search did not see: e_rms "
         f"{reached['e_rms']['median']:.4g} V (median), {reached['e_rms']['p95']:.4g} V (95 %), "
         f"c_u {reached['c_u']:.3f}.",
