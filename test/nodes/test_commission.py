@@ -179,7 +179,7 @@ def test_to_its_end_and_undone(ros, tmp_path):
 
 # How, and how many samples after the parameters were kept: from the rest before the tests to the tuning.
 MOMENTS = [
-    (how, round(200.0 * 60.0 ** random.Random(393 + i).random()))
+    (how, round(200.0 * 75.0 ** random.Random(435 + i).random()))
     for i, how in enumerate(
         (
             "SIGINT",
