@@ -1,9 +1,11 @@
 """valve-control tune: the contract for scripts, files that go straight into simulate, refusals."""
 
 import json
+import re
 
 import numpy as np
 import pytest
+from said import sentences
 
 from valve_control.parameters import files
 
@@ -69,6 +71,27 @@ def test_one_json_object_and_a_file_for_each_law(run, tmp_path, commands):
     page = (tmp_path / "r.html").read_text(encoding="utf-8")
     assert page.index("<h2>Verdict</h2>") < page.index("<h2>Error against chatter</h2>")
     assert "dcarc holds: e_rms" in page and "times the error of the best PID" in page
+    best = min(result["laws"], key=lambda law: result["laws"][law]["verified"]["e_rms"]["median"])
+    first = f"<h2>Verdict</h2>\n<p>{best} has the least error of the 2 laws whose gains are accepted.</p>"
+    assert first in page and "valve-control tune --controller dcarc,pid --command a.csv" in page
+    assert page.count('"name":"chosen"') == 2
+    assert lines_of(page, "worst valve") == {"#D55E00"}  # of position and voltage alike
+
+
+def test_a_law_without_feedback_is_tuned_and_reported_too(run, tmp_path, commands):
+    """The compensator has no loop, no period of its own, and margins without end."""
+    status, out, err = run(
+        "tune", "--controller", "compensator", "--alone", *commands, *SMALL, "--html", "r.html", "--json", "-"
+    )
+    assert status in (0, 1) and "Traceback" not in err, err
+    law = json.loads(out)["laws"]["compensator"]
+    assert law["margins"]["gain_db"] is None and law["verified"]["e_rms"]["median"] > 0.0
+    assert "compensator: steps" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+def lines_of(page, name):
+    """Colours of the lines ``name`` in all figures."""
+    return set(re.findall(f'"legendgroup":"{name}","line":{{"color":"(#[0-9A-F]{{6}})"', page))
 
 
 def test_what_does_not_hold_is_not_written(run, tmp_path, commands, monkeypatch):
@@ -137,6 +160,6 @@ def test_bad_input_is_one_sentence(run, tmp_path, commands, options, sentence):
         "t.yaml",
         *options,
     )
-    told = [line for line in err.splitlines() if not line.endswith(" s left")]
+    told = sentences(err)
     assert status == 2 and out == "" and len(told) == 1 and sentence in told[0], err
     assert not (tmp_path / "t.yaml").exists()

@@ -36,6 +36,23 @@ def test_triangle_stays_within_the_voltage_and_ends_at_rest(voltage, travel, rea
     assert np.max(np.abs(np.diff(commands))) <= rate * PERIOD * (1.0 + 1e-6)
 
 
+def test_a_spool_that_goes_on_after_a_turn_is_turned_earlier_the_next_time():
+    """A valve that is 0.15 s late goes on by 0.26 V after the first turn; the next ones stay within REACH."""
+    limits, late, gain = Limits(4.0, 2.0), 150, 1.1
+    course = courses.triangle(limits, 1.6, 4)
+    given, readings = [next(course)], []
+    with pytest.raises(StopIteration):
+        while True:
+            readings.append(gain * given[max(0, len(given) - 1 - late)])
+            given.append(course.send(Seen(len(given) * PERIOD, readings[-1])))
+    first = int(np.argmax(readings))
+    assert readings[first] == pytest.approx(
+        courses.REACH * limits.travel + gain * 1.6 * late * PERIOD, abs=0.01
+    )
+    turned = np.abs(readings[first + 2 * late :])
+    assert np.max(turned) == pytest.approx(courses.REACH * limits.travel, abs=0.01)
+
+
 @given(st.floats(0.1, 10.0), st.floats(-5.0, 5.0), st.lists(numbers, min_size=1, max_size=300))
 def test_sines_stay_within_the_voltage_and_become_smaller_beyond_the_reach(amplitude, offset, readings):
     limits = Limits(3.0, 1.0)

@@ -112,6 +112,11 @@ def test_the_watch_ends_it_at_the_first_wrong_message():
     watch.reading(-1.6)
     with pytest.raises(Fault, match="beyond the travel"):
         watch.reading(-1.6)
+    watch = Watch(LIMITS._replace(travel=np.inf))
+    watch.reading(np.nan)
+    watch.reading(np.nan)
+    with pytest.raises(Fault, match="not finite"):
+        watch.reading(np.nan)
     watch.diagnosis(False, "LVDT readings lost: bridged")
     with pytest.raises(Fault, match="LVDT silent"):
         watch.diagnosis(True, "LVDT silent")

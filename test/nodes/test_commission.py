@@ -6,7 +6,7 @@ import random
 import signal
 import subprocess
 import sys
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 
+from benchmarks import commissioned
 from valve_control.nodes.harness.processes import Listener, process
 from valve_control.parameters import files
 from valve_control.parameters.table import CONTROLLER
@@ -32,7 +33,7 @@ PATIENT = [
     "-p",
     f"sample_period:={PERIOD}",
     "-p",
-    "lvdt.hold_samples:=5000",
+    "lvdt.hold_samples:=1000",
     "-p",
     "lvdt.period_limit:=1000.0",
 ]
@@ -84,10 +85,15 @@ class Everything:
         self.listener.fetch()
         return self.listener.values["valve_voltage"]
 
-    def wait(self, samples):
-        """Until so many more voltages have come."""
+    def wait(self, samples, child):
+        """Until so many more voltages have come, or ``child`` has ended."""
         until = len(self.voltages) + samples
-        spin_until(self.ros, lambda: len(self.voltages) >= until, f"{samples} voltages", 120.0)
+        spin_until(
+            self.ros,
+            lambda: len(self.voltages) >= until or child.poll() is not None,
+            f"{samples} voltages",
+            120.0,
+        )
 
     def parameters(self):
         names = [p.name for p in CONTROLLER]
@@ -171,37 +177,106 @@ def test_to_its_end_and_undone(ros, tmp_path):
         assert seen.parameters() == before and seen.active()
 
 
-MOMENTS = [random.Random(11 + i).randint(500, 4000) for i in range(int(os.environ.get("MOMENTS", "4")))]
+# How, and how many samples after the parameters were kept: from the rest before the tests to the last sines.
+MOMENTS = [
+    (how, round(200.0 * 60.0 ** random.Random(393 + i).random()))
+    for i, how in enumerate(
+        (
+            "SIGINT",
+            "silent",
+            "SIGINT",
+            "not_finite",
+            "SIGTERM",
+            "SIGINT",
+            "second_publisher",
+            "SIGINT",
+            "no simulator",
+            "no controller",
+        )
+    )
+]
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("moment", MOMENTS)
-def test_stopped_at_a_random_moment(ros, tmp_path, moment):
-    """``moment``: samples after the parameters were kept. By Ctrl-C, SIGTERM, or a fault of the LVDT."""
-    how = ("SIGINT", "fault", "SIGTERM")[moment % 3]
-    with running(ros, tmp_path) as seen:
+def test_aborted_at_ten_random_moments(ros, tmp_path):
+    """By Ctrl-C, SIGTERM, faults of the LVDT, and the death of either node; all on one pair of nodes."""
+    with ExitStack() as stack:
+        simulator = stack.enter_context(process("valve_simulator", VALVE, tmp_path / "sim.log"))
+        controller = stack.enter_context(process("controller", [*BEFORE, *PATIENT], tmp_path / "c.log"))
+        seen = Everything(ros)
+        stack.callback(seen.listener.destroy_node)
+        spin_until(ros, lambda: len(seen.voltages) > 100, "voltages")
+        assert set_parameters(ros, arc__k2=88.0).successful  # which no file and no option has
         before = seen.parameters()
-        with commission(tmp_path) as child:
-            begun(seen, tmp_path, child)
-            seen.wait(moment)
-            if how == "fault":
-                assert set_parameters(ros, "valve_simulator", fault__lvdt="second_publisher").successful
-                assert set_parameters(ros, "valve_simulator", fault__valve="stuck").successful
-                assert set_parameters(ros, "valve_simulator", fault__lvdt="out_of_range").successful
-            else:
-                child.send_signal(getattr(signal, how))
-            count = len(seen.voltages)
-            status = ended(seen, child)
-        said = (tmp_path / "said.log").read_text()
-        assert status == (1 if how == "fault" else 130), said
-        assert "Traceback" not in said
-        assert not seen.active()
-        spin_until(ros, lambda: seen.voltages[-1] == 0.0, "0 V")
-        assert seen.largest() <= VOLTAGE
-        assert seen.parameters() == before, said
-        assert "all its parameters are as before" in said
-        quiet = len(seen.voltages)
-        print(f"{how} after {moment}: {quiet - count} more voltages")
+        for how, moment in MOMENTS:
+            (tmp_path / "kept" / "state.json").unlink(missing_ok=True)
+            with commission(tmp_path, *QUICK) as child:
+                begun(seen, tmp_path, child)
+                seen.wait(moment, child)
+                said = (tmp_path / "said.log").read_text()
+                assert child.poll() is None, said
+                count = len(seen.voltages)
+                if how.startswith("SIG"):
+                    child.send_signal(getattr(signal, how))
+                elif how == "no simulator":
+                    simulator.kill()
+                elif how == "no controller":
+                    controller.kill()
+                else:
+                    assert set_parameters(ros, "valve_simulator", fault__lvdt=how).successful
+                status = ended(seen, child)
+            step = said.rpartition("next: ")[2].splitlines()[0]
+            said = (tmp_path / "said.log").read_text()
+            print(f"{how} after {moment} samples ({step}): {len(seen.voltages) - count} more voltages")
+            assert status == (130 if how.startswith("SIG") else 1), said
+            assert "Traceback" not in said
+            assert seen.largest() <= VOLTAGE
+            if how == "no controller":
+                break
+            assert "the controller is inactive and gives 0 V" in said
+            assert "all its parameters are as before" in said
+            assert not seen.active()
+            spin_until(ros, lambda: seen.voltages[-1] == 0.0, "0 V")
+            assert seen.parameters() == before, said
+            if how == "no simulator":
+                simulator.wait()
+                # What was killed stays in the graph for a while, as a second LVDT.
+                spin_until(ros, lambda: ros.count_publishers("spool_position") == 0, "its end", 60.0)
+                stack.enter_context(process("valve_simulator", VALVE, tmp_path / "sim2.log"))
+            elif not how.startswith("SIG"):
+                assert set_parameters(ros, "valve_simulator", fault__lvdt="none").successful
+        assert "its parameters from before are in" in said and "--undo brings them back" in said
+        # The valve is without a voltage, and its spring has centred it: where 0 V and the offset put it.
+        seen.fetch()
+        assert np.median(seen.listener.values["spool_position"][-3:]) == pytest.approx(0.2 * 0.829, abs=0.4)
+        controller.wait()
+        stack.enter_context(process("controller", [*BEFORE, *PATIENT], tmp_path / "c2.log"))
+        with commission(tmp_path, "--undo") as child:
+            assert ended(seen, child) == 0, (tmp_path / "said.log").read_text()
+        assert seen.parameters() == before
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", [9, 11])
+def test_invented_valves(ros, tmp_path, seed):
+    """Two of the five of benchmarks.commissioned: from the paper's gains to tuned ones within three minutes.
+
+    Valve 11 is of second order. Valve 9, of third, goes on after each turn by more than a tenth of the travel
+    and resists with up to 1.8 V: it may be refused, with a sentence and the parameters from before.
+    """
+    wanted = ["--controller", "dcarc", "--max-voltage", "4", *QUICK]
+    row = commissioned.gone_through(tmp_path, seed, PERIOD, wanted, 2.0)
+    assert row["largest_voltage"] <= 4.0
+    if seed == 9 and row["status"] == 1:
+        assert row["as_before"] and row["reason"].startswith("valve-control: dcarc"), row
+        return
+    assert row["status"] == 0, row
+    assert row["as_told"] and row["largest_voltage"] <= 4.0
+    assert row["seconds"]["all"] < 180.0
+    former = row["verification"]["simulated_before"]
+    assert former is None or row["verification"]["measured"]["e_rms"] < former["e_rms"]
+    on = row["on_the_valve"]
+    assert np.prod(on["after"]) < np.prod(on["before"])
 
 
 @pytest.mark.campaign
@@ -210,7 +285,7 @@ def test_killed_it_leaves_the_valve_at_neutral_and_can_be_undone(ros, tmp_path):
         before = seen.parameters()
         with commission(tmp_path) as child:
             begun(seen, tmp_path, child)
-            seen.wait(2000)
+            seen.wait(2000, child)
             child.send_signal(signal.SIGKILL)
             ended(seen, child)
             # The controller keeps the limits, and leads to neutral by itself.

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -150,6 +150,68 @@ def test_tune_on_a_cluster_gives_the_same_bits(run, tmp_path):
         killer.cancel()
     assert there == status, err
     assert (tmp_path / "there.json").read_text() == (tmp_path / "here.json").read_text()
+
+
+# What a user types, with a word on standard error when the command has begun.
+BEGUN = (
+    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    "from valve_control import cli, interrupts; from valve_control.tuning import kept; kept.EVERY = 0.0; "
+    "interrupts.watch(); sys.exit(cli.main())"
+)
+
+
+def stopped_by_ctrl_c(arguments, cwd, parts):
+    """``tune`` that gets SIGINT when it has kept something; status and what it said."""
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    child = subprocess.Popen(
+        [sys.executable, "-c", BEGUN, "tune", *arguments],
+        cwd=cwd, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=environment, start_new_session=True,
+    )  # fmt: skip
+    try:
+        kept = cwd / "kept" / "outcomes.npz"
+
+        def enough():
+            with suppress(OSError):
+                return child.poll() is not None or kept.stat().st_size > parts
+            return child.poll() is not None
+
+        until(enough, "what is kept")
+        child.send_signal(signal.SIGINT)
+        _, err = child.communicate(timeout=LIMIT)
+    finally:
+        child.kill()
+        child.wait()
+    return child.returncode, err
+
+
+@pytest.mark.campaign
+def test_a_stopped_tune_goes_on_with_the_same_bits(run, tmp_path):
+    """Stopped on a cluster, one of whose workers is killed; once more on threads; on a cluster to its end."""
+    few = ["--controller", "pid", "--alone", "--valves", "3", "--unseen", "4", "--budget", "400"]
+    few += ["--duration", "2.0", "--max-chatter", "0.6", "--json"]
+    status, _, err = run("tune", *few, "whole.json", "--threads", "1")
+    assert status in (0, 1), err
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+    few += ["parts.json", "--folder", "kept"]
+    with processes(tmp_path) as (address, workers):
+        killer = threading.Timer(1.0, workers[0].kill)
+        killer.start()
+        left, told = stopped_by_ctrl_c([*few, "--cluster", address], tmp_path, 20_000)
+        killer.cancel()
+        assert left == 130 and "Traceback" not in told, told
+        assert "sets of gains are in kept; the same command goes on" in told
+        assert not (tmp_path / "parts.json").exists()
+        before = (tmp_path / "kept" / "outcomes.npz").stat().st_size
+        left, told = stopped_by_ctrl_c([*few, "--threads", "2"], tmp_path, before + 10_000)
+        assert left == 130 and "sets of gains were tried already" in told, told
+        another, _, err = run("tune", *few, "--seed", "2")
+        assert another == 2 and "kept holds a search that was stopped, with other parameters" in err
+        assert len([line for line in err.splitlines() if line.startswith("valve-control:")]) == 1
+        again, _, err = run("tune", *few, "--cluster", address)
+    assert again == status and "sets of gains were tried already" in err, err
+    assert (tmp_path / "parts.json").read_bytes() == (tmp_path / "whole.json").read_bytes()
+    assert not (tmp_path / "kept").exists()
 
 
 @pytest.mark.parametrize("command", ["study", "tune"])

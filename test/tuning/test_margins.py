@@ -50,15 +50,23 @@ def radius(law, params, plants):
     return np.abs(linear_loop.dominant_poles(linear, linear_loop.linear_valves(plants)))
 
 
+def test_every_law_that_feeds_back_is_a_case():
+    assert {name for name, law in LAWS.items() if law.feedback} == {name for name, _ in CASES.values()}
+
+
+@pytest.mark.parametrize("late", [(1.0, 0.0), (1.2, 0.0004)], ids=["nominal", "late"])
 @pytest.mark.parametrize("case", CASES)
-def test_told_margins_are_those_at_which_the_loop_breaks(case):
+def test_told_margins_are_those_at_which_the_loop_breaks(case, late):
     """Gain and dead time of the whole simulated valve are turned up until it does not come to rest."""
     law, params = law_of(*CASES[case])
-    found = told(law, params)
-    factor, delay = 10.0 ** (found.gain_db[0] / 20.0), found.delay_s[0]
+    gain, begin = late
+    found = told(law, params, plant(gain, begin))
+    factor, delay = gain * 10.0 ** (found.gain_db[0] / 20.0), found.delay_s[0]
     shares = np.arange(0.8, 1.21, 0.02)
     command = np.where(np.arange(12000) < 100, 0.0, 0.01)
-    for plants in ([plant(gain=factor * s) for s in shares], [plant(delay=delay * s) for s in shares]):
+    louder = [plant(factor * s, begin) for s in shares]
+    later = [plant(gain, begin + delay * s) for s in shares]
+    for plants in (louder, later):
         made = batch.Batch(law.name, params, batch.records(plants), np.ones(len(shares), int), command)
         rings = ~(batch.simulate(made).e_F < 0.5 * command[-1])
         first = int(np.argmax(rings))

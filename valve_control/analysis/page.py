@@ -46,7 +46,10 @@ def figure(
     marks: Sequence[float] = (),
     bands: Sequence[Band] = (),
 ) -> str:
-    """Plots below each other with one horizontal axis, as HTML; ``marks`` are times of vertical lines."""
+    """Plots below each other with one horizontal axis, as HTML; ``marks`` are times of vertical lines.
+
+    A line of one point is a ring.
+    """
     import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
@@ -58,10 +61,11 @@ def figure(
             style: dict[str, Any] = {"width": 1.2, "color": line.colour or COLOURS[i % len(COLOURS)]}
             if line.dashed:
                 style["dash"] = "dash"
+            ring = {"size": 14, "symbol": "circle-open", "line": {"width": 2.5}, "color": style["color"]}
             result.add_trace(
                 go.Scatter(
                     x=x, y=y.astype(np.float32), name=line.label, line=style, legendgroup=line.label,
-                    showlegend=line.label not in named,
+                    showlegend=line.label not in named, marker=ring if len(x) == 1 else None,
                 ),
                 row=row,
                 col=1,
@@ -101,8 +105,13 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     return f'<div class="scroll"><table><tr>{cells}</tr>{body}</table></div>'
 
 
-def notes(texts: Sequence[str]) -> str:
+def paragraphs(texts: Sequence[str]) -> str:
     """Sentences as HTML, one below the other."""
+    return "".join(f"<p>{html.escape(text)}</p>" for text in texts)
+
+
+def notes(texts: Sequence[str]) -> str:
+    """Sentences that are to be noticed as HTML, one below the other."""
     return "".join(f'<p class="note">{html.escape(text)}</p>' for text in texts)
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from valve_control.simulation.cluster import Cluster
 
 MOST_PER_CORE = 4  # processes or threads
+SOON, EVERY = 2.0, 5.0  # s  to the first line of progress, and from one to the next
 
 
 class Parser(argparse.ArgumentParser):
@@ -85,21 +86,21 @@ def workers(arguments: argparse.Namespace) -> Iterator["Cluster | None"]:
 
 
 class Progress:
-    """Prints a line of progress on standard error every few seconds, with the time left."""
+    """Prints a line of progress on standard error after SOON, then every EVERY, with the time left."""
 
     def __init__(self, total: int, things: str) -> None:
         self._total = total
         self._things = things
         self._first = -1
-        self._began = self._said = 0.0
+        self._began = self._next = 0.0
 
     def __call__(self, done: int, more: str = "") -> None:
         """Report that ``done`` are done, and print ``more``; what was done at the first call took no time."""
         now = time.monotonic()
         if self._first < 0:
-            self._first, self._began, self._said = done, now, now
-        elif now - self._said >= 5.0 and self._first < done < self._total:
-            self._said = now
+            self._first, self._began, self._next = done, now, now + SOON
+        elif now >= self._next and self._first < done < self._total:
+            self._next = now + EVERY
             left = (now - self._began) * (self._total - done) / (done - self._first)
             print(f"{done} of {self._total} {self._things}{more}, {left:.0f} s left", file=sys.stderr)
 

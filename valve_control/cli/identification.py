@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control.bags.errors import BagError
 from valve_control.cli import compensator
-from valve_control.cli.common import check_outputs, say, tell_notes
+from valve_control.cli.common import Progress, check_outputs, say, tell_notes
 from valve_control.cli.simulate import SCENARIOS, setup_options
 from valve_control.identification import WEIGHTINGS
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
@@ -118,7 +118,11 @@ def _identify(arguments: argparse.Namespace) -> int:
         band = (low, high)
     if arguments.friction is not None:
         _check_friction(arguments)
+    rounds = 1 if arguments.friction is None else 1 + FRICTION_ROUNDS
+    progress = Progress(1 + rounds, "steps of the identification")
+    progress(0)
     tested = _recorded(arguments) if arguments.bag is not None else _simulated(arguments)
+    progress(1)
     triangle = None if arguments.friction is None else _triangle(arguments)
     if triangle is not None and triangle.period != tested.period:
         raise ParameterError(
@@ -127,12 +131,14 @@ def _identify(arguments: argparse.Namespace) -> int:
         )
     measured = experiment.estimate(tested, arguments.settle, band)
     found = _found(arguments, tested, measured)
+    progress(2)
     if triangle is not None:
-        for _ in range(FRICTION_ROUNDS):
+        for done in range(FRICTION_ROUNDS):
             rubbing = friction.friction(triangle, friction.lag_of(found.best.model, found.best.delay))
             slipping = friction.without(tested, rubbing) if tested.segments else tested
             measured = experiment.estimate(slipping, arguments.settle, band)
             found = _found(arguments, tested, measured, rubbing)
+            progress(3 + done)
     wanted: list[tuple[str | None, Callable[[], str | bytes]]] = [
         (arguments.output, lambda: result.yaml_text(found)),
         (arguments.csv, lambda: result.csv_text(measured)),

@@ -5,6 +5,8 @@ import math
 import os
 import shlex
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,7 +28,10 @@ if TYPE_CHECKING:
     from valve_control.analysis.indices import Indices
     from valve_control.commissioning.recorded import Found
     from valve_control.recordings.recording import Aligned, Valve
+    from valve_control.simulation.cluster import Cluster
     from valve_control.simulation.robustness import Quantity
+    from valve_control.tuning.kept import Kept
+    from valve_control.tuning.search import Told
     from valve_control.tuning.trial import Limits, Motion, Problem
     from valve_control.tuning.tuner import Aim, Tuned
 
@@ -96,6 +101,9 @@ def add_commands(commands: Any) -> None:
     group.add_argument("--alone", action="store_true", help="no PID beside the laws that are asked for")
     group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
     cluster_option(group)
+    group.add_argument(
+        "--folder", help="where a search that is stopped is kept, to go on (out/tune-…, one for each request)"
+    )
     output = tune.add_argument_group("what comes out")
     output.add_argument(
         "--output", metavar="FILE", help="ROS 2 parameter file; of several laws NAME_LAW.yaml each"
@@ -107,6 +115,7 @@ def add_commands(commands: Any) -> None:
 
 def _tune(arguments: argparse.Namespace) -> int:
     from valve_control.laws.registry import LAWS
+    from valve_control.simulation.cluster import ClusterError
     from valve_control.tuning import tuner
 
     _check(arguments)
@@ -125,26 +134,25 @@ def _tune(arguments: argparse.Namespace) -> int:
     asked = laws if PID in laws or arguments.alone else [*laws, PID]
     problem, unseen = _problems(arguments, settings, files, asked, recorded)
     counts = [len(tuner.variants(LAWS[name], problem.values)) for name in asked]
-    progress = Progress(arguments.budget * sum(counts), "sets of gains")
-    progress(0)
     seed, aim = arguments.seed or 1, _aim(arguments)
     found: dict[str, Tuned] = {}
     missing: dict[str, str] = {}
-    before = 0
-    with workers(arguments) as cluster:
-        where = cluster or arguments.threads
+    total = arguments.budget * sum(counts)
+    with (
+        workers(arguments) as cluster,
+        _stoppable(arguments, problem, unseen, asked, cluster, total) as search,
+    ):
         for name, count in zip(asked, counts, strict=True):
-            told = lambda done, name=name, before=before: progress(before + done, f" ({name})")  # noqa: E731
             try:
                 found[name] = tuner.tuned(
-                    LAWS[name], problem, unseen, aim, arguments.budget, seed, told, where
+                    LAWS[name], problem, unseen, aim, arguments.budget, seed, search.of(name), search.kept
                 )
             except ParameterError as error:
-                if len(laws) == 1 and name in laws:
+                if isinstance(error, ClusterError) or (len(laws) == 1 and name in laws):
                     raise
                 missing[name] = str(error)
                 print(error, file=sys.stderr)
-            before += count * arguments.budget
+            search.over(count * arguments.budget)
     written = {name: path for name, path in paths.items() if name in found and found[name].chosen.holds}
     result = _result(found, missing, laws, written)
     if recorded is not None:
@@ -162,10 +170,101 @@ def _tune(arguments: argparse.Namespace) -> int:
     if arguments.html is not None:
         from valve_control.tuning import report
 
-        outputs.write(arguments.html, report.page(unseen, aim, found, missing, laws, written))
+        outputs.write(
+            arguments.html, report.page(unseen, aim, found, missing, laws, written, _typed(arguments))
+        )
         say(arguments, f"wrote {arguments.html}")
     write_json(arguments, result)
+    search.kept.forget()
     return 0 if all(name in found and found[name].chosen.holds for name in laws) else FAILED
+
+
+class _Search:
+    """A search that can be stopped, and what it tells meanwhile."""
+
+    def __init__(self, kept: "Kept", total: int) -> None:
+        self.kept = kept
+        self.done = 0  # sets of gains
+        self._before = 0  # of the laws that are over
+        self._total = total
+        self._progress = Progress(total, "sets of gains")
+        self._going_on = bool(kept.found)
+        if not kept.found:
+            self._progress(0)
+
+    def of(self, law: str) -> "Told":
+        """What the search of ``law`` tells its sets of gains to."""
+
+        def told(done: int) -> None:
+            self.done = self._before + done
+            if self.kept.known:
+                return
+            if self._going_on:
+                print(f"{self.done} of {self._total} sets of gains were tried already", file=sys.stderr)
+            self._going_on = False
+            self._progress(self.done, f" ({law})")
+
+        return told
+
+    def over(self, count: int) -> None:
+        """The ``count`` sets of gains of a law are over."""
+        self._before += count
+
+
+@contextmanager
+def _stoppable(
+    arguments: argparse.Namespace,
+    problem: "Problem",
+    unseen: "Problem",
+    asked: list[str],
+    cluster: "Cluster | None",
+    total: int,
+) -> Iterator[_Search]:
+    """The search that the options ask for, which goes on where it was if it was stopped before.
+
+    Raises ParameterError for a folder that has another one.
+    """
+    from importlib.metadata import version
+
+    from valve_control.compiling import sources_digest
+    from valve_control.simulation.cluster import ClusterError
+    from valve_control.tuning.kept import Kept, digest
+
+    aim = _aim(arguments)
+    request = {
+        "laws": asked,
+        "budget": arguments.budget,
+        "seed": arguments.seed or 1,
+        "max_chatter": aim.chatter,
+        "max_error": aim.error,
+        "seen": digest(problem),
+        "unseen": digest(unseen),
+        "sources": sources_digest(),
+        "packages": {name: version(name) for name in ("numpy", "scipy", "numba", "cma")},
+    }
+    usual = Path("out", f"tune-{'-'.join(asked)}-{digest(request)[:8]}")
+    folder = usual if arguments.folder is None else Path(arguments.folder)
+    there = next((path for path in (folder, *folder.parents) if path.exists()), Path())
+    writable = there.is_dir() and os.access(there, os.W_OK)
+    if not writable and arguments.folder is not None:
+        raise ParameterError(f"--folder {folder} cannot be written: {there} is no folder, or read-only")
+    if not writable:
+        print(f"note: {there} cannot be written, so a search that is stopped is lost", file=sys.stderr)
+    kept = Kept(folder if writable else None, request, cluster or arguments.threads)
+    search = _Search(kept, total)
+    try:
+        yield search
+    except (KeyboardInterrupt, ClusterError):
+        if search.done and writable:
+            kept.write()
+            print(
+                f"stopped; {search.done} of {total} sets of gains are in {folder}; the same command goes on",
+                file=sys.stderr,
+            )
+        raise
+    except ParameterError:
+        kept.forget()
+        raise
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -442,13 +541,17 @@ def _print_recording(about: dict[str, Any]) -> None:
         print(f"  {name:28} {errors}   c_u {row['c_u']:.3f}")
 
 
+def _typed(arguments: argparse.Namespace) -> str:
+    return "valve-control " + shlex.join(arguments.line)
+
+
 def _save(path: str, name: str, values: Values, one: "Tuned", arguments: argparse.Namespace) -> None:
     from valve_control.parameters import files
     from valve_control.tuning import tuner, verification
 
     reached = verification.as_dict(one.chosen.verified)
     about = [
-        "valve-control " + shlex.join(arguments.line),
+        _typed(arguments),
         f"On {reached['valves']} valves that the search did not see: e_rms "
         f"{reached['e_rms']['median']:.4g} V (median), {reached['e_rms']['p95']:.4g} V (95 %), "
         f"c_u {reached['c_u']:.3f}.",

@@ -14,6 +14,7 @@ from valve_control.commissioning.bench import Course, Limits
 
 Floats = npt.NDArray[np.float64]
 REACH = 0.8  # of the travel, at which a course turns round
+CLOSE = 0.9  # of the travel, that a spool may go on to after a turn
 LOWER = 0.9  # factor by which a sine is made smaller where the reading reaches that
 CALM = 0.05  # s  between two such factors, so that the spool can follow
 LATE = 0.005  # s  of a ramp that are made good after a pause of this process
@@ -29,16 +30,20 @@ def rest(duration: float) -> Course:
 def triangle(limits: Limits, rate: float, turns: int) -> Course:
     """Voltage that rises and falls at ``rate`` [V/s], with ``turns`` turns, and ends at 0 V.
 
-    It turns where the voltage reaches its limit, or the reading REACH of the travel.
+    It turns where the voltage reaches its limit, or the reading REACH of the travel. Where the spool goes on
+    after a turn to CLOSE of the travel, it turns earlier the next time, by as much as the spool went on.
     """
     value, direction, last = 0.0, 1.0, 0.0
-    left = turns
+    left, turned, beyond = turns, math.inf, 0.0
     seen = yield 0.0
     while left > 0:
         value += direction * rate * min(LATE, seen.time - last)
         last = seen.time
-        if direction * value >= limits.voltage or direction * seen.reading >= REACH * limits.travel:
+        if -direction * seen.reading > CLOSE * limits.travel:
+            beyond = max(beyond, -direction * seen.reading - turned)
+        if direction * value >= limits.voltage or direction * seen.reading >= REACH * limits.travel - beyond:
             value = max(-limits.voltage, min(limits.voltage, value))
+            turned = max(0.0, direction * seen.reading)
             direction = -direction
             left -= 1
         seen = yield value

@@ -15,6 +15,8 @@ from valve_control.identification.bode import held_response
 from valve_control.identification.lvdt import Lvdt
 from valve_control.identification.response import Response
 from valve_control.parameter import ParameterError, Values
+from valve_control.parameters.table import CONTROLLER
+from valve_control.plant.models import TransferFunction
 from valve_control.simulation.robustness import Quantity
 from valve_control.tuning.trial import Motion
 
@@ -40,8 +42,11 @@ LONG = 1.5  # s  least length of the sine
 class Known:
     """What the controller gets to know of the valve."""
 
-    def __init__(self, found: Plant, rest: Rest, period: float, u_max: float) -> None:
-        """Fit the models of the laws to ``found``. Raises ParameterError."""
+    def __init__(self, found: Plant, rest: Rest, period: float, u_max: float, law: str) -> None:
+        """Fit the models of the laws to ``found``, and see that ``law`` can take its own.
+
+        Raises ParameterError.
+        """
         frequency = np.geomspace(LOWEST, min(HIGHEST, FASTEST / period), FREQUENCIES)
         value = held_response(found.model, frequency, period, found.delay)
         exact = Response(
@@ -52,16 +57,26 @@ class Known:
         self.second = rational.fit(exact, 2, weighting="relative")
         best = rational.fit(exact, order, zeros, late, "relative") if order > 2 else self.second
         self.theta = theta.suggest(exact, self.second, best, u_max)
-        gains = first_gains.first(
-            first_gains.Valve(
-                found.model,
-                found.delay if late else 0.0,
-                self.theta,
-                Lvdt(rest.noise, rest.resolution),
-                period,
-                u_max,
-            )
-        )
+
+        def first(model: TransferFunction, delay: float) -> first_gains.Gains:
+            lvdt = Lvdt(rest.noise, rest.resolution)
+            return first_gains.first(first_gains.Valve(model, delay, self.theta, lvdt, period, u_max))
+
+        gains = first(found.model, found.delay if late else 0.0)
+        own = f"{law}.denominator"
+        if own in (p.name for p in CONTROLLER) and own not in gains.values:
+            # Zeros far away, as of a third-order valve fitted by a fourth order, need not be invertible.
+            for lower in range(order - 1, 1, -1):
+                simpler = rational.fit(exact, lower, delayed=True, weighting="relative")
+                again = first(simpler.model, simpler.delay)
+                if own in again.values:
+                    note = (
+                        f"{law} gets a model of order {lower}: the zeros of order {order} cannot be inverted"
+                    )
+                    gains = again._replace(notes=(note, *again.notes))
+                    break
+            else:
+                raise ParameterError(next(note for note in gains.notes if note.startswith(f"{law}'s")))
         self.gains, self.notes = gains.values, gains.notes
 
 

@@ -207,7 +207,7 @@ def run(bench: Bench, plan: Plan, before: Values, confirm: Confirm, progress: Pr
     response, fits, friction = _linear(sine, planned, static, rest)
     found = plant.fitted([slow, sine], fits, friction, static.offset, rest)
     bench.watch(limits)
-    known = model.Known(found, rest, period, number(before, "u_max"))
+    known = model.Known(found, rest, period, number(before, "u_max"), plan.law)
     progress("model", 1.0, 1.0)
     seconds["model"] = time.monotonic() - began
     ask(f"{plan.budget} sets of gains of {plan.law} are tried in simulation; the valve stays at 0 V")

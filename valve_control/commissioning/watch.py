@@ -24,9 +24,12 @@ class Watch:
 
     def reading(self, value: float) -> None:
         """Take in one reading [V]."""
-        self._beyond = self._beyond + 1 if abs(value) > self._limits.travel else 0
-        if self._beyond >= BEYOND:
-            raise Fault(f"the reading is {value:.3g} V, beyond the travel of ±{self._limits.travel:g} V")
+        self._beyond = self._beyond + 1 if not abs(value) <= self._limits.travel else 0
+        if self._beyond < BEYOND:
+            return
+        if not math.isfinite(value):
+            raise Fault("the readings are not finite")
+        raise Fault(f"the reading is {value:.3g} V, beyond the travel of ±{self._limits.travel:g} V")
 
     def voltage(self, value: float) -> None:
         """Take in one voltage [V]."""

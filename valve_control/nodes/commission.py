@@ -92,7 +92,8 @@ class Controller:
             self._executor.spin_once(timeout_sec=0.05)
             came += self._taken(self._readings)
         # What was killed stays in the graph for a while.
-        for topic, own in (("spool_command", 1), ("spool_trajectory", 0), ("valve_voltage", 1)):
+        alone = {"spool_command": 1, "spool_trajectory": 0, "spool_position": 1, "valve_voltage": 1}
+        for topic, own in alone.items():
             while self._count(topic) > own:
                 if time.monotonic() > end + MEET:
                     raise Fault(f"somebody else publishes on {self._topics[topic]}; end that first")

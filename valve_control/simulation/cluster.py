@@ -20,6 +20,10 @@ ALONE = 15.0  # s  without a worker, after which a part is done here
 LOOK = 0.2  # s
 
 
+class ClusterError(ParameterError):
+    """The cluster cannot go on: what it was to do is not done."""
+
+
 class Cluster:
     """A scheduler with its workers."""
 
@@ -32,7 +36,7 @@ class Cluster:
 
     @property
     def slots(self) -> int:
-        """Parts that the workers can do at once, at least 1. Raises ParameterError if it is lost."""
+        """Parts that the workers can do at once, at least 1. Raises ClusterError if it is lost."""
         return max(1, self._threads())
 
     def _threads(self) -> int:
@@ -41,15 +45,15 @@ class Cluster:
         except OSError as error:
             raise self._gone() from error
 
-    def _gone(self) -> ParameterError:
-        return ParameterError(f"the cluster {self._address} is lost")
+    def _gone(self) -> ClusterError:
+        return ClusterError(f"the cluster {self._address} is lost")
 
     def completed(
         self, function: Callable[..., T], parts: Sequence[tuple[Any, ...]]
     ) -> Iterator[tuple[int, T]]:
         """Number and result of each of ``parts``, the arguments of ``function``, as they become ready.
 
-        Raises ParameterError if the scheduler is lost, and what ``function`` raises.
+        Raises ClusterError if the scheduler is lost, and what ``function`` raises.
         """
         from distributed.client import FutureCancelledError
         from distributed.scheduler import KilledWorker
@@ -94,9 +98,9 @@ class Cluster:
 
 
 def _same_sources(digest: str, function: Callable[..., T], part: tuple[Any, ...]) -> T:
-    """Result of ``function`` on a worker. Raises ParameterError if the worker has another package."""
+    """Result of ``function`` on a worker. Raises ClusterError if the worker has another package."""
     if sources_digest() != digest:
-        raise ParameterError(
+        raise ClusterError(
             "a worker of the cluster has another version of this package; install this one there"
         )
     return function(*part)

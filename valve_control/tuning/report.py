@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.analysis import page as pages
-from valve_control.analysis.figures import Line, Plot
+from valve_control.analysis.figures import COLOURS, Line, Plot
 from valve_control.laws.registry import LAWS
-from valve_control.parameter import updated
+from valve_control.parameter import number, updated
 from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
 from valve_control.simulation import batch
@@ -29,20 +29,26 @@ def page(
     missing: Mapping[str, str],
     laws: Sequence[str],
     written: Mapping[str, str],
+    command: str,
 ) -> str:
-    """The report as one page; ``laws``: those that were asked for, ``written``: their files."""
+    """The report as one page.
+
+    ``laws``: those that were asked for; ``written``: their files; ``command``: what was typed.
+    """
     sections = {"Verdict": _verdict(aim, found, missing, laws, written)}
     if found:
         sections["Error against chatter"] = (
             "<p>Each line is the best that was found of one law in the search: error of the true position "
             "(geometric mean over the commands of that of median and 95th percentile over the valves) "
-            "against mean chatter c_u. Lower left is better.</p>" + _fronts(found)
+            "against mean chatter c_u. Lower left is better; a ring is the point that was chosen.</p>"
+            + _fronts(found)
         )
         sections["On valves that the search did not see"] = _reached(found)
         sections["Margins in the box"] = _margins(unseen, found)
         sections["Valves in the order of their error"] = _distribution(found)
         sections["Step and sine on a typical valve and on the worst one"] = _responses(unseen, found)
         sections["Parameters"] = _parameters(found)
+    sections["How it was made"] = _made(unseen, found, command)
     return pages.page("Tuning", sections)
 
 
@@ -58,39 +64,74 @@ def _verdict(
         wanted = f"the least error at c_u of at most {aim.chatter:g}"
     elif aim.error is not None:
         wanted = f"the least chatter at an error of at most {aim.error:g} V"
-    sentences = [f"Wanted was {wanted}, with the margins below on every valve of the box."]
-    best: dict[str, float] = {}
-    for name, one in found.items():
-        reached = verification.as_dict(one.chosen.verified)
-        middle = reached["e_rms"]["median"]
-        if one.chosen.holds:
-            best[name] = middle
-            where = f", written to {written[name]}" if name in written else ""
-            beside = "" if name in laws else " (beside the laws that were asked for)"
-            sentences.append(
-                f"{name}{beside} holds: e_rms {1e3 * middle:.1f} mV in the median of {reached['valves']} "
-                f"valves that the search did not see, {1e3 * reached['e_rms']['p95']:.1f} mV at their 95th "
-                f"percentile, c_u {reached['c_u']:.3f}{where}."
-            )
-        else:
-            sentences.append(f"{name} is not accepted: {'; '.join(one.chosen.verified.reasons)}.")
-    sentences += [f"{text}." for text in missing.values()]
+    reached = {name: verification.as_dict(one.chosen.verified) for name, one in found.items()}
+    best = {name: reached[name]["e_rms"]["median"] for name, one in found.items() if one.chosen.holds}
+    asked = [name for name in laws if name in best]
+    if not asked:
+        sentences = [f"No gains are accepted, neither for {' nor for '.join(laws)}."]
+        if len(laws) == 1:
+            sentences = [f"No gains of {laws[0]} are accepted."]
+    elif len(laws) == 1:
+        sentences = [f"The gains of {laws[0]} are accepted."]
+    else:
+        first = min(asked, key=lambda name: best[name])
+        sentences = [f"{first} has the least error of the {len(asked)} laws whose gains are accepted."]
     if "pid" in best and len(best) > 1:
         other = min((name for name in best if name != "pid"), key=lambda name: best[name])
         sentences.append(
             f"{other} has {best[other] / best['pid']:.2f} times the error of the best PID, for which the "
-            "same number of gains was tried in each of its forms."
+            f"same number of gains was tried in each of its forms, at {_ratio(reached, other)} times its "
+            "chatter."
         )
-    return pages.notes(sentences)
+    sentences.append(f"Wanted was {wanted}, with the margins below on every valve of the box.")
+    bad = []
+    for name, one in found.items():
+        r = reached[name]
+        if one.chosen.holds:
+            where = f", written to {written[name]}" if name in written else ""
+            beside = "" if name in laws else " (beside the laws that were asked for)"
+            sentences.append(
+                f"{name}{beside} holds: e_rms {1e3 * best[name]:.1f} mV in the median of {r['valves']} "
+                f"valves that the search did not see, {1e3 * r['e_rms']['p95']:.1f} mV at their 95th "
+                f"percentile, c_u {r['c_u']:.3f}{where}."
+            )
+        else:
+            bad.append(f"{name} is not accepted: {'; '.join(one.chosen.verified.reasons)}.")
+    return pages.paragraphs(sentences) + pages.notes([*bad, *(f"{text}." for text in missing.values())])
+
+
+def _ratio(reached: Mapping[str, Mapping[str, Any]], name: str) -> str:
+    return f"{reached[name]['c_u'] / reached['pid']['c_u']:.2f}"
+
+
+def _made(unseen: Problem, found: Mapping[str, Tuned], command: str) -> str:
+    tried = ", ".join(f"{one.tried} sets of gains of {name}" for name, one in found.items())
+    commands = ", ".join(motion.name for motion in unseen.motions)
+    return pages.paragraphs(
+        [
+            f"Tried were {tried or 'sets of gains of which none can be used'}.",
+            f"The commands were {commands}; the valves that the search did not see had other noise, and "
+            "these commands also turned over and a tenth slower.",
+            f"The command line was: {command}",
+        ]
+    )
 
 
 def _fronts(found: Mapping[str, Tuned]) -> str:
-    lines = []
+    lines: list[Line] = []
     for name, one in found.items():
         chatter = np.array([point.chatter for _, point in one.front])
         error = 1e3 * np.array([point.error for _, point in one.front])
-        lines.append(Line(name, chatter, error))
+        lines.append(Line(name, chatter, error, _colour(len(lines))))
+    for i, one in enumerate(found.values()):
+        point = one.chosen.point
+        there = np.array([point.chatter]), np.array([1e3 * point.error])
+        lines.append(Line("chosen", *there, _colour(i)))
     return pages.figure([Plot("error [mV]", lines, logarithmic=True)], "c_u", logarithmic_x=True, height=420)
+
+
+def _colour(number: int) -> str:
+    return COLOURS[number % len(COLOURS)]
 
 
 def _mV(value: float | None) -> str:
@@ -116,11 +157,11 @@ def _reached(found: Mapping[str, Tuned]) -> str:
     head = [
         "law",
         "e_rms [mV]",
-        "95 %",
+        "95 % [mV]",
         "e_M, 95 % [mV]",
         "c_u",
         "saturated",
-        "other commands",
+        "other commands [mV]",
         "limit cycles",
     ]
     return pages.table(head, rows)
@@ -130,7 +171,7 @@ def _margins(unseen: Problem, found: Mapping[str, Tuned]) -> str:
     limits = unseen.limits
 
     def text(value: float | None, scale: float = 1.0) -> str:
-        return "without end" if value is None else f"{scale * value:.3g}"
+        return "without end" if value is None else f"{scale * value + 0.0:.3g}"
 
     rows = [
         [
@@ -195,8 +236,8 @@ def _responses(unseen: Problem, found: Mapping[str, Tuned]) -> str:
         shown = {"typical valve": int(order[len(order) // 2]), "worst valve": int(order[-1])}
         problem = unseen._replace(values=updated(CONTROLLER, unseen.values, one.chosen.variant))
         values = trial.values_with(problem, one.chosen.point.gains)
-        params = law.build(values)
-        for motion in _shown_motions(params.period):
+        params, period = law.build(values), number(values, "sample_period")
+        for motion in _shown_motions(period):
             sender = problem._replace(preview=problem.preview and motion.name != verification.STEPS_NAME)
             led = trial.given(law, params, values, one.chosen.point.gains, sender, motion.wanted)
             plants: list[valve.Params] = [unseen.plants[i] for i in shown.values()]
@@ -205,10 +246,12 @@ def _responses(unseen: Problem, found: Mapping[str, Tuned]) -> str:
             batch.simulate(
                 batch.Batch(name, params, batch.records(plants), seeds, motion.wanted, led=led), 1, traces
             )
-            times = np.arange(len(led)) * params.period
+            times: Array = np.arange(len(led), dtype=np.float64) * period
             positions = [Line("wanted", times, motion.wanted, "#888888", True)]
-            positions += [Line(text, times, trace[:, 0]) for text, trace in zip(shown, traces, strict=True)]
-            voltages = [Line(text, times, trace[:, 2]) for text, trace in zip(shown, traces, strict=True)]
+            voltages = []
+            for i, (text, trace) in enumerate(zip(shown, traces, strict=True)):
+                positions.append(Line(text, times, trace[:, 0], _colour(i)))
+                voltages.append(Line(text, times, trace[:, 2], _colour(i)))
             plots = [Plot("position [V]", positions), Plot("voltage [V]", voltages)]
             made += f"<p>{name}: {motion.name}</p>" + pages.figure(plots, "time [s]")
     return made

@@ -18,9 +18,10 @@ from valve_control.plant import valve
 from valve_control.simulation import batch, comparison
 from valve_control.simulation.cluster import Cluster
 from valve_control.tuning import margins
+from valve_control.tuning.kept import Kept, digest
 
 Array = npt.NDArray[np.float64]
-Workers = int | Cluster | None  # threads here (None: all cores), or a cluster
+Workers = int | Cluster | Kept | None  # threads here (None: all cores), a cluster, or what was done before
 AHEAD = Free("preview", 0.0, 0.03, logarithmic=False)  # s  by which a known motion is sent ahead, unreshaped
 TAIL = 95  # %
 
@@ -144,11 +145,18 @@ def given(law: Law, params: Any, values: Values, gains: Gains, problem: Problem,
 
 def threads_of(workers: Workers) -> int | None:
     """Threads for what is done here."""
+    if isinstance(workers, Kept):
+        return threads_of(workers.workers)
     return None if isinstance(workers, Cluster) else workers
 
 
 def run(law: Law, problem: Problem, several: Sequence[Gains], workers: Workers = None) -> list[Outcome]:
-    """As ``run_here``, on the workers of a cluster if ``workers`` is one."""
+    """As ``run_here``, on the workers of a cluster or from what is kept if ``workers`` are that."""
+    if isinstance(workers, Kept):
+        key = digest((law.name, problem.values, problem.seed, len(problem.plants), several))
+        there = workers.workers
+        kept = workers.outcomes(key, lambda: np.array(run(law, problem, several, there)))
+        return [Outcome(*rows) for rows in kept]
     if not isinstance(workers, Cluster) or len(several) == 1:
         return run_here(law, problem, several, threads_of(workers))
     each = -(-len(several) // workers.slots)

@@ -70,7 +70,7 @@ def cycling(
     """
     values = trial.values_with(problem, gains)
     params = law.build(values)
-    period, least = params.period, number(values, "oscillation_limit")
+    period, least = number(values, "sample_period"), number(values, "oscillation_limit")
     bare = problem._replace(preview=False)  # nobody sends the derivatives of a step
     held = round(HELD / period)
     tried = [(steps(period), bare)]

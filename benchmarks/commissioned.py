@@ -1,0 +1,241 @@
+"""``python -m benchmarks.commissioned``: ``commission`` over DDS on five invented valves, from paper gains.
+
+Simulator, controller and ``valve-control commission`` are processes of their own. The controller begins
+with the defaults (the paper's ARC); what comes out is a tuned law, or a sentence and the parameters from
+before. Every voltage from the first limit on is looked at. Beside the verification run on the running valve,
+strokes and sines of another size are simulated on the true one, with the gains from before and the new ones.
+"""
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.srv import GetParameters
+from rclpy.parameter import parameter_value_to_python
+from rclpy.signals import SignalHandlerOptions
+
+from benchmarks.invented import invented, motions
+from valve_control import outputs
+from valve_control.nodes.adapter import EVERYTHING
+from valve_control.nodes.harness.processes import Listener, process, wait_until
+from valve_control.nodes.transport import RANGE, use_own_profile
+from valve_control.parameter import Values, defaults, updated
+from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER, NODES
+from valve_control.simulation import offline
+
+# Second, third and fourth order; slow with much friction, fast with little; much and little noise.
+SEEDS = (4, 8, 9, 11, 12)
+LEAST = 100  # voltages, after which the loop runs
+LONGEST = 400.0  # s  after which a commissioning counts as hung
+ANSWER = 20.0  # s
+SWING = 20.0  # V  the largest motion that can be believed, as a sine of the valve's bandwidth
+SIZE = 0.5  # of the motions of benchmarks.invented, which are larger than what the limits let a valve follow
+WANTED_SECONDS = 180.0
+# The simulated valve waits for its voltage, and the controller for readings: a busy machine is no dead time.
+PATIENT_VALVE = {"patience": 1.0}
+PATIENT = {"lvdt.hold_samples": 5000, "lvdt.period_limit": 1000.0, "lvdt.frozen_samples": 0}
+
+
+def arguments_of(values: Mapping[str, Any]) -> list[str]:
+    """``values`` as arguments of a node."""
+    return [word for name, value in values.items() for word in ("-p", f"{name}:={build.as_text(value)}")]
+
+
+class Seen(Listener):
+    """Every voltage and reading, the limits of the voltage, and the parameters of the controller."""
+
+    def __init__(self) -> None:
+        super().__init__("seen", ("valve_voltage", "spool_position"))
+        self.limits: list[tuple[int, float]] = []  # times [ns] and values [V] of u_max
+        self.create_subscription(ParameterEvent, "/parameter_events", self._note, EVERYTHING)
+        self._got = self.create_client(GetParameters, "/controller/get_parameters")
+
+    def _note(self, event: ParameterEvent) -> None:
+        stamp = event.stamp.sec * 10**9 + event.stamp.nanosec
+        self.limits += [
+            (stamp, changed.value.double_value)
+            for changed in event.changed_parameters
+            if event.node == "/controller" and changed.name == "u_max"
+        ]
+
+    def look(self) -> bool:
+        """Take what has come."""
+        rclpy.spin_once(self, timeout_sec=0.01)
+        self.fetch()
+        return True
+
+    def parameters(self) -> Values:
+        """All parameters of the controller."""
+        names = [parameter.name for parameter in CONTROLLER]
+        wait_until(lambda: self.look() and self._got.service_is_ready(), "the controller's services", ())
+        future = self._got.call_async(GetParameters.Request(names=names))
+        wait_until(lambda: self.look() and future.done(), "the parameters", (), ANSWER)
+        return {
+            name: value if isinstance(value, (bool, int, float, str)) else list(value)
+            for name, value in zip(names, map(parameter_value_to_python, future.result().values), strict=True)
+        }
+
+    def largest(self) -> float:
+        """The largest voltage [V] while the first limit was in force."""
+        if not self.limits:
+            return math.nan
+        stamps = np.array(self.stamps["valve_voltage"])
+        until = self.limits[1][0] if len(self.limits) > 1 else np.inf
+        during = (stamps > self.limits[0][0]) & (stamps < until)
+        return float(np.max(np.abs(np.array(self.values["valve_voltage"])[during]), initial=0.0))
+
+
+def gone_through(
+    folder: Path, seed: int, period: float, wanted: Sequence[str], travel: float
+) -> dict[str, Any]:
+    """Commission the valve ``seed``; ``wanted``: arguments of ``commission``."""
+    frequency, valve = invented(np.random.default_rng(seed))
+    valve = {**valve, "sample_period": period}
+    # What a user has to say of a valve that is faster than that of the defaults.
+    fastest = max(500.0, 2.0 * math.pi * frequency * SWING)
+    usual = {"sample_period": period, "lvdt.max_rate": fastest, **PATIENT}
+    about: dict[str, Any] = {
+        "seed": seed, "frequency_hz": frequency, "order": len(list(valve["denominator"])) - 1, "valve": valve,  # type: ignore[arg-type]
+    }  # fmt: skip
+    kept = folder / "kept"
+    with (
+        process("valve_simulator", arguments_of({**valve, **PATIENT_VALVE}), folder / "simulator.log"),
+        process("controller", arguments_of(usual), folder / "controller.log"),
+    ):
+        seen = Seen()
+        try:
+            wait_until(lambda: seen.look() and len(seen.values["valve_voltage"]) > LEAST, "voltages", ())
+            before = seen.parameters()
+            command = [
+                sys.executable,
+                "-m",
+                "valve_control.cli",
+                "commission",
+                "--yes",
+                "--folder",
+                str(kept),
+            ]
+            began = time.monotonic()
+            with (folder / "said.log").open("w") as said:
+                child = subprocess.Popen(
+                    [*command, "--travel", str(travel), *wanted], stdout=said, stderr=said,
+                    stdin=subprocess.DEVNULL,
+                )  # fmt: skip
+                try:
+                    wait_until(
+                        lambda: seen.look() and child.poll() is not None, "the end of commission", (), LONGEST
+                    )
+                finally:
+                    child.kill()
+                    child.wait()
+            about["seconds"] = time.monotonic() - began
+            about["status"] = child.returncode
+            after = seen.parameters()
+            about["largest_voltage"] = seen.largest()
+            about["readings"] = len(seen.values["spool_position"])
+        finally:
+            seen.destroy_node()
+    if about["status"] != 0:
+        about["reason"] = (folder / "said.log").read_text().strip().splitlines()[-1]
+        about["as_before"] = after == before
+        return about
+    found = json.loads((kept / "commission.json").read_text())
+    about.update({name: found[name] for name in ("verification", "applied", "seconds", "notes")})
+    about["seconds"] = {**found["seconds"], "all": sum(found["seconds"].values())}
+    about["found"] = found["valve"]
+    about["as_told"] = after == {**before, **found["applied"]}
+    true = updated(NODES["valve_simulator"], defaults(NODES["valve_simulator"]), valve)
+    about["on_the_valve"] = {
+        name: [
+            offline.simulate(values, true, SIZE * motion[:: round(period / 0.001)]).true_error["e_rms"]
+            for motion in motions(frequency).values()
+        ]
+        for name, values in (("before", before), ("after", after))
+    }
+    return about
+
+
+def told(row: Mapping[str, Any]) -> str:
+    """One line of the table."""
+    valve = row["valve"]
+    head = (
+        f"{row['seed']:5}{row['order']:7}{row['frequency_hz']:10.1f}{valve['friction.coulomb']:14.2f}"
+        f"{1e3 * valve['lvdt.delay']:12.2f}{1e3 * valve['lvdt.noise']:12.1f}"
+    )
+    if row["status"] != 0:
+        return f"{head}  {row['reason']} ({'as before' if row['as_before'] else 'NOT as before'})"
+    made, on = row["verification"], row["on_the_valve"]
+    former = made["simulated_before"]
+    means = [1e3 * math.exp(float(np.mean(np.log(on[name])))) for name in ("before", "after")]
+    return (
+        f"{head}{row['seconds']['all']:9.0f}{1e3 * made['measured']['e_rms']:12.1f}"
+        f"{1e3 * made['simulated']['e_rms']:12.1f}"
+        + (f"{1e3 * former['e_rms']:12.1f}" if former else f"{'unstable':>12}")
+        + f"{means[0]:12.1f}{means[1]:10.1f}"
+    )
+
+
+HEAD = (
+    f"{'valve':>5}{'order':>7}{'f [Hz]':>10}{'friction [V]':>14}{'delay [ms]':>12}{'noise [mV]':>12}"
+    f"{'t [s]':>9}{'run [mV]':>12}{'model [mV]':>12}{'before [mV]':>12}{'true before':>12}{'after':>10}"
+)
+
+
+def main() -> int:
+    """Commission all, print, write."""
+    options = argparse.ArgumentParser(prog="benchmarks.commissioned", description=__doc__)
+    options.add_argument(
+        "--seed", type=int, action="append", metavar="N", help=f"valve {SEEDS}; again for more"
+    )
+    options.add_argument("--controller", default="dcarc", help="law to tune (dcarc)")
+    options.add_argument("--sample-period", type=float, default=0.001, metavar="S", help="(0.001)")
+    options.add_argument("--max-voltage", type=float, default=4.0, metavar="V", help="(4)")
+    options.add_argument("--travel", type=float, default=2.0, metavar="V", help="(2)")
+    options.add_argument("--budget", type=int, default=200, help="sets of gains (200)")
+    options.add_argument("--out", default="out/commissioned", metavar="FOLDER", help="(out/commissioned)")
+    arguments = options.parse_args()
+    os.environ.setdefault(RANGE, "LOCALHOST")
+    use_own_profile(os.environ)
+    wanted = ["--controller", arguments.controller, "--budget", str(arguments.budget)]
+    wanted += ["--max-voltage", str(arguments.max_voltage)]
+    rows: list[dict[str, Any]] = []
+    print(HEAD, flush=True)
+    for seed in arguments.seed or SEEDS:
+        folder = Path(arguments.out) / str(seed)
+        folder.mkdir(parents=True, exist_ok=True)
+        os.environ["ROS_DOMAIN_ID"] = str(1 + (os.getpid() + seed) % 100)  # no valve sees another
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            rows.append(gone_through(folder, seed, arguments.sample_period, wanted, arguments.travel))
+        finally:
+            rclpy.shutdown()
+        print(told(rows[-1]), flush=True)
+        outputs.write(str(folder / "row.json"), outputs.as_json(rows[-1]))
+        outputs.write(f"{arguments.out}/commissioned.json", outputs.as_json({"rows": rows}))
+    late = [row["seed"] for row in rows if row["status"] == 0 and row["seconds"]["all"] > WANTED_SECONDS]
+    wrong = [
+        row["seed"]
+        for row in rows
+        if not row.get("as_told" if row["status"] == 0 else "as_before")
+        or row["largest_voltage"] > arguments.max_voltage + 1e-9
+    ]
+    if late:
+        print(f"longer than {WANTED_SECONDS:g} s: {late}", file=sys.stderr)
+    if wrong:
+        print(f"parameters or voltages are not as they should be: {wrong}", file=sys.stderr)
+    return 1 if late or wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
