@@ -43,7 +43,10 @@ class Window:
         return self.js("const e = document.querySelector('.vc-plots'); return e ? {...e.dataset} : {}")
 
     def find(self, selector):
-        return until(lambda: self.driver.find_elements("css selector", selector), selector)[0]
+        try:
+            return until(lambda: self.driver.find_elements("css selector", selector), selector)[0]
+        except AssertionError as error:
+            raise AssertionError(f"{error} in: {self.text('body')}") from None
 
     def text(self, selector):
         return self.js(

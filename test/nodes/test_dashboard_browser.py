@@ -140,11 +140,19 @@ def kp(ros):
     return get_double(ros, "pid.kp")
 
 
+def usual_error(page):
+    """Highest rms of the error that the page tells over three periods of the sine."""
+    until(lambda: page.figure("e_rms") > 0.0, "indices")
+    begin, highest = time.monotonic(), 0.0
+    while time.monotonic() < begin + 6.0:
+        highest = max(highest, page.figure("e_rms"))
+    return highest
+
+
 def test_a_gain_moved_by_its_slider_changes_the_loop_and_the_plot(page, ros):
     from selenium.webdriver import Keys
 
-    until(lambda: page.figure("e_rms") > 0.0, "indices")
-    before, error = kp(ros), page.figure("e_rms")
+    before, error = kp(ros), usual_error(page)
     slider = page.find("[data-name='pid.kp'] .q-slider")
     page.drag(slider, page.js("return arguments[0].querySelector('.q-slider__thumb')", slider), 0.6)
     spin_until(ros, lambda: kp(ros) > 2.0 * before, "a larger gain")
@@ -622,8 +630,10 @@ def test_the_signals_of_an_axis_are_drawn_and_its_stop_is_said_and_ended(page, t
         assert 1.0 < shown_number(page, "pressures", "pressure_b") < 200.0
         begun = shown_number(page, "axis", "position")
         spin_until(ros, lambda: goal.get_subscription_count() == 1, "axis_controller")
-        goal.publish(Float64(data=begun + 0.03))
-        until(lambda: abs(shown_number(page, "axis", "goal") - begun - 0.03) < 1e-3, "the goal")
+        aim = Float64(data=begun + 0.03)
+        # A reader may know of its writer later than the writer of it: what is sent before is lost.
+        until(lambda: goal.publish(aim) or shown_number(page, "axis", "goal") > begun + 1e-3, "a moving goal")
+        until(lambda: abs(shown_number(page, "axis", "goal") - aim.data) < 1e-3, "the goal")
         until(lambda: abs(shown_number(page, "axis", "position") - begun - 0.03) < 2e-3, "the piston")
         picture(page, "axis")
         assert call(ros, Trigger, f"{axis}/axis_controller/stop", Trigger.Request()).success
