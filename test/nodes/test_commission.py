@@ -257,19 +257,10 @@ def test_aborted_at_ten_random_moments(ros, tmp_path):
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("seed", [9, 11])
-def test_invented_valves(ros, tmp_path, seed):
-    """Two of the five of benchmarks.commissioned: from the paper's gains to tuned ones within three minutes.
-
-    Valve 11 is of second order. Valve 9, of third, goes on after each turn by more than a tenth of the travel
-    and resists with up to 1.8 V: it may be refused, with a sentence and the parameters from before.
-    """
+def test_an_invented_valve(ros, tmp_path):
+    """One of the five of benchmarks.commissioned, from the paper's gains to tuned ones in three minutes."""
     wanted = ["--controller", "dcarc", "--max-voltage", "4", *QUICK]
-    row = commissioned.gone_through(tmp_path, seed, PERIOD, wanted, 2.0)
-    assert row["largest_voltage"] <= 4.0
-    if seed == 9 and row["status"] == 1:
-        assert row["as_before"] and row["reason"].startswith("valve-control: dcarc"), row
-        return
+    row = commissioned.gone_through(tmp_path, 11, PERIOD, wanted, 2.0)
     assert row["status"] == 0, row
     assert row["as_told"] and row["largest_voltage"] <= 4.0
     assert row["seconds"]["all"] < 180.0
