@@ -172,7 +172,7 @@ class Tuning:
             self._lost = self._button("", self._restore, "restore")
             self._refusal = ui.label("").classes("vc-refusal").props("id=refusal role=alert")
             with ui.element("div").classes("vc-buttons"):
-                self._file = ui.input("file").props('dense outlined id=file autocomplete="off"')
+                self._file = ui.input("file").props('dense outlined for=file autocomplete="off"')
                 self._button("Save", lambda: self._use_field("save"), "save")
                 self._button("Load", lambda: self._use_field("load"), "load")
             self._said = ui.label("").classes("vc-help").props("id=file-answer role=status")
