@@ -60,21 +60,24 @@ def test_sampled_bristles_are_ahead_by_one_and_a_half_periods(frequency, deflect
     assert ahead == pytest.approx(friction_swing.AHEAD, abs=0.2)
 
 
-def rubbing(coulomb, presliding):
+def rubbing(coulomb, presliding, delay=0.0005):
     """A valve on which the swings of GAINS were seen: slow poles, fast zeros, much gain."""
     made = comparison.made_of(
-        1.35, 0.8, 1.22, 0.0005, FREE._replace(coulomb=coulomb, presliding=presliding, flow_force=0.3)
+        1.35, 0.8, 1.22, delay, FREE._replace(coulomb=coulomb, presliding=presliding, flow_force=0.3)
     )
     return made._replace(lvdt=made.lvdt._replace(noise=0.0, resolution=0.0))
 
 
-@pytest.mark.parametrize(("coulomb", "presliding"), [(1.4, 0.035), (1.0, 0.03), (1.4, 0.02)])
-def test_predicted_swing_is_that_of_a_run(coulomb, presliding):
+@pytest.mark.parametrize(
+    ("coulomb", "presliding", "delay"),
+    [(1.4, 0.035, 0.0005), (1.0, 0.03, 0.0), (1.4, 0.02, 0.0005), (1.4, 0.035, 0.001), (1.0, 0.035, 0.0015)],
+)
+def test_predicted_swing_is_that_of_a_run(coulomb, presliding, delay):
     """The largest over the levels of friction up to the valve's own, after a step."""
     values = files.load(GAINS)["controller"]
     law = LAWS["pid"]
     params = law.build(updated(CONTROLLER, defaults(CONTROLLER), values))
-    plants = [rubbing(share * coulomb, presliding) for share in np.linspace(0.1, 1.0, 19)]
+    plants = [rubbing(share * coulomb, presliding, delay) for share in np.linspace(0.1, 1.0, 19)]
     box = margins.prepared(plants[-1:])
     predicted = margins.margins(law, params, box).swing_v[0] + box.own_swing[0]
     command = np.where(np.arange(6000) < 100, 0.0, 0.3)
@@ -125,13 +128,22 @@ def test_coulomb_friction_without_a_spring_is_the_limit_of_short_presliding():
     """Where the loop crosses the axis of N = j·4F/(πA), the swing does not depend on the spring."""
     z = np.exp(1j * np.linspace(0.05, 0.2, 400))
     crossing = (30.0j + np.linspace(5.0, -5.0, 400) * (1.0 - 0.2j))[None]  # N, from spring to negative spring
-    valve_response = np.full((1, 400), 0.5 + 0.0j)
-    loop = -1.0 - crossing * z**friction_swing.AHEAD * valve_response
-    level = np.array([1.2])
-    bare = friction_swing.swings(loop, valve_response, z, level, np.array([0.0]))
-    short = friction_swing.swings(loop, valve_response, z, level, np.array([1e-6]))
-    assert bare[0] == pytest.approx(4.0 * 1.2 / (math.pi * 30.0), rel=1e-3)
-    assert short[0] <= bare[0]
+    position, level = np.full((1, 400), 0.5 + 0.0j), np.array([1.2])
+
+    def largest(ahead, presliding):
+        loop = -1.0 - crossing * z**ahead * position
+        return friction_swing.swings(loop, position, z, level, np.array([presliding]))[0]
+
+    bare = largest(friction_swing.RUBBING_AHEAD, 0.0)
+    assert bare == pytest.approx(4.0 * 1.2 / (math.pi * 30.0), rel=1e-3)
+    assert largest(friction_swing.AHEAD, 1e-6) <= bare
+
+
+def test_the_dead_time_of_the_sensor_does_not_move_the_valve():
+    """Friction acts on the spool itself: its own swing is the same behind any sensor."""
+    late = [rubbing(1.4, 0.035, delay) for delay in (0.0, 0.001, 0.003)]
+    own = margins.prepared(late).own_swing
+    assert own[0] > 0.03 and np.all(own == own[0])
 
 
 def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():

@@ -30,6 +30,23 @@ def test_what_was_kept_is_not_made_again(tmp_path):
     assert not tmp_path.exists()
 
 
+def test_a_search_that_wrote_nothing_deletes_nothing(tmp_path):
+    (tmp_path / OUTCOMES).write_bytes(b"mine")
+    kept = Kept(tmp_path, REQUESTED, 1)
+    asked(kept, 2, [])
+    kept.forget()
+    assert (tmp_path / OUTCOMES).read_bytes() == b"mine"
+
+
+def test_a_folder_that_cannot_be_written_does_not_end_the_search(tmp_path, capsys):
+    (tmp_path / "file").touch()
+    kept = Kept(tmp_path / "file" / "under", REQUESTED, 1)
+    kept._written = -1e9
+    assert len(asked(kept, 2, [])) == 2
+    assert "note: the search is not kept any more" in capsys.readouterr().err
+    kept.forget()
+
+
 def test_what_is_of_another_set_of_gains_is_made_anew(tmp_path):
     first, done = Kept(tmp_path, REQUESTED, 1), []
     asked(first, 3, done)
@@ -48,10 +65,10 @@ def test_another_request_and_damage_are_one_sentence(tmp_path):
         Kept(tmp_path, {**REQUESTED, "budget": 61}, 1)
     whole = (tmp_path / OUTCOMES).read_bytes()
     (tmp_path / OUTCOMES).write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(ParameterError, match="outcomes.npz is damaged; delete it"):
+    with pytest.raises(ParameterError, match="stopped_search.npz is damaged; delete it"):
         Kept(tmp_path, REQUESTED, 1)
     (tmp_path / REQUEST).write_text("{")
-    with pytest.raises(ParameterError, match="tune.json is damaged; delete it"):
+    with pytest.raises(ParameterError, match="stopped_search.json is damaged; delete it"):
         Kept(tmp_path, REQUESTED, 1)
 
 

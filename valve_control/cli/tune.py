@@ -246,6 +246,8 @@ def _stoppable(
     folder = usual if arguments.folder is None else Path(arguments.folder)
     there = next((path for path in (folder, *folder.parents) if path.exists()), Path())
     writable = there.is_dir() and os.access(there, os.W_OK)
+    if arguments.folder == "":
+        raise ParameterError("--folder is empty; give the name of a folder")
     if not writable and arguments.folder is not None:
         raise ParameterError(f"--folder {folder} cannot be written: {there} is no folder, or read-only")
     if not writable:
@@ -256,11 +258,12 @@ def _stoppable(
         yield search
     except (KeyboardInterrupt, ClusterError):
         if search.done and writable:
-            kept.write()
-            print(
-                f"stopped; {search.done} of {total} sets of gains are in {folder}; the same command goes on",
-                file=sys.stderr,
-            )
+            try:
+                kept.write()
+                said = f"{search.done} of {total} sets of gains are in {folder}; the same command goes on"
+            except OSError as error:
+                said = f"the search could not be kept, {error}"
+            print(f"stopped; {said}", file=sys.stderr)
         raise
     except ParameterError:
         kept.forget()

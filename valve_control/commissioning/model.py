@@ -64,7 +64,8 @@ class Known:
 
         gains = first(found.model, found.delay if late else 0.0)
         own = f"{law}.denominator"
-        if own in (p.name for p in CONTROLLER) and own not in gains.values:
+        refused = next((note for note in gains.notes if note.startswith(f"{law}'s")), None)
+        if refused is not None and own in (p.name for p in CONTROLLER) and own not in gains.values:
             # Zeros far away, as of a third-order valve fitted by a fourth order, need not be invertible.
             for lower in range(order - 1, 1, -1):
                 simpler = rational.fit(exact, lower, delayed=True, weighting="relative")
@@ -76,7 +77,7 @@ class Known:
                     gains = again._replace(notes=(note, *again.notes))
                     break
             else:
-                raise ParameterError(next(note for note in gains.notes if note.startswith(f"{law}'s")))
+                raise ParameterError(refused)
         self.gains, self.notes = gains.values, gains.notes
 
 

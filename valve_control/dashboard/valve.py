@@ -42,6 +42,7 @@ class Mark(NamedTuple):
     time: float  # s
     text: str
     change: Change | None = None  # that it shows
+    where: str = ""  # name of the node before the text, if it is not the controller
 
 
 class NodeState:
@@ -168,11 +169,12 @@ class Valve:
 
     def mark_change(self, change: Change, where: str, asked: float) -> None:
         """Show a change, asked for at ``asked`` [s], in the plots; moves of one slider are one mark."""
-        whole = joined(self.marks[-1].change if self.marks else None, change, asked)
+        last = self.marks[-1] if self.marks and self.marks[-1].where == where else None
+        whole = joined(last.change if last else None, change, asked)
         if whole is not None:
             self.marks.pop()
         shown = whole or change
-        self.marks.append(Mark(shown.time, f"{where}{shown.text}", shown))
+        self.marks.append(Mark(shown.time, f"{where}{shown.text}", shown, where))
 
     def status(self, level: str, mode: str, reason: str, figures: dict[str, str], time: float) -> None:
         """Take in the controller's diagnostics; what is new is said in the log."""

@@ -174,6 +174,7 @@ class Remote:
                     for event in self._events:
                         values.update({n: v for n, v in event.items() if n in values})
                     self.known, self._told = True, time.monotonic()
+                    self.want("")
                     self._owner.learned(self, fields, values)
 
                 self.ask(GetParameters, "get_parameters", GetParameters.Request(names=names), got, again)

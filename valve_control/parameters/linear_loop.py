@@ -167,13 +167,14 @@ def law_response(law: LinearLaw, z: Complex) -> Complex:
     )
 
 
-def valve_response(valves: LinearValves, z: Complex) -> Complex:
-    """Reading over voltage of N valves at the points ``z`` (F) of the z-plane, shape (N, F)."""
-    made = np.empty((len(valves.b), len(z)), dtype=complex)
+def valve_responses(valves: LinearValves, z: Complex) -> tuple[Complex, Complex]:
+    """Position and reading over voltage of N valves at the points ``z`` (F) of the z-plane, shapes (N, F)."""
+    position, reading = np.empty((2, len(valves.b), len(z)), dtype=complex)
     for i, (a, b) in enumerate(zip(valves.a, valves.b, strict=True)):
         states = np.linalg.solve(
             z[:, None, None] * np.eye(4) - a, np.broadcast_to(b[:, None], (len(z), 4, 1))
         )
+        position[i] = states[:, 0, 0]
         shown = states[..., 0] @ valves.now[i] + states[..., 0] @ valves.before[i] / z
-        made[i] = shown * z ** -float(valves.late[i])
-    return made
+        reading[i] = shown * z ** -float(valves.late[i])
+    return position, reading

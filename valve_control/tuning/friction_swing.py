@@ -11,8 +11,9 @@ ones, until 4·F/(π·A) of Coulomb friction is left, a quarter of a period ahea
 and the law -C swings by itself where 1 + C·G + N·G = 0 (Gelb and Vander Velde, Multiple-Input Describing
 Functions and Nonlinear System Design, 1968, section 3.1), that is where N = -(1/G + C).
 
-In the sampled valve the bristles are ahead of that by one and a half periods: their force over a period is
-that of its end, and backward Euler takes the velocity of the end for the whole of it.
+In the sampled valve the bristles are ahead of that, for small swings by one and a half periods: their force
+over a period is that of its end, and backward Euler takes the velocity of the end for the whole of it.
+Coulomb friction is ahead by the first of these alone. Stribeck's addition is left out: a swing is faster.
 """
 
 import numpy as np
@@ -21,7 +22,8 @@ import scipy.special
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
-AHEAD = 1.5  # periods by which the sampled bristles are ahead of the position
+AHEAD = 1.5  # periods by which the sampled bristles are ahead of the position in small swings
+RUBBING_AHEAD = 1.0  # the same of Coulomb friction
 DEFLECTIONS = np.geomspace(1e-3, 1e3, 600)  # α that are tabulated; beyond, n(α) is that of Coulomb friction
 
 
@@ -38,14 +40,16 @@ _TABLE = describing_function(DEFLECTIONS)
 _PHASE, _SIZE = np.angle(_TABLE), np.abs(_TABLE)
 
 
-def swings(loop: Complex, valve: Complex, z: Complex, coulomb: Array, presliding: Array) -> Array:
+def swings(loop: Complex, position: Complex, z: Complex, coulomb: Array, presliding: Array) -> Array:
     """Amplitude [V] of the largest swing about rest that friction sustains on each of N valves; 0.0: none.
 
-    ``loop`` (N×F): C·G, ``valve`` (N×F): G [V/V], at ``z`` (F) of ascending frequency. ``coulomb`` [V] and
+    ``loop`` (N×F): C·G of the reading, at ``z`` (F) of ascending frequency. ``position`` (N×F): G [V/V]
+    without the sensor's dead time, since friction acts on the spool itself. ``coulomb`` [V] and
     ``presliding`` [V] (N): friction of the valve. Less than these counts too, for friction is another one on
     the next day. ``presliding`` 0.0: Coulomb friction without a spring.
     """
-    missing = -(1.0 + loop) / valve * z**-AHEAD
+    bare = -(1.0 + loop) / position
+    missing = bare * z**-AHEAD
     phase = np.angle(missing)
     deflection = np.interp(phase, _PHASE, DEFLECTIONS)
     stiffness = np.abs(missing) / np.interp(phase, _PHASE, _SIZE)  # V/V  F/δ that swings at this frequency
@@ -53,7 +57,9 @@ def swings(loop: Complex, valve: Complex, z: Complex, coulomb: Array, presliding
         most = np.minimum(presliding[:, None], coulomb[:, None] / stiffness)
     possible = (phase > 0.0) & (phase < 0.5 * np.pi)
     with_spring = np.max(np.where(possible, deflection * most, 0.0), axis=1)
-    return np.asarray(np.where(presliding > 0.0, with_spring, _rubbed(missing, coulomb)), dtype=float)
+    return np.asarray(
+        np.where(presliding > 0.0, with_spring, _rubbed(bare * z**-RUBBING_AHEAD, coulomb)), dtype=float
+    )
 
 
 def _rubbed(missing: Complex, coulomb: Array) -> Array:

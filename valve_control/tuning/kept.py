@@ -5,9 +5,11 @@ begins anew therefore gets what is kept instead of simulating it, and ends with 
 rest is done.
 """
 
+import contextlib
 import hashlib
 import io
 import json
+import sys
 import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +24,7 @@ from valve_control.parameter import ParameterError
 from valve_control.simulation.cluster import Cluster
 
 Array = npt.NDArray[np.float64]
-REQUEST, OUTCOMES = "tune.json", "outcomes.npz"
+REQUEST, OUTCOMES = "stopped_search.json", "stopped_search.npz"
 AGAIN = "delete it, and the same command begins anew"
 EVERY = 10.0  # s  from one time that it is written to the next; what is over sooner leaves no file
 
@@ -74,7 +76,8 @@ class Kept:
         self._made: list[Array] = []
         self._asked = 0
         self._written = time.monotonic()
-        if folder is not None and (folder / REQUEST).exists():
+        self._ours = folder is not None and (folder / REQUEST).exists()  # whether the files are this search's
+        if folder is not None and self._ours:
             self._read(folder)
         self.found = len(self._keys)  # parts that were there at the beginning
 
@@ -96,7 +99,11 @@ class Kept:
         self._made.append(made)
         self._asked += 1
         if time.monotonic() > self._written + EVERY:
-            self.write()
+            try:
+                self.write()
+            except OSError as error:
+                print(f"note: the search is not kept any more, {error}", file=sys.stderr)
+                self._folder = None
         return made
 
     def write(self) -> None:
@@ -104,6 +111,7 @@ class Kept:
         if self._folder is None:
             return
         self._folder.mkdir(parents=True, exist_ok=True)
+        self._ours = True
         stream = io.BytesIO()
         np.savez(
             stream,
@@ -117,11 +125,11 @@ class Kept:
 
     def forget(self) -> None:
         """Delete what is kept: the search came to its end. Raises OSError."""
-        if self._folder is None:
+        if self._folder is None or not self._ours:
             return
         for name in (REQUEST, OUTCOMES):
             (self._folder / name).unlink(missing_ok=True)
-        if self._folder.is_dir() and not any(self._folder.iterdir()):
+        with contextlib.suppress(OSError):  # of a folder that holds something else
             self._folder.rmdir()
 
     def _read(self, folder: Path) -> None:

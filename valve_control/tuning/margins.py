@@ -43,7 +43,8 @@ class Box(NamedTuple):
     valves: linear_loop.LinearValves
     omega: Array  # F  rad/s
     z: linear_loop.Complex  # F
-    response: linear_loop.Complex  # N×F
+    position: linear_loop.Complex  # N×F  V/V  over the voltage
+    response: linear_loop.Complex  # N×F  V/V  of the reading
     coulomb: Array  # N  V
     presliding: Array  # N  V
     own_swing: Array  # N  V  of the valve at a constant voltage
@@ -59,9 +60,9 @@ def prepared(plants: Sequence[valve.Params]) -> Box:
     z = np.exp(1j * omega * plants[0].period)
     z[-1] = -1.0
     coulomb, presliding = np.array([(p.disturbance.coulomb, p.disturbance.presliding) for p in plants]).T
-    response = linear_loop.valve_response(valves, z)
-    own = friction_swing.swings(np.zeros_like(response), response, z, coulomb, presliding)
-    return Box(valves, omega, z, response, coulomb, presliding, own)
+    position, response = linear_loop.valve_responses(valves, z)
+    own = friction_swing.swings(np.zeros_like(position), position, z, coulomb, presliding)
+    return Box(valves, omega, z, position, response, coulomb, presliding, own)
 
 
 @cache
@@ -79,7 +80,7 @@ def margins(law: Law, params: Any, box: Box) -> Margins:
     with np.errstate(divide="ignore"):
         sensitivity = -20.0 * np.log10(np.min(np.abs(1.0 + loop), axis=1))
         response = 20.0 * np.log10(np.max(np.abs(loop / (1.0 + loop)), axis=1))
-    swing = friction_swing.swings(loop, box.response, box.z, box.coulomb, box.presliding)
+    swing = friction_swing.swings(loop, box.position, box.z, box.coulomb, box.presliding)
     added = np.maximum(swing - box.own_swing, 0.0)
     found = Margins(radius, gain, reduction, phase, delay, sensitivity, response, added)
     return _without_unstable(found)

@@ -26,6 +26,7 @@ RESTING = 0.5  # s  at the end of each step, in which the loop has to rest
 REST = 0.05  # V  amplitude about a straight line from which on it does not: noise stays far below
 TURNS = 4  # crossings of that line; what creeps has two
 OWN = 2.0  # times a valve's own swing at a constant voltage, up to which that of the loop is the valve's
+LEAST = 0.01  # V  amplitude of a valve's own swing, at least
 SETTLED = 2.0  # s  after which a valve at a constant voltage rests, unless it swings by itself
 CHUNK = 512  # valves whose signals are kept at a time
 SLACK = 1.05  # times the limit of the chatter, which valves that were not seen may have
@@ -119,6 +120,11 @@ def _about_a_line(position: Array) -> Array:
     return made
 
 
+def _crossings(position: Array) -> int:
+    """Of the straight line through the ``position``."""
+    return int(np.count_nonzero(np.diff(np.signbit(_about_a_line(position)))))
+
+
 def _by_feedback(
     values: Values, plants: Sequence[valve.Params], found: Mapping[int, _Swing]
 ) -> npt.NDArray[np.int64]:
@@ -140,7 +146,9 @@ def _by_feedback(
         made = batch.Batch(bare.name, params, rows, np.array(some), command[first : first + CHUNK])
         batch.simulate(made, None, traces)
         for i, trace in zip(some, traces, strict=True):
-            if not OWN * _swing(trace, period).amplitude > found[i].amplitude:
+            own = trace[-round(RESTING / period) :, 0]
+            swings = _crossings(own) >= TURNS and _swing(trace, period).amplitude > LEAST
+            if not (swings and OWN * _swing(trace, period).amplitude > found[i].amplitude):
                 kept.append(i)
     return np.array(kept, dtype=np.int64)
 
@@ -152,8 +160,7 @@ def _restless(trace: Array, period: float, least: float) -> bool:
     last = round(RESTING / period)
     voltage = trace[:, 2]
     swing = _about_a_line(trace[-last:, 0])
-    crossings = np.count_nonzero(np.diff(np.signbit(swing)))
-    if float(np.ptp(swing)) > 2.0 * REST and crossings >= TURNS:
+    if float(np.ptp(swing)) > 2.0 * REST and _crossings(swing) >= TURNS:
         return True
     cycle = limit_cycle(voltage, np.zeros(len(voltage)), period, least)
     return cycle is not None and cycle.end > HELD - RESTING
