@@ -16,6 +16,7 @@ import pytest
 from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.parameters.table import NODES
 from valve_control.simulation import cluster, robustness
+from valve_control.tuning.kept import OUTCOMES
 
 LIMIT = 120.0  # s
 
@@ -169,7 +170,7 @@ def stopped_by_ctrl_c(arguments, cwd, parts):
         env=environment, start_new_session=True,
     )  # fmt: skip
     try:
-        kept = cwd / "kept" / "outcomes.npz"
+        kept = cwd / "kept" / OUTCOMES
 
         def enough():
             with suppress(OSError):
@@ -202,7 +203,7 @@ def test_a_stopped_tune_goes_on_with_the_same_bits(run, tmp_path):
         assert left == 130 and "Traceback" not in told, told
         assert "sets of gains are in kept; the same command goes on" in told
         assert not (tmp_path / "parts.json").exists()
-        before = (tmp_path / "kept" / "outcomes.npz").stat().st_size
+        before = (tmp_path / "kept" / OUTCOMES).stat().st_size
         left, told = stopped_by_ctrl_c([*few, "--threads", "2"], tmp_path, before + 10_000)
         assert left == 130 and "sets of gains were tried already" in told, told
         another, _, err = run("tune", *few, "--seed", "2")
