@@ -74,7 +74,7 @@ class Course:
 
     @property
     def cores(self) -> float:
-        """Processor time of the dashboard's process for each second from the beginning to the last row."""
+        """Processor time of the dashboard's process for each second since the beginning."""
         return (self._processor_time() - self._used) / (time.monotonic() - self._begin)
 
     def _processor_time(self) -> float:
@@ -110,8 +110,8 @@ class Course:
 
 
 def figures(run: demo.Measured) -> dict[str, float]:
-    """What is told of one run."""
-    p50, p99 = np.percentile(1e3 * run.latency, [50, 99])
+    """What is told of one run; no latency where messages were lost, as it pairs them by their number."""
+    p50, p99 = np.percentile(1e3 * run.latency, [50, 99]) if run.lost == 0 else (np.nan, np.nan)
     return {"samples": len(run.latency), "lost": run.lost, "latency_ms_p50": p50, "latency_ms_p99": p99}
 
 

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from said import sentences
 
+from valve_control.cli import command, tune
 from valve_control.parameters import files
+from valve_control.tuning import trial
 
 FIXED = (
     "gain",
@@ -20,6 +22,10 @@ FIXED = (
 )
 SMALL = [option for name in FIXED for option in ("--fix", name)]
 SMALL += ["--valves", "3", "--unseen", "4", "--budget", "60", "--seed", "2", "--max-chatter", "0.6"]
+
+
+def test_what_has_to_hold_is_what_commission_asks_for_too():
+    assert tune._limits(command.parser().parse_args(["tune"])) == trial.USUAL
 
 
 @pytest.fixture

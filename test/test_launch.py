@@ -3,11 +3,11 @@
 import importlib.util
 import re
 import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+from launched import command as launch
 
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, defaults, lookup
@@ -191,21 +191,6 @@ def test_numbers_of_a_launch_become_those_of_the_nodes():
     assert launching.duration("60") == 60.0
 
 
-LAUNCH = """
-import sys
-from launch import LaunchDescription, LaunchService
-from launch.actions import IncludeLaunchDescription
-from launch.launch_description_sources import AnyLaunchDescriptionSource
-path, *given = sys.argv[1:]
-include = IncludeLaunchDescription(
-    AnyLaunchDescriptionSource(path), launch_arguments=[tuple(word.split(":=")) for word in given]
-)
-service = LaunchService()
-service.include_launch_description(LaunchDescription([include]))
-sys.exit(service.run())
-"""
-
-
 @pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="needs ros2 launch")
 @pytest.mark.parametrize(
     ("argument", "words"),
@@ -219,9 +204,7 @@ sys.exit(service.run())
 )
 @pytest.mark.parametrize("path", VALVES, ids=lambda path: path.name)
 def test_wrong_argument_ends_the_launch(path, argument, words):
-    done = subprocess.run(
-        [sys.executable, "-c", LAUNCH, path, argument], capture_output=True, text=True, timeout=60
-    )
+    done = subprocess.run(launch(path, argument), capture_output=True, text=True, timeout=60)
     said = (done.stdout + done.stderr).splitlines()
     assert done.returncode == 1
     assert all(word in said[-1] for word in words), said

@@ -42,3 +42,8 @@ def test_zeros_that_cannot_be_inverted_leave_a_model_of_lower_order():
         linear_loop.linear_law(law, params), linear_loop.linear_valves([plant])
     )
     assert np.max(np.abs(poles)) < 1.0
+
+
+def test_a_law_without_a_model_of_its_own_in_the_first_gains_gets_none():
+    """Of the compensator first_gains knows nothing, whether or not zeros can be inverted."""
+    assert not [name for name in known(FAST, "compensator").gains if name.startswith("compensator.")]

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from bench import Motion, controller, spin_until
 from browser import get, until
+from launched import command as launch
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -89,21 +90,6 @@ def test_every_sample_of_the_loop_is_in_the_frames(ros, tmp_path):
     assert "Traceback" not in (tmp_path / "d.log").read_text()
 
 
-LAUNCH = """
-import sys
-from launch import LaunchDescription, LaunchService
-from launch.actions import IncludeLaunchDescription
-from launch.launch_description_sources import AnyLaunchDescriptionSource
-path, *given = sys.argv[1:]
-include = IncludeLaunchDescription(
-    AnyLaunchDescriptionSource(path), launch_arguments=[tuple(word.split(":=")) for word in given]
-)
-service = LaunchService()
-service.include_launch_description(LaunchDescription([include]))
-sys.exit(service.run())
-"""
-
-
 def free_port():
     with socket.create_server(("127.0.0.1", 0)) as found:
         return found.getsockname()[1]
@@ -117,7 +103,7 @@ def test_a_launch_file_starts_the_page_on_the_port_that_is_asked_for(name, tmp_p
     port, log = free_port(), tmp_path / "launch.log"
     with log.open("wb") as output:
         child = subprocess.Popen(
-            [sys.executable, "-c", LAUNCH, path, "dashboard:=true", f"port:={port}"],
+            launch(path, "dashboard:=true", f"port:={port}"),
             cwd=tmp_path, stdout=output, stderr=output, stdin=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip
         try:

@@ -646,22 +646,23 @@ def test_the_signals_of_an_axis_are_drawn_and_its_stop_is_said_and_ended(page, t
 
 
 @contextmanager
-def stranger(which, folder):
-    """A node that is no controller of this version."""
+def stranger(page, which, folder):
+    """A node that is no controller of this version, as it is shown; afterwards the valve is shown again."""
     with (folder / f"{which}.log").open("wb") as log:
         child = subprocess.Popen(
             [sys.executable, Path(__file__).with_name("strangers.py"), which], stdout=log, stderr=log
         )
         try:
+            choose(page, which)
             yield
         finally:
             child.terminate()
             child.wait(10.0)
+    choose(page, "valve")
 
 
 def test_an_older_controller_is_named_and_what_it_has_can_be_used(page, tmp_path, ros):
-    with stranger("older", tmp_path):
-        choose(page, "older")
+    with stranger(page, "older", tmp_path):
         page.wait_for("#notice", "/older/older is an older or another controller: it has no parameter")
         page.wait_for("#notice", "no change_state (it cannot be stopped or activated from here)")
         page.wait_for("#notice", "/older/older/state does not name its numbers")
@@ -674,19 +675,16 @@ def test_an_older_controller_is_named_and_what_it_has_can_be_used(page, tmp_path
         page.click("#tab-log")
         page.wait_for("#log", "NOT stopped: /older/older has no service change_state")
         page.click("#tab-tune")
-    choose(page, "valve")
     until(lambda: "inactive" in page.text("#mode"), "the other valve is stopped")
     page.press("#activate")
 
 
 def test_a_node_without_parameters_is_watched_and_said_to_be_unknown(page, tmp_path):
-    with stranger("unknown", tmp_path):
-        choose(page, "unknown")
+    with stranger(page, "unknown", tmp_path):
         page.wait_for("#mode", "no controller")
         page.wait_for("#notice", "valve_voltage comes from /unknown/unknown, which offers no parameters")
         page.wait_for("#tune-hint", "no controller")
         until(lambda: page.plots().get("live") == "true", "its signals")
-    choose(page, "valve")
 
 
 def test_the_keyboard_alone_suffices(page, ros):

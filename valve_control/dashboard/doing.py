@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 from nicegui import ui
 
@@ -372,11 +371,13 @@ class Doing:
         self._made.clear()
         with self._made:
             for path in sorted(paths, key=lambda path: not path.endswith(".html")):
-                target = (self._page.folder / path).resolve()
-                if not (target.is_file() and target.is_relative_to(self._page.folder.resolve())):
+                folder = self._page.folder.resolve()
+                target = (folder / path).resolve()
+                if not (target.is_file() and target.is_relative_to(folder)):
                     continue
                 title = f"report {path}" if path.endswith(".html") else path
-                ui.link(title, f"/files/{Path(path).as_posix()}", new_tab=True).classes("q-mr-md")
+                address = f"/files/{target.relative_to(folder).as_posix()}"
+                ui.link(title, address, new_tab=True).classes("q-mr-md")
                 if path.endswith(".yaml") and run in LOADED:
                     ui.button(f"Load {path}", on_click=partial(self._load, str(target))).props(
                         "id=load-made dense no-caps outline"

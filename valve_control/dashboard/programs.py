@@ -11,9 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 LINES = 400
-PATIENCE = (
-    10.0  # s  for a program to end after SIGINT, and again after SIGTERM: commission sets parameters back
-)
+PATIENCE = 10.0  # s  for a program to end after SIGINT, in which commission sets parameters back, and SIGTERM
 CANCELLED = 130  # exit status of a command of this package after SIGINT
 
 

@@ -9,11 +9,10 @@ from nicegui import events, ui
 
 from valve_control.dashboard.changes import differing
 from valve_control.dashboard.entry import EntryError, Field, parse, scale, shown
-from valve_control.dashboard.valve import NodeState, Valve
+from valve_control.dashboard.valve import LAW, NodeState, Valve
 from valve_control.dashboard.window import Window
 from valve_control.parameter import Value
 
-LAW = "controller"  # the parameter that names the law
 GENERAL = "general"
 HIDDEN = ("save_file", "load_file", "use_sim_time", "start_type_description_service")
 THROTTLE = 0.1  # s between two values of a slider that is drawn
@@ -178,7 +177,7 @@ class Tuning:
             self._said = ui.label("").classes("vc-help").props("id=file-answer role=status")
             self._law_box = ui.element("div")
         self._filter = ui.input("find a parameter", on_change=self._filtered).props(
-            "dense outlined clearable id=filter"
+            "dense outlined clearable"
         )
         self._list = ui.element("div")
 

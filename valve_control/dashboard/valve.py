@@ -22,6 +22,7 @@ MARKS = 500
 PRESENT = 1.0  # s  a signal whose newest sample is older is silent
 ECHO = 2.0  # s  in which a node's word about its parameters may be about what was set from here
 PAIRED = 2000  # readings that a late voltage may still belong to
+LAW = "controller"  # the parameter that names the law
 SIGNALS = ("command", "position", "error", "voltage")
 # What one does not tune, and what takes no part in undo and in the sets A and B.
 NOT_TUNED = ("save_file", "load_file", "state_topics", "autostart", "use_sim_time")
@@ -132,7 +133,7 @@ class Valve:
         self.unnamed = False  # the controller publishes a state whose numbers have no names
         self.axis: dict[
             str, History
-        ] = {}  # position [m], goal [m], pressure_a [bar] ... of an axis that it moves
+        ] = {}  # of an axis that it moves: position, goal [m], pressure_a [bar] ...
         self.latencies = Latencies()
         self.commanders: list[str] = []  # nodes that publish commands
         self.missing = 0  # messages that the page did not see, by their numbers

@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 
 from valve_control.dashboard.entry import Field
 from valve_control.dashboard.machine import Answer, Machine
-from valve_control.dashboard.valve import NodeState, Valve
+from valve_control.dashboard.valve import LAW, NodeState, Valve
 from valve_control.nodes.adapter import (
     EVERYTHING,
     NumberSubscription,
@@ -77,7 +77,6 @@ TYPES = {
     "doubles": Parameter.Type.DOUBLE_ARRAY,
     "strings": Parameter.Type.STRING_ARRAY,
 }
-LAW = "controller"  # the parameter that names the law
 ONE_OF = "one of "  # before the choices in a descriptor's constraints
 TRANSITIONS = {
     "configure": Transition.TRANSITION_CONFIGURE,

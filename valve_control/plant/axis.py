@@ -200,12 +200,17 @@ def relief_opening(s: Supply, pressure: float) -> float:
     return max(0.0, min(s.relief_limit, relief_balance(s, pressure)))
 
 
+def relief_stopped(s: Supply, opening: float, pressure: float) -> bool:
+    """Whether a stop holds the relief valve's poppet; the forces on it go on."""
+    balance = relief_balance(s, pressure)
+    return (opening <= 0.0 and balance < opening) or (opening >= s.relief_limit and balance > opening)
+
+
 def relief_rate(s: Supply, opening: float, pressure: float) -> float:
-    """Rate of the relief valve's opening; its stops hold the poppet, not the forces on it."""
-    rate = (relief_balance(s, pressure) - opening) / s.relief_time
-    if (opening <= 0.0 and rate < 0.0) or (opening >= s.relief_limit and rate > 0.0):
+    """Rate of the relief valve's opening."""
+    if relief_stopped(s, opening, pressure):
         return 0.0
-    return rate
+    return (relief_balance(s, pressure) - opening) / s.relief_time
 
 
 def friction_level(load: Load, v: float) -> float:
@@ -301,7 +306,7 @@ def matrix(p: Params, s: State, spool: float, step: float, held: bool) -> Matrix
     relief = flow(1.0, now.supply - supply.tank, p.laminar)
     over = max(0.0, now.supply - supply.tank)
     gain = 1.0 / (supply.relief_spring + supply.relief_flow_force * over) / supply.relief_time
-    if relief_rate(supply, s.relief, now.supply) == 0.0:
+    if relief_stopped(supply, s.relief, now.supply):
         gain = 0.0
     relief_lag = 1.0 + h / supply.relief_time
     own_a = pa + at + c.leakage + c.external_leakage

@@ -96,7 +96,7 @@ def cycling(
                     part = trace[end - held : end]
                     if _restless(part, period, least):
                         found[first + i] = max(found.get(first + i, _Swing(0.0, 0.0)), _swing(part, period))
-    return _by_feedback(values, plants, found)
+    return _by_feedback(values, plants, found, trial.threads_of(workers))
 
 
 class _Swing(NamedTuple):
@@ -109,8 +109,13 @@ class _Swing(NamedTuple):
 def _swing(trace: Array, period: float) -> _Swing:
     """Of the end of a ``trace`` (n×3) at one command."""
     last = trace[-round(RESTING / period) :]
-    amplitude = math.sqrt(2.0) * float(np.std(_about_a_line(last[:, 0])))
+    amplitude = _amplitude(_about_a_line(last[:, 0]))
     return _Swing(amplitude if math.isfinite(amplitude) else math.inf, float(np.mean(last[:, 2])))
+
+
+def _amplitude(swing: Array) -> float:
+    """Amplitude of the sine that is as large, root mean square, as a ``swing`` about 0 V."""
+    return math.sqrt(2.0) * float(np.std(swing))
 
 
 def _about_a_line(position: Array) -> Array:
@@ -120,35 +125,32 @@ def _about_a_line(position: Array) -> Array:
     return made
 
 
-def _crossings(position: Array) -> int:
-    """Of the straight line through the ``position``."""
-    return int(np.count_nonzero(np.diff(np.signbit(_about_a_line(position)))))
+def _crossings(swing: Array) -> int:
+    """Of a ``swing`` about 0 V."""
+    return int(np.count_nonzero(np.diff(np.signbit(swing))))
 
 
 def _by_feedback(
-    values: Values, plants: Sequence[valve.Params], found: Mapping[int, _Swing]
+    values: Values, plants: Sequence[valve.Params], found: Mapping[int, _Swing], threads: int | None
 ) -> npt.NDArray[np.int64]:
     """Numbers of those ``found`` that are not the valve's own swings at a constant voltage."""
     numbers = sorted(found)
-    if not numbers:
-        return np.array([], dtype=np.int64)
     bare = LAWS["open_loop"]
     params = bare.build(updated(CONTROLLER, values, {"open_loop.static_gain": 1.0}))
     period = number(values, "sample_period")
-    voltages = np.array([found[i].voltage for i in numbers])
-    voltages[~np.isfinite(voltages)] = 0.0
-    command = np.repeat(voltages[:, None], round(SETTLED / period), axis=1)
     kept = []
     for first in range(0, len(numbers), CHUNK):
         some = numbers[first : first + CHUNK]
-        traces = np.empty((len(some), command.shape[1], 3))
+        voltages = np.nan_to_num([found[i].voltage for i in some], posinf=0.0, neginf=0.0)
+        command = np.repeat(voltages[:, None], round(SETTLED / period), axis=1)
+        traces = np.empty((*command.shape, 3))
         rows = batch.records([plants[i] for i in some])
-        made = batch.Batch(bare.name, params, rows, np.array(some), command[first : first + CHUNK])
-        batch.simulate(made, None, traces)
+        batch.simulate(batch.Batch(bare.name, params, rows, np.array(some), command), threads, traces)
         for i, trace in zip(some, traces, strict=True):
-            own = trace[-round(RESTING / period) :, 0]
-            swings = _crossings(own) >= TURNS and _swing(trace, period).amplitude > LEAST
-            if not (swings and OWN * _swing(trace, period).amplitude > found[i].amplitude):
+            own = _about_a_line(trace[-round(RESTING / period) :, 0])
+            amplitude = _amplitude(own)
+            swings = amplitude > LEAST and _crossings(own) >= TURNS
+            if not (swings and OWN * amplitude > found[i].amplitude):
                 kept.append(i)
     return np.array(kept, dtype=np.int64)
 
