@@ -5,7 +5,7 @@ one of another package is treated like those of this one. Friction, resolution a
 form: their effect shows in a run.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ Complex = npt.NDArray[np.complex128]
 SCALE = 1e-6  # first disturbance of a state; the unit is that of the state
 SMALL = 1e-3  # V  by which a disturbance moves the voltage at most: far from saturation
 FINER = 1e-3  # factor to a smaller disturbance
+Steps = Callable[[Law, Any, Any, Array], Array]  # see ``stepped``
 SETTLING = 2  # samples at rest, after which the law has begun
 
 
@@ -56,11 +57,24 @@ def unflatten(like: Any, numbers: list[float]) -> Any:
     return numbers.pop(0)
 
 
-def linear_law(law: Law, params: Any, frozen: bool = False) -> LinearLaw:
+def stepped(law: Law, params: Any, like: Any, points: Array) -> Array:
+    """Next state and voltage [V] (M×n) from states and readings [V] (M×n), at a command of 0 V.
+
+    ``like``: a state of the law.
+    """
+    rows = []
+    for *numbers, reading in points.tolist():
+        voltage, state, _ = law.module.step(params, unflatten(like, numbers), 0.0, reading, 0.0)
+        rows.append([*flatten(state), voltage])
+    return np.array(rows)
+
+
+def linear_law(law: Law, params: Any, frozen: bool = False, steps: Steps = stepped) -> LinearLaw:
     """Linear form of ``law`` around rest at 0 V, from central differences of its step.
 
     ``frozen``: with its estimates at rest. Otherwise what adapts linearly around rest is part of it, such as
-    the estimate of a constant disturbance; estimates of which products adapt are not.
+    the estimate of a constant disturbance; estimates of which products adapt are not. ``steps``: ``stepped``,
+    or what computes the same faster.
     """
     start = law.module.initial(params, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     if frozen:
@@ -68,25 +82,19 @@ def linear_law(law: Law, params: Any, frozen: bool = False) -> LinearLaw:
     for _ in range(SETTLING):
         _, start, _ = law.module.step(params, start, 0.0, 0.0, 0.0)
     rest = np.array([*flatten(start), 0.0])  # the reading is the last entry
-
-    def after(point: Array) -> Array:
-        *numbers, reading = point.tolist()
-        voltage, state, _ = law.module.step(params, unflatten(start, numbers), 0.0, reading, 0.0)
-        return np.array([*flatten(state), voltage])
-
-    unmoved = after(rest)
     size = len(rest)
-    matrix = np.empty((size, size))  # of (state, reading) to (next state, voltage)
-    for i in range(size):
-        scale = SCALE
-        while True:
-            way = np.zeros(size)
-            way[i] = scale
-            up = after(rest + way)
-            if abs(up[-1] - unmoved[-1]) <= SMALL or scale < SCALE * FINER**5:
-                break
-            scale *= FINER
-        matrix[:, i] = (up - after(rest - way)) / (2.0 * scale)
+    moved = np.eye(size)
+    scale = np.full(size, SCALE)
+    unmoved = float(steps(law, params, start, rest[None])[0, -1])
+    up = steps(law, params, start, rest + scale[:, None] * moved)
+    while True:
+        far = ~(np.abs(up[:, -1] - unmoved) <= SMALL) & (scale >= SCALE * FINER**5)
+        if not np.any(far):
+            break
+        scale[far] *= FINER
+        up[far] = steps(law, params, start, rest + scale[far, None] * moved[far])
+    down = steps(law, params, start, rest - scale[:, None] * moved)
+    matrix = ((up - down) / (2.0 * scale[:, None])).T  # of (state, reading) to (next state, voltage)
     links = matrix != 0.0
     on_the_way = _reached(links, size - 1) & _reached(links.T, size - 1)
     kept = np.flatnonzero(on_the_way[:-1])

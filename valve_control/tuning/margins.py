@@ -16,6 +16,7 @@ import numpy.typing as npt
 from valve_control.laws.law import Law
 from valve_control.parameters import linear_loop
 from valve_control.plant import valve
+from valve_control.simulation import many_states
 from valve_control.tuning import friction_swing
 
 Array = npt.NDArray[np.float64]
@@ -72,7 +73,7 @@ def _omega(period: float) -> Array:
 
 def margins(law: Law, params: Any, box: Box) -> Margins:
     """Margins of ``law`` with ``params`` around each valve of ``box``."""
-    linear = linear_loop.linear_law(law, params)
+    linear = linear_loop.linear_law(law, params, steps=many_states.stepped)
     radius = np.abs(linear_loop.dominant_poles(linear, box.valves))
     loop = -linear_loop.law_response(linear, box.z) * box.response
     gain, reduction = _gain_margins(loop)

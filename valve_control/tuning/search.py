@@ -7,8 +7,10 @@ search is repeatable by its seed, whatever the number of threads.
 """
 
 import math
+import os
 import warnings
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -93,28 +95,35 @@ def search(
     points: list[Point] = []
     tried = missed = 0
 
+    def violation(gains: Gains) -> float | None:
+        """By how much ``gains`` miss the margins; None: they are none."""
+        try:
+            params = law.build(trial.values_with(problem, gains))
+            return trial.violation(problem.limits, margins.margins(law, params, box), 1.0 / BACK_OFF)
+        except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+
     def judged(several: Sequence[Array], chatter: float) -> list[float]:
         """Costs of sets of gains under a limit of the chatter."""
         nonlocal tried, missed
         costs = np.full(len(several), NOT_RUN)
-        kept: list[tuple[int, tuple[float, ...], Gains]] = []
-        for i, shares in enumerate(several):
-            inside = tuple(float(v) for v in np.clip(shares, 0.0, 1.0))
-            gains = trial.gains_at(free, problem.values, inside)
-            try:
-                params = law.build(trial.values_with(problem, gains))
-                missing = trial.violation(problem.limits, margins.margins(law, params, box), 1.0 / BACK_OFF)
-            except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
+        inside = [tuple(float(v) for v in np.clip(shares, 0.0, 1.0)) for shares in several]
+        gains = [trial.gains_at(free, problem.values, shares) for shares in inside]
+        kept: list[int] = []
+        with ThreadPoolExecutor(trial.threads_of(workers) or os.cpu_count()) as pool:
+            violations = list(pool.map(violation, gains))
+        for i, missing in enumerate(violations):
+            if missing is None:
                 continue
             if missing > 0.0:
                 costs[i] = MISSED + missing
                 missed += 1
             else:
-                kept.append((i, inside, gains))
+                kept.append(i)
         if kept:
-            outcomes = trial.run(law, problem, [gains for _, _, gains in kept], workers)
-            for (i, inside, gains), outcome in zip(kept, outcomes, strict=True):
-                point = _point(problem, inside, gains, outcome)
+            outcomes = trial.run(law, problem, [gains[i] for i in kept], workers)
+            for i, outcome in zip(kept, outcomes, strict=True):
+                point = _point(problem, inside[i], gains[i], outcome)
                 costs[i] = cost(point, chatter, problem.limits.saturated)
                 if math.isfinite(point.error):
                     points.append(point)
