@@ -25,7 +25,7 @@ from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
 from valve_control.simulation import batch
 from valve_control.simulation.comparison import NOISE_SEED, Setup, made_of, measured, motions, summary, valves
-from valve_control.tuning import margins, trial, tuner, verification
+from valve_control.tuning import limit_cycles, margins, trial, tuner
 
 SEEDS = {"tune": 100, "verify": 555, "measure": 999, "check": 20261122}
 VERIFIED_ON = 100
@@ -126,8 +126,8 @@ def main() -> int:
         values = tuner.parameters_of(law.name, problem.values, chosen)
         unused = valves(arguments.valves, SEEDS["measure"], wide)
         errors = summary(measured(Setup(name, values, gains.ahead), batch.records(unused), NOISE_SEED))
-        swinging = verification.cycling(law, problem, gains, unused, arguments.threads)
-        cycles = verification.cycling(
+        swinging = limit_cycles.after_all(law, problem, gains, unused, arguments.threads)
+        cycles = limit_cycles.after_all(
             law, problem, gains, valves(arguments.check, SEEDS["check"], wide), arguments.threads
         )
         stem = f"{arguments.box}_{arguments.limit:g}_{name}"

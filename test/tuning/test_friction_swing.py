@@ -14,7 +14,7 @@ from valve_control.parameters.stability import FREE
 from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
 from valve_control.simulation import batch, comparison
-from valve_control.tuning import friction_swing, margins, trial, verification
+from valve_control.tuning import friction_swing, limit_cycles, margins, trial
 from valve_control.tuning.trial import Gains
 
 PERIOD = 0.001
@@ -156,8 +156,8 @@ def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():
     assert margins.margins(law, params, box).swing_v[0] < 0.6 * box.own_swing[0]
     motion = trial.Motion("rest", np.zeros(1000))
     problem = trial.Problem(values, [motion], plants, plants, trial.USUAL, False, False, 1)
-    led = verification.steps(PERIOD).wanted
+    led = limit_cycles.steps(PERIOD).wanted
     traces = np.empty((2, len(led), 3))
     batch.simulate(batch.Batch(law.name, params, batch.records(plants), np.ones(2, int), led), 1, traces)
-    assert all(verification._restless(trace[-1000:], PERIOD, 1.0) for trace in traces)
-    assert verification.cycling(law, problem, Gains({}, 0.0), plants).tolist() == [1]
+    assert np.all(limit_cycles.restless(traces[:, -1000:], PERIOD, 1.0))
+    assert limit_cycles.after_all(law, problem, Gains({}, 0.0), plants).tolist() == [1]

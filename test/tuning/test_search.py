@@ -14,7 +14,7 @@ from valve_control.parameter import defaults, updated
 from valve_control.parameters import files
 from valve_control.parameters.table import CONTROLLER, NODES
 from valve_control.simulation import robustness
-from valve_control.tuning import box, margins, search, trial, tuner, verification
+from valve_control.tuning import box, limit_cycles, margins, search, trial, tuner, verification
 from valve_control.tuning.search import Point
 from valve_control.tuning.trial import Gains
 
@@ -153,9 +153,9 @@ def test_what_swings_at_rest_is_told_from_what_creeps_and_from_noise():
     }
     for what, (position, swings) in positions.items():
         trace = np.stack([position, position, 0.5 + 20.0 * noise], axis=1)
-        assert verification._restless(trace, 0.001, 1.0) == swings, what
+        assert limit_cycles.restless(trace[None], 0.001, 1.0) == swings, what
     voltage = 2.0 * np.sign(np.sin(2.0 * math.pi * 40.0 * times))
-    assert verification._restless(np.stack([noise, noise, voltage], axis=1), 0.001, 1.0)
+    assert limit_cycles.restless(np.stack([noise, noise, voltage], axis=1)[None], 0.001, 1.0)
 
 
 def test_a_law_is_told_the_dead_time_that_is_to_be_expected():

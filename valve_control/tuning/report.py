@@ -14,7 +14,7 @@ from valve_control.parameter import number, updated
 from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
 from valve_control.simulation import batch
-from valve_control.tuning import margins, trial, verification
+from valve_control.tuning import limit_cycles, margins, trial, verification
 from valve_control.tuning.trial import Motion, Problem
 from valve_control.tuning.tuner import Aim, Tuned
 
@@ -224,7 +224,7 @@ def _shown_motions(period: float) -> list[Motion]:
     frequency, amplitude, duration = SINE
     times = np.arange(round(duration / period)) * period
     sine = amplitude * np.sin(2.0 * math.pi * frequency * times)
-    return [verification.steps(period), Motion(f"sine of {frequency:g} Hz", sine)]
+    return [limit_cycles.steps(period), Motion(f"sine of {frequency:g} Hz", sine)]
 
 
 def _responses(unseen: Problem, found: Mapping[str, Tuned]) -> str:
@@ -238,7 +238,7 @@ def _responses(unseen: Problem, found: Mapping[str, Tuned]) -> str:
         values = trial.values_with(problem, one.chosen.point.gains)
         params, period = law.build(values), number(values, "sample_period")
         for motion in _shown_motions(period):
-            sender = problem._replace(preview=problem.preview and motion.name != verification.STEPS_NAME)
+            sender = problem._replace(preview=problem.preview and motion.name != limit_cycles.STEPS_NAME)
             led = trial.given(law, params, values, one.chosen.point.gains, sender, motion.wanted)
             plants: list[valve.Params] = [unseen.plants[i] for i in shown.values()]
             traces = np.empty((len(plants), len(led), 3))

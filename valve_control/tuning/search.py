@@ -2,8 +2,9 @@
 
 Error and chatter of every set of gains that was tried are kept; those that no other one beats in both are the
 front. Each run of CMA-ES makes the error small under one limit of the chatter and begins at the best set that
-is known for it. Margins cost far less than runs and come first: a set that misses them is not simulated. A
-search is repeatable by its seed, whatever the number of threads.
+is known for it. Margins come first: a set that misses them is not simulated. One that comes near the best,
+or is on the front, has to come to rest after steps, on valves that have used up half of the margins. A search
+is repeatable by its seed, whatever the number of threads.
 """
 
 import math
@@ -17,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy.stats
 
-from valve_control.laws.free import present
+from valve_control.laws.free import Free, present
 from valve_control.laws.law import Law
 from valve_control.parameter import ParameterError
-from valve_control.tuning import margins, trial
+from valve_control.tuning import limit_cycles, margins, trial
 from valve_control.tuning.trial import AHEAD, Gains, Outcome, Problem, Workers
 
 Array = npt.NDArray[np.float64]
@@ -32,6 +33,8 @@ BACK_OFF = 0.9  # share of the limit of saturation, and 1/share of those of the 
 QUIETER = 0.96  # share of the limit of the chatter that it keeps
 PRICE = 6.0  # logarithm of the error for one of the chatter beyond its limit
 MISSED = 20.0  # cost of margins that are missed, before what they are missed by
+RESTLESS = 10.0  # cost of a loop that does not come to rest, before the share of valves on which it does not
+CLOSE = 0.1  # of the logarithm of the error, by which a set may miss the best to be asked whether it rests
 NOT_RUN = 100.0  # cost of gains that are none
 FRONT_LIMITS = (0.4, 0.2, 0.1, 0.05)  # of the chatter, where none is asked for
 
@@ -58,7 +61,7 @@ class Found(NamedTuple):
 
     points: list[Point]  # all that keep the margins and stayed finite
     tried: int
-    missed: int  # of them, the margins
+    missed: int  # of them, the margins or rest
 
 
 def phases(chatter: float | None) -> list[Phase]:
@@ -76,6 +79,87 @@ def cost(point: Point, chatter: float, saturated: float) -> float:
     return math.log(point.error) + PRICE * (beyond + max(0.0, point.saturated - BACK_OFF * saturated))
 
 
+class _Trials:
+    """Sets of gains that were tried, and what came of them."""
+
+    def __init__(self, law: Law, problem: Problem, free: Sequence[Free], workers: Workers) -> None:
+        self.points: list[Point] = []
+        self.tried = self.missed = 0
+        self._law, self._problem, self._free, self._workers = law, problem, free, workers
+        self._box = margins.prepared(problem.box)
+        self._rested: dict[tuple[float, ...], float] = {}  # share of the valves on which a set does not rest
+
+    def judged(self, several: Sequence[Array], chatter: float) -> list[float]:
+        """Costs of sets of gains under a limit of the chatter."""
+        costs = np.full(len(several), NOT_RUN)
+        inside = [tuple(float(v) for v in np.clip(shares, 0.0, 1.0)) for shares in several]
+        gains = [trial.gains_at(self._free, self._problem.values, shares) for shares in inside]
+        with ThreadPoolExecutor(trial.threads_of(self._workers) or os.cpu_count()) as pool:
+            violations = list(pool.map(self._violation, gains))
+        kept: list[int] = []
+        for i, missing in enumerate(violations):
+            if missing is None:
+                continue
+            if missing > 0.0:
+                costs[i] = MISSED + missing
+                self.missed += 1
+            else:
+                kept.append(i)
+        points: dict[int, Point] = {}
+        if kept:
+            outcomes = trial.run(self._law, self._problem, [gains[i] for i in kept], self._workers)
+            for i, outcome in zip(kept, outcomes, strict=True):
+                points[i] = _point(self._problem, inside[i], gains[i], outcome)
+                costs[i] = self._cost(points[i], chatter)
+        least = min((self._cost(point, chatter) for point in self.points), default=math.inf)
+        near = [i for i in points if costs[i] < NOT_RUN and costs[i] <= least + CLOSE]
+        for i, share in zip(near, self._restless([points[i] for i in near]), strict=True):
+            if share > 0.0:
+                costs[i] = RESTLESS + share
+                del points[i]
+        self.points += [point for point in points.values() if math.isfinite(point.error)]
+        self.tried += len(several)
+        outside = [float(np.sum((s - np.clip(s, 0.0, 1.0)) ** 2)) for s in several]
+        return [float(c) + o for c, o in zip(costs, outside, strict=True)]
+
+    def best(self, chatter: float) -> Point | None:
+        """The point of least cost under a limit of the chatter. None if there is none."""
+        return min(self.points, key=lambda p: self._cost(p, chatter), default=None)
+
+    def front_at_rest(self) -> None:
+        """Drop the points of the front on which a loop does not come to rest, until there are none."""
+        while untried := [p for p in front(self.points) if p.shares not in self._rested]:
+            restless = {
+                point.shares
+                for point, share in zip(untried, self._restless(untried), strict=True)
+                if share > 0.0
+            }
+            self.points = [point for point in self.points if point.shares not in restless]
+
+    def _cost(self, point: Point, chatter: float) -> float:
+        return cost(point, chatter, self._problem.limits.saturated)
+
+    def _restless(self, points: Sequence[Point]) -> list[float]:
+        """Share of the harder valves on which the loops of ``points`` do not come to rest."""
+        new = [p for p in points if p.shares not in self._rested]
+        if new:
+            shares = limit_cycles.restless_shares(
+                self._law, self._problem, [point.gains for point in new], self._workers
+            )
+            self._rested.update(zip([point.shares for point in new], shares, strict=True))
+            self.missed += sum(share > 0.0 for share in shares)
+        return [self._rested[point.shares] for point in points]
+
+    def _violation(self, gains: Gains) -> float | None:
+        """By how much ``gains`` miss the margins; None: they are none."""
+        try:
+            params = self._law.build(trial.values_with(self._problem, gains))
+            found = margins.margins(self._law, params, self._box)
+        except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+        return trial.violation(self._problem.limits, found, 1.0 / BACK_OFF)
+
+
 def search(
     law: Law,
     problem: Problem,
@@ -91,46 +175,12 @@ def search(
     free = trial.free_numbers(law, problem.values, problem.preview)
     if not free:
         raise ParameterError(f"{law.name} has no gains to choose; there is nothing to tune")
-    box = margins.prepared(problem.box)
-    points: list[Point] = []
-    tried = missed = 0
-
-    def violation(gains: Gains) -> float | None:
-        """By how much ``gains`` miss the margins; None: they are none."""
-        try:
-            params = law.build(trial.values_with(problem, gains))
-            return trial.violation(problem.limits, margins.margins(law, params, box), 1.0 / BACK_OFF)
-        except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
-            return None
+    trials = _Trials(law, problem, free, workers)
 
     def judged(several: Sequence[Array], chatter: float) -> list[float]:
-        """Costs of sets of gains under a limit of the chatter."""
-        nonlocal tried, missed
-        costs = np.full(len(several), NOT_RUN)
-        inside = [tuple(float(v) for v in np.clip(shares, 0.0, 1.0)) for shares in several]
-        gains = [trial.gains_at(free, problem.values, shares) for shares in inside]
-        kept: list[int] = []
-        with ThreadPoolExecutor(trial.threads_of(workers) or os.cpu_count()) as pool:
-            violations = list(pool.map(violation, gains))
-        for i, missing in enumerate(violations):
-            if missing is None:
-                continue
-            if missing > 0.0:
-                costs[i] = MISSED + missing
-                missed += 1
-            else:
-                kept.append(i)
-        if kept:
-            outcomes = trial.run(law, problem, [gains[i] for i in kept], workers)
-            for i, outcome in zip(kept, outcomes, strict=True):
-                point = _point(problem, inside[i], gains[i], outcome)
-                costs[i] = cost(point, chatter, problem.limits.saturated)
-                if math.isfinite(point.error):
-                    points.append(point)
-        tried += len(several)
-        told(min(tried, budget))
-        outside = [float(np.sum((s - np.clip(s, 0.0, 1.0)) ** 2)) for s in several]
-        return [float(c) + o for c, o in zip(costs, outside, strict=True)]
+        costs = trials.judged(several, chatter)
+        told(min(trials.tried, budget))
+        return costs
 
     n = len(free)
     begin = np.array([0.5 if f is AHEAD else f.to_share(present(f, problem.values)) for f in free])
@@ -141,13 +191,13 @@ def search(
     first = judged(scattered, plan[0].chatter)
     fallback = scattered[int(np.argmin(first))]
     if n == 1:  # no covariance to adapt
-        judged(list(np.linspace(0.0, 1.0, max(2, budget - tried))[:, None]), plan[0].chatter)
-    until = float(tried)
-    left = max(0, budget - tried)
+        judged(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), plan[0].chatter)
+    until = float(trials.tried)
+    left = max(0, budget - trials.tried)
     for number, phase in enumerate(plan):
         until += phase.share * left
         restart = 0
-        while tried < round(until):
+        while trials.tried < round(until):
             options = {
                 "seed": seed + 100 * number + restart + 1,
                 "popsize": POPULATION,
@@ -156,19 +206,21 @@ def search(
                 "tolfunhist": 1e-4,
                 "tolflatfitness": 20,
             }
-            best = min(points, key=lambda p: cost(p, phase.chatter, problem.limits.saturated), default=None)
+            trials.front_at_rest()
+            best = trials.best(phase.chatter)
             start = fallback if best is None else np.array(best.shares)
             step = FIRST_STEP if best is None or number + restart == 0 else LATER_STEP
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 strategy = cma.CMAEvolutionStrategy(start, step, options)
-                while tried < round(until) and not strategy.stop():
+                while trials.tried < round(until) and not strategy.stop():
                     asked = strategy.ask()
                     strategy.tell(asked, judged(asked, phase.chatter))
             if best is None:
                 fallback = np.clip(strategy.result.xbest, 0.0, 1.0)
             restart += 1
-    return Found(points, tried, missed)
+    trials.front_at_rest()
+    return Found(trials.points, trials.tried, trials.missed)
 
 
 def _point(problem: Problem, shares: tuple[float, ...], gains: Gains, outcome: Outcome) -> Point:

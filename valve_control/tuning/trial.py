@@ -1,7 +1,7 @@
 """Tries sets of gains of a law: margins over a box of valves, and runs of many valves on several commands."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,6 +83,9 @@ class Outcome(NamedTuple):
         return float(np.mean(self.c_u))
 
 
+Here = Callable[[Law, Problem, Sequence[Gains], int | None], list[Array]]  # on threads of this machine
+
+
 def typical(errors: Array) -> float:
     """One number [V] for errors M×N: geometric mean over M of that of median and 95th percentile over N.
 
@@ -151,31 +154,33 @@ def threads_of(workers: Workers) -> int | None:
 
 
 def run(law: Law, problem: Problem, several: Sequence[Gains], workers: Workers = None) -> list[Outcome]:
-    """As ``run_here``, on the workers of a cluster or from what is kept if ``workers`` are that."""
+    """Outcomes of ``several`` sets of gains on all plants and motions of ``problem``."""
+    return [Outcome(*rows) for rows in shared(run_here, law, problem, several, workers)]
+
+
+def shared(here: Here, law: Law, problem: Problem, several: Sequence[Gains], workers: Workers) -> list[Array]:
+    """What ``here`` computes for each of ``several``: on threads, on a cluster, or from what is kept."""
     if isinstance(workers, Kept):
-        key = digest((law.name, problem.values, problem.seed, len(problem.plants), several))
+        key = digest((here.__name__, law.name, problem.values, problem.seed, len(problem.plants), several))
         there = workers.workers
-        kept = workers.outcomes(key, lambda: np.array(run(law, problem, several, there)))
-        return [Outcome(*rows) for rows in kept]
+        return list(workers.outcomes(key, lambda: np.array(shared(here, law, problem, several, there))))
     if not isinstance(workers, Cluster) or len(several) == 1:
-        return run_here(law, problem, several, threads_of(workers))
+        return here(law, problem, several, threads_of(workers))
     each = -(-len(several) // workers.slots)
     parts = [several[first : first + each] for first in range(0, len(several), each)]
-    made: list[list[Outcome]] = [[] for _ in parts]
-    for i, outcomes in workers.completed(_run_there, [(law.name, problem, part) for part in parts]):
-        made[i] = outcomes
-    return [outcome for part in made for outcome in part]
+    made: list[list[Array]] = [[] for _ in parts]
+    for i, rows in workers.completed(_there, [(here, law.name, problem, part) for part in parts]):
+        made[i] = rows
+    return [row for part in made for row in part]
 
 
-def _run_there(law: str, problem: Problem, several: Sequence[Gains]) -> list[Outcome]:
-    """``run_here`` on a worker, on one thread."""
-    return run_here(LAWS[law], problem, several, 1)
+def _there(here: Here, law: str, problem: Problem, several: Sequence[Gains]) -> list[Array]:
+    """``here`` on a worker, on one thread."""
+    return here(LAWS[law], problem, several, 1)
 
 
-def run_here(
-    law: Law, problem: Problem, several: Sequence[Gains], threads: int | None = None
-) -> list[Outcome]:
-    """Simulate all plants of ``problem`` with each of ``several`` gains, on all motions.
+def run_here(law: Law, problem: Problem, several: Sequence[Gains], threads: int | None = None) -> list[Array]:
+    """Rows of the Outcomes (4×M×N) of all plants of ``problem`` with each of ``several`` gains.
 
     All sets go through the compiled loop together, and the result does not depend on the number of
     threads. Valve i has noise seed ``problem.seed`` + i, and another one on each motion.
@@ -205,9 +210,7 @@ def run_here(
         )
         rows = (result.true_e_rms, result.true_e_M, result.c_u, result.saturated)
         found.append([row.reshape(len(several), count) for row in rows])
-    return [
-        Outcome(*(np.array([rows[k][j] for rows in found]) for k in range(4))) for j in range(len(several))
-    ]
+    return [np.array([[rows[k][j] for rows in found] for k in range(4)]) for j in range(len(several))]
 
 
 def violation(limits: Limits, found: margins.Margins, share: float = 1.0) -> float:

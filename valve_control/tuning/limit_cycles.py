@@ -1,0 +1,217 @@
+"""Finds loops that do not come to rest: limit cycles after steps and motions, on simulated valves.
+
+Margins are those of small motions around 0 V with the first estimates. A law that adapts is another one after
+a step: its estimates have moved, some to their bounds, and at a position x every estimate that multiplies x
+integrates the error like that of a constant disturbance, with x² times its rate. And friction sustains
+swings. All this shows in a run alone.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.analysis.limit_cycle import limit_cycle
+from valve_control.laws.law import Law
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import Values, number, updated
+from valve_control.parameters.table import CONTROLLER
+from valve_control.plant import valve
+from valve_control.simulation import batch
+from valve_control.tuning import trial
+from valve_control.tuning.trial import Gains, Limits, Motion, Problem, Workers
+
+Array = npt.NDArray[np.float64]
+Valves = npt.NDArray[np.int64]  # numbers of valves
+STEPS_NAME = "steps"
+STEPS = (0.3, -1.0)  # V  with which a loop is tried; each is held for HELD
+HELD = 1.0  # s
+RESTING = 0.5  # s  at the end of each step, in which the loop has to rest
+REST = 0.05  # V  amplitude about a straight line from which on it does not: noise stays far below
+TURNS = 4  # crossings of that line; what creeps has two
+OWN = 2.0  # times a valve's own swing at a constant voltage, up to which that of the loop is the valve's
+LEAST = 0.01  # V  amplitude of a valve's own swing, at least
+SETTLED = 2.0  # s  after which a valve at a constant voltage rests, unless it swings by itself
+CHUNK = 512  # valves whose signals are kept at a time
+STRESS = 0.5  # of the margins that are asked for, by which the valves of the search are harder than its box
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+
+
+class _Swing(NamedTuple):
+    """A swing about rest."""
+
+    amplitude: float  # V
+    voltage: float  # V  mean
+
+
+def steps(period: float, motions: Sequence[Motion] = ()) -> Motion:
+    """Steps of STEPS from 0 V, and one to where the ``motions`` are farthest; each is held for HELD."""
+    n = round(HELD / period)
+    reach = max((float(np.max(np.abs(motion.wanted))) for motion in motions), default=0.0)
+    heights = (*STEPS, reach) if reach > max(map(abs, STEPS)) else STEPS
+    return Motion(STEPS_NAME, np.concatenate([np.zeros(n // 10), *(np.full(n, h) for h in heights)]))
+
+
+def stressed(plants: Sequence[valve.Params], limits: Limits) -> list[valve.Params]:
+    """``plants``, each with STRESS of the margins used up: more gain, less gain or more dead time, in turn.
+
+    Friction is a part of theirs, another one for each: what swings with much of it need not with little.
+    """
+    factor = 10.0 ** (STRESS * limits.gain_db / 20.0)
+    made = []
+    for i, plant in enumerate(plants):
+        later = STRESS * limits.delay_s / plant.period if i % 3 == 2 else 0.0
+        gain = (factor, 1.0 / factor, 1.0)[i % 3]
+        coulomb = plant.disturbance.coulomb * (1.0 - (i * GOLDEN) % 1.0)
+        made.append(
+            plant._replace(
+                gain_scale=gain * plant.gain_scale,
+                lvdt=plant.lvdt._replace(delay=plant.lvdt.delay + later),
+                disturbance=plant.disturbance._replace(coulomb=coulomb),
+            )
+        )
+    return made
+
+
+def restless_shares(
+    law: Law, problem: Problem, several: Sequence[Gains], workers: Workers = None
+) -> list[float]:
+    """Share of the ``stressed`` box of ``problem`` on which each of ``several`` gains ends in a limit cycle."""
+    return [float(share.item()) for share in trial.shared(_shares, law, problem, several, workers)]
+
+
+def _shares(law: Law, problem: Problem, several: Sequence[Gains], threads: int | None) -> list[Array]:
+    hard = stressed(problem.box, problem.limits)
+    counts = [len(after_steps(law, problem, gains, hard, threads)) for gains in several]
+    return [np.full((1, 1, 1), count / len(hard)) for count in counts]
+
+
+def after_steps(
+    law: Law, problem: Problem, gains: Gains, plants: Sequence[valve.Params], workers: Workers = None
+) -> Valves:
+    """Numbers of the ``plants`` on which the loop ends in a limit cycle after one of the ``steps``.
+
+    In the last RESTING of a step the spool has to rest, and the voltage must not show what a controller node
+    reports as an oscillation. A run that does not stay finite counts. A valve that swings at a constant
+    voltage, and in the loop less than OWN times as much, does not.
+    """
+    values = trial.values_with(problem, gains)
+    tried = steps(number(values, "sample_period"), problem.motions)
+    return _cycling(law, problem, gains, plants, [tried], workers)
+
+
+def after_all(
+    law: Law, problem: Problem, gains: Gains, plants: Sequence[valve.Params], workers: Workers = None
+) -> Valves:
+    """As ``after_steps``, and after each motion, whose end is held for HELD.
+
+    While a command moves, friction answers it with harmonics, which are no limit cycle.
+    """
+    period = number(trial.values_with(problem, gains), "sample_period")
+    held = round(HELD / period)
+    ended = [
+        motion._replace(wanted=np.concatenate([motion.wanted, np.full(held, motion.wanted[-1])]))
+        for motion in problem.motions
+    ]
+    return _cycling(law, problem, gains, plants, [steps(period, problem.motions), *ended], workers)
+
+
+def _cycling(
+    law: Law,
+    problem: Problem,
+    gains: Gains,
+    plants: Sequence[valve.Params],
+    tried: Sequence[Motion],
+    workers: Workers,
+) -> Valves:
+    values = trial.values_with(problem, gains)
+    params = law.build(values)
+    period, least = number(values, "sample_period"), number(values, "oscillation_limit")
+    bare = problem._replace(preview=False)  # nobody sends the derivatives of a step
+    held = round(HELD / period)
+    found: dict[int, _Swing] = {}
+    for motion in tried:
+        stepping = motion.name == STEPS_NAME
+        sender = bare if stepping else problem
+        led = trial.given(law, params, values, gains, sender, motion.wanted)
+        ends = range(len(led), held, -held) if stepping else [len(led)]
+        for first in range(0, len(plants), CHUNK):
+            some = plants[first : first + CHUNK]
+            traces = np.empty((len(some), len(led), 3))
+            seeds = problem.seed + first + np.arange(len(some))
+            batch.simulate(
+                batch.Batch(law.name, params, batch.records(list(some)), seeds, motion.wanted, led=led),
+                trial.threads_of(workers),
+                traces,
+            )
+            for end in ends:
+                part = traces[:, end - held : end]
+                for i in np.flatnonzero(restless(part, period, least)):
+                    swing = _swing(part[i], period)
+                    found[first + int(i)] = max(found.get(first + int(i), swing), swing)
+    return _by_feedback(values, plants, found, trial.threads_of(workers))
+
+
+def restless(traces: Array, period: float, least: float) -> npt.NDArray[np.bool_]:
+    """Which of N loops still swing at the end of ``traces`` (N×n×3) at one command, or are not finite.
+
+    ``least`` [V]: amplitude of the voltage from which on an oscillation of it counts; 0.0: none does.
+    """
+    finite = np.all(np.isfinite(traces), axis=(1, 2))
+    swing = _about_a_line(np.where(finite[:, None], traces[:, -round(RESTING / period) :, 0], 0.0))
+    found = ~finite | ((np.ptp(swing, axis=1) > 2.0 * REST) & (_crossings(swing) >= TURNS))
+    still = np.zeros(traces.shape[1])
+    for i in np.flatnonzero(~found):
+        cycle = limit_cycle(traces[i, :, 2], still, period, least)
+        found[i] = cycle is not None and cycle.end > HELD - RESTING
+    return np.asarray(found, dtype=bool)
+
+
+def _swing(trace: Array, period: float) -> _Swing:
+    """Of the end of a ``trace`` (n×3) at one command."""
+    last = trace[-round(RESTING / period) :]
+    amplitude = float(_amplitude(_about_a_line(last[:, 0])))
+    return _Swing(amplitude if math.isfinite(amplitude) else math.inf, float(np.mean(last[:, 2])))
+
+
+def _amplitude(swing: Array) -> Array:
+    """Amplitude of the sine that is as large, root mean square, as a ``swing`` about 0 V (…×n)."""
+    return np.asarray(math.sqrt(2.0) * np.std(swing, axis=-1), dtype=float)
+
+
+def _about_a_line(position: Array) -> Array:
+    times = np.linspace(-1.0, 1.0, position.shape[-1])
+    swing = position - np.mean(position, axis=-1, keepdims=True)
+    made: Array = swing - (swing @ times / (times @ times))[..., None] * times
+    return made
+
+
+def _crossings(swing: Array) -> npt.NDArray[np.int64]:
+    """Of a ``swing`` about 0 V (…×n)."""
+    return np.asarray(np.count_nonzero(np.diff(np.signbit(swing), axis=-1), axis=-1))
+
+
+def _by_feedback(
+    values: Values, plants: Sequence[valve.Params], found: Mapping[int, _Swing], threads: int | None
+) -> Valves:
+    """Numbers of those ``found`` that are not the valve's own swings at a constant voltage."""
+    numbers = sorted(found)
+    bare = LAWS["open_loop"]
+    params = bare.build(updated(CONTROLLER, values, {"open_loop.static_gain": 1.0}))
+    period = number(values, "sample_period")
+    kept: list[int] = []
+    for first in range(0, len(numbers), CHUNK):
+        some = numbers[first : first + CHUNK]
+        voltages = np.nan_to_num([found[i].voltage for i in some], posinf=0.0, neginf=0.0)
+        command = np.repeat(voltages[:, None], round(SETTLED / period), axis=1)
+        traces = np.empty((*command.shape, 3))
+        rows = batch.records([plants[i] for i in some])
+        batch.simulate(batch.Batch(bare.name, params, rows, np.array(some), command), threads, traces)
+        own = _about_a_line(traces[:, -round(RESTING / period) :, 0])
+        amplitude = _amplitude(own)
+        larger = np.array([found[i].amplitude for i in some]) >= OWN * amplitude
+        counts = larger | ~(amplitude > LEAST) | (_crossings(own) < TURNS)
+        kept += [i for i, counted in zip(some, counts, strict=True) if counted]
+    return np.array(kept, dtype=np.int64)
