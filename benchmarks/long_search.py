@@ -2,7 +2,8 @@
 
 The CMA-ES is written out here (after Hansen, The CMA Evolution Strategy: A Tutorial, 2016, with restarts and
 doubled populations). Both make the same cost small: error under a limit of chatter and of saturation, with
-the same margins, on the same valves. What each has chosen is run on valves that neither has seen.
+the same margins and rest after steps, on the same valves. What each has chosen is run on valves that neither
+has seen.
 """
 
 import argparse
@@ -24,7 +25,7 @@ from valve_control.parameter import ParameterError, Value, defaults, updated
 from valve_control.parameters import files
 from valve_control.parameters.table import CONTROLLER, NODES
 from valve_control.simulation import robustness
-from valve_control.tuning import box, margins, search, trial, tuner
+from valve_control.tuning import box, limit_cycles, margins, search, trial, tuner
 from valve_control.tuning.trial import Gains
 
 Array = npt.NDArray[np.float64]
@@ -136,7 +137,11 @@ def long_search(
             beyond = max(0.0, math.log(max(outcome.chatter, 1e-9) / QUIET)) + max(0.0, loud - 0.02)
             costs[i] += math.log(error) + 6.0 * beyond if math.isfinite(error) else 100.0
             if beyond == 0.0 and error < best[0]:
-                best = error, gains
+                (share,) = limit_cycles.restless_shares(law, problem, [gains])
+                if share > 0.0:
+                    costs[i] = 10.0 + share
+                else:
+                    best = error, gains
         told(len(points))
         return costs
 

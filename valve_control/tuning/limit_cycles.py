@@ -78,7 +78,7 @@ def stressed(plants: Sequence[valve.Params], limits: Limits) -> list[valve.Param
 def restless_shares(
     law: Law, problem: Problem, several: Sequence[Gains], workers: Workers = None
 ) -> list[float]:
-    """Share of the ``stressed`` box of ``problem`` on which each of ``several`` gains ends in a limit cycle."""
+    """Share of the ``stressed`` box of ``problem`` on which each of ``several`` ends in a limit cycle."""
     return [float(share.item()) for share in trial.shared(_shares, law, problem, several, workers)]
 
 
