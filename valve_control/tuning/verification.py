@@ -61,8 +61,8 @@ def verified(
     (share,) = limit_cycles.restless_shares(law, problem, [gains], workers)
     if share > 0.0:
         reasons.append(
-            f"{100.0 * share:.2g} % of the valves in the box end in a limit cycle when half of the margins is "
-            "gone"
+            f"{100.0 * share:.2g} % of the valves in the box end in a limit cycle when half of the margins "
+            "is gone"
         )
     for outcome, what in ((seen, "the commands"), (unseen, "commands that were not seen")):
         share = float(np.mean(outcome.saturated))
