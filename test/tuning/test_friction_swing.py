@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import files
+from valve_control.parameters import files, linear_loop
 from valve_control.parameters.stability import FREE
 from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
@@ -60,6 +60,13 @@ def test_sampled_bristles_are_ahead_by_one_and_a_half_periods(frequency, deflect
     assert ahead == pytest.approx(friction_swing.AHEAD, abs=0.2)
 
 
+def swings(law, params, plants):
+    """Predicted amplitudes [V] of the swings in the loop, the valves' own included."""
+    box = margins.prepared(plants)
+    loop = -linear_loop.law_response(linear_loop.linear_law(law, params), box.z) * box.response
+    return friction_swing.swings(loop, box.position, box.z, box.coulomb, box.presliding)
+
+
 def rubbing(coulomb, presliding, delay=0.0005):
     """A valve on which the swings of GAINS were seen: slow poles, fast zeros, much gain."""
     made = comparison.made_of(
@@ -78,8 +85,7 @@ def test_predicted_swing_is_that_of_a_run(coulomb, presliding, delay):
     law = LAWS["pid"]
     params = law.build(updated(CONTROLLER, defaults(CONTROLLER), values))
     plants = [rubbing(share * coulomb, presliding, delay) for share in np.linspace(0.1, 1.0, 19)]
-    box = margins.prepared(plants[-1:])
-    predicted = margins.margins(law, params, box).swing_v[0] + box.own_swing[0]
+    predicted = swings(law, params, plants[-1:])[0]
     command = np.where(np.arange(6000) < 100, 0.0, 0.3)
     traces = np.empty((len(plants), len(command), 3))
     seeds = np.ones(len(plants), dtype=int)
@@ -119,8 +125,7 @@ def test_without_friction_nothing_swings_and_more_of_it_swings_more():
     law = LAWS["pid"]
     params = law.build(updated(CONTROLLER, defaults(CONTROLLER), values))
     plants = [rubbing(coulomb, 0.03) for coulomb in (0.0, 0.4, 0.8, 1.6)]
-    box = margins.prepared(plants)
-    found = margins.margins(law, params, box).swing_v + box.own_swing
+    found = swings(law, params, plants)
     assert found[0] == 0.0 and np.all(np.diff(found) > 0.0)
 
 
@@ -147,13 +152,17 @@ def test_the_dead_time_of_the_sensor_does_not_move_the_valve():
 
 
 def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():
-    """The loop makes the swing of the valve a fifth larger, above what counts as rest; margins say so too."""
+    """The loop makes the swing of the valve little larger, above what counts as rest; margins say so too."""
     values = updated(CONTROLLER, defaults(CONTROLLER), files.load(GAINS)["controller"])
     law = LAWS["pid"]
     params = law.build(values)
     plants = [rubbing(1.4, 0.035), rubbing(1.4, 0.035)._replace(gain_scale=4.0)]
     box = margins.prepared(plants[:1])
-    assert margins.margins(law, params, box).swing_v[0] < 0.6 * box.own_swing[0]
+    whole = swings(law, params, plants[:1])[0]
+    assert box.own_swing[0] < whole < margins.GROWN * box.own_swing[0]
+    assert margins.margins(law, params, box).swing_v[0] == pytest.approx(
+        whole * (whole / box.own_swing[0] - 1.0) / (margins.GROWN - 1.0)
+    )
     motion = trial.Motion("rest", np.zeros(1000))
     problem = trial.Problem(values, [motion], plants, plants, trial.USUAL, False, False, 1)
     led = limit_cycles.steps(PERIOD).wanted

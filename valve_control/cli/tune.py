@@ -84,9 +84,9 @@ def add_commands(commands: Any) -> None:
     limits.add_argument(
         "--swing",
         type=float,
-        default=0.05,
+        default=0.04,
         metavar="V",
-        help="by which the loop may enlarge swings about rest that friction sustains (0.05 V)",
+        help="of swings about rest that friction sustains in the loop, and not by the valve alone (0.04 V)",
     )
     limits.add_argument(
         "--saturation", type=float, default=0.02, metavar="X", help="mean share of the samples (0.02)"

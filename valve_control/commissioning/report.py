@@ -143,7 +143,7 @@ def _margins(found: Result) -> str:
         ("phase [deg]", worst["phase_deg"]),
         ("delay [ms]", None if worst["delay_s"] is None else 1e3 * worst["delay_s"]),
         ("peak of the sensitivity [dB]", worst["sensitivity_db"]),
-        ("more swing about rest than the valve's own [V]", worst["swing_v"]),
+        ("swing about rest that friction sustains in the loop [V]", worst["swing_v"]),
         (f"e_rms, median of {unseen['valves']} valves [mV]", 1e3 * (unseen["e_rms"]["median"] or np.nan)),
         ("e_rms, 95 % [mV]", 1e3 * (unseen["e_rms"]["p95"] or np.nan)),
         ("limit cycles", unseen["limit_cycles"]),

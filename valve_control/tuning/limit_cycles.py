@@ -36,6 +36,7 @@ LEAST = 0.01  # V  amplitude of a valve's own swing, at least
 SETTLED = 2.0  # s  after which a valve at a constant voltage rests, unless it swings by itself
 CHUNK = 512  # valves whose signals are kept at a time
 STRESS = 0.5  # of the margins that are asked for, by which the valves of the search are harder than its box
+FARTHER = 1.5  # times the reach of the motions, to which the search steps
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
@@ -46,10 +47,10 @@ class _Swing(NamedTuple):
     voltage: float  # V  mean
 
 
-def steps(period: float, motions: Sequence[Motion] = ()) -> Motion:
-    """Steps of STEPS from 0 V, and one to where the ``motions`` are farthest; each is held for HELD."""
+def steps(period: float, motions: Sequence[Motion] = (), farther: float = 1.0) -> Motion:
+    """Steps of STEPS, and one ``farther`` times as far as the ``motions`` go; each is held for HELD."""
     n = round(HELD / period)
-    reach = max((float(np.max(np.abs(motion.wanted))) for motion in motions), default=0.0)
+    reach = farther * max((float(np.max(np.abs(motion.wanted))) for motion in motions), default=0.0)
     heights = (*STEPS, reach) if reach > max(map(abs, STEPS)) else STEPS
     return Motion(STEPS_NAME, np.concatenate([np.zeros(n // 10), *(np.full(n, h) for h in heights)]))
 
@@ -78,18 +79,26 @@ def stressed(plants: Sequence[valve.Params], limits: Limits) -> list[valve.Param
 def restless_shares(
     law: Law, problem: Problem, several: Sequence[Gains], workers: Workers = None
 ) -> list[float]:
-    """Share of the ``stressed`` box of ``problem`` on which each of ``several`` ends in a limit cycle."""
+    """Share of the ``stressed`` box of ``problem`` on which each of ``several`` ends in a limit cycle.
+
+    After steps of which the last one goes FARTHER than the motions.
+    """
     return [float(share.item()) for share in trial.shared(_shares, law, problem, several, workers)]
 
 
 def _shares(law: Law, problem: Problem, several: Sequence[Gains], threads: int | None) -> list[Array]:
     hard = stressed(problem.box, problem.limits)
-    counts = [len(after_steps(law, problem, gains, hard, threads)) for gains in several]
+    counts = [len(after_steps(law, problem, gains, hard, threads, FARTHER)) for gains in several]
     return [np.full((1, 1, 1), count / len(hard)) for count in counts]
 
 
 def after_steps(
-    law: Law, problem: Problem, gains: Gains, plants: Sequence[valve.Params], workers: Workers = None
+    law: Law,
+    problem: Problem,
+    gains: Gains,
+    plants: Sequence[valve.Params],
+    workers: Workers = None,
+    farther: float = 1.0,
 ) -> Valves:
     """Numbers of the ``plants`` on which the loop ends in a limit cycle after one of the ``steps``.
 
@@ -98,7 +107,7 @@ def after_steps(
     voltage, and in the loop less than OWN times as much, does not.
     """
     values = trial.values_with(problem, gains)
-    tried = steps(number(values, "sample_period"), problem.motions)
+    tried = steps(number(values, "sample_period"), problem.motions, farther)
     return _cycling(law, problem, gains, plants, [tried], workers)
 
 

@@ -22,6 +22,7 @@ from valve_control.tuning import friction_swing
 Array = npt.NDArray[np.float64]
 LOWEST = 0.05  # Hz  of the frequencies looked at; the highest is half the sampling rate
 FREQUENCIES = 500
+GROWN = 1.6  # times a valve's own swing, from which on that in the loop is all the loop's
 EDGE = 1e-9  # by which a pole may lie outside of the unit circle: rounding
 
 
@@ -35,7 +36,9 @@ class Margins(NamedTuple):
     delay_s: Array  # s   of more dead time
     sensitivity_db: Array  # dB  peak of 1/(1 + L)
     response_db: Array  # dB  peak of L/(1 + L)
-    swing_v: Array  # V   by which the loop makes the largest swing larger that friction sustains about rest
+    swing_v: (
+        Array  # V   amplitude of the largest swing about rest that friction sustains, as far as by the loop
+    )
 
 
 class Box(NamedTuple):
@@ -82,9 +85,18 @@ def margins(law: Law, params: Any, box: Box) -> Margins:
         sensitivity = -20.0 * np.log10(np.min(np.abs(1.0 + loop), axis=1))
         response = 20.0 * np.log10(np.max(np.abs(loop / (1.0 + loop)), axis=1))
     swing = friction_swing.swings(loop, box.position, box.z, box.coulomb, box.presliding)
-    added = np.maximum(swing - box.own_swing, 0.0)
-    found = Margins(radius, gain, reduction, phase, delay, sensitivity, response, added)
+    by_loop = swing * _blame(swing, box.own_swing)
+    found = Margins(radius, gain, reduction, phase, delay, sensitivity, response, by_loop)
     return _without_unstable(found)
+
+
+def _blame(swing: Array, own: Array) -> Array:
+    """Share of a ``swing`` [V] for which the loop is to blame, not the valve, which alone has ``own`` [V].
+
+    0 if the loop makes it no larger, 1 from GROWN times as large on.
+    """
+    grown = np.divide(swing, own, out=np.full_like(swing, np.inf), where=own > 0.0)
+    return np.asarray(np.clip((grown - 1.0) / (GROWN - 1.0), 0.0, 1.0), dtype=float)
 
 
 def worst(found: Margins) -> Margins:

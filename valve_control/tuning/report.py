@@ -207,7 +207,7 @@ def _margins(unseen: Problem, found: Mapping[str, Tuned]) -> str:
         "delay [ms]",
         "sensitivity [dB]",
         "response [dB]",
-        "more swing [V]",
+        "swing [V]",
     ]
     return "<p>The least of each over all valves, of the peaks the largest.</p>" + pages.table(head, rows)
 

@@ -40,12 +40,12 @@ class Limits(NamedTuple):
     phase_deg: float
     delay_s: float
     sensitivity_db: float  # at most
-    swing: float  # V  at most; by which the loop enlarges swings about rest that friction sustains
+    swing: float  # V  at most; amplitude of swings about rest that friction sustains, by the loop
     saturated: float  # at most; share of the samples at the limit of the voltage
 
 
 USUAL = Limits(
-    gain_db=3.0, phase_deg=20.0, delay_s=0.0005, sensitivity_db=12.0, swing=0.05, saturated=0.02
+    gain_db=3.0, phase_deg=20.0, delay_s=0.0005, sensitivity_db=12.0, swing=0.04, saturated=0.02
 )  # where nothing else is asked for
 
 

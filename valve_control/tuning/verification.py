@@ -97,7 +97,7 @@ def _margins_missed(limits: trial.Limits, worst: dict[str, float | None]) -> lis
     if swing is None or swing > limits.swing:
         shown = "any size" if swing is None else f"{swing:.3g} V"
         reasons.append(
-            f"feedback adds {shown} to the swing that friction sustains about rest, above {limits.swing:g} V"
+            f"in the loop friction sustains swings about rest of {shown}, above {limits.swing:g} V"
         )
     return reasons
 
