@@ -147,6 +147,10 @@ def test_what_swings_at_rest_is_told_from_what_creeps_and_from_noise():
     positions = {
         "swings": (0.3 + 0.06 * np.sin(2.0 * math.pi * 30.0 * times) + noise, True),
         "creeps": (0.3 - 0.3 * np.exp(-times / 0.3) + noise, False),
+        "creeps, and the valve swings": (
+            0.3 - 0.9 * np.exp(-times / 0.3) + 0.017 * np.sin(2.0 * math.pi * 36.0 * times) + noise,
+            False,
+        ),
         "drifts": (0.3 + 0.3 * times + noise, False),
         "rests": (0.3 + noise, False),
         "is lost": (np.full(1000, math.nan), True),

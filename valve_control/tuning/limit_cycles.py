@@ -30,13 +30,13 @@ STEPS = (0.3, -1.0)  # V  with which a loop is tried; each is held for HELD
 HELD = 1.0  # s
 RESTING = 0.5  # s  at the end of each step, in which the loop has to rest
 REST = 0.05  # V  amplitude about a straight line from which on it does not: noise stays far below
-TURNS = 4  # crossings of that line; what creeps has two
+TURNS = 4  # from half of that on one side of the line to the other; what creeps has two, whatever rides on it
 OWN = 2.0  # times a valve's own swing at a constant voltage, up to which that of the loop is the valve's
 LEAST = 0.01  # V  amplitude of a valve's own swing, at least
 SETTLED = 2.0  # s  after which a valve at a constant voltage rests, unless it swings by itself
 CHUNK = 512  # valves whose signals are kept at a time
 STRESS = 0.5  # of the margins that are asked for, by which the valves of the search are harder than its box
-FARTHER = 1.5  # times the reach of the motions, to which the search steps
+FARTHER = 1.25  # times the reach of the motions, to which the search steps
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
@@ -170,7 +170,10 @@ def restless(traces: Array, period: float, least: float) -> npt.NDArray[np.bool_
     """
     finite = np.all(np.isfinite(traces), axis=(1, 2))
     swing = _about_a_line(np.where(finite[:, None], traces[:, -round(RESTING / period) :, 0], 0.0))
-    found = ~finite | ((np.ptp(swing, axis=1) > 2.0 * REST) & (_crossings(swing) >= TURNS))
+    large = np.ptp(swing, axis=1) > 2.0 * REST
+    found = ~finite | np.array(
+        [bool(one) and _turns(row, 0.5 * REST) >= TURNS for one, row in zip(large, swing, strict=True)]
+    )
     still = np.zeros(traces.shape[1])
     for i in np.flatnonzero(~found):
         cycle = limit_cycle(traces[i, :, 2], still, period, least)
@@ -197,9 +200,9 @@ def _about_a_line(position: Array) -> Array:
     return made
 
 
-def _crossings(swing: Array) -> npt.NDArray[np.int64]:
-    """Of a ``swing`` about 0 V (…×n)."""
-    return np.asarray(np.count_nonzero(np.diff(np.signbit(swing), axis=-1), axis=-1))
+def _turns(swing: Array, beyond: float) -> int:
+    """How often a ``swing`` about 0 V (n) goes from ``beyond`` [V] on one side to that on the other."""
+    return int(np.count_nonzero(np.diff(np.signbit(swing[np.abs(swing) > beyond]))))
 
 
 def _by_feedback(
@@ -221,6 +224,6 @@ def _by_feedback(
         own = _about_a_line(traces[:, -round(RESTING / period) :, 0])
         amplitude = _amplitude(own)
         larger = np.array([found[i].amplitude for i in some]) >= OWN * amplitude
-        counts = larger | ~(amplitude > LEAST) | (_crossings(own) < TURNS)
-        kept += [i for i, counted in zip(some, counts, strict=True) if counted]
+        rests = np.array([_turns(row, 0.5 * LEAST) < TURNS for row in own]) | ~(amplitude > LEAST)
+        kept += [i for i, counted in zip(some, larger | rests, strict=True) if counted]
     return np.array(kept, dtype=np.int64)
