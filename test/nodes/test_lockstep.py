@@ -23,7 +23,7 @@ STARTS = 10  # of each
 SHORT = "0.3"  # s of valve time, in which the command has begun to move
 
 
-@pytest.mark.parametrize("seconds", [2, pytest.param(20, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("seconds", [5, pytest.param(20, marks=pytest.mark.campaign)])
 def test_the_motion_equals_offline_for_every_controller(tmp_path, seconds):
     entries = run_tool("lockstep", tmp_path, "--duration", str(seconds))
     assert [e["controller"] for e in entries] == ["arc", "oarc", "dcarc", "pid", "compensator", "open_loop"]
