@@ -54,21 +54,25 @@ axis: $(STAMP)  ## what a fast valve buys: 200 random axes under five valves, ou
 bench: $(STAMP)  ## benchmarks, as ratios measured in one run (ARGS="--seconds 3600" for an hour's bags)
 	@$(PYTHON) -m benchmarks $(ARGS)
 
-# What needs no clock runs on two cores; the nodes have both to themselves. A machine that is shared with others may put a
-# node aside for longer than a loop at 1 kHz bears: a test of nodes that fails is repeated twice, which pytest tells (R).
+# What needs no clock runs on two cores; the tests of nodes that are marked `alone` have both to themselves. A machine that is
+# shared with others may put a node aside for longer than a loop at 1 kHz bears: a test of nodes that fails is repeated
+# twice, which pytest tells (R).
+define tests
+status=0; \
+$(PYTHON) -m pytest -n 2 --dist worksteal --ignore=test/nodes -m "$(1)" $(PYTEST_ARGS) || status=1; \
+$(PYTHON) -m pytest -n 2 --dist loadgroup test/nodes --reruns 2 -m "$(1) and not alone" $(PYTEST_ARGS) || status=1; \
+$(PYTHON) -m pytest test/nodes --reruns 2 -m "$(1) and alone" $(PYTEST_ARGS) || status=1
+endef
+
 test: $(STAMP)  ## the tests, without those of the campaign
 	@{ command -v chromium && command -v chromedriver; } > /dev/null && browser="make browser and make campaign run them" \
 		|| browser="for them: apt install chromium chromium-driver, then make browser"; \
 	echo "left out: the dashboard's tests in a browser; $$browser"; \
-	status=0; \
-	$(PYTHON) -m pytest -n 2 --dist worksteal --ignore=test/nodes -m "not campaign and not browser" $(PYTEST_ARGS) || status=1; \
-	$(PYTHON) -m pytest test/nodes --reruns 2 -m "not campaign and not browser" $(PYTEST_ARGS) || status=1; \
+	$(call tests,not campaign and not browser); \
 	exit $$status
 
 campaign: $(STAMP)  ## the longer tests: fault campaign, damaged bags, many starts and joiners, the dashboard in Chromium
-	@status=0; \
-	$(PYTHON) -m pytest -n 2 --dist worksteal --ignore=test/nodes -m campaign $(PYTEST_ARGS) || status=1; \
-	$(PYTHON) -m pytest test/nodes --reruns 2 -m campaign $(PYTEST_ARGS) || status=1; \
+	@$(call tests,campaign); \
 	$(PYTHON) -m pytest test/nodes/test_dashboard_browser.py --reruns 2 -m browser $(PYTEST_ARGS) || status=1; \
 	exit $$status
 

@@ -2,11 +2,12 @@ import os
 import sys
 from pathlib import Path
 
+import domains
 import pytest
 from hypothesis import settings
 
-# One domain for each run, this host only; nodes and their processes inherit both.
-os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+# On this host only; nodes and their processes inherit both.
+os.environ["ROS_DOMAIN_ID"] = str(domains.OWN)
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 # Matrices are small: BLAS threads that wait for each other take longer.

@@ -170,16 +170,18 @@ def long(block):
 
 
 RUNNABLE = [path for path in PAGES if runnable(path)]
+LONG = [path for path in RUNNABLE if any(long(block) for block in runnable(path))]
 
 
 @pytest.mark.parametrize("path", RUNNABLE, ids=lambda p: str(p.relative_to(ROOT)))
 def test_quick_blocks_run(path, tmp_path, monkeypatch, capfd):
+    """What they print too, unless they may need what the long ones of their page make."""
     monkeypatch.chdir(tmp_path)
-    run_blocks(path, [b for b in runnable(path) if not long(b)], capfd)
+    run_blocks(path, [b for b in runnable(path) if not long(b)], capfd, outputs=path not in LONG)
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("path", RUNNABLE, ids=lambda p: str(p.relative_to(ROOT)))
+@pytest.mark.parametrize("path", LONG, ids=lambda p: str(p.relative_to(ROOT)))
 def test_all_blocks_run_and_print_what_is_shown(path, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     run_blocks(path, runnable(path), capfd, outputs=True)

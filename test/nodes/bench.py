@@ -8,6 +8,7 @@ import sys
 import time
 from contextlib import contextmanager
 
+import domains
 import numpy as np
 import rclpy
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
@@ -149,6 +150,11 @@ class HeldUpError(AssertionError):
     """A run failed while the machine did not let the simulator keep 1 kHz: it shows nothing of the nodes."""
 
 
+def beside():
+    """The environment of processes in another domain than this test's own."""
+    return {**os.environ, "ROS_DOMAIN_ID": str(domains.BESIDE)}
+
+
 def run_tool(tool, folder, *arguments, timeout=900):
     """Run `demo`, `faults` or `lockstep` as a user does, in a domain of its own; what it wrote.
 
@@ -159,7 +165,7 @@ def run_tool(tool, folder, *arguments, timeout=900):
         capture_output=True,
         text=True,
         timeout=timeout,
-        env={**os.environ, "ROS_DOMAIN_ID": "101"},
+        env=beside(),
         check=False,
     )
     if done.returncode:

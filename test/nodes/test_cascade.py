@@ -171,6 +171,7 @@ def test_bad_start_is_one_sentence(node, argument, word):
     assert len(lines) == 1 and word in lines[0], done.stderr
 
 
+@pytest.mark.alone
 def test_demo_over_dds_equals_offline(tmp_path):
     """`make demo` for one controller, as a user runs it; all four are what `make demo` itself shows.
 

@@ -69,17 +69,15 @@ def test_no_thread_of_the_middleware_outlives_the_node(node):
     assert [name for name in threads if name.startswith("dds.")] in ([], ["dds.shm.wdog"])
 
 
+QUICK = (("valve_simulator", signal.SIGINT), ("controller", signal.SIGTERM), ("recorder", signal.SIGINT))
+
+
 @pytest.mark.parametrize(
     ("node", "number"),
     [
-        ("valve_simulator", signal.SIGINT),
-        ("controller", signal.SIGTERM),
-        ("recorder", signal.SIGINT),
-        *(
-            pytest.param(node, number, marks=pytest.mark.campaign)
-            for node in NODES
-            for number in (signal.SIGINT, signal.SIGTERM)
-        ),
+        pytest.param(node, number, marks=() if (node, number) in QUICK else pytest.mark.campaign)
+        for node in NODES
+        for number in (signal.SIGINT, signal.SIGTERM)
     ],
 )
 def test_more_signals_during_the_exit_change_nothing(tmp_path, node, number):

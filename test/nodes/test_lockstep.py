@@ -7,6 +7,7 @@ import sys
 import time
 from contextlib import ExitStack
 
+import domains
 import numpy as np
 import pytest
 from bench import call, controller, run_tool, set_parameters, spin_until
@@ -18,7 +19,6 @@ from valve_control.nodes.adapter import SAMPLES
 from valve_control.nodes.harness.lockstep import CONFIG, run_lockstep
 from valve_control.nodes.harness.processes import process
 
-PARALLEL = 4  # cascades at a time
 STARTS = 10  # of each
 SHORT = "0.3"  # s of valve time, in which the command has begun to move
 
@@ -137,6 +137,7 @@ def test_lost_readings_are_refused_since_all_would_wait_for_them(ros, tmp_path):
         assert set_parameters(ros, "valve_simulator", clock="wall", fault__lvdt="lost").successful
 
 
+@pytest.mark.alone
 @pytest.mark.campaign
 def test_many_starts_beside_a_loaded_machine(tmp_path):
     with ExitStack() as stack:
@@ -145,7 +146,7 @@ def test_many_starts_beside_a_loaded_machine(tmp_path):
             stack.callback(burner.wait)
             stack.callback(burner.kill)
         tools = []
-        for i, law in enumerate(("arc", "oarc", "compensator", "open_loop")[:PARALLEL]):
+        for law, domain in zip(("arc", "oarc", "compensator", "open_loop"), domains.FOUR, strict=True):
             (tmp_path / law).mkdir()
             log = stack.enter_context((tmp_path / f"{law}.txt").open("wb"))
             arguments = ["--only", law, "--starts", str(STARTS), "--duration", SHORT]
@@ -161,9 +162,9 @@ def test_many_starts_beside_a_loaded_machine(tmp_path):
                     ],
                     stdout=log,
                     stderr=log,
-                    env={**os.environ, "ROS_DOMAIN_ID": str(61 + i)},
+                    env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
                 )
             )
             stack.callback(tools[-1].kill)
         statuses = [tool.wait(400.0) for tool in tools]
-    assert statuses == [0] * PARALLEL, [path.read_text() for path in tmp_path.glob("*.txt")]
+    assert statuses == [0] * len(domains.FOUR), [path.read_text() for path in tmp_path.glob("*.txt")]

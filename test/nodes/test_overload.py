@@ -74,6 +74,7 @@ def test_controller_returns_from_readings_that_never_end(ros):
         node.destroy_node()
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize(
     ("node", "topic", "arguments"),
     [

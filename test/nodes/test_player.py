@@ -34,6 +34,7 @@ def test_a_running_controller_gives_the_recorded_voltages_in_lockstep(tmp_path, 
     assert result.differing == 0 and np.array_equal(result.answers, made.voltages)
 
 
+@pytest.mark.alone
 def test_topics_are_published_at_their_times_and_faster(tmp_path, run):
     bag = write(tmp_path / "bag", run.messages)
     for rate in (1.0, 4.0):

@@ -87,6 +87,7 @@ def recorded_cascade(ros, tmp_path, valve=()):
         assert running["recorder"].returncode == 0, log.read_text()
 
 
+@pytest.mark.alone
 @pytest.mark.campaign
 def test_the_modes_of_a_recorded_campaign_are_those_that_were_said(ros, tmp_path):
     watch = Watch(ros)
@@ -123,6 +124,7 @@ def test_the_modes_of_a_recorded_campaign_are_those_that_were_said(ros, tmp_path
         assert f"{name} = {value} (at " in text or name == "fault.command"
 
 
+@pytest.mark.alone
 @pytest.mark.campaign
 @pytest.mark.parametrize("period", [0.0012, 0.002])
 def test_the_rate_of_recorded_readings_is_measured(ros, tmp_path, period):

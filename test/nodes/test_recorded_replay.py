@@ -31,6 +31,7 @@ RECORDED = (
 )
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize(
     ("storage", "first", "period"), [("mcap", True, "3600.0"), ("sqlite3", False, "0.2")]
 )
@@ -107,6 +108,7 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage
     assert about["parameters"]["/valve_simulator"]["initial"]["friction.coulomb"] > 0.0
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize(
     ("message", "settings"),
     [

@@ -122,6 +122,7 @@ def flows(folder, storage):
     return set(TOPICS) <= set(by_topic(recover(folder, copy).bag))
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_cascade_at_1_khz_without_loss(ros, tmp_path, cascade, storage):
     folder, log = tmp_path / "bag", tmp_path / "log"
@@ -158,6 +159,7 @@ def test_cascade_at_1_khz_without_loss(ros, tmp_path, cascade, storage):
             reader.deserialize(raw, connection.msgtype)
 
 
+@pytest.mark.alone
 @pytest.mark.campaign
 def test_killed_at_any_moment(ros, tmp_path, cascade, capsys):
     """SIGKILL 20 times: less than a second is lost, nothing is missing before.
@@ -248,6 +250,7 @@ def test_parameters_are_fixed_once_it_runs(ros, tmp_path):
         assert not result.successful and "do not change" in result.reason
 
 
+@pytest.mark.alone
 def test_each_file_of_a_rotation_has_the_parameters(ros, tmp_path, cascade):
     folder, log = tmp_path / "bag", tmp_path / "log"
 
@@ -332,6 +335,7 @@ def test_what_publishers_offer_is_taken(ros, tmp_path):
     assert qos["/latched"][0].durability == "transient_local"
 
 
+@pytest.mark.alone
 def test_a_bag_that_may_not_grow_ends_in_order(ros, tmp_path, cascade):
     folder, log = tmp_path / "bag", tmp_path / "log"
     with recorder(folder, log) as child:

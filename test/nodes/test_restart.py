@@ -22,6 +22,7 @@ ARGUMENTS = {
 }  # fmt: skip
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize(
     "order",
     [

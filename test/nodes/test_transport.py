@@ -61,6 +61,7 @@ def shared_memory(pid):
     return [line for line in Path(f"/proc/{pid}/maps").read_text().splitlines() if "/dev/shm/fast" in line]
 
 
+@pytest.mark.alone
 def test_nodes_and_others_with_shared_memory_hear_each_other_by_udp(ros, tmp_path):
     """Half of the crowd has the transports of everybody; each hears something before it is killed."""
     children = {}
@@ -77,6 +78,7 @@ def test_nodes_and_others_with_shared_memory_hear_each_other_by_udp(ros, tmp_pat
             assert shared_memory(child.pid) == [], name
 
 
+@pytest.mark.alone
 @pytest.mark.campaign
 def test_nothing_stands_still_while_others_join_and_are_killed(tmp_path):
     """In one of three runs: what the middleware does comes again, a hiccup of the machine does not."""
