@@ -1,10 +1,12 @@
 import math
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from valve_control.laws import reshaping
+from valve_control.parameter import defaults, updated
+from valve_control.parameters.table import CONTROLLER
 
 PERIOD = 0.001
 
@@ -44,3 +46,29 @@ def test_ramp_lags_by_two_damping_over_frequency():
     for k in range(500):
         s = reshaping.advance(p, s, reshaping.acceleration(p, s, k * PERIOD))
     assert math.isclose(500 * PERIOD - s.reference, 2.0 * 0.8 / 314.0, rel_tol=1e-6)
+
+
+def last_outside(natural_frequency, damping, height, seconds=3.0):
+    """Time [s] from which on the reference stays within 2 % of a step of ``height`` [V] at 1 kHz."""
+    p = reshaping.Params(natural_frequency, damping, 250.0, 12000.0, 0.001)
+    state, last = reshaping.State(0.0, 0.0), 0
+    for k in range(round(seconds * 1000)):
+        state = reshaping.advance(p, state, reshaping.acceleration(p, state, height))
+        if abs(state.reference - height) > 0.02 * height:
+            last = k
+    return 0.001 * last
+
+
+@given(damping=st.floats(0.4, 1.1), height=st.floats(0.05, 10.0))
+@settings(max_examples=40)
+def test_what_a_tuner_may_choose_comes_to_rest_at_the_limit_of_the_acceleration(damping, height):
+    """A lead 2·ξ_n/ω_n of two periods: within half a second; of less than a period and a third: never."""
+    values = updated(CONTROLLER, defaults(CONTROLLER), {"reshaping.damping": damping})
+    highest = reshaping.frequency(values).high
+    assert 2.0 * damping / highest >= 0.002 - 1e-9
+    assert last_outside(highest, damping, height) < 0.5
+
+
+def test_a_lead_of_one_and_a_third_periods_swings_for_ever():
+    assert last_outside(1200.0, 0.8, 0.3) > 2.99
+    assert last_outside(800.0, 0.8, 0.3) < 0.05

@@ -129,6 +129,8 @@ def parameters(found: Identification) -> dict[str, Values]:
         "denominator": denominator,
         "gain_scale": 1.0,
         "flow_force": 0.0,
+        "lvdt.noise": _rounded(found.lvdt.noise),
+        "lvdt.resolution": _rounded(found.lvdt.resolution),
     }
     if "delay" in found.best.names:
         valve["lvdt.delay"] = _rounded(found.best.delay)

@@ -74,8 +74,19 @@ PARAMETERS: Table = (
 )
 
 
-FREQUENCY = Free("reshaping.natural_frequency", 100.0, 1200.0)
+HIGHEST = 1200.0  # rad/s  that a tuner may choose
 LEAD = Free("reshaping.lead", 0.0, 0.03, logarithmic=False)
+
+
+def frequency(values: Values) -> Free:
+    """The natural frequency that a tuner may choose with these ``values`` of the controller.
+
+    At the limit (6) the acceleration changes its sign where the reference will be at the command in
+    2·ξ_n/ω_n, and the reference answers a period later. With less than two periods of lead it takes long to
+    rest after a step, with one and a third it swings for ever: so ω_n is at most ξ_n/ΔT.
+    """
+    high = min(HIGHEST, number(values, "reshaping.damping") / number(values, "sample_period"))
+    return Free("reshaping.natural_frequency", min(100.0, 0.25 * high), high)
 
 
 def build(values: Values) -> Params:

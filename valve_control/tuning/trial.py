@@ -113,7 +113,7 @@ def free_numbers(law: Law, values: Values, preview: bool) -> tuple[Free, ...]:
     reshapes = law.reshapes(law.build(values))
     if preview:
         return own if reshapes else (*own, AHEAD)
-    return (*own, reshaping.FREQUENCY, reshaping.LEAD) if reshapes else (*own, reshaping.LEAD)
+    return (*own, reshaping.frequency(values), reshaping.LEAD) if reshapes else (*own, reshaping.LEAD)
 
 
 def gains_at(free: Sequence[Free], values: Values, shares: Sequence[float]) -> Gains:
