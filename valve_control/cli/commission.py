@@ -40,7 +40,7 @@ def add_commands(commands: Any) -> None:
         "--max-chatter",
         type=float,
         metavar="C_U",
-        help=f"limit of the mean chatter ({CHATTER:g}, or more where the noise of the LVDT lets none keep it)",
+        help=f"limit of the chatter, kept in any case ({CHATTER:g}, or more where no gains keep it)",
     )
     group.add_argument("--budget", type=int, default=200, metavar="N", help="sets of gains (200)")
     group.add_argument("--valves", type=int, default=6, metavar="N", help="that are simulated (6)")

@@ -124,8 +124,8 @@ def fitted(
         each = TRIALS + EVALUATIONS * BRISTLE_UNKNOWNS
         total = float(over + each)
         speed = factor * abs(ordered[0].model.denominator[-1]) ** (1.0 / ordered[0].order)
-        begin = max(friction.coulomb, best.friction.coulomb)
-        made = _with_bristles(records, weights, best, speed, begin, SEED + number, counted)
+        level = max(friction.coulomb, best.friction.coulomb)
+        made = _with_bristles(records, weights, best, speed, level, SEED + number, counted)
         over += each
         if made.error < NEARER * best.error:
             best = made

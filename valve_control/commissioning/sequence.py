@@ -286,8 +286,8 @@ def _louder(plan: Plan, tuned: Tuned, rest: Rest) -> list[str]:
     least = min(point.chatter for _, point in tuned.front)
     return [
         f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * rest.noise:.2g} mV of noise "
-        f"(least of {tuned.tried} sets: {least:.3g}); those of least error up to {tuned.chatter:.3g} are taken; "
-        "--max-chatter sets a limit that is never given up"
+        f"(least of {tuned.tried} sets: {least:.3g}); those of least error up to {tuned.chatter:.3g} are "
+        "taken; --max-chatter sets a limit that is kept in any case"
     ]
 
 
