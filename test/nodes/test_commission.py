@@ -61,7 +61,9 @@ class Everything:
         self.ros = ros
         self.node = f"{namespace}/controller"
         self.topic = f"{namespace}/valve_voltage"
-        self.listener = Listener("listener", (self.topic, f"{namespace}/spool_position"))
+        self.listener = Listener(
+            f"listener{namespace.replace('/', '_')}", (self.topic, f"{namespace}/spool_position")
+        )
         self.limited = []  # times [ns] and values [V] of u_max
         ros.create_subscription(ParameterEvent, "/parameter_events", self._note, 100)
 
