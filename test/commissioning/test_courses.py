@@ -88,3 +88,18 @@ def test_a_motion_is_played_by_the_numbers_of_the_readings():
     assert course.send(Seen(2 * PERIOD, 0.0)) == 2.0  # a reading was lost
     assert course.send(Seen(3 * PERIOD, 0.0)) == 3.0
     assert course.send(Seen(4 * PERIOD, 0.0)) == 0.0
+
+
+def test_how_long_a_triangle_takes_is_known_better_after_each_turn():
+    """Told before its first turn: that of the limit of the voltage; the valve turns it at 0.4 of that."""
+    limits, turned, told = Limits(4.0, 2.0), [], []
+    course = courses.triangle(limits, 1.6, 4, turned.append)
+    given = [next(course)]
+    with pytest.raises(StopIteration):
+        while True:
+            told.append(courses.triangle_time(limits, 1.6, 4, turned))
+            given.append(course.send(Seen(len(given) * PERIOD, given[-1])))
+    length = len(given) * PERIOD
+    assert told[0] == pytest.approx(20.0) and length < 9.0
+    first = round(turned[0] / PERIOD) + 2
+    assert told[first:] == pytest.approx([length] * len(told[first:]), abs=0.05 * length)

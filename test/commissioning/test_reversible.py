@@ -67,11 +67,20 @@ def test_parameters_that_do_not_come_back_are_told():
 def test_from_first_to_last_step():
     """dcarc on a valve with friction: afterwards its gains differ, and they do what was said."""
     valve = SupervisedValve({"friction.coulomb": 0.6, "lvdt.noise": 0.004}, BEFORE)
-    before, asked = valve.values(), []
+    before, asked, told = valve.values(), [], []
     with sequence.reversible(valve, before, nothing):
         found = sequence.run(
-            valve, PLAN._replace(law="dcarc"), before, lambda text: asked.append(text) or True, nothing
+            valve,
+            PLAN._replace(law="dcarc"),
+            before,
+            lambda text: asked.append(text) or True,
+            lambda *progress: told.append(progress),
         )
+    for name, most in (("slow triangle", 0.2), ("stepped sine", 0.01), ("model", 0.35), ("tuning", 0.5)):
+        shares = np.array([done / total for step, done, total in told if step == name])
+        assert shares[0] <= 0.01 and shares[-1] == 1.0 and np.max(shares) == 1.0, name
+        assert np.max(np.diff(shares)) <= most, name  # no long silence
+    assert found.tuned.chatter == PLAN.chatter
     assert len(asked) == 6 and valve.active
     assert valve.values() == {**before, **found.applied}
     assert found.applied["controller"] == "dcarc" and "u_max" not in found.applied

@@ -6,6 +6,7 @@ import random
 import signal
 import subprocess
 import sys
+import time
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
@@ -56,15 +57,19 @@ def ros(monkeypatch, request):
 class Everything:
     """Every voltage and reading, and services of the controller."""
 
-    def __init__(self, ros):
+    def __init__(self, ros, namespace=""):
         self.ros = ros
-        self.listener = Listener("listener", ("valve_voltage", "spool_position"))
+        self.node = f"{namespace}/controller"
+        self.topic = f"{namespace}/valve_voltage"
+        self.listener = Listener(
+            f"listener{namespace.replace('/', '_')}", (self.topic, f"{namespace}/spool_position")
+        )
         self.limited = []  # times [ns] and values [V] of u_max
         ros.create_subscription(ParameterEvent, "/parameter_events", self._note, 100)
 
     def _note(self, event):
         for changed in event.changed_parameters:
-            if event.node == "/controller" and changed.name == "u_max":
+            if event.node == self.node and changed.name == "u_max":
                 stamp = event.stamp.sec * 10**9 + event.stamp.nanosec
                 self.limited.append((stamp, changed.value.double_value))
 
@@ -75,15 +80,15 @@ class Everything:
     def largest(self):
         """The largest voltage [V] since the controller got its limit, and at the end that of 0 V."""
         assert self.limited[0][1] == VOLTAGE
-        stamps = np.array(self.listener.stamps["valve_voltage"])
-        given = np.abs(self.listener.values["valve_voltage"])[stamps > self.limited[0][0]]
+        stamps = np.array(self.listener.stamps[self.topic])
+        given = np.abs(self.listener.values[self.topic])[stamps > self.limited[0][0]]
         assert len(given) > 300
         return np.max(given)
 
     @property
     def voltages(self):
         self.listener.fetch()
-        return self.listener.values["valve_voltage"]
+        return self.listener.values[self.topic]
 
     def wait(self, samples, child):
         """Until so many more voltages have come, or ``child`` has ended."""
@@ -98,7 +103,7 @@ class Everything:
     def parameters(self):
         names = [p.name for p in CONTROLLER]
         got = call(
-            self.ros, GetParameters, "/controller/get_parameters", GetParameters.Request(names=names)
+            self.ros, GetParameters, f"{self.node}/get_parameters", GetParameters.Request(names=names)
         ).values
         return {
             name: value if isinstance(value, (bool, int, float, str)) else list(value)
@@ -106,7 +111,7 @@ class Everything:
         }
 
     def active(self):
-        answer = call(self.ros, GetState, "/controller/get_state", GetState.Request())
+        answer = call(self.ros, GetState, f"{self.node}/get_state", GetState.Request())
         return answer.current_state.id == State.PRIMARY_STATE_ACTIVE
 
 
@@ -177,83 +182,147 @@ def test_to_its_end_and_undone(ros, tmp_path):
         assert seen.parameters() == before and seen.active()
 
 
-# How, and how many samples after the parameters were kept: from the rest before the tests to the last sines.
-MOMENTS = [
-    (how, round(200.0 * 60.0 ** random.Random(393 + i).random()))
-    for i, how in enumerate(
-        (
-            "SIGINT",
-            "silent",
-            "SIGINT",
-            "not_finite",
-            "SIGTERM",
-            "SIGINT",
-            "second_publisher",
-            "SIGINT",
-            "no simulator",
-            "no controller",
-        )
-    )
-]
+# Of each step: what commission says when it begins, within how many seconds from then on it is ended, and
+# what makes it long enough for that, or those before it short.
+SEARCH = ["--controller", "dcarc", "--budget", "5000", "--valves", "6"]
+STEPS = {
+    "noise at rest": ("next: 0 V; the controller gets its limits", 2.0, SEARCH),
+    "slow triangle": ("next: a slow triangle", 5.0, SEARCH),
+    "stepped sine": (" s of sines of", 18.0, SEARCH),
+    "model": ("model   ", 0.6, SEARCH),
+    "tuning": (" sets of gains of", 4.0, SEARCH),
+    "verification": ("the valve moves for", 2.0, ["--controller", "dcarc", *QUICK]),
+}
+FIRST = 0.8  # s  of each step at least, but of the model's; until then the controller has its limits
+HOWS = ["SIGINT"] * 4 + ["SIGTERM", "silent", "not_finite", "second_publisher", "no simulator"]
+
+
+def moments():
+    """How and when (step, share of its seconds) each of two commissionings is ended, five times."""
+    chosen = random.Random(393)
+    steps = [*STEPS, "tuning", "verification", *chosen.choices(list(STEPS), k=2)]
+    hows = [*chosen.sample(HOWS, len(HOWS)), "no controller"]  # the last one, since nothing comes after it
+    chosen.shuffle(steps)
+    made = [(how, step, chosen.random()) for how, step in zip(hows, steps, strict=True)]
+    return made[:5], made[5:]
+
+
+def step_of(said):
+    """The step that commission said last."""
+    return max(STEPS, key=lambda step: said.rfind(STEPS[step][0]))
+
+
+def together(ros, *flows):
+    """Goes on with each flow, a generator, when the condition that it gave last holds."""
+
+    def next_of(flow):
+        condition, what, limit = next(flow)
+        return condition, what, time.monotonic() + limit
+
+    waits = {flow: next_of(flow) for flow in flows}
+    while waits:
+        rclpy.spin_once(ros, timeout_sec=0.02)
+        for flow, (condition, what, end) in list(waits.items()):
+            if condition():
+                try:
+                    waits[flow] = next_of(flow)
+                except StopIteration:
+                    del waits[flow]
+            else:
+                assert time.monotonic() < end, f"{what} not in time"
+
+
+def aborted(ros, stack, folder, namespace, planned, reached):
+    """Flow of one valve whose commissioning is ended as ``planned``; ``reached`` gets the steps."""
+    folder.mkdir()
+    place, node = ["-r", f"__ns:={namespace}"], f"{namespace[1:]}/controller"
+    simulator = stack.enter_context(process("valve_simulator", [*VALVE, *place], folder / "sim.log"))
+    controller = stack.enter_context(process("controller", [*BEFORE, *PATIENT, *place], folder / "c.log"))
+    seen = Everything(ros, namespace)
+    stack.callback(seen.listener.destroy_node)
+    yield lambda: len(seen.voltages) > 100, "voltages", 60.0
+    assert set_parameters(ros, node, arc__k2=88.0).successful  # which no file and no option has
+    before = seen.parameters()
+    log = folder / "said.log"
+    for how, step, share in planned:
+        words, longest, settings = STEPS[step]
+        (folder / "kept" / "state.json").unlink(missing_ok=True)
+        with commission(folder, "--node", f"/{node}", *settings) as child:
+
+            def over(child=child):
+                return seen.fetch() and child.poll() is not None
+
+            yield lambda: over() or words in log.read_text(), f"the step {step}", 300.0  # noqa: B023
+            first = 0.0 if step == "model" else FIRST
+            until = len(seen.voltages) + (first + share * (longest - first)) / PERIOD
+            yield lambda: over() or len(seen.voltages) >= until, "voltages", 120.0  # noqa: B023
+            said = log.read_text()
+            assert child.poll() is None, said
+            reached.append(step_of(said))
+            count = len(seen.voltages)
+            if how.startswith("SIG"):
+                child.send_signal(getattr(signal, how))
+            elif how == "no simulator":
+                simulator.kill()
+            elif how == "no controller":
+                controller.kill()
+            else:
+                assert set_parameters(ros, f"{namespace[1:]}/valve_simulator", fault__lvdt=how).successful
+            yield over, "end of commission", 60.0
+        said = log.read_text()
+        print(f"{how} in {reached[-1]}, {share:.2f}: {len(seen.voltages) - count} more voltages")
+        assert child.returncode == (130 if how.startswith("SIG") else 1), said
+        assert "Traceback" not in said
+        assert seen.largest() <= VOLTAGE
+        if how == "no controller":
+            break
+        assert "the controller is inactive and gives 0 V" in said
+        assert "all its parameters are as before" in said
+        assert not seen.active()
+        yield lambda: seen.voltages[-1] == 0.0, "0 V", 20.0
+        assert seen.parameters() == before, said
+        if how == "no simulator":
+            simulator.wait()
+            # What was killed stays in the graph for a while, as a second LVDT.
+            topic = f"{namespace}/spool_position"
+            yield lambda: ros.count_publishers(topic) == 0, "its end", 60.0  # noqa: B023
+            simulator = stack.enter_context(process("valve_simulator", [*VALVE, *place], folder / "s2.log"))
+        elif not how.startswith("SIG"):
+            target = f"{namespace[1:]}/valve_simulator"
+            assert set_parameters(ros, target, fault__lvdt="none").successful
+    else:
+        return
+    assert "its parameters from before are in" in said and "--undo brings them back" in said
+    # The valve is without a voltage, and its spring has centred it: where 0 V and the offset put it.
+    seen.fetch()
+    position = np.median(seen.listener.values[f"{namespace}/spool_position"][-3:])
+    assert position == pytest.approx(0.2 * 0.829, abs=0.4)
+    controller.wait()
+    stack.enter_context(process("controller", [*BEFORE, *PATIENT, *place], folder / "c2.log"))
+    with commission(folder, "--node", f"/{node}", "--undo") as child:
+        yield lambda: seen.fetch() and child.poll() is not None, "undo", 60.0
+    assert child.returncode == 0, log.read_text()
+    assert seen.parameters() == before
 
 
 @pytest.mark.campaign
 def test_aborted_at_ten_random_moments(ros, tmp_path):
-    """By Ctrl-C, SIGTERM, faults of the LVDT, and the death of either node; all on one pair of nodes."""
+    """By Ctrl-C, SIGTERM, faults of the LVDT, and the death of either node, in every step.
+
+    Two valves are commissioned beside each other, each on one pair of nodes.
+    """
+    reached, planned = [], moments()
     with ExitStack() as stack:
-        simulator = stack.enter_context(process("valve_simulator", VALVE, tmp_path / "sim.log"))
-        controller = stack.enter_context(process("controller", [*BEFORE, *PATIENT], tmp_path / "c.log"))
-        seen = Everything(ros)
-        stack.callback(seen.listener.destroy_node)
-        spin_until(ros, lambda: len(seen.voltages) > 100, "voltages")
-        assert set_parameters(ros, arc__k2=88.0).successful  # which no file and no option has
-        before = seen.parameters()
-        for how, moment in MOMENTS:
-            (tmp_path / "kept" / "state.json").unlink(missing_ok=True)
-            with commission(tmp_path, *QUICK) as child:
-                begun(seen, tmp_path, child)
-                seen.wait(moment, child)
-                said = (tmp_path / "said.log").read_text()
-                assert child.poll() is None, said
-                count = len(seen.voltages)
-                if how.startswith("SIG"):
-                    child.send_signal(getattr(signal, how))
-                elif how == "no simulator":
-                    simulator.kill()
-                elif how == "no controller":
-                    controller.kill()
-                else:
-                    assert set_parameters(ros, "valve_simulator", fault__lvdt=how).successful
-                status = ended(seen, child)
-            step = said.rpartition("next: ")[2].splitlines()[0]
-            said = (tmp_path / "said.log").read_text()
-            print(f"{how} after {moment} samples ({step}): {len(seen.voltages) - count} more voltages")
-            assert status == (130 if how.startswith("SIG") else 1), said
-            assert "Traceback" not in said
-            assert seen.largest() <= VOLTAGE
-            if how == "no controller":
-                break
-            assert "the controller is inactive and gives 0 V" in said
-            assert "all its parameters are as before" in said
-            assert not seen.active()
-            spin_until(ros, lambda: seen.voltages[-1] == 0.0, "0 V")
-            assert seen.parameters() == before, said
-            if how == "no simulator":
-                simulator.wait()
-                # What was killed stays in the graph for a while, as a second LVDT.
-                spin_until(ros, lambda: ros.count_publishers("spool_position") == 0, "its end", 60.0)
-                stack.enter_context(process("valve_simulator", VALVE, tmp_path / "sim2.log"))
-            elif not how.startswith("SIG"):
-                assert set_parameters(ros, "valve_simulator", fault__lvdt="none").successful
-        assert "its parameters from before are in" in said and "--undo brings them back" in said
-        # The valve is without a voltage, and its spring has centred it: where 0 V and the offset put it.
-        seen.fetch()
-        assert np.median(seen.listener.values["spool_position"][-3:]) == pytest.approx(0.2 * 0.829, abs=0.4)
-        controller.wait()
-        stack.enter_context(process("controller", [*BEFORE, *PATIENT], tmp_path / "c2.log"))
-        with commission(tmp_path, "--undo") as child:
-            assert ended(seen, child) == 0, (tmp_path / "said.log").read_text()
-        assert seen.parameters() == before
+        together(
+            ros,
+            *(
+                aborted(ros, stack, tmp_path / side, f"/{side}", part, reached)
+                for side, part in zip("ab", planned, strict=True)
+            ),
+        )
+    assert sorted(reached) == sorted(step for part in planned for _, step, _ in part)
+    assert len(reached) == 10 and set(reached) == set(STEPS)
+    assert reached.count("tuning") >= 2 and reached.count("verification") >= 2
 
 
 @pytest.mark.campaign

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from valve_control.laws import reshaping
 from valve_control.laws.free import Free, placed, present
 from valve_control.laws.registry import LAWS
-from valve_control.parameter import defaults, updated
+from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.parameters import files
 from valve_control.parameters.table import CONTROLLER, NODES
 from valve_control.simulation import robustness
@@ -179,3 +179,26 @@ def test_a_law_is_told_the_dead_time_that_is_to_be_expected():
     fast = {**SETTINGS, "controller": {**SETTINGS["controller"], "sample_period": 0.0001}}
     assert box.with_dead_time(dcarc, fast, late) == (fast["controller"], None)
     assert box.with_dead_time(LAWS["pid"], SETTINGS, late) == (SETTINGS["controller"], None)
+
+
+def test_a_limit_of_the_chatter_that_may_give_way_becomes_that_of_the_quieter_gains():
+    """A firm one is refused in a sentence; one that can be kept is kept, firm or not."""
+
+    def told(tried):
+        pass
+
+    law, seen, unseen = LAWS["pid"], problem(valves=3), problem(valves=6, seed=2)
+
+    def tuned(chatter, firm):
+        return tuner.tuned(law, seen, unseen, tuner.Aim(chatter, None, firm), 60, 1, told)
+
+    with pytest.raises(ParameterError, match=r"have a chatter of 0.0001 or less"):
+        tuned(0.0001, True)
+    made = tuned(0.0001, False)
+    least = min(point.chatter for _, point in made.front)
+    assert made.chatter == pytest.approx(tuner.QUIET * least)
+    assert made.chosen.point.chatter <= made.chatter
+    quiet = [p for _, p in made.front if p.chatter <= tuner.NEAR * made.chatter]
+    assert not made.chosen.holds or made.chosen.point.error <= 1.5 * min(p.error for p in quiet)
+    kept = tuned(5.0, False)
+    assert kept.chatter == 5.0 and kept.chosen.point == tuned(5.0, True).chosen.point

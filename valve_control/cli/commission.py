@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from valve_control.commissioning.sequence import Plan, Result
     from valve_control.nodes.commission import Controller
 
+CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
 FAILED = 1  # exit status if the parameters are those from before
 
 
@@ -35,7 +36,12 @@ def add_commands(commands: Any) -> None:
     group.add_argument("--travel", type=float, default=2.0, metavar="V", help="of the reading (2 V)")
     group = commission.add_argument_group("what is tuned")
     group.add_argument("--controller", metavar="LAW", help="law to tune (the one that is in force)")
-    group.add_argument("--max-chatter", type=float, default=0.25, metavar="C_U", help="(0.25)")
+    group.add_argument(
+        "--max-chatter",
+        type=float,
+        metavar="C_U",
+        help=f"limit of the chatter, kept in any case ({CHATTER:g}, or more where no gains keep it)",
+    )
     group.add_argument("--budget", type=int, default=200, metavar="N", help="sets of gains (200)")
     group.add_argument("--valves", type=int, default=6, metavar="N", help="that are simulated (6)")
     group.add_argument("--unseen", type=int, default=32, metavar="N", help="valves to verify on (32)")
@@ -79,7 +85,7 @@ def _check(arguments: argparse.Namespace) -> None:
             raise ParameterError(f"--{name} is {getattr(arguments, name)}; it must be at least 1")
     for name in ("max_voltage", "travel", "max_chatter"):
         value = getattr(arguments, name)
-        if not 0.0 < value < math.inf:
+        if value is not None and not 0.0 < value < math.inf:
             raise ParameterError(f"--{name.replace('_', '-')} is {value:g}; it must be above 0, and finite")
     if arguments.activate and not arguments.undo:
         raise ParameterError("--activate goes with --undo; a commissioning activates the controller itself")
@@ -126,12 +132,13 @@ def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
     return Plan(
         Limits(arguments.max_voltage, arguments.travel),
         arguments.controller or law,
-        arguments.max_chatter,
+        CHATTER if arguments.max_chatter is None else arguments.max_chatter,
         arguments.budget,
         arguments.valves,
         arguments.unseen,
         arguments.seed,
         arguments.threads,
+        arguments.max_chatter is not None,
     )
 
 
@@ -206,6 +213,7 @@ class _Steps:
                 ascii=not terminal,
                 mininterval=0.2 if terminal else 5.0,
             )
+        self._bar.total = total
         self._bar.update(done - self._bar.n)
 
     def close(self) -> None:
@@ -239,6 +247,8 @@ def _write(arguments: argparse.Namespace, result: "Result") -> None:
         + (f"; {1e3 * made.former.e_rms:.2f} mV with the parameters from before" if made.former else "")
         + ")",
     )
+    for note in result.notes:
+        say(arguments, note)
     for name, text in texts.items():
         outputs.write(str(folder / name), text)
         say(arguments, f"wrote {folder / name}")

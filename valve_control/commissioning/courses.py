@@ -4,7 +4,7 @@ While the law is ``open_loop`` with a static gain of 1 a command is the voltage 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -27,11 +27,14 @@ def rest(duration: float) -> Course:
         seen = yield 0.0
 
 
-def triangle(limits: Limits, rate: float, turns: int) -> Course:
+def triangle(
+    limits: Limits, rate: float, turns: int, turned_at: Callable[[float], None] = lambda time: None
+) -> Course:
     """Voltage that rises and falls at ``rate`` [V/s], with ``turns`` turns, and ends at 0 V.
 
     It turns where the voltage reaches its limit, or the reading REACH of the travel. Where the spool goes on
     after a turn to CLOSE of the travel, it turns earlier the next time, by as much as the spool went on.
+    ``turned_at`` gets the time [s] of each turn.
     """
     value, direction, last = 0.0, 1.0, 0.0
     left, turned, beyond = turns, math.inf, 0.0
@@ -46,12 +49,26 @@ def triangle(limits: Limits, rate: float, turns: int) -> Course:
             turned = max(0.0, direction * seen.reading)
             direction = -direction
             left -= 1
+            turned_at(seen.time)
         seen = yield value
     while value != 0.0:
         change = rate * min(LATE, seen.time - last)
         last = seen.time
         value = math.copysign(max(0.0, abs(value) - change), value)
         seen = yield value + 0.0
+
+
+def triangle_time(limits: Limits, rate: float, turns: int, turned: Sequence[float]) -> float:
+    """About how long [s] a triangle takes of which the times ``turned`` [s] of the turns until now are known.
+
+    Until its first turn it is taken to reach the limit of the voltage.
+    """
+    if not turned:
+        return 2.0 * turns * limits.voltage / rate
+    if len(turned) == 1:
+        return 2.0 * turns * turned[0]
+    stretch = (turned[-1] - turned[0]) / (len(turned) - 1)
+    return turned[-1] + (turns - len(turned) + 0.5) * stretch
 
 
 def stepped_sine(limits: Limits, steps: Sequence[Step], amplitude: float, offset: float) -> Course:

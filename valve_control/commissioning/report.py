@@ -71,6 +71,7 @@ def _valve(found: Result) -> str:
         ["voltage that holds the spool at 0 V", f"{found.static.offset:.3g} V"],
         ["friction in motion", f"{made.friction.coulomb:.3g} V"],
         ["friction at rest, over that", f"{made.friction.static_ratio:.3g}"],
+        ["presliding of its bristles", f"{1e3 * made.presliding:.3g} mV" if made.presliding else "none seen"],
         ["dead zone after a turn", f"{found.static.dead_zone:.3g} V"],
         ["dead time", f"{1e3 * made.delay:.3g} ms"],
         ["poles", result.roots_text(bode.roots(made.model.denominator))],

@@ -34,10 +34,17 @@ STILL = 2.0  # s  at rest
 RATE = 0.4  # 1/s  times the limit of the voltage: rate of the triangle
 TURNS = 4  # of the triangle
 ROUNDS = 3  # of friction and lag
+HIGHER = (
+    (3, 0),
+    (4, 2),
+)  # orders beside the second, and their zeros: a lag of solenoid or amplifier has none
 SILENCE = 0.5  # s  of the command, after which the controller leads to neutral
 UNSEEN_SEED = 1_000_003  # added to the seed for valves that the search does not see
 WORSE = 2.0  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
+# Of the step "model", in percent, what is done when the fits of the response are, and when the valve is.
+RESPONSE, VALVE, WHOLE = 25.0, 95.0, 100.0
+VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
 
 Confirm = Callable[[str], bool]  # whether to go on with a step
 Progress = Callable[[str, float, float], None]  # name of the step, done, of
@@ -54,6 +61,7 @@ class Plan(NamedTuple):
     unseen: int  # on which gains are verified
     seed: int
     threads: int
+    firm: bool = True  # False: where no gains keep the limit of c_u, the quieter ones are taken
 
 
 class Verification(NamedTuple):
@@ -163,10 +171,10 @@ def run(bench: Bench, plan: Plan, before: Values, confirm: Confirm, progress: Pr
     limits, period = plan.limits, number(before, "sample_period")
     seconds: dict[str, float] = {}
 
-    def drive(name: str, course: Course, about: float) -> Record:
+    def drive(name: str, course: Course, about: Callable[[], float]) -> Record:
         began = time.monotonic()
-        record = bench.drive(course, limits, lambda done: progress(name, min(done, about), about))
-        progress(name, about, about)
+        record = bench.drive(course, limits, lambda done: progress(name, min(done, about()), about()))
+        progress(name, about(), about())
         seconds[name] = time.monotonic() - began
         return record
 
@@ -184,14 +192,18 @@ def run(bench: Bench, plan: Plan, before: Values, confirm: Confirm, progress: Pr
     # Where the law from before left the spool is not the commissioning's doing.
     bench.drive(courses.rest(SPRING), limits._replace(travel=np.inf), lambda done: None)
     bench.apply({"lvdt.limit": limits.travel})
-    rest = statics.at_rest(drive("noise at rest", courses.rest(STILL), STILL))
+    rest = statics.at_rest(drive("noise at rest", courses.rest(STILL), lambda: STILL))
     ask(
         f"a slow triangle of the voltage up to ±{limits.voltage:g} V, turned at {courses.REACH:.0%} of the "
         "travel"
     )
     rate = RATE * limits.voltage
-    most = (2.0 * TURNS) * limits.voltage / rate
-    slow = drive("slow triangle", courses.triangle(limits, rate, TURNS), most)
+    turned: list[float] = []
+    slow = drive(
+        "slow triangle",
+        courses.triangle(limits, rate, TURNS, turned.append),
+        lambda: courses.triangle_time(limits, rate, TURNS, turned),
+    )
     static = statics.slow(slow, rest, limits)
     planned = small_signal.plan(limits, rest, static, period)
     length = planned.steps[-1].end
@@ -200,15 +212,24 @@ def run(bench: Bench, plan: Plan, before: Values, confirm: Confirm, progress: Pr
         f"{planned.steps[-1].frequency:g} Hz"
     )
     course = courses.stepped_sine(limits, planned.steps, planned.amplitude, planned.offset)
-    sine = drive("stepped sine", course, length)
+    sine = drive("stepped sine", course, lambda: length)
     began = time.monotonic()
-    progress("model", 0.0, 1.0)
-    bench.watch(limits)
-    response, fits, friction = _linear(sine, planned, static, rest)
-    found = plant.fitted([slow, sine], fits, friction, static.offset, rest)
-    bench.watch(limits)
+
+    def modelled(percent: float) -> None:
+        bench.watch(limits)
+        progress("model", percent, WHOLE)
+
+    modelled(0.0)
+    response, fits, friction = _linear(
+        sine, planned, static, rest, lambda done, total: modelled(RESPONSE * done / total)
+    )
+    found = plant.fitted(
+        [slow, sine], fits, friction, static.offset, rest,
+        lambda done, total: modelled(RESPONSE + (VALVE - RESPONSE) * done / total),
+    )  # fmt: skip
+    modelled(VALVE)
     known = model.Known(found, rest, period, number(before, "u_max"), plan.law)
-    progress("model", 1.0, 1.0)
+    modelled(WHOLE)
     seconds["model"] = time.monotonic() - began
     ask(f"{plan.budget} sets of gains of {plan.law} are tried in simulation; the valve stays at 0 V")
     began = time.monotonic()
@@ -223,8 +244,9 @@ def run(bench: Bench, plan: Plan, before: Values, confirm: Confirm, progress: Pr
         "closed loop"
     )
     bench.apply({**chosen, "command_limit": limits.travel})
-    record = drive("verification", courses.motion(wanted, period), len(wanted) * period)
-    verified = _verified(plan, before, chosen, valve_values, record)
+    record = drive("verification", courses.motion(wanted, period), lambda: len(wanted) * period)
+    limit = plan.chatter if tuned.chatter is None else tuned.chatter
+    verified = _verified(plan, limit, before, chosen, valve_values, record)
     if verified.reasons:
         raise ParameterError(f"the gains are not accepted: {'; '.join(verified.reasons)}")
     ask("the new gains stay; voltage and travel get their limits from before back")
@@ -234,31 +256,67 @@ def run(bench: Bench, plan: Plan, before: Values, confirm: Confirm, progress: Pr
     if left:
         raise Fault(f"{', '.join(left)} could not be set")
     bench.watch(limits._replace(voltage=number(before, "u_max"), travel=number(before, "lvdt.limit")))
-    notes = [*response.notes, *known.notes]
+    notes = [*response.notes, *_unexplained(found), *known.notes, *_louder(plan, tuned, rest)]
     return Result(
         plan, before, rest, slow, static, found.friction, sine, response, found, tuned,
         backup.differences(before, final), verified, notes, seconds,
     )  # fmt: skip
 
 
+def _unexplained(found: Plant) -> list[str]:
+    """A sentence about a model that does not describe the readings, and one about a spool that swings."""
+    notes = []
+    if found.error > plant.EXPLAINED:
+        notes.append(
+            f"the model misses the readings by {found.error:.2g} times what noise and "
+            f"{plant.MODEL_ERROR:.0%} of the motion allow"
+        )
+    if found.presliding > 0.0:
+        notes.append(
+            "the spool swings on the bristles of its friction: without them no model describes the readings; "
+            f"the one that does has a presliding of {1e3 * found.presliding:.2g} mV"
+        )
+    return notes
+
+
+def _louder(plan: Plan, tuned: Tuned, rest: Rest) -> list[str]:
+    """A sentence about a limit of c_u that had to give way."""
+    if tuned.chatter is None or tuned.chatter <= plan.chatter:
+        return []
+    least = min(point.chatter for _, point in tuned.front)
+    return [
+        f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * rest.noise:.2g} mV of noise "
+        f"(least of {tuned.tried} sets: {least:.3g}); those of least error up to {tuned.chatter:.3g} are "
+        "taken; --max-chatter sets a limit that is kept in any case"
+    ]
+
+
 def _linear(
-    sine: Record, planned: small_signal.Plan, static: Static, rest: Rest
+    sine: Record,
+    planned: small_signal.Plan,
+    static: Static,
+    rest: Rest,
+    told: plant.Told = lambda done, total: None,
 ) -> tuple[Response, list[Fit], Friction]:
     """Response without friction, its fits, and friction without the valve's own lag.
 
-    Raises ParameterError.
+    ``told`` gets the fits that are done, and of how many. Raises ParameterError.
     """
     friction = Friction(static.friction, 1.0)
-    for _ in range(ROUNDS):
+    total = float(ROUNDS + len(HIGHER))
+    for done in range(ROUNDS):
+        told(float(done), total)
         response = small_signal.measured(sine, planned, friction.coulomb)
         second = rational.fit(response, 2)
         lag = second.model.denominator[1] / second.model.denominator[2] + second.delay
         friction = statics.friction(static, lag, rest)
     fits = [second]
-    try:
-        fits.append(rational.fit(response, 4))
-    except ParameterError as error:
-        response = response._replace(notes=(*response.notes, f"the second order stands alone: {error}"))
+    for done, (order, zeros) in enumerate(HIGHER, ROUNDS):
+        told(float(done), total)
+        try:
+            fits.append(rational.fit(response, order, zeros))
+        except ParameterError as error:
+            response = response._replace(notes=(*response.notes, f"no model of order {order}: {error}"))
     return response, fits, friction
 
 
@@ -306,16 +364,18 @@ def _tuned(
     unseen = problem._replace(plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + UNSEEN_SEED)
     law = LAWS[plan.law]
     total = plan.budget * len(tuner.variants(law, values))
+    verifying = VERIFYING * plan.unseen / plan.valves
 
-    def told(done: int) -> None:
+    def told(done: float, verifications: int = 1) -> None:
         bench.watch(limits)
-        progress("tuning", float(done), float(total))
+        progress("tuning", done, total + verifications * verifying)
 
-    told(0)
+    told(0.0)
     tuned = tuner.tuned(
-        law, problem, unseen, Aim(plan.chatter, None), plan.budget, plan.seed, told, plan.threads
-    )
-    bench.watch(limits)
+        law, problem, unseen, Aim(plan.chatter, None, plan.firm), plan.budget, plan.seed, told, plan.threads,
+        lambda tried: told(total + tried * verifying, tried + 1),
+    )  # fmt: skip
+    told(total + verifying)
     return tuned, motions, valve_values, own
 
 
@@ -325,9 +385,12 @@ def _chosen(before: Values, own: Values, tuned: Tuned) -> dict[str, Value]:
 
 
 def _verified(
-    plan: Plan, before: Values, chosen: Values, valve_values: Values, record: Record
+    plan: Plan, chatter: float, before: Values, chosen: Values, valve_values: Values, record: Record
 ) -> Verification:
-    """Judge the verification run by the simulation of the same commands. Raises ParameterError."""
+    """Judge the verification run by the simulation of the same commands; ``chatter``: limit of c_u.
+
+    Raises ParameterError.
+    """
     measured = _indices(record)
     limited = {"u_max": plan.limits.voltage, "command_limit": plan.limits.travel}
     made = offline.simulate(updated(CONTROLLER, before, {**chosen, **limited}), valve_values, record.command)
@@ -343,10 +406,10 @@ def _verified(
             f"the error is {1e3 * measured.e_rms:.3g} mV rms on the running valve, and "
             f"{1e3 * made.indices.e_rms:.3g} mV in simulation: the model does not describe this valve"
         )
-    most_chatter = WORSE * max(plan.chatter, made.indices.c_u)
+    most_chatter = WORSE * max(chatter, made.indices.c_u)
     if not measured.c_u <= most_chatter:
         reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
-    if former is not None and former.e_rms < measured.e_rms and former.c_u < plan.chatter:
+    if former is not None and former.e_rms < measured.e_rms and former.c_u < chatter:
         reasons.append(
             f"in simulation the parameters from before do better, {1e3 * former.e_rms:.3g} mV rms instead of "
             f"{1e3 * measured.e_rms:.3g} mV"
@@ -390,8 +453,10 @@ def as_dict(result: Result) -> dict[str, Any]:
             "delay_s": found.delay,
             "offset": found.offset,
             "friction": found.friction._asdict(),
+            "presliding": found.presliding,
             "error": found.error,
         },
+        "chatter_limit": {"wanted": result.plan.chatter, "kept": result.tuned.chatter},
         "law": result.tuned.law,
         "tuned": tuner.as_dict(result.tuned),
         "applied": result.applied,

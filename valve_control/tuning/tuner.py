@@ -16,6 +16,9 @@ from valve_control.tuning.verification import Verified
 TRIES = 8  # points of the front that are verified until one holds
 APART = 0.02  # of error or chatter, by which a point has to differ from one that did not hold
 NEAR = 0.97  # share of a limit up to which a point is taken; valves that were not seen differ
+QUIET = (
+    1.25  # times the least chatter, up to which gains are taken where a limit that may give way is not kept
+)
 
 
 class Aim(NamedTuple):
@@ -23,6 +26,7 @@ class Aim(NamedTuple):
 
     chatter: float | None  # at most
     error: float | None  # V  at most
+    firm: bool = True  # False: where no gains keep the limit of the chatter, the quieter ones are taken
 
 
 class Chosen(NamedTuple):
@@ -51,6 +55,7 @@ class Tuned(NamedTuple):
     chosen: Chosen  # that holds, or the first of those that do not
     tried: int
     missed: int  # of them, the margins
+    chatter: float | None = None  # limit of it that was kept
 
 
 def variants(law: Law, values: Values) -> list[Mapping[str, Value]]:
@@ -91,11 +96,13 @@ def tuned(
     seed: int,
     told: Told,
     workers: Workers = None,
+    verifying: Told = lambda tried: None,
 ) -> Tuned:
     """Tune ``law`` on ``problem`` with ``budget`` sets of gains in each variant, and verify on ``unseen``.
 
-    ``told`` gets the sets of gains tried so far. Raises ParameterError, one sentence, if no gains keep the
-    margins, or none of those that do fits ``aim``.
+    ``told`` gets the sets of gains tried so far, ``verifying`` the number of points that were verified before
+    the one that comes next. Raises ParameterError, one sentence, if no gains keep the margins, or none of
+    those that do fits ``aim``.
     """
     points: list[tuple[Mapping[str, Value], Point]] = []
     tried = missed = 0
@@ -114,26 +121,43 @@ def tuned(
         tried, missed = tried + found.tried, missed + found.missed
     owner = {id(point): variant for variant, point in points}
     front = search.front([point for _, point in points])
-    candidates = ranked(front, aim)
-    if not candidates:
+    chosen: Chosen | None = None
+    verified = 0
+    for wanted in _aims(front, aim):
+        refused: list[Point] = []
+        for point in ranked(front, wanted):
+            if any(_near(point, other) for other in refused):
+                continue
+            verifying(verified)
+            variant = owner[id(point)]
+            there = unseen._replace(values=updated(CONTROLLER, unseen.values, variant))
+            judged = verification.verified(law, there, point.gains, wanted.chatter, workers)
+            verified += 1
+            if chosen is None or not judged.reasons:
+                chosen, aim = Chosen(variant, point, judged), wanted
+            if chosen.holds:
+                break
+            refused.append(point)
+            if len(refused) == TRIES:
+                break
+        if chosen is not None and (chosen.holds or not _too_loud(chosen, wanted)):
+            break
+    if chosen is None:
         raise ParameterError(_nothing(law, front, aim, tried, missed))
-    first: Chosen | None = None
-    refused: list[Point] = []
-    for point in candidates:
-        if any(_near(point, other) for other in refused):
-            continue
-        variant = owner[id(point)]
-        there = unseen._replace(values=updated(CONTROLLER, unseen.values, variant))
-        chosen = Chosen(variant, point, verification.verified(law, there, point.gains, aim.chatter, workers))
-        first = first or chosen
-        if chosen.holds:
-            first = chosen
-            break
-        refused.append(point)
-        if len(refused) == TRIES:
-            break
-    assert first is not None
-    return Tuned(law.name, [(owner[id(point)], point) for point in front], first, tried, missed)
+    return Tuned(law.name, [(owner[id(point)], point) for point in front], chosen, tried, missed, aim.chatter)
+
+
+def _aims(front: Sequence[Point], aim: Aim) -> list[Aim]:
+    """``aim``, and what takes its place where no gains keep a limit of the chatter that may give way."""
+    if aim.firm or aim.chatter is None or not front:
+        return [aim]
+    least = min(point.chatter for point in front)
+    return [aim, aim._replace(chatter=QUIET * max(aim.chatter, least))]
+
+
+def _too_loud(chosen: Chosen, aim: Aim) -> bool:
+    """Whether chatter on valves that were not seen is what speaks against ``chosen``."""
+    return aim.chatter is not None and chosen.verified.seen.chatter > verification.SLACK * aim.chatter
 
 
 def _near(a: Point, b: Point) -> bool:
@@ -190,6 +214,7 @@ def as_dict(result: Tuned) -> dict[str, Any]:
         "margins": worst,
         "accepted": chosen.holds,
         "reasons": chosen.verified.reasons,
+        "chatter_limit": result.chatter,
         "tried": result.tried,
         "missed_margins": result.missed,
     }
