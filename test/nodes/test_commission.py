@@ -26,6 +26,7 @@ from valve_control.parameters.table import CONTROLLER
 
 VOLTAGE, TRAVEL = 3.5, 1.5  # V
 PERIOD = 0.004  # s: four times the usual one, since a busy machine is late by some ms
+FASTER = 0.002  # s: at 250 Hz the reshaping that a tuner may choose lags too much for a valve of 11 Hz
 # The simulated valve waits for its voltage, so that a busy machine is no dead time.
 VALVE = ["-p", f"sample_period:={PERIOD}", "-p", "patience:=1.0", "-p", "disturbance.offset:=0.2"]
 VALVE += ["-p", "friction.coulomb:=0.6", "-p", "lvdt.noise:=0.004"]
@@ -270,7 +271,7 @@ def aborted(ros, stack, folder, namespace, planned, reached):
                 assert set_parameters(ros, f"{namespace[1:]}/valve_simulator", fault__lvdt=how).successful
             yield over, "end of commission", 60.0
         said = log.read_text()
-        print(f"{how} in {reached[-1]}, {share:.2f}: {len(seen.voltages) - count} more voltages")
+        print(f"{how} in {step}, {share:.2f}: {len(seen.voltages) - count} more voltages")
         assert child.returncode == (130 if how.startswith("SIG") else 1), said
         assert "Traceback" not in said
         assert seen.largest() <= VOLTAGE
@@ -328,8 +329,8 @@ def test_aborted_at_ten_random_moments(ros, tmp_path):
 @pytest.mark.campaign
 def test_an_invented_valve(ros, tmp_path):
     """One of the five of benchmarks.commissioned, from the paper's gains to tuned ones in three minutes."""
-    wanted = ["--controller", "dcarc", "--max-voltage", "4", *QUICK]
-    row = commissioned.gone_through(tmp_path, 11, PERIOD, wanted, 2.0)
+    wanted = ["--controller", "dcarc", "--max-voltage", "4", *QUICK, "--budget", "200", "--valves", "6"]
+    row = commissioned.gone_through(tmp_path, 11, FASTER, wanted, 2.0)
     assert row["status"] == 0, row
     assert row["as_told"] and row["largest_voltage"] <= 4.0
     assert row["seconds"]["all"] < 180.0
