@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from valve_control.commissioning import courses, sequence, small_signal, statics
 from valve_control.commissioning.bench import Fault, Record, Seen
 from valve_control.commissioning.watch import Watch
 from valve_control.parameter import ParameterError, defaults, updated
@@ -84,3 +85,18 @@ class SupervisedValve:
 
     def off(self):
         self.active = False
+
+
+def driven(bench, limits):
+    """Rest, slow triangle and its statics, plan and record of the stepped sine, as commission makes them."""
+
+    def silent(done):
+        pass
+
+    bench.apply(sequence.limiting(bench.values(), limits))
+    rest = statics.at_rest(bench.drive(courses.rest(2.0), limits, silent))
+    slow = bench.drive(courses.triangle(limits, 1.6, 4), limits, silent)
+    static = statics.slow(slow, rest, limits)
+    planned = small_signal.plan(limits, rest, static, 0.001)
+    course = courses.stepped_sine(limits, planned.steps, planned.amplitude, planned.offset)
+    return rest, slow, static, planned, bench.drive(course, limits, silent)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from supervised import SupervisedValve
+from supervised import SupervisedValve, driven
 
-from valve_control.commissioning import courses, plant, sequence, small_signal, statics
+from valve_control.commissioning import plant, sequence
 from valve_control.commissioning.bench import Limits
 
 LIMITS = Limits(4.0, 2.0)
@@ -16,14 +16,7 @@ def silent(*done):
 
 def found(valve, told=silent):
     """What commissioning fits to the readings of ``valve``."""
-    bench = SupervisedValve(valve)
-    bench.apply(sequence.limiting(bench.values(), LIMITS))
-    rest = statics.at_rest(bench.drive(courses.rest(2.0), LIMITS, silent))
-    slow = bench.drive(courses.triangle(LIMITS, 1.6, 4), LIMITS, silent)
-    static = statics.slow(slow, rest, LIMITS)
-    planned = small_signal.plan(LIMITS, rest, static, 0.001)
-    course = courses.stepped_sine(LIMITS, planned.steps, planned.amplitude, planned.offset)
-    sine = bench.drive(course, LIMITS, silent)
+    rest, slow, static, planned, sine = driven(SupervisedValve(valve), LIMITS)
     _, fits, friction = sequence._linear(sine, planned, static, rest)
     return plant.fitted([slow, sine], fits, friction, static.offset, rest, told)
 

@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from supervised import SupervisedValve
+from supervised import SupervisedValve, driven
 
-from valve_control.commissioning import courses, plant, sequence, small_signal, statics
+from valve_control.commissioning import plant, sequence, small_signal, statics
 from valve_control.commissioning.bench import Limits, Record
 from valve_control.identification import rational
 from valve_control.identification.response import Response
@@ -33,13 +33,7 @@ def silent(done):
 def tested():
     """Rest, slow triangle and stepped sine of a valve that is seven times as fast as that of the paper."""
     bench = SupervisedValve(VALVE)
-    bench.apply(sequence.limiting(bench.values(), LIMITS))
-    rest = statics.at_rest(bench.drive(courses.rest(2.0), LIMITS, silent))
-    slow = bench.drive(courses.triangle(LIMITS, 1.6, 4), LIMITS, silent)
-    static = statics.slow(slow, rest, LIMITS)
-    planned = small_signal.plan(LIMITS, rest, static, 0.001)
-    course = courses.stepped_sine(LIMITS, planned.steps, planned.amplitude, planned.offset)
-    return bench, rest, slow, static, planned, bench.drive(course, LIMITS, silent)
+    return bench, *driven(bench, LIMITS)
 
 
 def test_rest_tells_noise_and_position(tested):

@@ -24,6 +24,8 @@ from valve_control.nodes.harness.processes import Listener, process
 from valve_control.parameters import files
 from valve_control.parameters.table import CONTROLLER
 
+# They share a set of domains: one worker has them all.
+pytestmark = pytest.mark.xdist_group("commission")
 VOLTAGE, TRAVEL = 3.5, 1.5  # V
 PERIOD = 0.004  # s: four times the usual one, since a busy machine is late by some ms
 FASTER = 0.002  # s: at 250 Hz the reshaping that a tuner may choose lags too much for a valve of 11 Hz
@@ -326,6 +328,7 @@ def test_aborted_at_ten_random_moments(ros, tmp_path):
     assert reached.count("tuning") >= 2 and reached.count("verification") >= 2
 
 
+@pytest.mark.alone
 @pytest.mark.campaign
 def test_an_invented_valve(ros, tmp_path):
     """One of the five of benchmarks.commissioned, from the paper's gains to tuned ones in three minutes."""
