@@ -16,9 +16,13 @@ over a period is that of its end, and backward Euler takes the velocity of the e
 Coulomb friction is ahead by the first of these alone. Stribeck's addition is left out: a swing is faster.
 """
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 import scipy.special
+
+from valve_control.compiling import compile_function
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -48,29 +52,58 @@ def swings(loop: Complex, position: Complex, z: Complex, coulomb: Array, preslid
     ``presliding`` [V] (N): friction of the valve. Less than these counts too, for friction is another one on
     the next day. ``presliding`` 0.0: Coulomb friction without a spring.
     """
-    bare = -(1.0 + loop) / position
-    missing = bare * z**-AHEAD
-    phase = np.angle(missing)
-    deflection = np.interp(phase, _PHASE, DEFLECTIONS)
-    stiffness = np.abs(missing) / np.interp(phase, _PHASE, _SIZE)  # V/V  F/δ that swings at this frequency
-    with np.errstate(divide="ignore"):
-        most = np.minimum(presliding[:, None], coulomb[:, None] / stiffness)
-    possible = (phase > 0.0) & (phase < 0.5 * np.pi)
-    with_spring = np.max(np.where(possible, deflection * most, 0.0), axis=1)
-    return np.asarray(
-        np.where(presliding > 0.0, with_spring, _rubbed(bare * z**-RUBBING_AHEAD, coulomb)), dtype=float
+    amplitudes = np.empty(len(coulomb))
+    ahead = z**-AHEAD, z**-RUBBING_AHEAD
+    compile_function(_largest, nogil=True)(
+        loop, position, *ahead, coulomb, presliding, _PHASE, _SIZE, DEFLECTIONS, amplitudes
     )
+    return amplitudes
 
 
-def _rubbed(missing: Complex, coulomb: Array) -> Array:
-    """Likewise with Coulomb friction alone: where ``missing`` crosses the positive imaginary axis."""
-    real, imaginary = missing.real, missing.imag
-    crossing = real[:, :-1] * real[:, 1:] < 0.0
-    share = np.divide(
-        real[:, :-1], real[:, :-1] - real[:, 1:], out=np.zeros_like(real[:, 1:]), where=crossing
-    )
-    at = imaginary[:, :-1] + share * (imaginary[:, 1:] - imaginary[:, :-1])
-    crossing &= at > 0.0
-    amplitude = np.divide(4.0 * coulomb[:, None], np.pi * at, out=np.zeros_like(at), where=crossing)
-    made: Array = np.max(amplitude, axis=1)
-    return made
+def _largest(
+    loop: Complex,
+    position: Complex,
+    ahead: Complex,
+    rubbing_ahead: Complex,
+    coulomb: Array,
+    presliding: Array,
+    phases: Array,
+    sizes: Array,
+    deflections: Array,
+    amplitudes: Array,
+) -> None:
+    """Fill ``amplitudes`` (N) as ``swings``; ``phases``, ``sizes`` and ``deflections``: table of n(α).
+
+    Without a spring: where what is missing crosses the positive imaginary axis.
+    """
+    for i in range(len(amplitudes)):
+        largest, before = 0.0, 0.0 + 0.0j
+        for k in range(len(ahead)):
+            bare = -(1.0 + loop[i, k]) / position[i, k]
+            if presliding[i] > 0.0:
+                missing = bare * ahead[k]
+                if missing.real > 0.0 and missing.imag > 0.0:
+                    phase = math.atan2(missing.imag, missing.real)
+                    stiffness = abs(missing) / _between(phase, phases, sizes)  # V/V  F/δ that swings there
+                    most = min(presliding[i], coulomb[i] / stiffness)
+                    largest = max(largest, _between(phase, phases, deflections) * most)
+            else:
+                missing = bare * rubbing_ahead[k]
+                if before.real * missing.real < 0.0:
+                    share = before.real / (before.real - missing.real)
+                    at = before.imag + share * (missing.imag - before.imag)
+                    if at > 0.0:
+                        largest = max(largest, 4.0 * coulomb[i] / (math.pi * at))
+                before = missing
+        amplitudes[i] = largest
+
+
+def _between(x: float, places: Array, values: Array) -> float:
+    """What ``values`` are at ``x`` between ascending ``places``; beyond them, the one at the end."""
+    after = np.searchsorted(places, x)
+    if after == 0:
+        return float(values[0])
+    if after == len(places):
+        return float(values[-1])
+    share = (x - places[after - 1]) / (places[after] - places[after - 1])
+    return float(values[after - 1] + share * (values[after] - values[after - 1]))

@@ -6,6 +6,7 @@ dead time and aliasing included. Friction has no linear form; which swings it su
 function (friction_swing.py).
 """
 
+import math
 from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
@@ -13,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.compiling import compile_function
 from valve_control.laws.law import Law
 from valve_control.parameters import linear_loop
 from valve_control.plant import valve
@@ -79,11 +81,9 @@ def margins(law: Law, params: Any, box: Box) -> Margins:
     linear = linear_loop.linear_law(law, params, steps=many_states.stepped)
     radius = np.abs(linear_loop.dominant_poles(linear, box.valves))
     loop = -linear_loop.law_response(linear, box.z) * box.response
-    gain, reduction = _gain_margins(loop)
-    phase, delay = _phase_margins(loop, box.omega)
-    with np.errstate(divide="ignore"):
-        sensitivity = -20.0 * np.log10(np.min(np.abs(1.0 + loop), axis=1))
-        response = 20.0 * np.log10(np.max(np.abs(loop / (1.0 + loop)), axis=1))
+    rows = np.empty((len(loop), 6))
+    compile_function(_sweep, nogil=True)(loop, box.omega, rows)
+    gain, reduction, phase, delay, sensitivity, response = rows.T
     swing = friction_swing.swings(loop, box.position, box.z, box.coulomb, box.presliding)
     by_loop = swing * _blame(swing, box.own_swing)
     found = Margins(radius, gain, reduction, phase, delay, sensitivity, response, by_loop)
@@ -127,40 +127,42 @@ def _without_unstable(found: Margins) -> Margins:
     return found._replace(**peaks, **left)
 
 
-def _gain_margins(loop: linear_loop.Complex) -> tuple[Array, Array]:
-    """Gain margins [dB] upwards and downwards: where the response crosses the negative real axis."""
-    real, imaginary = loop.real, loop.imag
-    crossing = (imaginary[:, :-1] * imaginary[:, 1:]) < 0.0
-    share = np.divide(
-        imaginary[:, :-1],
-        imaginary[:, :-1] - imaginary[:, 1:],
-        out=np.zeros_like(imaginary[:, 1:]),
-        where=crossing,
-    )
-    at = real[:, :-1] + share * (real[:, 1:] - real[:, :-1])
-    at = np.concatenate([np.where(crossing, at, 0.0), real[:, -1:]], axis=1)  # real at half the sampling rate
-    with np.errstate(divide="ignore"):
-        decibel = np.where(at < 0.0, -20.0 * np.log10(np.abs(at)), np.nan)
-    return (
-        np.min(np.where(decibel >= 0.0, decibel, np.inf), axis=1),
-        np.min(np.where(decibel < 0.0, -decibel, np.inf), axis=1),
-    )
+def _sweep(loop: linear_loop.Complex, omega: Array, rows: Array) -> None:
+    """Fill ``rows`` (N×6) from the responses ``loop`` (N×F) at ``omega`` [rad/s], F ascending.
 
-
-def _phase_margins(loop: linear_loop.Complex, omega: Array) -> tuple[Array, Array]:
-    """Phase margin [deg] and delay margin [s]: where the response crosses the unit circle."""
-    with np.errstate(divide="ignore"):
-        size = np.maximum(np.log(np.abs(loop)), -700.0)
-    crossing = (size[:, :-1] * size[:, 1:]) < 0.0
-    share = np.divide(
-        size[:, :-1], size[:, :-1] - size[:, 1:], out=np.zeros_like(size[:, 1:]), where=crossing
-    )
-    turn = np.angle(loop[:, 1:] / np.where(loop[:, :-1] == 0.0, 1.0, loop[:, :-1]))
-    angle = np.angle(-loop[:, :-1]) + share * turn  # from the critical point
-    frequency = omega[:-1] * (omega[1:] / omega[:-1]) ** share
-    away = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
-    lag = angle % (2.0 * np.pi)
-    return (
-        np.degrees(np.min(np.where(crossing, away, np.inf), axis=1)),
-        np.min(np.where(crossing, lag / frequency, np.inf), axis=1),
-    )
+    Gain margin and reduction [dB] are where a response crosses the negative real axis, phase margin [deg] and
+    delay margin [s] where it crosses the unit circle; then the peaks [dB] of 1/(1 + L) and L/(1 + L).
+    """
+    for i in range(loop.shape[0]):
+        gain = reduction = phase = delay = nearest = math.inf
+        response = 0.0
+        before, smaller = loop[i, 0], 1.0
+        for k in range(loop.shape[1]):
+            here = loop[i, k]
+            size = here.real * here.real + here.imag * here.imag
+            apart = (1.0 + here.real) * (1.0 + here.real) + here.imag * here.imag
+            nearest = min(nearest, apart)
+            response = max(response, size / apart)
+            at = here.real if k == loop.shape[1] - 1 else 0.0  # half the sampling rate
+            if before.imag * here.imag < 0.0:
+                at = min(
+                    at, before.real + before.imag / (before.imag - here.imag) * (here.real - before.real)
+                )
+            if at < 0.0:
+                decibel = -20.0 * math.log10(-at)
+                if decibel >= 0.0:
+                    gain = min(gain, decibel)
+                else:
+                    reduction = min(reduction, -decibel)
+            if (smaller - 1.0) * (size - 1.0) < 0.0:
+                low, high = max(math.log(smaller), -1400.0), max(math.log(size), -1400.0)
+                share = low / (low - high)
+                turned = here * before.conjugate()
+                angle = math.atan2(-before.imag, -before.real) + share * math.atan2(turned.imag, turned.real)
+                lag = angle % (2.0 * math.pi)  # from the critical point
+                frequency = omega[k - 1] * (omega[k] / omega[k - 1]) ** share
+                phase = min(phase, math.degrees(min(lag, 2.0 * math.pi - lag)))
+                delay = min(delay, lag / frequency)
+            before, smaller = here, size
+        rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = gain, reduction, phase, delay
+        rows[i, 4], rows[i, 5] = -10.0 * math.log10(nearest), 10.0 * math.log10(response)
