@@ -88,8 +88,12 @@ def restless_shares(
 
 def _shares(law: Law, problem: Problem, several: Sequence[Gains], threads: int | None) -> list[Array]:
     hard = stressed(problem.box, problem.limits)
-    counts = [len(after_steps(law, problem, gains, hard, threads, FARTHER)) for gains in several]
-    return [np.full((1, 1, 1), count / len(hard)) for count in counts]
+    found = _cycling(law, problem, several, hard, [_tried(problem, FARTHER)], threads)
+    return [np.full((1, 1, 1), len(cycling) / len(hard)) for cycling in found]
+
+
+def _tried(problem: Problem, farther: float = 1.0) -> Motion:
+    return steps(number(problem.values, "sample_period"), problem.motions, farther)
 
 
 def after_steps(
@@ -106,9 +110,7 @@ def after_steps(
     reports as an oscillation. A run that does not stay finite counts. A valve that swings at a constant
     voltage, and in the loop less than OWN times as much, does not.
     """
-    values = trial.values_with(problem, gains)
-    tried = steps(number(values, "sample_period"), problem.motions, farther)
-    return _cycling(law, problem, gains, plants, [tried], workers)
+    return _cycling(law, problem, [gains], plants, [_tried(problem, farther)], workers)[0]
 
 
 def after_all(
@@ -118,40 +120,58 @@ def after_all(
 
     While a command moves, friction answers it with harmonics, which are no limit cycle.
     """
-    period = number(trial.values_with(problem, gains), "sample_period")
-    held = round(HELD / period)
+    held = round(HELD / number(problem.values, "sample_period"))
     ended = [
         motion._replace(wanted=np.concatenate([motion.wanted, np.full(held, motion.wanted[-1])]))
         for motion in problem.motions
     ]
-    return _cycling(law, problem, gains, plants, [steps(period, problem.motions), *ended], workers)
+    return _cycling(law, problem, [gains], plants, [_tried(problem), *ended], workers)[0]
 
 
 def _cycling(
     law: Law,
     problem: Problem,
-    gains: Gains,
+    several: Sequence[Gains],
     plants: Sequence[valve.Params],
     tried: Sequence[Motion],
     workers: Workers,
-) -> Valves:
-    values = trial.values_with(problem, gains)
-    params = law.build(values)
-    period, least = number(values, "sample_period"), number(values, "oscillation_limit")
+) -> list[Valves]:
+    """Numbers of the ``plants``, for each of ``several``, on which the loop ends in a limit cycle.
+
+    Loops of all of them are simulated together, CHUNK at a time: loop i is that of plant i % N.
+    """
+    values = [trial.values_with(problem, gains) for gains in several]
+    params = [trial.built(law, v) for v in values]
+    laws, valves = batch.records(params), batch.records(list(plants))
+    period = number(problem.values, "sample_period")
+    least = number(problem.values, "oscillation_limit")
     bare = problem._replace(preview=False)  # nobody sends the derivatives of a step
     held = round(HELD / period)
+    n, count = len(plants), len(several) * len(plants)
     found: dict[int, _Swing] = {}
     for motion in tried:
         stepping = motion.name == STEPS_NAME
         sender = bare if stepping else problem
-        led = trial.given(law, params, values, gains, sender, motion.wanted)
-        ends = range(len(led), held, -held) if stepping else [len(led)]
-        for first in range(0, len(plants), CHUNK):
-            some = plants[first : first + CHUNK]
-            traces = np.empty((len(some), len(led), 3))
-            seeds = problem.seed + first + np.arange(len(some))
+        led = np.array(
+            [
+                trial.given(law, p, v, gains, sender, motion.wanted)
+                for p, v, gains in zip(params, values, several, strict=True)
+            ]
+        )
+        samples = led.shape[1]
+        ends = range(samples, held, -held) if stepping else [samples]
+        for first in range(0, count, CHUNK):
+            loops = np.arange(first, min(first + CHUNK, count))
+            traces = np.empty((len(loops), samples, 3))
             batch.simulate(
-                batch.Batch(law.name, params, batch.records(list(some)), seeds, motion.wanted, led=led),
+                batch.Batch(
+                    law.name,
+                    laws[loops // n],
+                    valves[loops % n],
+                    problem.seed + loops % n,
+                    np.broadcast_to(motion.wanted, (len(loops), samples)),
+                    led=led[loops // n],
+                ),
                 trial.threads_of(workers),
                 traces,
             )
@@ -160,7 +180,8 @@ def _cycling(
                 for i in np.flatnonzero(restless(part, period, least)):
                     swing = _swing(part[i], period)
                     found[first + int(i)] = max(found.get(first + int(i), swing), swing)
-    return _by_feedback(values, plants, found, trial.threads_of(workers))
+    kept = _by_feedback(problem.values, plants, found, trial.threads_of(workers))
+    return [kept[kept // n == j] % n for j in range(len(several))]
 
 
 def restless(traces: Array, period: float, least: float) -> npt.NDArray[np.bool_]:
@@ -208,7 +229,7 @@ def _turns(swing: Array, beyond: float) -> int:
 def _by_feedback(
     values: Values, plants: Sequence[valve.Params], found: Mapping[int, _Swing], threads: int | None
 ) -> Valves:
-    """Numbers of those ``found`` that are not the valve's own swings at a constant voltage."""
+    """Loops of those ``found`` that are not the valve's own swings at a constant voltage."""
     numbers = sorted(found)
     bare = LAWS["open_loop"]
     params = bare.build(updated(CONTROLLER, values, {"open_loop.static_gain": 1.0}))
@@ -219,8 +240,10 @@ def _by_feedback(
         voltages = np.nan_to_num([found[i].voltage for i in some], posinf=0.0, neginf=0.0)
         command = np.repeat(voltages[:, None], round(SETTLED / period), axis=1)
         traces = np.empty((*command.shape, 3))
-        rows = batch.records([plants[i] for i in some])
-        batch.simulate(batch.Batch(bare.name, params, rows, np.array(some), command), threads, traces)
+        rows = batch.records([plants[i % len(plants)] for i in some])
+        batch.simulate(
+            batch.Batch(bare.name, params, rows, np.array(some) % len(plants), command), threads, traces
+        )
         own = _about_a_line(traces[:, -round(RESTING / period) :, 0])
         amplitude = _amplitude(own)
         larger = np.array([found[i].amplitude for i in some]) >= OWN * amplitude

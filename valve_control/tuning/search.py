@@ -8,10 +8,8 @@ is repeatable by its seed, whatever the number of threads.
 """
 
 import math
-import os
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -94,8 +92,7 @@ class _Trials:
         costs = np.full(len(several), NOT_RUN)
         inside = [tuple(float(v) for v in np.clip(shares, 0.0, 1.0)) for shares in several]
         gains = [trial.gains_at(self._free, self._problem.values, shares) for shares in inside]
-        with ThreadPoolExecutor(trial.threads_of(self._workers) or os.cpu_count()) as pool:
-            violations = list(pool.map(self._violation, gains))
+        violations = [self._violation(g) for g in gains]
         kept: list[int] = []
         for i, missing in enumerate(violations):
             if missing is None:
@@ -153,7 +150,7 @@ class _Trials:
     def _violation(self, gains: Gains) -> float | None:
         """By how much ``gains`` miss the margins; None: they are none."""
         try:
-            params = self._law.build(trial.values_with(self._problem, gains))
+            params = trial.built(self._law, trial.values_with(self._problem, gains))
             found = margins.margins(self._law, params, self._box)
         except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
             return None

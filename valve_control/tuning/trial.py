@@ -1,5 +1,6 @@
 """Tries sets of gains of a law: margins over a box of valves, and runs of many valves on several commands."""
 
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -128,6 +129,16 @@ def values_with(problem: Problem, gains: Gains) -> Values:
     return updated(CONTROLLER, problem.values, gains.changes)
 
 
+def built(law: Law, values: Values) -> Any:
+    """Parameters of ``law`` with ``values`` of the controller; the latest are kept. Raises ParameterError."""
+    return _built(law.build, tuple((n, tuple(v) if isinstance(v, list) else v) for n, v in values.items()))
+
+
+@functools.lru_cache(maxsize=256)
+def _built(build: Callable[[Values], Any], items: tuple[tuple[str, Any], ...]) -> Any:
+    return build({name: list(value) if isinstance(value, tuple) else value for name, value in items})
+
+
 def given(law: Law, params: Any, values: Values, gains: Gains, problem: Problem, wanted: Array) -> Array:
     """Commands [V] as the law gets them for the motion ``wanted`` [V]."""
     limit = number(values, "command_limit")
@@ -188,7 +199,7 @@ def run_here(law: Law, problem: Problem, several: Sequence[Gains], threads: int 
     count = len(problem.plants)
     plants = np.tile(batch.records(list(problem.plants)), len(several))
     values = [values_with(problem, gains) for gains in several]
-    params = [law.build(v) for v in values]
+    params = [built(law, v) for v in values]
     laws = np.repeat(batch.records(params), count)
     found = []
     for i, motion in enumerate(problem.motions):
