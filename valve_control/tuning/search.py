@@ -1,10 +1,16 @@
 """Searches the gains of a law: CMA-ES (pycma) at a few limits of the chatter, which together make a front.
 
 Error and chatter of every set of gains that was tried are kept; those that no other one beats in both are the
-front. Each run of CMA-ES makes the error small under one limit of the chatter and begins at the best set that
-is known for it. Margins come first: a set that misses them is not simulated. One that comes near the best,
-or is on the front, has to come to rest after steps, on valves that have used up half of the margins. A search
-is repeatable by its seed, whatever the number of threads.
+front. Each run of CMA-ES makes the error small under one limit of the chatter. It may end in one of several
+minima: a search begins at several places of the ranges, apart from each other, and twice goes on with the
+better half of these runs. Later runs, for the other parts of the front, begin at the best set that is known
+for their limit.
+
+Margins come first: a set that misses them by far is not simulated, and what the others miss is a part of
+their cost, so that the search sees on both sides of a margin where it gets better. Only those that keep all
+margins are results. One that comes near the best, or is on the front, has to come to rest after steps, on
+valves that have used up half of the margins. A search is repeatable by its seed, whatever the number of
+threads.
 """
 
 import math
@@ -24,17 +30,24 @@ from valve_control.tuning.trial import AHEAD, Gains, Outcome, Problem, Workers
 
 Array = npt.NDArray[np.float64]
 Told = Callable[[int], None]  # sets of gains tried so far
+Judged = Callable[[Sequence[Array], float], list[float]]  # costs under a limit of the chatter
 POPULATION = 12
-SCATTERED = 36  # sets of gains all over the ranges at the beginning
-FIRST_STEP, LATER_STEP = 0.15, 0.08  # of the ranges
+SCATTERED = 120  # sets of gains all over the ranges at the beginning, at most
+STARTS = 4  # places at which a search begins, at most
+EACH = 1000  # sets of gains of the budget for each of them
+APART = 0.17  # of the ranges, by which they are apart, root mean square over the gains
+FIRST_STEPS, LATER_STEP = (0.15, 0.25), 0.08  # of the ranges; those of the places alternate
+ROUNDS = (0.09, 0.1)  # of the budget, for each run, after which the worse half of them ends
 BACK_OFF = 0.9  # share of the limit of saturation, and 1/share of those of the margins, that the search keeps
 QUIETER = 0.96  # share of the limit of the chatter that it keeps
 PRICE = 6.0  # logarithm of the error for one of the chatter beyond its limit
-MISSED = 20.0  # cost of margins that are missed, before what they are missed by
+WALL = 2.0  # logarithm of the error for missing one margin by all of it
+FAR = 0.5  # by which the margins may be missed together, as parts of them, to be simulated
+MISSED = 20.0  # cost of margins that are missed by more, before what they are missed by
 RESTLESS = 10.0  # cost of a loop that does not come to rest, before the share of valves on which it does not
 CLOSE = 0.1  # of the logarithm of the error, by which a set may miss the best to be asked whether it rests
 NOT_RUN = 100.0  # cost of gains that are none
-FRONT_LIMITS = (0.4, 0.2, 0.1, 0.05)  # of the chatter, where none is asked for
+FRONT_LIMITS = (0.2, 0.4, 0.1, 0.05)  # of the chatter, where none is asked for
 
 
 class Point(NamedTuple):
@@ -63,10 +76,11 @@ class Found(NamedTuple):
 
 
 def phases(chatter: float | None) -> list[Phase]:
-    """Runs of a search, where ``chatter`` is the limit that is asked for, or None."""
+    """Runs of a search, where ``chatter`` is the limit that is asked for, or None. The first is the main."""
     if chatter is None:
-        return [Phase(limit, 1.0 / len(FRONT_LIMITS)) for limit in FRONT_LIMITS]
-    return [Phase(chatter, 0.45), Phase(0.5 * chatter, 0.1), Phase(2.0 * chatter, 0.1), Phase(chatter, 0.35)]
+        main, *others = FRONT_LIMITS
+        return [Phase(main, 0.55), *(Phase(limit, 0.45 / len(others)) for limit in others)]
+    return [Phase(chatter, 0.85), Phase(0.5 * chatter, 0.075), Phase(2.0 * chatter, 0.075)]
 
 
 def cost(point: Point, chatter: float, saturated: float) -> float:
@@ -93,21 +107,24 @@ class _Trials:
         inside = [tuple(float(v) for v in np.clip(shares, 0.0, 1.0)) for shares in several]
         gains = [trial.gains_at(self._free, self._problem.values, shares) for shares in inside]
         violations = [self._violation(g) for g in gains]
-        kept: list[int] = []
+        kept: list[int] = []  # that are simulated
         for i, missing in enumerate(violations):
             if missing is None:
                 continue
-            if missing > 0.0:
+            self.missed += missing > 0.0
+            if missing > FAR:
                 costs[i] = MISSED + missing
-                self.missed += 1
             else:
                 kept.append(i)
         points: dict[int, Point] = {}
         if kept:
             outcomes = trial.run(self._law, self._problem, [gains[i] for i in kept], self._workers)
             for i, outcome in zip(kept, outcomes, strict=True):
-                points[i] = _point(self._problem, inside[i], gains[i], outcome)
-                costs[i] = self._cost(points[i], chatter)
+                point = _point(self._problem, inside[i], gains[i], outcome)
+                missing = violations[i] or 0.0
+                costs[i] = self._cost(point, chatter) + WALL * missing
+                if missing == 0.0:
+                    points[i] = point
         least = min((self._cost(point, chatter) for point in self.points), default=math.inf)
         near = [i for i in points if costs[i] < NOT_RUN and costs[i] <= least + CLOSE]
         for i, share in zip(near, self._restless([points[i] for i in near]), strict=True):
@@ -157,6 +174,38 @@ class _Trials:
         return trial.violation(self._problem.limits, found, 1.0 / BACK_OFF)
 
 
+class _Run:
+    """One run of CMA-ES."""
+
+    def __init__(self, start: Array, step: float, seed: int) -> None:
+        import cma
+
+        options = {
+            "seed": seed,
+            "popsize": POPULATION,
+            "verbose": -9,
+            "tolfun": 1e-4,
+            "tolfunhist": 1e-4,
+            "tolflatfitness": 20,
+        }
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            self._strategy = cma.CMAEvolutionStrategy(start, step, options)
+        self.best, self.least = start, math.inf
+
+    def go(self, judged: Judged, chatter: float, trials: _Trials, until: float) -> None:
+        """Go on under a limit of the chatter until so many sets of gains were tried, or it has converged."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            while trials.tried < until and not self._strategy.stop():
+                asked = self._strategy.ask()
+                costs = judged(asked, chatter)
+                self._strategy.tell(asked, costs)
+                i = int(np.argmin(costs))
+                if costs[i] < self.least:
+                    self.best, self.least = np.clip(asked[i], 0.0, 1.0), costs[i]
+
+
 def search(
     law: Law,
     problem: Problem,
@@ -167,8 +216,6 @@ def search(
     workers: Workers = None,
 ) -> Found:
     """Try ``budget`` sets of gains of ``law``. Raises ParameterError for a law that has none to choose."""
-    import cma
-
     free = trial.free_numbers(law, problem.values, problem.preview)
     if not free:
         raise ParameterError(f"{law.name} has no gains to choose; there is nothing to tune")
@@ -184,40 +231,47 @@ def search(
     sobol = scipy.stats.qmc.Sobol(n, rng=np.random.default_rng(seed))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a number of points that is no power of two
-        scattered = [begin, *sobol.random(min(SCATTERED, max(1, budget // 10)))]
-    first = judged(scattered, plan[0].chatter)
-    fallback = scattered[int(np.argmin(first))]
+        scattered = [begin, *sobol.random(min(SCATTERED, max(1, budget // 25)))]
+    main = plan[0]
+    first = judged(scattered, main.chatter)
     if n == 1:  # no covariance to adapt
-        judged(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), plan[0].chatter)
-    until = float(trials.tried)
-    left = max(0, budget - trials.tried)
+        judged(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), main.chatter)
+    starts = _starts(scattered, first, min(STARTS, max(1, budget // EACH)))
+    runs = [_Run(start, FIRST_STEPS[i % len(FIRST_STEPS)], seed + i + 1) for i, start in enumerate(starts)]
+    for share in ROUNDS:
+        if len(runs) == 1:
+            break
+        for run in runs:
+            run.go(judged, main.chatter, trials, trials.tried + share * budget)
+        runs = sorted(runs, key=lambda run: run.least)[: len(runs) // 2]
+    winner = min(runs, key=lambda run: run.least)
+    until = main.share * budget
+    winner.go(judged, main.chatter, trials, until)
     for number, phase in enumerate(plan):
-        until += phase.share * left
+        until += phase.share * budget if number else 0.0
         restart = 0
-        while trials.tried < round(until):
-            options = {
-                "seed": seed + 100 * number + restart + 1,
-                "popsize": POPULATION,
-                "verbose": -9,
-                "tolfun": 1e-4,
-                "tolfunhist": 1e-4,
-                "tolflatfitness": 20,
-            }
+        while trials.tried < min(budget, round(until)):
             trials.front_at_rest()
             best = trials.best(phase.chatter)
-            start = fallback if best is None else np.array(best.shares)
-            step = FIRST_STEP if best is None or number + restart == 0 else LATER_STEP
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                strategy = cma.CMAEvolutionStrategy(start, step, options)
-                while trials.tried < round(until) and not strategy.stop():
-                    asked = strategy.ask()
-                    strategy.tell(asked, judged(asked, phase.chatter))
-            if best is None:
-                fallback = np.clip(strategy.result.xbest, 0.0, 1.0)
+            place = winner.best if best is None else np.array(best.shares)
+            again = _Run(place, LATER_STEP, seed + 100 * (number + 1) + restart)
+            again.go(judged, phase.chatter, trials, min(budget, round(until)))
+            if again.least < winner.least:
+                winner = again
             restart += 1
     trials.front_at_rest()
     return Found(trials.points, trials.tried, trials.missed)
+
+
+def _starts(scattered: Sequence[Array], costs: Sequence[float], count: int) -> list[Array]:
+    """Up to ``count`` of the places ``scattered``, the best first, that are APART from each other."""
+    chosen: list[Array] = []
+    for i in np.argsort(costs):
+        if all(math.sqrt(np.mean((scattered[i] - other) ** 2)) > APART for other in chosen):
+            chosen.append(scattered[i])
+        if len(chosen) == count:
+            break
+    return chosen
 
 
 def _point(problem: Problem, shares: tuple[float, ...], gains: Gains, outcome: Outcome) -> Point:
