@@ -1,1 +1,5 @@
 """Benchmarks: ratios of times measured in one run."""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the command: matrices are small

@@ -3,8 +3,9 @@
 Error and chatter of every set of gains that was tried are kept; those that no other one beats in both are the
 front. Each run of CMA-ES makes the error small under one limit of the chatter. It may end in one of several
 minima: a search begins at several places of the ranges, apart from each other, and twice goes on with the
-better half of these runs. Later runs, for the other parts of the front, begin at the best set that is known
-for their limit.
+better half of these runs. Where the budget is one for a single run only, as with the many gains of dcarc,
+that one has a larger population. Later runs, for the other parts of the front, begin at the best set that is
+known for their limit.
 
 Margins come first: a set that misses them by far is not simulated, and what the others miss is a part of
 their cost, so that the search sees on both sides of a margin where it gets better. Only those that keep all
@@ -31,12 +32,13 @@ from valve_control.tuning.trial import AHEAD, Gains, Outcome, Problem, Workers
 Array = npt.NDArray[np.float64]
 Told = Callable[[int], None]  # sets of gains tried so far
 Judged = Callable[[Sequence[Array], float], list[float]]  # costs under a limit of the chatter
-POPULATION = 12
+POPULATION, LONE_POPULATION = 12, 20  # the other one of a single run that has the time to use it
 SCATTERED = 120  # sets of gains all over the ranges at the beginning, at most
 STARTS = 4  # places at which a search begins, at most
-EACH = 1000  # sets of gains of the budget for each of them
+EACH, EACH_COVARIANCE = 1000, 8  # sets of gains of the budget for each of them, and times n² of n gains
 APART = 0.17  # of the ranges, by which they are apart, root mean square over the gains
 FIRST_STEPS, LATER_STEP = (0.15, 0.25), 0.08  # of the ranges; those of the places alternate
+LONE_STEP = 0.25
 ROUNDS = (0.09, 0.1)  # of the budget, for each run, after which the worse half of them ends
 BACK_OFF = 0.9  # share of the limit of saturation, and 1/share of those of the margins, that the search keeps
 QUIETER = 0.96  # share of the limit of the chatter that it keeps
@@ -177,12 +179,12 @@ class _Trials:
 class _Run:
     """One run of CMA-ES."""
 
-    def __init__(self, start: Array, step: float, seed: int) -> None:
+    def __init__(self, start: Array, step: float, seed: int, population: int = POPULATION) -> None:
         import cma
 
         options = {
             "seed": seed,
-            "popsize": POPULATION,
+            "popsize": population,
             "verbose": -9,
             "tolfun": 1e-4,
             "tolfunhist": 1e-4,
@@ -236,8 +238,11 @@ def search(
     first = judged(scattered, main.chatter)
     if n == 1:  # no covariance to adapt
         judged(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), main.chatter)
-    starts = _starts(scattered, first, min(STARTS, max(1, budget // EACH)))
+    fitting = budget // max(EACH, EACH_COVARIANCE * n * n)
+    starts = _starts(scattered, first, min(STARTS, max(1, fitting)))
     runs = [_Run(start, FIRST_STEPS[i % len(FIRST_STEPS)], seed + i + 1) for i, start in enumerate(starts)]
+    if fitting == 1:
+        runs = [_Run(starts[0], LONE_STEP, seed + 1, LONE_POPULATION)]
     for share in ROUNDS:
         if len(runs) == 1:
             break
