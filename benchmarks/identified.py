@@ -115,6 +115,7 @@ def main() -> int:
         "--json", default="out/identified.json", metavar="FILE", help="(out/identified.json)"
     )
     arguments = options.parse_args()
+    Path(arguments.json).parent.mkdir(parents=True, exist_ok=True)
     plants = comparison.valves(arguments.valves, arguments.seed, True)
     gains = files.load(arguments.gains)["controller"]
     others = {path: _tuned(Path(path)) for path in arguments.against}

@@ -162,6 +162,7 @@ def main() -> int:
     options.add_argument("--budget", type=int, default=800, help="sets of gains of each law (800)")
     options.add_argument("--json", default="out/invented.json", metavar="FILE", help="(out/invented.json)")
     arguments = options.parse_args()
+    Path(arguments.json).parent.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory(prefix="valve_control-invented-") as name:
 

@@ -11,6 +11,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -199,6 +200,7 @@ def main() -> int:
         "--json", default="out/long_search.json", metavar="FILE", help="(out/long_search.json)"
     )
     arguments = options.parse_args()
+    Path(arguments.json).parent.mkdir(parents=True, exist_ok=True)
     found = {}
     for name in arguments.only or ("pid", "arc", "oarc", "dcarc"):
         found[name] = one = compared(LAWS[name], arguments.budget, arguments.times, arguments.seed)

@@ -88,13 +88,17 @@ def test_knee_of_two_branches_is_their_corner():
     assert search.knee(search.front(points)).error == 0.1
 
 
-def test_search_keeps_the_margins_and_is_the_same_on_any_number_of_threads():
+@pytest.mark.parametrize("each", [1000, 100, 50], ids=["short run", "lone run", "runs from three places"])
+def test_search_keeps_the_margins_and_is_the_same_on_any_number_of_threads(each, monkeypatch):
+    monkeypatch.setattr(search, "EACH", each)
+    monkeypatch.setattr(search, "EACH_COVARIANCE", 0)
     p = problem(pid__form="plain")
+    told = []
     runs = [
-        search.search(LAWS["pid"], p, search.phases(0.3), 120, 3, lambda done: None, threads)
-        for threads in (1, 2)
+        search.search(LAWS["pid"], p, search.phases(0.3), 150, 3, told.append, threads) for threads in (1, 2)
     ]
     assert runs[0] == runs[1]
+    assert told[-1] == 150 <= runs[0].tried < 150 + search.LONE_POPULATION
     prepared = margins.prepared(p.box)
     for point in runs[0].points:
         params = LAWS["pid"].build(trial.values_with(p, point.gains))
@@ -103,6 +107,39 @@ def test_search_keeps_the_margins_and_is_the_same_on_any_number_of_threads():
     start = trial.run(LAWS["pid"], p, [Gains({}, 0.0)])[0]
     best = min((q for q in runs[0].points if q.chatter <= 0.3), key=lambda q: q.error)
     assert best.error < 0.7 * trial.error_of(p, start)
+
+
+@given(st.integers(0, 1000), st.integers(1, 12), st.integers(1, 5))
+def test_a_search_begins_at_the_best_places_that_are_apart(seed, n, count):
+    random = np.random.default_rng(seed)
+    places, costs = list(random.random((40, n))), list(random.random(40))
+    starts = search._starts(places, costs, count)
+    assert np.array_equal(starts[0], places[int(np.argmin(costs))]) and len(starts) <= count
+
+    def near(a, b):
+        return np.sqrt(np.mean((a - b) ** 2)) <= search.APART
+
+    assert not any(near(a, b) for i, a in enumerate(starts) for b in starts[:i])
+    worst = max(c for place, c in zip(places, costs, strict=True) if any(place is s for s in starts))
+    for place, cost in zip(places, costs, strict=True):  # one that is better was too near to one chosen
+        assert cost > worst or any(place is s or near(place, s) for s in starts) or len(starts) < count
+
+
+def test_cost_goes_on_beyond_a_margin():
+    """Just inside and just outside of a limit the search sees nearly the same cost, and no point outside."""
+    law, p = LAWS["pid"], problem(pid__form="plain")
+    free = trial.free_numbers(law, p.values, False)
+    shares = np.array([f.to_share(present(f, p.values)) if f is not trial.AHEAD else 0.0 for f in free])
+    params = law.build(trial.values_with(p, trial.gains_at(free, p.values, list(shares))))
+    found = margins.margins(law, params, margins.prepared(p.box))
+    least = float(np.min(found.phase_deg)) * search.BACK_OFF
+    costs = []
+    for wanted in (0.999 * least, 1.001 * least):
+        there = p._replace(limits=trial.Limits(0.0, wanted, 0.0, math.inf, math.inf, 1.0))
+        trials = search._Trials(law, there, free, 1)
+        costs += trials.judged([shares], 1.0)
+        assert len(trials.points) == (wanted < least)
+    assert 0.0 < costs[1] - costs[0] < 0.01
 
 
 def test_a_known_motion_is_followed_without_lag():
