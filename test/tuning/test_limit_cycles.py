@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy.optimize
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -88,6 +89,26 @@ def test_margins_at_0_v_do_not_see_what_adaptation_does_elsewhere():
     assert limit_cycles.after_steps(law, problem, Gains({}, 0.0), plants).tolist() == [0]
     calm = problem_of("oarc", plants)
     assert limit_cycles.after_steps(law, calm, Gains({}, 0.0), plants).tolist() == []
+    lasting = limit_cycles.after_all(law, problem, Gains({}, 0.0), plants, held=limit_cycles.LASTING)
+    assert lasting.tolist() == []  # it rings down in the second after that
+
+
+def test_what_rings_down_slowly_is_no_limit_cycle():
+    """A PID whose loop loses 2 permille a sample still swings a second after a step, and rests after five."""
+    loose = {"pid.form": "plain", "pid.ki": 0.0, "pid.kd": 0.0}
+    law, box = LAWS["pid"], margins.prepared([plant()])
+
+    def radius(kp):
+        params = law.build(updated(CONTROLLER, defaults(CONTROLLER), {**loose, "pid.kp": kp}))
+        return float(margins.margins(law, params, box).radius[0])
+
+    for lost, shares, lasting in ((0.002, 1.0, []), (-0.002, 1.0, [0]), (0.02, 0.0, [])):
+        kp = scipy.optimize.brentq(lambda kp, lost=lost: radius(kp) - (1.0 - lost), 3.0, 60.0)
+        problem = problem_of("pid", [plant()], **loose, **{"pid.kp": kp})
+        problem = problem._replace(limits=trial.Limits(0.0, 0.0, 0.0, math.inf, math.inf, 1.0))
+        assert limit_cycles.restless_shares(law, problem, [Gains({}, 0.0)]) == [shares]
+        found = limit_cycles.after_all(law, problem, Gains({}, 0.0), [plant()], held=limit_cycles.LASTING)
+        assert found.tolist() == lasting
 
 
 def test_a_loop_is_asked_to_rest_where_its_motions_go():

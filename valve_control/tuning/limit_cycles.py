@@ -28,6 +28,7 @@ Valves = npt.NDArray[np.int64]  # numbers of valves
 STEPS_NAME = "steps"
 STEPS = (0.3, -1.0)  # V  with which a loop is tried; each is held for HELD
 HELD = 1.0  # s
+LASTING = 5.0  # s  after which what swings still is a limit cycle, and does not ring down
 RESTING = 0.5  # s  at the end of each step, in which the loop has to rest
 REST = 0.05  # V  amplitude about a straight line from which on it does not: noise stays far below
 TURNS = 4  # from half of that on one side of the line to the other; what creeps has two, whatever rides on it
@@ -55,6 +56,12 @@ def steps(period: float, motions: Sequence[Motion] = (), farther: float = 1.0) -
     return Motion(STEPS_NAME, np.concatenate([np.zeros(n // 10), *(np.full(n, h) for h in heights)]))
 
 
+def _held(motion: Motion, more: float, period: float) -> Motion:
+    """``motion`` whose end is held for ``more`` [s]."""
+    end = np.full(round(more / period), motion.wanted[-1])
+    return motion._replace(wanted=np.concatenate([motion.wanted, end]))
+
+
 def stressed(plants: Sequence[valve.Params], limits: Limits) -> list[valve.Params]:
     """``plants``, each with STRESS of the margins used up: more gain, less gain or more dead time, in turn.
 
@@ -79,21 +86,28 @@ def stressed(plants: Sequence[valve.Params], limits: Limits) -> list[valve.Param
 def restless_shares(
     law: Law, problem: Problem, several: Sequence[Gains], workers: Workers = None
 ) -> list[float]:
-    """Share of the ``stressed`` box of ``problem`` on which each of ``several`` ends in a limit cycle.
+    """Share of the ``stressed`` box of ``problem`` on which each of ``several`` does not rest after steps.
 
-    After steps of which the last one goes FARTHER than the motions.
+    It has HELD for it. The last of the steps goes FARTHER than the motions.
     """
     return [float(share.item()) for share in trial.shared(_shares, law, problem, several, workers)]
 
 
 def _shares(law: Law, problem: Problem, several: Sequence[Gains], threads: int | None) -> list[Array]:
     hard = stressed(problem.box, problem.limits)
-    found = _cycling(law, problem, several, hard, [_tried(problem, FARTHER)], threads)
+    found = _restless(law, problem, several, hard, _tried(problem, HELD, FARTHER), HELD, threads)
     return [np.full((1, 1, 1), len(cycling) / len(hard)) for cycling in found]
 
 
-def _tried(problem: Problem, farther: float = 1.0) -> Motion:
-    return steps(number(problem.values, "sample_period"), problem.motions, farther)
+def _tried(problem: Problem, held: float, farther: float = 1.0) -> list[Motion]:
+    """The ``steps``, all in one for HELD; for longer each in a run of its own, after those before it."""
+    period = number(problem.values, "sample_period")
+    together = steps(period, problem.motions, farther)
+    if held == HELD:
+        return [together]
+    n = round(HELD / period)
+    ends = range(n + len(together.wanted) % n, len(together.wanted) + 1, n)
+    return [_held(Motion(STEPS_NAME, together.wanted[:end]), held - HELD, period) for end in ends]
 
 
 def after_steps(
@@ -104,49 +118,55 @@ def after_steps(
     workers: Workers = None,
     farther: float = 1.0,
 ) -> Valves:
-    """Numbers of the ``plants`` on which the loop ends in a limit cycle after one of the ``steps``.
+    """Numbers of the ``plants`` on which the loop does not come to rest after one of the ``steps``.
 
-    In the last RESTING of a step the spool has to rest, and the voltage must not show what a controller node
+    In the last RESTING of HELD the spool has to rest, and the voltage must not show what a controller node
     reports as an oscillation. A run that does not stay finite counts. A valve that swings at a constant
     voltage, and in the loop less than OWN times as much, does not.
     """
-    return _cycling(law, problem, [gains], plants, [_tried(problem, farther)], workers)[0]
+    tried = _tried(problem, HELD, farther)
+    return _restless(law, problem, [gains], plants, tried, HELD, workers)[0]
 
 
 def after_all(
-    law: Law, problem: Problem, gains: Gains, plants: Sequence[valve.Params], workers: Workers = None
+    law: Law,
+    problem: Problem,
+    gains: Gains,
+    plants: Sequence[valve.Params],
+    workers: Workers = None,
+    held: float = HELD,
 ) -> Valves:
-    """As ``after_steps``, and after each motion, whose end is held for HELD.
+    """As ``after_steps``, and after each motion, each ``held`` [s]: with LASTING only limit cycles are left.
 
     While a command moves, friction answers it with harmonics, which are no limit cycle.
     """
-    held = round(HELD / number(problem.values, "sample_period"))
-    ended = [
-        motion._replace(wanted=np.concatenate([motion.wanted, np.full(held, motion.wanted[-1])]))
-        for motion in problem.motions
-    ]
-    return _cycling(law, problem, [gains], plants, [_tried(problem), *ended], workers)[0]
+    period = number(problem.values, "sample_period")
+    tried = [*_tried(problem, held), *(_held(motion, held, period) for motion in problem.motions)]
+    return _restless(law, problem, [gains], plants, tried, held, workers)[0]
 
 
-def _cycling(
+def _restless(
     law: Law,
     problem: Problem,
     several: Sequence[Gains],
     plants: Sequence[valve.Params],
     tried: Sequence[Motion],
+    held: float,
     workers: Workers,
 ) -> list[Valves]:
-    """Numbers of the ``plants``, for each of ``several``, on which the loop ends in a limit cycle.
+    """Numbers of the ``plants``, for each of ``several``, on which the loop swings after being ``held`` [s].
 
     Loops of all of them are simulated together, CHUNK at a time: loop i is that of plant i % N.
     """
+    if not plants:
+        return [np.empty(0, dtype=np.int64) for _ in several]
     values = [trial.values_with(problem, gains) for gains in several]
     params = [trial.built(law, v) for v in values]
     laws, valves = batch.records(params), batch.records(list(plants))
     period = number(problem.values, "sample_period")
     least = number(problem.values, "oscillation_limit")
     bare = problem._replace(preview=False)  # nobody sends the derivatives of a step
-    held = round(HELD / period)
+    hold, end_of_it = round(held / period), round(HELD / period)
     n, count = len(plants), len(several) * len(plants)
     found: dict[int, _Swing] = {}
     for motion in tried:
@@ -159,7 +179,7 @@ def _cycling(
             ]
         )
         samples = led.shape[1]
-        ends = range(samples, held, -held) if stepping else [samples]
+        ends = range(samples, hold, -hold) if stepping else [samples]
         for first in range(0, count, CHUNK):
             loops = np.arange(first, min(first + CHUNK, count))
             traces = np.empty((len(loops), samples, 3))
@@ -176,7 +196,7 @@ def _cycling(
                 traces,
             )
             for end in ends:
-                part = traces[:, end - held : end]
+                part = traces[:, end - end_of_it : end]
                 for i in np.flatnonzero(restless(part, period, least)):
                     swing = _swing(part[i], period)
                     found[first + int(i)] = max(found.get(first + int(i), swing), swing)
