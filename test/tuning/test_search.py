@@ -137,7 +137,7 @@ def test_cost_goes_on_beyond_a_margin():
     for wanted in (0.999 * least, 1.001 * least):
         there = p._replace(limits=trial.Limits(0.0, wanted, 0.0, math.inf, math.inf, 1.0))
         trials = search._Trials(law, there, free, 1)
-        costs += trials.judged([shares], 1.0)
+        costs += trials.judged([shares], 1.0).costs
         assert len(trials.points) == (wanted < least)
     assert 0.0 < costs[1] - costs[0] < 0.01
 

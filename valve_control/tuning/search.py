@@ -8,10 +8,10 @@ that one has a larger population. Later runs, for the other parts of the front, 
 known for their limit.
 
 Margins come first: a set that misses them by far is not simulated, and what the others miss is a part of
-their cost, so that the search sees on both sides of a margin where it gets better. Only those that keep all
-margins are results. One that comes near the best, or is on the front, has to come to rest after steps, on
-valves that have used up half of the margins. A search is repeatable by its seed, whatever the number of
-threads.
+their cost, so that the search sees on both sides of a margin where it gets better; that part grows as long as
+the best sets of a run miss margins. Only those that keep all margins are results. One that comes near the
+best, or is on the front, has to come to rest after steps, on valves that have used up half of the margins. A
+search is repeatable by its seed, whatever the number of threads.
 """
 
 import math
@@ -31,7 +31,7 @@ from valve_control.tuning.trial import AHEAD, Gains, Outcome, Problem, Workers
 
 Array = npt.NDArray[np.float64]
 Told = Callable[[int], None]  # sets of gains tried so far
-Judged = Callable[[Sequence[Array], float], list[float]]  # costs under a limit of the chatter
+Judge = Callable[[Sequence[Array], float, float], "Judged"]  # under a limit of the chatter, with a wall
 POPULATION, LONE_POPULATION = 12, 20  # the other one of a single run that has the time to use it
 SCATTERED = 120  # sets of gains all over the ranges at the beginning, at most
 STARTS = 4  # places at which a search begins, at most
@@ -43,7 +43,8 @@ ROUNDS = (0.09, 0.1)  # of the budget, for each run, after which the worse half 
 BACK_OFF = 0.9  # share of the limit of saturation, and 1/share of those of the margins, that the search keeps
 QUIETER = 0.96  # share of the limit of the chatter that it keeps
 PRICE = 6.0  # logarithm of the error for one of the chatter beyond its limit
-WALL = 2.0  # logarithm of the error for missing one margin by all of it
+WALL = 2.0  # logarithm of the error for missing one margin by all of it, at least
+HIGHER, LOWER = 1.2, 0.95  # factors of that after each generation whose best set misses one, or does not
 FAR = 0.5  # by which the margins may be missed together, as parts of them, to be simulated
 MISSED = 20.0  # cost of margins that are missed by more, before what they are missed by
 RESTLESS = 10.0  # cost of a loop that does not come to rest, before the share of valves on which it does not
@@ -67,6 +68,13 @@ class Phase(NamedTuple):
 
     chatter: float  # limit
     share: float  # of the budget
+
+
+class Judged(NamedTuple):
+    """What sets of gains cost."""
+
+    costs: list[float]
+    keep: list[bool]  # whether each keeps the margins
 
 
 class Found(NamedTuple):
@@ -103,8 +111,8 @@ class _Trials:
         self._box = margins.prepared(problem.box)
         self._rested: dict[tuple[float, ...], float] = {}  # share of the valves on which a set does not rest
 
-    def judged(self, several: Sequence[Array], chatter: float) -> list[float]:
-        """Costs of sets of gains under a limit of the chatter."""
+    def judged(self, several: Sequence[Array], chatter: float, wall: float = WALL) -> Judged:
+        """Costs of sets of gains under a limit of the chatter; ``wall`` is the cost of missing a margin."""
         costs = np.full(len(several), NOT_RUN)
         inside = [tuple(float(v) for v in np.clip(shares, 0.0, 1.0)) for shares in several]
         gains = [trial.gains_at(self._free, self._problem.values, shares) for shares in inside]
@@ -124,7 +132,7 @@ class _Trials:
             for i, outcome in zip(kept, outcomes, strict=True):
                 point = _point(self._problem, inside[i], gains[i], outcome)
                 missing = violations[i] or 0.0
-                costs[i] = self._cost(point, chatter) + WALL * missing
+                costs[i] = self._cost(point, chatter) + wall * missing
                 if missing == 0.0:
                     points[i] = point
         least = min((self._cost(point, chatter) for point in self.points), default=math.inf)
@@ -136,7 +144,9 @@ class _Trials:
         self.points += [point for point in points.values() if math.isfinite(point.error)]
         self.tried += len(several)
         outside = [float(np.sum((s - np.clip(s, 0.0, 1.0)) ** 2)) for s in several]
-        return [float(c) + o for c, o in zip(costs, outside, strict=True)]
+        return Judged(
+            [float(c) + o for c, o in zip(costs, outside, strict=True)], [v == 0.0 for v in violations]
+        )
 
     def best(self, chatter: float) -> Point | None:
         """The point of least cost under a limit of the chatter. None if there is none."""
@@ -194,18 +204,21 @@ class _Run:
             warnings.simplefilter("ignore")
             self._strategy = cma.CMAEvolutionStrategy(start, step, options)
         self.best, self.least = start, math.inf
+        self._wall = WALL
 
-    def go(self, judged: Judged, chatter: float, trials: _Trials, until: float) -> None:
+    def go(self, judge: Judge, chatter: float, trials: _Trials, until: float) -> None:
         """Go on under a limit of the chatter until so many sets of gains were tried, or it has converged."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             while trials.tried < until and not self._strategy.stop():
                 asked = self._strategy.ask()
-                costs = judged(asked, chatter)
+                costs, keep = judge(asked, chatter, self._wall)
                 self._strategy.tell(asked, costs)
-                i = int(np.argmin(costs))
-                if costs[i] < self.least:
-                    self.best, self.least = np.clip(asked[i], 0.0, 1.0), costs[i]
+                self._wall = max(WALL, self._wall * (LOWER if keep[int(np.argmin(costs))] else HIGHER))
+                scores = np.where(keep, costs, np.add(costs, RESTLESS))
+                i = int(np.argmin(scores))
+                if scores[i] < self.least:
+                    self.best, self.least = np.clip(asked[i], 0.0, 1.0), float(scores[i])
 
 
 def search(
@@ -223,10 +236,10 @@ def search(
         raise ParameterError(f"{law.name} has no gains to choose; there is nothing to tune")
     trials = _Trials(law, problem, free, workers)
 
-    def judged(several: Sequence[Array], chatter: float) -> list[float]:
-        costs = trials.judged(several, chatter)
+    def judge(several: Sequence[Array], chatter: float, wall: float = WALL) -> Judged:
+        found = trials.judged(several, chatter, wall)
         told(min(trials.tried, budget))
-        return costs
+        return found
 
     n = len(free)
     begin = np.array([0.5 if f is AHEAD else f.to_share(present(f, problem.values)) for f in free])
@@ -235,9 +248,9 @@ def search(
         warnings.simplefilter("ignore")  # of a number of points that is no power of two
         scattered = [begin, *sobol.random(min(SCATTERED, max(1, budget // 25)))]
     main = plan[0]
-    first = judged(scattered, main.chatter)
+    first = judge(scattered, main.chatter).costs
     if n == 1:  # no covariance to adapt
-        judged(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), main.chatter)
+        judge(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), main.chatter)
     fitting = budget // max(EACH, EACH_COVARIANCE * n * n)
     starts = _starts(scattered, first, min(STARTS, max(1, fitting)))
     runs = [_Run(start, FIRST_STEPS[i % len(FIRST_STEPS)], seed + i + 1) for i, start in enumerate(starts)]
@@ -247,11 +260,11 @@ def search(
         if len(runs) == 1:
             break
         for run in runs:
-            run.go(judged, main.chatter, trials, trials.tried + share * budget)
+            run.go(judge, main.chatter, trials, trials.tried + share * budget)
         runs = sorted(runs, key=lambda run: run.least)[: len(runs) // 2]
     winner = min(runs, key=lambda run: run.least)
     until = main.share * budget
-    winner.go(judged, main.chatter, trials, until)
+    winner.go(judge, main.chatter, trials, until)
     for number, phase in enumerate(plan):
         until += phase.share * budget if number else 0.0
         restart = 0
@@ -260,7 +273,7 @@ def search(
             best = trials.best(phase.chatter)
             place = winner.best if best is None else np.array(best.shares)
             again = _Run(place, LATER_STEP, seed + 100 * (number + 1) + restart)
-            again.go(judged, phase.chatter, trials, min(budget, round(until)))
+            again.go(judge, phase.chatter, trials, min(budget, round(until)))
             if again.least < winner.least:
                 winner = again
             restart += 1
