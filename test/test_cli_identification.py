@@ -39,9 +39,7 @@ def test_identified_model_goes_into_simulate_and_compensator(run, tmp_path):
     assert (tmp_path / "bode.svg").read_text().startswith("<?xml")
     tree = yaml.safe_load((tmp_path / "valve.yaml").read_text())
     assert tree["/**/controller"]["ros__parameters"]["arc"]["theta_initial"] == result["theta"]["initial"]
-    simulated = tree["/**/valve_simulator"][
-        "ros__parameters"
-    ]  # without its noise tune would ask for too much
+    simulated = tree["/**/valve_simulator"]["ros__parameters"]  # from which tune takes its noise
     assert simulated["lvdt"]["noise"] == pytest.approx(0.005, rel=0.1)
     assert simulated["lvdt"]["resolution"] == result["lvdt"]["resolution"]
     for controller in ("pid", "arc", "oarc", "dcarc", "compensator"):

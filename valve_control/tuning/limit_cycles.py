@@ -116,7 +116,6 @@ def after_steps(
     gains: Gains,
     plants: Sequence[valve.Params],
     workers: Workers = None,
-    farther: float = 1.0,
 ) -> Valves:
     """Numbers of the ``plants`` on which the loop does not come to rest after one of the ``steps``.
 
@@ -124,8 +123,7 @@ def after_steps(
     reports as an oscillation. A run that does not stay finite counts. A valve that swings at a constant
     voltage, and in the loop less than OWN times as much, does not.
     """
-    tried = _tried(problem, HELD, farther)
-    return _restless(law, problem, [gains], plants, tried, HELD, workers)[0]
+    return _restless(law, problem, [gains], plants, _tried(problem, HELD), HELD, workers)[0]
 
 
 def after_all(

@@ -263,10 +263,10 @@ def search(
             run.go(judge, main.chatter, trials, trials.tried + share * budget)
         runs = sorted(runs, key=lambda run: run.least)[: len(runs) // 2]
     winner = min(runs, key=lambda run: run.least)
-    until = main.share * budget
-    winner.go(judge, main.chatter, trials, until)
+    winner.go(judge, main.chatter, trials, main.share * budget)
+    until = 0.0
     for number, phase in enumerate(plan):
-        until += phase.share * budget if number else 0.0
+        until += phase.share * budget
         restart = 0
         while trials.tried < min(budget, round(until)):
             trials.front_at_rest()
