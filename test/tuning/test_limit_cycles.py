@@ -86,9 +86,9 @@ def test_margins_at_0_v_do_not_see_what_adaptation_does_elsewhere():
     batch.simulate(batch.Batch("oarc", params, batch.records(plants), np.array([NUMBER]), command), 1, traces)
     swings = [0.5 * float(np.ptp(traces[0, end - 500 : end, 0])) for end in (1100, 2100)]
     assert swings[0] < 0.02 and swings[1] > 0.5
-    assert limit_cycles.after_steps(law, problem, Gains({}, 0.0), plants).tolist() == [0]
+    assert limit_cycles.after_all(law, problem, Gains({}, 0.0), plants).tolist() == [0]
     calm = problem_of("oarc", plants)
-    assert limit_cycles.after_steps(law, calm, Gains({}, 0.0), plants).tolist() == []
+    assert limit_cycles.after_all(law, calm, Gains({}, 0.0), plants).tolist() == []
     lasting = limit_cycles.after_all(law, problem, Gains({}, 0.0), plants, held=limit_cycles.LASTING)
     assert lasting.tolist() == []  # it rings down in the second after that
 

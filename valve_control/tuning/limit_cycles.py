@@ -110,22 +110,6 @@ def _tried(problem: Problem, held: float, farther: float = 1.0) -> list[Motion]:
     return [_held(Motion(STEPS_NAME, together.wanted[:end]), held - HELD, period) for end in ends]
 
 
-def after_steps(
-    law: Law,
-    problem: Problem,
-    gains: Gains,
-    plants: Sequence[valve.Params],
-    workers: Workers = None,
-) -> Valves:
-    """Numbers of the ``plants`` on which the loop does not come to rest after one of the ``steps``.
-
-    In the last RESTING of HELD the spool has to rest, and the voltage must not show what a controller node
-    reports as an oscillation. A run that does not stay finite counts. A valve that swings at a constant
-    voltage, and in the loop less than OWN times as much, does not.
-    """
-    return _restless(law, problem, [gains], plants, _tried(problem, HELD), HELD, workers)[0]
-
-
 def after_all(
     law: Law,
     problem: Problem,
@@ -134,9 +118,12 @@ def after_all(
     workers: Workers = None,
     held: float = HELD,
 ) -> Valves:
-    """As ``after_steps``, and after each motion, each ``held`` [s]: with LASTING only limit cycles are left.
+    """Numbers of the ``plants`` on which the loop does not rest after one of the ``steps`` or motions.
 
-    While a command moves, friction answers it with harmonics, which are no limit cycle.
+    Each is ``held`` [s]; with LASTING only limit cycles are left. In the last RESTING of it the spool has to
+    rest, and the voltage must not show what a controller node reports as an oscillation. A run that does not
+    stay finite counts. A valve that swings at a constant voltage, and in the loop less than OWN times as
+    much, does not. While a command moves, friction answers it with harmonics, which are no limit cycle.
     """
     period = number(problem.values, "sample_period")
     tried = [*_tried(problem, held), *(_held(motion, held, period) for motion in problem.motions)]
