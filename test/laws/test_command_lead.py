@@ -30,7 +30,9 @@ def controller(**changes):
 
 
 def led(commands, **changes):
-    return command_lead.applied(command_lead.build(controller(**changes)), np.array(commands, dtype=float))
+    return command_lead.applied(
+        command_lead.build(controller(**changes), True), np.array(commands, dtype=float)
+    )
 
 
 def reference(commands, values=None):
@@ -45,7 +47,7 @@ def reference(commands, values=None):
 
 
 def test_without_lead_there_is_nothing_to_compute():
-    assert command_lead.build(controller()) is None
+    assert command_lead.build(controller(), True) is None
     assert command_lead.applied(None, SINES) is SINES
 
 
@@ -68,27 +70,75 @@ def test_a_sine_has_the_error_of_the_equation(frequency):
     assert error < 0.4 * rms((reference(sine) - sine)[cycles]) / rms(sine[cycles])
 
 
+PARABOLA = 200.0 * TIME[:180] ** 2  # V  below all limits
+
+
+@pytest.mark.parametrize(
+    "natural_frequency, damping", [(314.0, 0.8), (800.0, 0.8), (1000.0, 1.0), (500.0, 1.27)]
+)
+@pytest.mark.parametrize("ahead", [0.0, 0.002, 0.005])
+def test_with_the_acceleration_a_parabola_is_followed_without_error(natural_frequency, damping, ahead):
+    """The reference is the command that comes ``ahead``, which makes up for a loop that is later by that."""
+    changes = {"reshaping__natural_frequency": natural_frequency, "reshaping__damping": damping}
+    lead = 2.0 * damping / natural_frequency + ahead
+    wanted = 200.0 * (TIME[120:180] + ahead) ** 2
+    for share, left in ((1.0, 0.0), (0.0, None)):
+        given = led(PARABOLA, reshaping__lead=lead, reshaping__lead_accel=share, **changes)
+        error = reference(given, controller(**changes))[120:180] - wanted
+        if left is None:
+            bend = command_lead.build(
+                controller(reshaping__lead=lead, reshaping__lead_accel=1.0, **changes), True
+            )
+            left = -400.0 * (bend.bend + 0.0015 * lead)
+        assert error == pytest.approx(left, abs=1e-9)
+
+
+@pytest.mark.parametrize("lead", [0.002, 0.01])
+def test_a_law_that_does_not_reshape_gets_the_parabola_ahead(lead):
+    p = command_lead.build(controller(reshaping__lead=lead, reshaping__lead_accel=1.0), False)
+    ahead = 200.0 * (TIME[:180] + lead) ** 2
+    assert command_lead.applied(p, PARABOLA)[10:100] == pytest.approx(ahead[10:100], abs=1e-9)
+    s = command_lead.initial(0.0)
+    for k in range(100):
+        s = command_lead.known(p, s, PARABOLA[k], 400.0 * TIME[k], 0.0)
+        if k > 10:
+            assert command_lead.led(p, s, PARABOLA[k]) == pytest.approx(ahead[k], abs=1e-9)
+
+
+def test_with_the_acceleration_a_sine_has_an_error_of_third_order():
+    """Half the frequency: an eighth of the error, not a quarter."""
+    errors = []
+    for frequency in (2.0, 4.0, 8.0):
+        sine = np.sin(2.0 * math.pi * frequency * TIME)
+        made = reference(led(sine, reshaping__lead=LAG, reshaping__lead_accel=1.0))
+        errors.append(rms((made - sine)[1000:2000]))
+    assert errors[1] / errors[0] == pytest.approx(8.0, rel=0.1)
+    assert errors[2] / errors[1] == pytest.approx(8.0, rel=0.1)
+
+
 @given(
     st.floats(-10.0, 10.0),
     st.floats(-10.0, 10.0),
     st.floats(0.001, 0.1),
     st.integers(1, 30),
     st.integers(0, 9),
+    st.floats(0.0, 1.0),
 )
-def test_a_step_is_no_motion(before, after, lead, wait, late):
+def test_a_step_is_no_motion(before, after, lead, wait, late, share):
     """So it overshoots not at all, whatever its height."""
     command = [before] * wait + [after] * (20 + late)
-    assert np.array_equal(led(command, reshaping__lead=lead), command)
+    assert np.array_equal(led(command, reshaping__lead=lead, reshaping__lead_accel=share), command)
 
 
-@given(st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=200), st.floats(0.001, 0.1))
-def test_whatever_comes_the_lead_stays_within_the_limits(commands, lead):
-    p = command_lead.build(controller(reshaping__lead=lead))
+@given(st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=200), st.floats(0.001, 0.1), st.floats(0.0, 1.0))
+def test_whatever_comes_the_lead_stays_within_the_limits(commands, lead, share):
+    p = command_lead.build(controller(reshaping__lead=lead, reshaping__lead_accel=share), True)
     s = command_lead.initial(commands[0])
     for command in commands:
         before, s = s.rate, command_lead.step(p, s, command)
         assert abs(s.rate) <= 250.0  # (7)
         assert abs(s.rate) <= abs(before) + 12.0 * (1.0 + 1e-9)  # (6)
+        assert abs(s.accel) <= 12000.0 * (1.0 + 1e-9)  # (6)
         assert abs(command_lead.led(p, s, command)) <= 10.0
 
 
@@ -157,8 +207,8 @@ def test_a_step_of_the_spool_overshoots_no_more_than_without_lead(law, height):
 
 
 def test_the_lead_is_built_of_checked_values():
-    p = command_lead.build(controller(reshaping__lead=0.006, reshaping__max_accel=9000.0))
-    assert p == command_lead.Params(0.006, 250.0, 9.0, 10.0, 0.001)
+    p = command_lead.build(controller(reshaping__lead=0.006, reshaping__max_accel=9000.0), True)
+    assert p == command_lead.Params(0.006, 0.0, 0.0, 250.0, 9.0, 10.0, 0.001)
     assert build.law_params(controller(reshaping__lead=0.006)) == build.law_params(controller())
 
 

@@ -18,7 +18,11 @@ from valve_control.supervision.supervisor import Supervisor
 
 DATA = Path(__file__).parents[1] / "data"
 LAWS = tuple(registry.LAWS)
-SETTINGS = {"reshaping__lead": 0.006, "command__interpolation": "extrapolate"}
+SETTINGS = {
+    "reshaping__lead": 0.006,
+    "reshaping__lead_accel": 1.0,
+    "command__interpolation": "extrapolate",
+}
 
 
 def made(**changes):
@@ -102,6 +106,20 @@ def test_a_snapshot_of_version_0_1_goes_on_bit_for_bit(number):
             supervisor.command(command)
         voltages.append(supervisor.sample(math.nan if reading is None else reading, sequence, 0.001))
     assert voltages == recorded["voltages"]
+
+
+def test_a_snapshot_with_a_lead_by_the_rate_alone_goes_on_bit_for_bit():
+    """As it was written before the acceleration had a part in the lead."""
+    moves = [(i, ("sample", 1e-3 * math.sin(i))) for i in range(1, 60)]
+    moves = [m for i, s in moves for m in ((i, ("command", 0.02 * i + 1e-4 * i * i)), (i, s))]
+    first, second = (made(reshaping__lead=0.006) for _ in range(2))
+    drive(first, moves[:60])
+    told = json.loads(snapshot(first))
+    assert told["state"]["lead"][4] > 0.0
+    told["state"]["lead"] = told["state"]["lead"][:4]
+    del told["values"]["reshaping.lead_accel"]
+    assert restore(second, json.dumps(told))
+    assert drive(first, moves[60:]) == drive(second, moves[60:])
 
 
 @pytest.mark.parametrize(

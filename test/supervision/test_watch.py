@@ -66,7 +66,7 @@ def test_it_is_the_supervisor_bit_for_bit_through_all_faults():
 
 
 OTHERS = [
-    {"controller": "dcarc", "reshaping__lead": 0.005},
+    {"controller": "dcarc", "reshaping__lead": 0.005, "reshaping__lead_accel": 1.0},
     {"controller": "pid", "pid__form": "plain", "lvdt__hold_samples": 0, "command_timeout": 0.0},
     {"controller": "arc", "lvdt__disturbance": 0.0, "lvdt__frozen_samples": 0, "lvdt__recovery_samples": 1},
     {"controller": "compensator", "lockstep": True, "transfer_time": 0.5, "u_max": 3.0},

@@ -107,12 +107,12 @@ def setup(settings: dict[str, Values]) -> Setup:
             f"the course goes from {np.min(goals[:, 0]):g} m to {np.max(goals[:, 0]):g} m, beyond the stroke "
             f"of {plant.axis.cylinder.stroke:g} m"
         )
-    lead = command_lead.build(law_values) or command_lead.Params(
-        0.0, 1.0, 1.0, number(law_values, "command_limit"), period
-    )
     law = word(law_values, "controller")
     law_params = build.law_params(law_values)
     reshaped = LAWS[law].reshapes(law_params)
+    lead = command_lead.build(law_values, reshaped) or command_lead.Params(
+        0.0, 0.0, 0.0, 1.0, 1.0, number(law_values, "command_limit"), period
+    )
     return Setup(
         law=law,
         cascade=cascade.Params(

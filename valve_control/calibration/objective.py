@@ -77,7 +77,7 @@ def run(settings: Settings, controllers: Sequence[str], seeds: Sequence[int]) ->
         values = updated(NODES["controller"], settings["controller"], {"controller": name})
         law_params = LAWS[name].build(values)
         given = closed_loop.parts(law_params, valve_params)
-        led = command_lead.applied(command_lead.build(values), command)
+        led = command_lead.applied(command_lead.build(values, LAWS[name].reshapes(law_params)), command)
         for noise in noises:
             state = valve.initial(valve_params)
             first = valve.read(valve_params, state, noise[0])

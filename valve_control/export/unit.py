@@ -24,6 +24,7 @@ WATCHED = (
     "neutral_accel",
     "transfer_time",
     "reshaping.lead",
+    "reshaping.lead_accel",
 )
 UNWATCHED = ("lvdt.period_limit",)  # the period is that of the machine's own timer
 

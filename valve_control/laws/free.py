@@ -1,7 +1,7 @@
 """Describes the numbers of a law that a tuner may choose: which, within what range, on what scale."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from valve_control.parameter import Value, Values, number, numbers
@@ -9,8 +9,18 @@ from valve_control.parameter import Value, Values, number, numbers
 DIGITS = 4  # that are chosen, so that a file holds just what was tried
 
 
+def one(values: Values) -> float:
+    """Unit of a number that is counted in itself."""
+    return 1.0
+
+
 class Free(NamedTuple):
-    """One number that may be chosen."""
+    """One number that may be chosen.
+
+    Where another parameter says what is much or little, as the proportional gain does of the integral one,
+    the number is counted in a ``unit`` that follows from it. So the range need not hold what never fits
+    together.
+    """
 
     name: str  # of a parameter, or name[i] for the entry i of a list
     low: float
@@ -18,6 +28,7 @@ class Free(NamedTuple):
     logarithmic: bool = True  # scale: of the number's logarithm, or of the number itself
     followers: tuple[tuple[str, float], ...] = ()  # numbers that are always this one times a factor
     only: tuple[str, ...] = ()  # a parameter, and its values for which this number matters; (): always
+    unit: Callable[[Values], float] = one  # of the number, from values of what is chosen before it
 
     def from_share(self, share: float) -> float:
         """The number at ``share``, 0 to 1, of the range."""
@@ -26,7 +37,7 @@ class Free(NamedTuple):
             value = self.low * (self.high / self.low) ** share
         else:
             value = self.low + share * (self.high - self.low)
-        return float(f"{value:.{DIGITS}g}")
+        return _rounded(value)
 
     def to_share(self, value: float) -> float:
         """Where ``value`` lies in the range, 0 to 1; outside: the nearer end."""
@@ -40,17 +51,24 @@ class Free(NamedTuple):
         return not self.only or values[self.only[0]] in self.only[1:]
 
 
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
+
+
 def present(free: Free, values: Values) -> float:
     """The number in ``values``."""
     name, index = _split(free.name)
-    return number(values, name) if index is None else float(numbers(values, name)[index])
+    value = number(values, name) if index is None else float(numbers(values, name)[index])
+    unit = free.unit(values)
+    return value / unit if unit != 0.0 else 0.0
 
 
 def placed(chosen: Sequence[tuple[Free, float]], values: Values) -> dict[str, Value]:
     """The parameters that change in ``values`` when each of the ``chosen`` numbers is put in its place."""
     made: dict[str, Value] = {}
-    for free, value in chosen:
-        followers = [(name, float(f"{value * factor:.{DIGITS}g}")) for name, factor in free.followers]
+    for free, counted in chosen:
+        value = _rounded(counted * free.unit({**values, **made}))
+        followers = [(name, _rounded(value * factor)) for name, factor in free.followers]
         for name, entry in [(free.name, value), *followers]:
             whole, index = _split(name)
             if index is None:

@@ -238,6 +238,11 @@ def steady_command(p: Params, start: Start) -> float:
     return reshaped_steady_command(p, start)
 
 
+def proportional(values: Values) -> float:
+    """Proportional gain, in which the other two are counted when they are chosen."""
+    return number(values, "pid.kp")
+
+
 LAW = Law(
     name="pid",
     text="PID with model feedforward (54)-(56), or plain",
@@ -250,8 +255,8 @@ LAW = Law(
     form=("pid.form",),
     free=(
         Free("pid.kp", 0.3, 60.0),
-        Free("pid.ki", 5.0, 10000.0),
-        Free("pid.kd", 0.003, 0.6),
+        Free("pid.ki", 3.0, 1000.0, unit=proportional),  # 1/s  1/T_i
+        Free("pid.kd", 3e-4, 0.03, unit=proportional),  # s  T_d
         Free("pid.derivative_cutoff", 20.0, 500.0),
         Free("pid.static_feedforward", 0.3, 3.0, only=("pid.form", "plain")),
         Free("pid.theta[0]", 5.0, 200.0, only=("pid.form", "reference", "paper")),

@@ -57,6 +57,7 @@ def advance(p: Params, s: State, accel: float) -> State:
     return State(s.reference + s.rate * p.period, s.rate + accel * p.period)
 
 
+MOST_LEAD = 0.1  # s
 PARAMETERS: Table = (
     Parameter("reshaping.natural_frequency", 314.0, "rad/s", "natural frequency ω_n of (8)", 1.0, 1e5),
     Parameter("reshaping.damping", 0.8, "-", "damping ratio ξ_n of (8)", 0.1, 10.0),
@@ -69,13 +70,23 @@ PARAMETERS: Table = (
         "lead of the command from past commands, for every law: 2·ξ_n/ω_n makes up for the lag of (8), more "
         "for that of the loop too; 0.0: none",
         0.0,
-        0.1,
+        MOST_LEAD,
+    ),
+    Parameter(
+        "reshaping.lead_accel",
+        0.0,
+        "-",
+        "share of the acceleration's part in reshaping.lead: 1.0 makes up for the error under a steady "
+        "acceleration too; 0.0: lead by the rate alone",
+        0.0,
+        1.0,
     ),
 )
 
 
 HIGHEST = 1200.0  # rad/s  that a tuner may choose
-LEAD = Free("reshaping.lead", 0.0, 0.03, logarithmic=False)
+LEAD = Free("reshaping.lead", 0.0, 0.03, logarithmic=False)  # of a law that does not reshape
+LEAD_ACCEL = Free("reshaping.lead_accel", 0.0, 1.0, logarithmic=False)
 
 
 def frequency(values: Values) -> Free:
@@ -87,6 +98,17 @@ def frequency(values: Values) -> Free:
     """
     high = min(HIGHEST, number(values, "reshaping.damping") / number(values, "sample_period"))
     return Free("reshaping.natural_frequency", min(100.0, 0.25 * high), high)
+
+
+def lag(values: Values) -> float:
+    """Lag [s] of (8) behind a ramp."""
+    return 2.0 * number(values, "reshaping.damping") / number(values, "reshaping.natural_frequency")
+
+
+def lead(values: Values) -> Free:
+    """The lead that a tuner may choose for a law that reshapes, in lags of (8)."""
+    longest = 2.0 * number(values, "reshaping.damping") / frequency(values).low
+    return Free("reshaping.lead", 0.25, min(6.0, MOST_LEAD / longest), unit=lag)
 
 
 def build(values: Values) -> Params:

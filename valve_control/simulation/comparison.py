@@ -137,7 +137,7 @@ def measured(
     (name,) = {word(v, "controller") for v in values}
     law = LAWS[name]
     params = [law.build(v) for v in values]
-    lead = command_lead.build(values[0])
+    lead = command_lead.build(values[0], law.reshapes(params[0]))
     found = []
     for i, wanted in enumerate(motions().values()):
         aim = wanted[:-2]

@@ -92,7 +92,7 @@ def simulate(
     valve_state = valve.initial(valve_params)
     first = valve.read(valve_params, valve_state, noise[0])
     law_state = law.module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
-    led = command_lead.applied(command_lead.build(controller_values), command)
+    led = command_lead.applied(command_lead.build(controller_values, law.reshapes(law_params)), command)
     end = closed_loop.parts(law_state, valve_state)
     with explained(f"the law '{name}' of the package {law.package}"):
         for start in range(0, n, PIECE):

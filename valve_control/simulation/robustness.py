@@ -22,6 +22,7 @@ from valve_control import outputs, parameter
 from valve_control.commands import arrays
 from valve_control.compiling import LANES, sources_digest
 from valve_control.laws import command_lead
+from valve_control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, Values, lookup, updated, word
 from valve_control.parameters import build
 from valve_control.parameters.table import NODES
@@ -190,14 +191,17 @@ def run_chunk(study: Study, first: int, count: int, threads: int | None = None) 
         command = build.commands(sampled(study, "command_source", float(period)))
         limit = parameter.number(controller, "command_limit")
         command = np.clip(command, -limit, limit)
+        law = word(controller, "controller")
+        law_params = build.law_params(controller)
+        lead = command_lead.build(controller, LAWS[law].reshapes(law_params))
         made = batch.simulate(
             batch.Batch(
-                word(controller, "controller"),
-                build.law_params(controller),
+                law,
+                law_params,
                 batch.records([build.valve_params(values) for values in valves]),
                 study.seed + first + chosen,
                 command,
-                led=command_lead.applied(command_lead.build(controller), command),
+                led=command_lead.applied(lead, command),
             ),
             threads,
         )

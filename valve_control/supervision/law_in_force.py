@@ -37,11 +37,12 @@ class LawInForce(Record):
         self.values = values
         self._params = params
         period = number(values, "sample_period")
-        self._reshaping = getattr(params, "reshaping", None) if LAWS[name].reshapes(params) else None
+        reshaped = LAWS[name].reshapes(params)
+        self._reshaping = getattr(params, "reshaping", None) if reshaped else None
         self._decay = bumpless_transfer.design(number(values, "transfer_time"), period)
         self._watch_law = law_watch.design(values)
         self._watch_command = command_watch.design(values)
-        before, self._leading = self._leading, command_lead.build(values)
+        before, self._leading = self._leading, command_lead.build(values, reshaped)
         if before is None or self._leading is None or before.period != period:
             self._lead = None
         self._joining = command_course.design(values)
@@ -180,7 +181,7 @@ class LawInForce(Record):
                 self._lead = command_lead.step(self._leading, before, value)
             else:
                 rate = command_course.rate(self._course, now)
-                self._lead = command_lead.known(self._leading, before, value, rate)
+                self._lead = command_lead.known(self._leading, before, value, rate, 0.0)
 
     def _target(self) -> float:
         """Command [V] of this sample, with its lead or its derivatives, and with its offset."""

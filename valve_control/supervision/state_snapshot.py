@@ -10,6 +10,7 @@ import typing
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+from valve_control.laws import command_lead
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import Values, defaults
 from valve_control.parameters.table import CONTROLLER
@@ -101,6 +102,9 @@ def _present(told: dict[str, Any]) -> dict[str, Any]:
     if state.keys() >= LATER.keys() and values.keys() >= defaults(CONTROLLER).keys():
         return told
     state = LATER | state
+    if state["lead"] is not None:
+        later = len(command_lead.State._fields) - len(state["lead"])
+        state = state | {"lead": [*state["lead"], *[0.0] * later]}
     state = {name: state[name] for name in (*(n for n in State._fields if n in state), *state)}
     return told | {"values": dict(sorted((defaults(CONTROLLER) | values).items())), "state": state}
 

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple, get_type_hints
 from valve_control.laws import command_lead, velocity
 from valve_control.laws.law import Law
 from valve_control.laws.projection import Theta, clip
+from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
-from valve_control.parameter import ParameterError, Values, number
+from valve_control.parameter import ParameterError, Values, number, word
 from valve_control.supervision import (
     bumpless_transfer,
     command_watch,
@@ -106,7 +107,7 @@ def design(values: Values, law: Any) -> Params:
         law,
         command_watch.design(values),
         lvdt_watch.design(values, law),
-        command_lead.build(values),
+        command_lead.build(values, LAWS[word(values, "controller")].reshapes(law)),
         bumpless_transfer.design(number(values, "transfer_time"), period),
         lvdt_watch.PROBATION * number(values, "lvdt.disturbance"),
         bool(values["lockstep"]),

@@ -3,9 +3,13 @@
 Error and chatter of every set of gains that was tried are kept; those that no other one beats in both are the
 front. Each run of CMA-ES makes the error small under one limit of the chatter. It may end in one of several
 minima: a search begins at several places of the ranges, apart from each other, and twice goes on with the
-better half of these runs. Where the budget is one for a single run only, as with the many gains of dcarc,
-that one has a larger population. Later runs, for the other parts of the front, begin at the best set that is
-known for their limit.
+better half of these runs. Where the budget is none for so many runs, as with the many gains of dcarc,
+there is one with a larger population. Later runs, for the other parts of the front, begin at the best set
+that is known for their limit.
+
+Whether the acceleration of the command is to have a part in its lead depends on the motions more than on the
+other gains: it takes away error where they are smooth, and adds chatter where acceleration jumps. So a run
+holds that share, and tries its best set with others now and then, when the other gains are no longer bad.
 
 Margins come first: a set that misses them by far is not simulated, and what the others miss is a part of
 their cost, so that the search sees on both sides of a margin where it gets better; that part grows as long as
@@ -25,6 +29,7 @@ import scipy.stats
 
 from valve_control.laws.free import Free, present
 from valve_control.laws.law import Law
+from valve_control.laws.reshaping import LEAD_ACCEL
 from valve_control.parameter import ParameterError
 from valve_control.tuning import limit_cycles, margins, trial
 from valve_control.tuning.trial import AHEAD, Gains, Outcome, Problem, Workers
@@ -39,6 +44,8 @@ EACH, EACH_COVARIANCE = 1000, 8  # sets of gains of the budget for each of them,
 APART = 0.17  # of the ranges, by which they are apart, root mean square over the gains
 FIRST_STEPS, LATER_STEP = (0.15, 0.25), 0.08  # of the ranges; those of the places alternate
 LONE_STEP = 0.25
+LEVELS, EVERY = (0.0, 0.5, 1.0), 100  # shares of LEAD_ACCEL, and sets after which a run tries all of them
+LATE = 0.5  # of the budget, before which it does not
 ROUNDS = (0.09, 0.1)  # of the budget, for each run, after which the worse half of them ends
 BACK_OFF = 0.9  # share of the limit of saturation, and 1/share of those of the margins, that the search keeps
 QUIETER = 0.96  # share of the limit of the chatter that it keeps
@@ -48,6 +55,7 @@ HIGHER, LOWER = 1.2, 0.95  # factors of that after each generation whose best se
 FAR = 0.5  # by which the margins may be missed together, as parts of them, to be simulated
 MISSED = 20.0  # cost of margins that are missed by more, before what they are missed by
 RESTLESS = 10.0  # cost of a loop that does not come to rest, before the share of valves on which it does not
+BEYOND = 10.0  # by which a set of gains that misses a margin counts for more when runs are compared
 CLOSE = 0.1  # of the logarithm of the error, by which a set may miss the best to be asked whether it rests
 NOT_RUN = 100.0  # cost of gains that are none
 FRONT_LIMITS = (0.2, 0.4, 0.1, 0.05)  # of the chatter, where none is asked for
@@ -187,9 +195,11 @@ class _Trials:
 
 
 class _Run:
-    """One run of CMA-ES."""
+    """One run of CMA-ES. It does not move the gain at the index ``held``, but tries LEVELS of it at times."""
 
-    def __init__(self, start: Array, step: float, seed: int, population: int = POPULATION) -> None:
+    def __init__(
+        self, start: Array, held: int | None, step: float, seed: int, population: int = POPULATION
+    ) -> None:
         import cma
 
         options = {
@@ -202,23 +212,50 @@ class _Run:
         }
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            self._strategy = cma.CMAEvolutionStrategy(start, step, options)
+            moved = start if held is None else np.delete(start, held)
+            self._strategy = cma.CMAEvolutionStrategy(moved, step, options)
         self.best, self.least = start, math.inf
-        self._wall = WALL
+        self._held, self._level = held, 0.0 if held is None else float(start[held])
+        self._wall, self._since = WALL, EVERY // 2
 
-    def go(self, judge: Judge, chatter: float, trials: _Trials, until: float) -> None:
-        """Go on under a limit of the chatter until so many sets of gains were tried, or it has converged."""
+    def go(self, judge: Judge, chatter: float, trials: _Trials, until: float, late: float) -> None:
+        """Go on under a limit of the chatter ``until`` so many sets of gains were tried, or it has converged.
+
+        LEVELS are tried from the set of the number ``late`` on.
+        """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             while trials.tried < until and not self._strategy.stop():
                 asked = self._strategy.ask()
-                costs, keep = judge(asked, chatter, self._wall)
+                whole = [self._with_level(shares, self._level) for shares in asked]
+                costs = self._told(whole, judge(whole, chatter, self._wall))
                 self._strategy.tell(asked, costs)
-                self._wall = max(WALL, self._wall * (LOWER if keep[int(np.argmin(costs))] else HIGHER))
-                scores = np.where(keep, costs, np.add(costs, RESTLESS))
-                i = int(np.argmin(scores))
-                if scores[i] < self.least:
-                    self.best, self.least = np.clip(asked[i], 0.0, 1.0), float(scores[i])
+                self._since += len(asked)
+                if self._held is not None and self._since >= EVERY and trials.tried >= late:
+                    self._since = 0
+                    self._try_levels(judge, chatter)
+
+    def _try_levels(self, judge: Judge, chatter: float) -> None:
+        """Go on with the share of LEAD_ACCEL that is best with the best gains."""
+        assert self._held is not None
+        rest = np.delete(self.best, self._held)
+        others = [self._with_level(rest, level) for level in LEVELS if level != self._level]
+        self._told(others, judge(others, chatter, self._wall), adapt=False)
+        self._level = float(self.best[self._held])
+
+    def _with_level(self, moved: Array, level: float) -> Array:
+        return moved if self._held is None else np.insert(moved, self._held, level)
+
+    def _told(self, whole: Sequence[Array], judged: Judged, adapt: bool = True) -> list[float]:
+        """Take in what sets of gains cost, and return it."""
+        costs, keep = judged
+        if adapt:
+            self._wall = max(WALL, self._wall * (LOWER if keep[int(np.argmin(costs))] else HIGHER))
+        scores = np.where(keep, costs, np.add(costs, BEYOND))
+        i = int(np.argmin(scores))
+        if scores[i] < self.least:
+            self.best, self.least = np.clip(whole[i], 0.0, 1.0), float(scores[i])
+        return costs
 
 
 def search(
@@ -247,23 +284,31 @@ def search(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a number of points that is no power of two
         scattered = [begin, *sobol.random(min(SCATTERED, max(1, budget // 25)))]
+    held = free.index(LEAD_ACCEL) if LEAD_ACCEL in free else None
+    if held is not None:
+        for shares in scattered:
+            shares[held] = begin[held]
     main = plan[0]
     first = judge(scattered, main.chatter).costs
     if n == 1:  # no covariance to adapt
         judge(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), main.chatter)
-    fitting = budget // max(EACH, EACH_COVARIANCE * n * n)
-    starts = _starts(scattered, first, min(STARTS, max(1, fitting)))
-    runs = [_Run(start, FIRST_STEPS[i % len(FIRST_STEPS)], seed + i + 1) for i, start in enumerate(starts)]
-    if fitting == 1:
-        runs = [_Run(starts[0], LONE_STEP, seed + 1, LONE_POPULATION)]
+    moved = n - (held is not None)
+    fitting = budget // max(EACH, EACH_COVARIANCE * moved * moved)
+    starts = _starts(scattered, first, STARTS if fitting >= STARTS else 1)
+    runs = [
+        _Run(start, held, FIRST_STEPS[i % len(FIRST_STEPS)], seed + i + 1) for i, start in enumerate(starts)
+    ]
+    if 1 <= fitting < STARTS:
+        runs = [_Run(starts[0], held, LONE_STEP, seed + 1, LONE_POPULATION)]
+    late = LATE * budget
     for share in ROUNDS:
         if len(runs) == 1:
             break
         for run in runs:
-            run.go(judge, main.chatter, trials, trials.tried + share * budget)
+            run.go(judge, main.chatter, trials, trials.tried + share * budget, late)
         runs = sorted(runs, key=lambda run: run.least)[: len(runs) // 2]
     winner = min(runs, key=lambda run: run.least)
-    winner.go(judge, main.chatter, trials, main.share * budget)
+    winner.go(judge, main.chatter, trials, main.share * budget, late)
     until = 0.0
     for number, phase in enumerate(plan):
         until += phase.share * budget
@@ -272,8 +317,8 @@ def search(
             trials.front_at_rest()
             best = trials.best(phase.chatter)
             place = winner.best if best is None else np.array(best.shares)
-            again = _Run(place, LATER_STEP, seed + 100 * (number + 1) + restart)
-            again.go(judge, phase.chatter, trials, min(budget, round(until)))
+            again = _Run(place, held, LATER_STEP, seed + 100 * (number + 1) + restart)
+            again.go(judge, phase.chatter, trials, min(budget, round(until)), late)
             if again.least < winner.least:
                 winner = again
             restart += 1

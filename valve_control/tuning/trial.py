@@ -114,7 +114,9 @@ def free_numbers(law: Law, values: Values, preview: bool) -> tuple[Free, ...]:
     reshapes = law.reshapes(law.build(values))
     if preview:
         return own if reshapes else (*own, AHEAD)
-    return (*own, reshaping.frequency(values), reshaping.LEAD) if reshapes else (*own, reshaping.LEAD)
+    if not reshapes:
+        return (*own, reshaping.LEAD, reshaping.LEAD_ACCEL)
+    return (*own, reshaping.frequency(values), reshaping.lead(values), reshaping.LEAD_ACCEL)
 
 
 def gains_at(free: Sequence[Free], values: Values, shares: Sequence[float]) -> Gains:
@@ -143,7 +145,7 @@ def given(law: Law, params: Any, values: Values, gains: Gains, problem: Problem,
     """Commands [V] as the law gets them for the motion ``wanted`` [V]."""
     limit = number(values, "command_limit")
     if not problem.preview:
-        lead = command_lead.build(values)
+        lead = command_lead.build(values, law.reshapes(params))
         clipped = np.clip(wanted, -limit, limit)
         if lead is None:
             return clipped
