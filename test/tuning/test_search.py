@@ -65,6 +65,45 @@ def test_shares_and_numbers_belong_together(free, share):
     assert again == pytest.approx(number, rel=2e-4, abs=1e-12)
 
 
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_what_is_counted_in_another_number_keeps_its_ratio(kp, ratio, frequency):
+    """The same share: the same integral and derivative time, and the same multiple of the lag of (8)."""
+    values = updated(CONTROLLER, defaults(CONTROLLER), {"pid.form": "reference"})
+    free = trial.free_numbers(LAWS["pid"], values, preview=False)
+    shares = {"pid.kp": kp, "reshaping.natural_frequency": frequency}
+    gains = trial.gains_at(free, values, [shares.get(f.name, ratio) for f in free]).changes
+    made = updated(CONTROLLER, values, gains)
+    counted = {f.name: f.from_share(ratio) for f in free}
+    rounding = 10.0 ** (1 - DIGITS)
+    assert made["pid.ki"] / made["pid.kp"] == pytest.approx(counted["pid.ki"], rel=rounding)
+    assert made["pid.kd"] / made["pid.kp"] == pytest.approx(counted["pid.kd"], rel=rounding)
+    lag = 1.6 / made["reshaping.natural_frequency"]
+    assert made["reshaping.lead"] / lag == pytest.approx(counted["reshaping.lead"], rel=rounding)
+
+
+class Counted:
+    """What a run asks of the sets that were tried."""
+
+    tried = 0
+
+
+@pytest.mark.parametrize("best", search.LEVELS)
+def test_a_run_holds_one_gain_and_tries_it_late_with_the_best_of_the_others(best):
+    trials, seen = Counted(), []
+
+    def judge(several, chatter, wall):
+        trials.tried += len(several)
+        seen.extend((trials.tried, shares[1]) for shares in several)
+        costs = [float(np.sum((np.delete(x, 1) - 0.3) ** 2) + abs(x[1] - best)) for x in several]
+        return search.Judged(costs, [True] * len(several))
+
+    run = search._Run(np.array([0.5, 0.0, 0.5, 0.5]), 1, 0.2, seed=1)
+    run.go(judge, 0.25, trials, 600, late=300)
+    assert all(level == 0.0 for tried, level in seen if tried < 300)
+    assert run._level == best
+    assert run.best == pytest.approx([0.3, best, 0.3, 0.3], abs=0.02)
+
+
 def test_followers_and_entries_of_lists_are_placed():
     first = Free("dcarc.presliding[0]", 0.002, 0.05, followers=(("dcarc.presliding[2]", 6.25),))
     second = Free("dcarc.presliding[1]", 0.002, 0.05)
@@ -89,7 +128,7 @@ def test_knee_of_two_branches_is_their_corner():
     assert search.knee(search.front(points)).error == 0.1
 
 
-@pytest.mark.parametrize("each", [1000, 100, 50], ids=["short run", "lone run", "runs from three places"])
+@pytest.mark.parametrize("each", [1000, 100, 37], ids=["short run", "lone run", "runs from four places"])
 def test_search_keeps_the_margins_and_is_the_same_on_any_number_of_threads(each, monkeypatch):
     monkeypatch.setattr(search, "EACH", each)
     monkeypatch.setattr(search, "EACH_COVARIANCE", 0)
