@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.stats
 
-from valve_control import interrupts
+from valve_control import evolution, interrupts
 from valve_control.analysis.indices import Indices
 from valve_control.calibration import objective
 from valve_control.calibration.objective import Table
@@ -90,8 +90,6 @@ def search(
     ``population``: of the first CMA-ES, doubled by each restart. ``start``: a first guess; without one, the
     best of scattered points. ``step``: first standard deviation, as share of the ranges.
     """
-    import cma
-
     began = time.monotonic()
     n = len(problem.dimensions)
     evaluate = partial(cost_at, problem)
@@ -118,17 +116,10 @@ def search(
             judged(list(np.linspace(0.0, 1.0, max(2, evaluations - count))[:, None]))
         restart = 0
         while count < evaluations:
-            options = {
-                "seed": seed + restart + 1,
-                "popsize": min(MOST, population * 2**restart),
-                "verbose": -9,
-                "tolfun": 1e-4,
-                "tolfunhist": 1e-4,
-                "tolflatfitness": 20,
-            }
+            larger = min(MOST, population * 2**restart)
+            strategy = evolution.strategy(best, step, seed + restart + 1, larger)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                strategy = cma.CMAEvolutionStrategy(best, step, options)
                 while count < evaluations and not strategy.stop():
                     points = strategy.ask()
                     strategy.tell(points, judged(points))

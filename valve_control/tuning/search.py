@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.stats
 
+from valve_control import evolution
 from valve_control.laws.free import Free, present
 from valve_control.laws.law import Law
 from valve_control.laws.reshaping import LEAD_ACCEL
@@ -200,20 +201,8 @@ class _Run:
     def __init__(
         self, start: Array, held: int | None, step: float, seed: int, population: int = POPULATION
     ) -> None:
-        import cma
-
-        options = {
-            "seed": seed,
-            "popsize": population,
-            "verbose": -9,
-            "tolfun": 1e-4,
-            "tolfunhist": 1e-4,
-            "tolflatfitness": 20,
-        }
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            moved = start if held is None else np.delete(start, held)
-            self._strategy = cma.CMAEvolutionStrategy(moved, step, options)
+        moved = start if held is None else np.delete(start, held)
+        self._strategy = evolution.strategy(moved, step, seed, population)
         self.best, self.least = start, math.inf
         self._held, self._level = held, 0.0 if held is None else float(start[held])
         self._wall, self._since = WALL, EVERY // 2
