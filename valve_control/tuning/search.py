@@ -3,9 +3,9 @@
 Error and chatter of every set of gains that was tried are kept; those that no other one beats in both are the
 front. Each run of CMA-ES makes the error small under one limit of the chatter. It may end in one of several
 minima: a search begins at several places of the ranges, apart from each other, and twice goes on with the
-better half of these runs. Where the budget is none for so many runs, as with the many gains of dcarc,
-there is one with a larger population. Later runs, for the other parts of the front, begin at the best set
-that is known for their limit.
+better half of these runs. From the best of them begins a run with a larger population, which small minima do
+not hold up. Where the budget is none for so many runs, as with the many gains of dcarc, there is that one
+alone. Later runs, for the other parts of the front, begin at the best set that is known for their limit.
 
 Whether the acceleration of the command is to have a part in its lead depends on the motions more than on the
 other gains: it takes away error where they are smooth, and adds chatter where acceleration jumps. So a run
@@ -47,7 +47,8 @@ FIRST_STEPS, LATER_STEP = (0.15, 0.25), 0.08  # of the ranges; those of the plac
 LONE_STEP = 0.25
 LEVELS, EVERY = (0.0, 0.5, 1.0), 100  # shares of LEAD_ACCEL, and sets after which a run tries all of them
 LATE = 0.5  # of the budget, before which it does not
-ROUNDS = (0.09, 0.1)  # of the budget, for each run, after which the worse half of them ends
+ROUNDS = (0.06, 0.06)  # of the budget, for each run, after which the worse half of them ends
+LAST_POPULATION, LAST_STEP = 24, 0.15  # of the run that goes on from the best of them
 BACK_OFF = 0.9  # share of the limit of saturation, and 1/share of those of the margins, that the search keeps
 QUIETER = 0.96  # share of the limit of the chatter that it keeps
 PRICE = 6.0  # logarithm of the error for one of the chatter beyond its limit
@@ -297,6 +298,8 @@ def search(
             run.go(judge, main.chatter, trials, trials.tried + share * budget, late)
         runs = sorted(runs, key=lambda run: run.least)[: len(runs) // 2]
     winner = min(runs, key=lambda run: run.least)
+    if fitting >= STARTS:
+        winner = _Run(winner.best, held, LAST_STEP, seed + STARTS + 1, LAST_POPULATION)
     winner.go(judge, main.chatter, trials, main.share * budget, late)
     until = 0.0
     for number, phase in enumerate(plan):
