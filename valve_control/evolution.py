@@ -10,7 +10,8 @@ import numpy.typing as npt
 def strategy(start: npt.NDArray[np.float64], step: float, seed: int, population: int) -> Any:
     """A CMAEvolutionStrategy, quiet, that begins at ``start`` with the standard deviation ``step``.
 
-    It stops when the costs of its generations agree to 1e-4. The same ``seed`` gives the same points.
+    It stops when the costs of its generations agree to 1e-4. ``seed`` is that of numpy's global generator,
+    which pycma draws from: the same calls in the same order give the same points.
     """
     import cma
 

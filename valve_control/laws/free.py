@@ -28,7 +28,7 @@ class Free(NamedTuple):
     logarithmic: bool = True  # scale: of the number's logarithm, or of the number itself
     followers: tuple[tuple[str, float], ...] = ()  # numbers that are always this one times a factor
     only: tuple[str, ...] = ()  # a parameter, and its values for which this number matters; (): always
-    unit: Callable[[Values], float] = one  # of the number, from values of what is chosen before it
+    unit: Callable[[Values], float] = one  # of the number, from values of what stands before it in ``free``
 
     def from_share(self, share: float) -> float:
         """The number at ``share``, 0 to 1, of the range."""

@@ -140,6 +140,13 @@ def _check_free(free: Any, parameters: Mapping[str, Any]) -> None:
             raise LawError(f"it has {free.name} to choose, and {name} is none of its numbers")
     if not free.low < free.high or (free.logarithmic and free.low <= 0.0):
         raise LawError(f"the range of {free.name} goes from {free.low:g} to {free.high:g}")
+    usual = {**defaults(reshaping.PARAMETERS), **defaults(tuple(parameters.values()))}
+    try:
+        unit = free.unit(usual)
+    except KeyError as error:
+        raise LawError(f"the unit of {free.name} asks for {error}, which is none of its numbers") from error
+    if not (math.isfinite(unit) and unit > 0.0):
+        raise LawError(f"the unit of {free.name} is {unit:g} with the default values; it must be above 0")
 
 
 def _check_record(module: types.ModuleType, part: str, needed: tuple[str, ...]) -> None:

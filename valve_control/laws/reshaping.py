@@ -108,7 +108,7 @@ def lag(values: Values) -> float:
 def lead(values: Values) -> Free:
     """The lead that a tuner may choose for a law that reshapes, in lags of (8)."""
     longest = 2.0 * number(values, "reshaping.damping") / frequency(values).low
-    return Free("reshaping.lead", 0.25, min(6.0, MOST_LEAD / longest), unit=lag)
+    return Free("reshaping.lead", 0.25, max(0.5, min(6.0, MOST_LEAD / longest)), unit=lag)
 
 
 def build(values: Values) -> Params:

@@ -4,7 +4,7 @@ Error and chatter of every set of gains that was tried are kept; those that no o
 front. Each run of CMA-ES makes the error small under one limit of the chatter. It may end in one of several
 minima: a search begins at several places of the ranges, apart from each other, and twice goes on with the
 better half of these runs. From the best of them begins a run with a larger population, which small minima do
-not hold up. Where the budget is none for so many runs, as with the many gains of dcarc, there is that one
+not hold up. Where the budget is none for so many runs, as with the many gains of dcarc, there is one run
 alone. Later runs, for the other parts of the front, begin at the best set that is known for their limit.
 
 Whether the acceleration of the command is to have a part in its lead depends on the motions more than on the
@@ -41,7 +41,7 @@ Judge = Callable[[Sequence[Array], float, float], "Judged"]  # under a limit of 
 POPULATION, LONE_POPULATION = 12, 20  # the other one of a single run that has the time to use it
 SCATTERED = 120  # sets of gains all over the ranges at the beginning, at most
 STARTS = 4  # places at which a search begins, at most
-EACH, EACH_COVARIANCE = 1000, 8  # sets of gains of the budget for each of them, and times n² of n gains
+EACH, EACH_COVARIANCE = 1000, 8  # sets of gains of the budget for each, and times n² of n gains that move
 APART = 0.17  # of the ranges, by which they are apart, root mean square over the gains
 FIRST_STEPS, LATER_STEP = (0.15, 0.25), 0.08  # of the ranges; those of the places alternate
 LONE_STEP = 0.25
@@ -282,6 +282,8 @@ def search(
     first = judge(scattered, main.chatter).costs
     if n == 1:  # no covariance to adapt
         judge(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), main.chatter)
+        trials.front_at_rest()
+        return Found(trials.points, trials.tried, trials.missed)
     moved = n - (held is not None)
     fitting = budget // max(EACH, EACH_COVARIANCE * moved * moved)
     starts = _starts(scattered, first, STARTS if fitting >= STARTS else 1)
