@@ -100,8 +100,9 @@ def check(law: Any) -> Law:
             raise LawError(f"its parameter {parameter.name} must begin with '{law.name}.'")
     if law.dead_time and law.dead_time not in {p.name for p in law.parameters}:
         raise LawError(f"its dead_time is '{law.dead_time}'; it must be one of its parameters")
+    own = defaults(law.parameters)
     for free in law.free:
-        _check_free(free, {p.name: p for p in law.parameters})
+        _check_free(free, own)
     if law.adapts and f"{law.name}.theta_initial" not in {p.name for p in law.parameters}:
         raise LawError(f"its state has estimates; there must be a parameter {law.name}.theta_initial")
     return law
@@ -131,18 +132,16 @@ def try_out(law: Law, values: Values) -> None:
             raise LawError(f"its {what} {type(value).__name__}; it must be {kind.__name__}")
 
 
-def _check_free(free: Any, parameters: Mapping[str, Any]) -> None:
+def _check_free(free: Any, own: Values) -> None:
     if not isinstance(free, Free):
         raise LawError(f"it has {free!r} to choose; it must be a valve_control.laws.free.Free")
     for name, index in entries_of(free):
-        default = parameters[name].default if name in parameters else None
-        if not isinstance(default, float if index is None else list):
+        if not isinstance(own.get(name), float if index is None else list):
             raise LawError(f"it has {free.name} to choose, and {name} is none of its numbers")
     if not free.low < free.high or (free.logarithmic and free.low <= 0.0):
         raise LawError(f"the range of {free.name} goes from {free.low:g} to {free.high:g}")
-    usual = {**defaults(reshaping.PARAMETERS), **defaults(tuple(parameters.values()))}
     try:
-        unit = free.unit(usual)
+        unit = free.unit({**defaults(reshaping.PARAMETERS), **own})
     except KeyError as error:
         raise LawError(f"the unit of {free.name} asks for {error}, which is none of its numbers") from error
     if not (math.isfinite(unit) and unit > 0.0):

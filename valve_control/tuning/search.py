@@ -218,8 +218,11 @@ class _Run:
             while trials.tried < until and not self._strategy.stop():
                 asked = self._strategy.ask()
                 whole = [self._with_level(shares, self._level) for shares in asked]
-                costs = self._told(whole, judge(whole, chatter, self._wall))
-                self._strategy.tell(asked, costs)
+                judged = judge(whole, chatter, self._wall)
+                self._keep_best(whole, judged)
+                self._strategy.tell(asked, judged.costs)
+                lowest = int(np.argmin(judged.costs))
+                self._wall = max(WALL, self._wall * (LOWER if judged.keep[lowest] else HIGHER))
                 self._since += len(asked)
                 if self._held is not None and self._since >= EVERY and trials.tried >= late:
                     self._since = 0
@@ -230,22 +233,17 @@ class _Run:
         assert self._held is not None
         rest = np.delete(self.best, self._held)
         others = [self._with_level(rest, level) for level in LEVELS if level != self._level]
-        self._told(others, judge(others, chatter, self._wall), adapt=False)
+        self._keep_best(others, judge(others, chatter, self._wall))
         self._level = float(self.best[self._held])
 
     def _with_level(self, moved: Array, level: float) -> Array:
         return moved if self._held is None else np.insert(moved, self._held, level)
 
-    def _told(self, whole: Sequence[Array], judged: Judged, adapt: bool = True) -> list[float]:
-        """Take in what sets of gains cost, and return it."""
-        costs, keep = judged
-        if adapt:
-            self._wall = max(WALL, self._wall * (LOWER if keep[int(np.argmin(costs))] else HIGHER))
-        scores = np.where(keep, costs, np.add(costs, BEYOND))
+    def _keep_best(self, whole: Sequence[Array], judged: Judged) -> None:
+        scores = np.where(judged.keep, judged.costs, np.add(judged.costs, BEYOND))
         i = int(np.argmin(scores))
         if scores[i] < self.least:
             self.best, self.least = np.clip(whole[i], 0.0, 1.0), float(scores[i])
-        return costs
 
 
 def search(
@@ -286,22 +284,24 @@ def search(
         return Found(trials.points, trials.tried, trials.missed)
     moved = n - (held is not None)
     fitting = budget // max(EACH, EACH_COVARIANCE * moved * moved)
-    starts = _starts(scattered, first, STARTS if fitting >= STARTS else 1)
-    runs = [
-        _Run(start, held, FIRST_STEPS[i % len(FIRST_STEPS)], seed + i + 1) for i, start in enumerate(starts)
-    ]
-    if 1 <= fitting < STARTS:
-        runs = [_Run(starts[0], held, LONE_STEP, seed + 1, LONE_POPULATION)]
     late = LATE * budget
-    for share in ROUNDS:
-        if len(runs) == 1:
-            break
-        for run in runs:
-            run.go(judge, main.chatter, trials, trials.tried + share * budget, late)
-        runs = sorted(runs, key=lambda run: run.least)[: len(runs) // 2]
-    winner = min(runs, key=lambda run: run.least)
     if fitting >= STARTS:
-        winner = _Run(winner.best, held, LAST_STEP, seed + STARTS + 1, LAST_POPULATION)
+        starts = _starts(scattered, first, STARTS)
+        runs = [
+            _Run(start, held, FIRST_STEPS[i % len(FIRST_STEPS)], seed + i + 1)
+            for i, start in enumerate(starts)
+        ]
+        for share in ROUNDS:
+            if len(runs) == 1:
+                break
+            for run in runs:
+                run.go(judge, main.chatter, trials, trials.tried + share * budget, late)
+            runs = sorted(runs, key=lambda run: run.least)[: len(runs) // 2]
+        winner = _Run(runs[0].best, held, LAST_STEP, seed + STARTS + 1, LAST_POPULATION)
+    elif fitting:
+        winner = _Run(scattered[int(np.argmin(first))], held, LONE_STEP, seed + 1, LONE_POPULATION)
+    else:
+        winner = _Run(scattered[int(np.argmin(first))], held, FIRST_STEPS[0], seed + 1)
     winner.go(judge, main.chatter, trials, main.share * budget, late)
     until = 0.0
     for number, phase in enumerate(plan):
