@@ -62,12 +62,31 @@ class Observed(NamedTuple):
     reading: float  # V²  variance of v
 
 
+class Readings(NamedTuple):
+    """What of ``Observed`` follows from the model and its dead time alone; not to be changed."""
+
+    order: int  # of the model
+    a: Array
+    b: Array
+    c: Array
+
+
 class Inverted(NamedTuple):
     """Rows of coefficients of (ζ, …, its highest inner derivative, r, ṙ, r̈)."""
 
     rate: Array  # of the inner states, m×(m + 3)
     voltage: Array  # u_r
     state: Array  # x_r, n×(m + 3)
+
+
+class Reference(NamedTuple):
+    """What of a design follows from the inverse of the model alone."""
+
+    of: Inverted
+    full: Move
+    half: Move
+    standing: Rest
+    moving: Rest
 
 
 def sampled(a: Array, b: Array, period: float) -> tuple[Array, Array]:
@@ -120,14 +139,12 @@ def inverted(model: TransferFunction) -> Inverted:
     return Inverted(rows[1 : m + 1], a @ rows, form @ rows[:n])
 
 
-def observed(
-    model: TransferFunction, period: float, delay: float, reading: float, input_noise: float, walk: float
-) -> Observed:
+@functools.lru_cache(maxsize=32)
+def readings(model: TransferFunction, period: float, delay: float) -> Readings:
     """Model, disturbance and past positions in samples of ``period`` [s].
 
     The reading y(k) is the position ``delay`` [s] before. With m = ⌈delay/period⌉, the first of m past
-    positions is that between two samples at which a reading m - 1 samples later looks. ``reading`` [V] and
-    ``input_noise`` [V]: standard deviations; ``walk`` [V]: of the disturbance's step in one period.
+    positions is that between two samples at which a reading m - 1 samples later looks.
     """
     a, b = realisation(model)
     n = len(b)
@@ -144,9 +161,21 @@ def observed(
         whole[n + 1, :n], whole[n + 1, n], column[n + 1] = within[0], pushed[0], pushed[0]
         for i in range(n + 2, size):
             whole[i, i - 1] = 1.0
-    process = input_noise**2 * np.outer(column, column)
+    return Readings(n, whole, column, output)
+
+
+def observed(
+    model: TransferFunction, period: float, delay: float, reading: float, input_noise: float, walk: float
+) -> Observed:
+    """``readings`` with noise.
+
+    ``reading`` [V] and ``input_noise`` [V]: standard deviations; ``walk`` [V]: of the disturbance's step in
+    one period.
+    """
+    n, a, b, c = readings(model, period, delay)
+    process = input_noise**2 * np.outer(b, b)
     process[n, n] += walk**2
-    return Observed(whole, column, output, process, reading**2)
+    return Observed(a, b, c, process, reading**2)
 
 
 def kalman(o: Observed, scale: Array) -> Array:
@@ -278,6 +307,20 @@ def _rest(of: Inverted, reference: float, rate: float) -> Rest:
     return Rest(_row(of.state @ whole), _inverse(inner), float(of.voltage @ whole))
 
 
+@functools.lru_cache(maxsize=32)
+def reference(model: TransferFunction, period: float) -> Reference:
+    """Inverse of ``model``, and how it moves in one ``period`` [s]. Raises DesignError."""
+    of = inverted(model)
+    return Reference(
+        of=of,
+        full=_move(of.rate, period),
+        half=_move(of.rate, 0.5 * period),
+        standing=_rest(of, 1.0, 0.0),
+        moving=_rest(of, 0.0, 1.0),
+    )
+
+
+@functools.lru_cache(maxsize=32)
 def equivalent(model: TransferFunction) -> Equivalent:
     """Second-order model with the static gain and the two slowest poles of ``model``."""
     poles = np.roots(model.denominator)
@@ -302,18 +345,17 @@ def design(
     ``noise`` and ``resolution`` [V]: of the LVDT; ``input_noise`` [V], ``disturbance_rate`` [V/√s]: what the
     Kalman filter assumes of the input; ``voltage_weight``: of LQR. Raises DesignError.
     """
-    of = inverted(model)
+    at = reference(model, period)
     if delay > MOST_DELAY * period * (1.0 + 1e-9):
         raise DesignError(
             f"dcarc.delay is {delay:g} s; at a sample period of {period:g} s it must be at most "
             f"{MOST_DELAY * period:g} s"
         )
-    a, b = realisation(model)
-    n = len(b)
+    n = readings(model, period, delay).order
     reading = math.sqrt(noise**2 + resolution**2 / 12.0)
     o = observed(model, period, delay, reading, input_noise, disturbance_rate * math.sqrt(period))
     m = len(o.a) - n - 1
-    speed = max(float(np.max(np.abs(np.linalg.eigvals(a)))), 1.0)
+    speed = max(float(np.max(np.abs(np.linalg.eigvals(realisation(model)[0])))), 1.0)
     sizes = np.array([speed**i for i in range(n)])
     scale = np.concatenate([sizes, [1.0], np.ones(m)])
     gain = kalman(o, scale)
@@ -339,12 +381,12 @@ def design(
         ),
         kalman=Gains(_row(gain[:n]), float(gain[n]), _past(gain[n + 1 :])),
         feedback=_row(feedback),
-        wanted=_combination(feedback @ of.state),
-        full=_move(of.rate, period),
-        half=_move(of.rate, 0.5 * period),
-        model_voltage=_combination(of.voltage),
-        standing=_rest(of, 1.0, 0.0),
-        moving=_rest(of, 0.0, 1.0),
+        wanted=_combination(feedback @ at.of.state),
+        full=at.full,
+        half=at.half,
+        model_voltage=_combination(at.of.voltage),
+        standing=at.standing,
+        moving=at.moving,
         lag_share=1.0 / mean_lag(o, gain, n),
         jitter=jitter(o, gain, feedback, scale),
         equivalent=equivalent(model),

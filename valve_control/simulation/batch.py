@@ -242,6 +242,7 @@ def _compiled(law: types.ModuleType, chosen: Measures) -> Callable[..., None]:
     )
 
 
+@cache
 def template(kind: type) -> Any:
     """A NamedTuple of type ``kind`` with 0.0 in every field, nested ones too."""
     if kind is float:
