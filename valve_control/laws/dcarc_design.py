@@ -24,7 +24,7 @@ from valve_control.plant.valve import realisation
 
 Array = npt.NDArray[np.float64]
 MOST_DELAY = 4  # sample periods
-DOUBLINGS = 50  # of the terms of a sum, enough for poles at 1 - 1e-14
+DOUBLINGS = 50  # of the terms of a sum, at most; enough for poles at 1 - 1e-14
 SLOWEST_ZERO = (
     10.0  # 1/s  zeros of the model must decay at least as fast, since the inverse has them as poles
 )
@@ -257,7 +257,9 @@ def jitter(o: Observed, gain: Array, feedback: Array, scale: Array) -> float:
     covariance = o.reading * np.outer(shaken, shaken)
     with np.errstate(all="ignore"):
         for _ in range(DOUBLINGS):  # Σ of wholeⁱ·Q·wholeⁱᵀ, twice as many terms each time (Smith 1968)
-            covariance = covariance + whole @ covariance @ whole.T
+            before, covariance = covariance, covariance + whole @ covariance @ whole.T
+            if np.array_equal(before, covariance):
+                break
             whole = whole @ whole
     variance = float(covariance[1, 1])
     if not math.isfinite(variance):
