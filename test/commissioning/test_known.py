@@ -23,25 +23,47 @@ FAST = TransferFunction(
 )
 
 
-def known(model, law):
-    return Known(Plant(model, Friction(0.34, 1.37), 0.0, 0.0, 1.5), REST, PERIOD, 10.0, law)
+# A valve of third order and 6.3 Hz, which a second order takes for one with 4.6 ms of dead time.
+SLOW = TransferFunction((341574.4,), (1.0, 267.513, 14527.99, 320269.9))
+
+
+def known(model, law, delay=0.0):
+    return Known(Plant(model, Friction(0.34, 1.37), 0.0, delay, 1.5), REST, PERIOD, 10.0, law)
+
+
+def loop_poles(values, model, delay):
+    """Of dcarc with ``values`` around ``model``, whose readings are ``delay`` periods late."""
+    law = LAWS["dcarc"]
+    params = law.build(updated(CONTROLLER, defaults(CONTROLLER), values))
+    plant = valve.design(model, PERIOD, 10.0, 1.0, FREE, IDEAL._replace(delay=delay))
+    return linear_loop.dominant_poles(linear_loop.linear_law(law, params), linear_loop.linear_valves([plant]))
 
 
 def test_zeros_that_cannot_be_inverted_leave_a_model_of_lower_order():
-    """Not that of the D3FXE, with which dcarc came out at 320 mV. The loop is stable on the valve found."""
+    """Not that of the D3FXE, with which dcarc came out at 320 mV. The loop is stable on the valve found.
+
+    A third order would have its zero at 8e9 rad/s, on either side.
+    """
     found = known(FAST, "dcarc")
     values = controller_values(found, "dcarc")
-    assert values["dcarc.model"] == "custom" and len(values["dcarc.denominator"]) == 4
+    assert values["dcarc.model"] == "custom" and len(values["dcarc.denominator"]) == 3
     gain = values["dcarc.numerator"][-1] / values["dcarc.denominator"][-1]
     assert gain == pytest.approx(FAST.static_gain, rel=0.02)
-    assert "dcarc gets a model of order 3" in found.notes[0]
-    law = LAWS["dcarc"]
-    params = law.build(updated(CONTROLLER, defaults(CONTROLLER), values))
-    plant = valve.design(FAST, PERIOD, 10.0, 1.0, FREE, IDEAL)
-    poles = linear_loop.dominant_poles(
-        linear_loop.linear_law(law, params), linear_loop.linear_valves([plant])
-    )
-    assert np.max(np.abs(poles)) < 1.0
+    assert "dcarc gets a model of order 2 with 1.5 ms of dead time" in found.notes[0]
+    assert np.max(np.abs(loop_poles(values, FAST, 0.0))) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("model", "delay"),
+    [(SLOW, 0.0023), (SLOW, 0.0045), (TransferFunction((1500.0,), (1.0, 59.0, 1657.0)), 0.006)],
+)
+def test_more_dead_time_than_dcarc_takes_goes_into_the_poles(model, delay):
+    """Its gains were left out where a second order came with more than four periods."""
+    found = known(model, "dcarc", delay)
+    values = controller_values(found, "dcarc")
+    assert len(values["dcarc.denominator"]) == 3 and values["dcarc.delay"] <= 4.0 * PERIOD
+    assert "dcarc gets a model of order 2 with 4 ms of dead time" in found.notes[0]
+    assert np.max(np.abs(loop_poles(values, model, delay / PERIOD))) < 1.0
 
 
 def test_a_law_without_a_model_of_its_own_in_the_first_gains_gets_none():

@@ -14,6 +14,7 @@ from valve_control.identification import first_gains, rational, theta
 from valve_control.identification.bode import held_response
 from valve_control.identification.lvdt import Lvdt
 from valve_control.identification.response import Response
+from valve_control.laws.dcarc_design import MOST_DELAY
 from valve_control.parameter import ParameterError, Values
 from valve_control.parameters.table import CONTROLLER
 from valve_control.plant.models import TransferFunction
@@ -58,27 +59,37 @@ class Known:
         best = rational.fit(exact, order, zeros, late, "relative") if order > 2 else self.second
         self.theta = theta.suggest(exact, self.second, best, u_max)
 
-        def first(model: TransferFunction, delay: float) -> first_gains.Gains:
+        def described(model: TransferFunction, delay: float) -> first_gains.Valve:
             lvdt = Lvdt(rest.noise, rest.resolution)
-            return first_gains.first(first_gains.Valve(model, delay, self.theta, lvdt, period, u_max))
+            return first_gains.Valve(model, delay, self.theta, lvdt, period, u_max)
 
-        gains = first(found.model, found.delay if late else 0.0)
+        whole = described(found.model, found.delay if late else 0.0)
+        gains = first_gains.first(whole)
         own = f"{law}.denominator"
-        refused = next((note for note in gains.notes if note.startswith(f"{law}'s")), None)
+        refused = reason = _refusal(gains, law)
         if refused is not None and own in (p.name for p in CONTROLLER) and own not in gains.values:
-            # Zeros far away, as of a third-order valve fitted by a fourth order, need not be invertible.
-            for lower in range(order - 1, 1, -1):
-                simpler = rational.fit(exact, lower, delayed=True, weighting="relative")
-                again = first(simpler.model, simpler.delay)
+            # A third order without zeros, zeros far away that cannot be inverted, or too much dead time.
+            for lower in range(max(2, order - 1), 1, -1):
+                simpler = rational.fit(exact, lower, None, True, "relative", MOST_DELAY * period)
+                if np.max(np.abs(np.roots(simpler.model.numerator)), initial=0.0) > math.pi / period:
+                    continue  # a zero that is not in the data
+                again = first_gains.first(described(simpler.model, simpler.delay), whole)
                 if own in again.values:
                     note = (
-                        f"{law} gets a model of order {lower}: the zeros of order {order} cannot be inverted"
+                        f"{law} gets a model of order {lower} with {1e3 * simpler.delay:.2g} ms of dead "
+                        f"time, because {refused}"
                     )
                     gains = again._replace(notes=(note, *again.notes))
                     break
+                reason = _refusal(again, law)
             else:
-                raise ParameterError(refused)
+                raise ParameterError(f"{law} gets no model: {reason}")
         self.gains, self.notes = gains.values, gains.notes
+
+
+def _refusal(gains: first_gains.Gains, law: str) -> str | None:
+    """Why there are no first gains of ``law``; None: there are, or nobody sought them."""
+    return next((note.partition(": ")[2] for note in gains.notes if note.startswith(f"{law}'s")), None)
 
 
 def controller_values(known: Known, law: str) -> Values:

@@ -81,8 +81,12 @@ def with_dead_time(
     return late.model, late.delay, (note,)
 
 
-def first(known: Valve) -> Gains:
-    """Gains of ``pid``, ``arc``, ``oarc`` and ``dcarc``."""
+def first(known: Valve, around: Valve | None = None) -> Gains:
+    """Gains of ``pid``, ``arc``, ``oarc`` and ``dcarc``.
+
+    ``around``: the valve on which, and on whose box, they have to be stable, where ``known`` has a simpler
+    model than that.
+    """
     values: Values = {}
     notes: list[str] = []
     makers: tuple[tuple[Law, Callable[[Valve, float], Values]], ...] = (
@@ -91,7 +95,7 @@ def first(known: Valve) -> Gains:
         (oarc.LAW, _oarc),
         (dcarc.LAW, dcarc_values),
     )
-    corners = list(_corners(known))
+    corners = list(_corners(known if around is None else around))
     for law, make in makers:
         try:
             made = _safe(law, make, known, corners)
@@ -226,12 +230,19 @@ def _bristles(friction: Friction) -> Values:
 
 
 def dcarc_values(known: Valve, share: float = 1.0) -> Values:
-    """The model itself, its noises and friction, and the weight of the voltage by the static gain squared."""
+    """The model itself, its noises and friction, and the weight of the voltage by the static gain squared.
+
+    Less bandwidth is a larger weight of the voltage, and a disturbance that is expected to change less.
+    """
     own = defaults(CONTROLLER)
     gain = known.model.static_gain / models.FOURTH_ORDER.static_gain
+    slower: Values = {}
+    if share < 1.0:  # the disturbance's estimate is a part of the loop too
+        slower["dcarc.disturbance_rate"] = share**2 * number(own, "dcarc.disturbance_rate")
     return _plain(
         {
             **(_bristles(known.friction) if known.friction is not None else {}),
+            **slower,
             "dcarc.model": "custom",
             "dcarc.numerator": list(known.model.numerator),
             "dcarc.denominator": list(known.model.denominator),

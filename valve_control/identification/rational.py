@@ -68,6 +68,7 @@ class _Form(NamedTuple):
     scale: float  # rad/s
     gain: float  # V/V
     period: float  # s
+    latest: float  # s  upper bound of the dead time
 
     def model(self, x: Floats) -> tuple[TransferFunction, float]:
         """Model and delay [s]; the denominator is made of factors with positive coefficients."""
@@ -99,14 +100,15 @@ def fit(
     zeros: int | None = None,
     delayed: bool = False,
     weighting: str = "likelihood",
+    latest: float = math.inf,
 ) -> Fit:
     """Stable model of ``order`` with ``zeros`` (two fewer than poles) that comes nearest to ``measured``.
 
     ``weighting``: what one unit of error is. likelihood: the standard deviation of the measurement, with a
     relative error of the model added where noise alone does not explain the distance; relative: the size of
     the response; uniform: one volt per volt. The model is compared as held and sampled, so that hold and
-    sampling bias nothing. ``delayed``: a dead time is estimated too. Bounds come from the Jacobian. Raises
-    ParameterError if there are too few frequencies, or no model fits.
+    sampling bias nothing. ``delayed``: a dead time is estimated too, of ``latest`` [s] at most. Bounds come
+    from the Jacobian. Raises ParameterError if there are too few frequencies, or no model fits.
     """
     zeros = max(0, order - 2) if zeros is None else zeros
     if not 0 <= zeros < order:
@@ -119,7 +121,7 @@ def fit(
             f"{len(measured.frequency)} could be measured"
         )
     size = np.abs(measured.value)
-    form, x, free_error = _start(measured, order, zeros, delayed, size)
+    form, x, free_error = _start(measured, order, zeros, delayed, size, latest)
     relative = 1.0 / size
     if weighting == "likelihood":
         x = _minimise(form, x, measured, relative)
@@ -224,7 +226,7 @@ def hold(frequency: Floats, period: float) -> Complexes:
 
 
 def _start(
-    measured: Response, order: int, zeros: int, delayed: bool, size: Floats
+    measured: Response, order: int, zeros: int, delayed: bool, size: Floats, latest: float
 ) -> tuple[_Form, Floats, float]:
     """Linear least squares for each of several delays; the nearest is where the search begins.
 
@@ -249,7 +251,7 @@ def _start(
     at = [max(0.05, delay / measured.period)] if delayed else []
     x = np.concatenate([factors, numerator / (static * gain), at])
     unstable = math.sqrt(error / len(size)) if np.any(poles.real > 0.0) else math.inf
-    return _Form(order, zeros, delayed, scale, gain, measured.period), x, unstable
+    return _Form(order, zeros, delayed, scale, gain, measured.period, latest), x, unstable
 
 
 def _linear(
@@ -310,7 +312,8 @@ def _minimise(form: _Form, start: Floats, measured: Response, weight: Floats) ->
     high = np.full(len(start), np.inf)
     low[: form.order], high[: form.order] = -WIDEST, WIDEST
     if form.delayed:
-        low[-1], high[-1] = 0.0, max(1.0, WIDEST_DELAY / (measured.frequency[0] * form.period))
+        widest = max(1.0, WIDEST_DELAY / (measured.frequency[0] * form.period))
+        low[-1], high[-1] = 0.0, min(widest, form.latest / form.period)
     inside = np.clip(start, low + 1e-9, high - 1e-9)
     try:
         found = scipy.optimize.least_squares(
