@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.analysis.limit_cycle import limit_cycle
+from valve_control.analysis.limit_cycle import ends_at_rest, limit_cycle
 from valve_control.parameter import defaults, updated
 from valve_control.parameters import build, files
 from valve_control.parameters.table import CONTROLLER, VALVE
@@ -93,6 +93,22 @@ def test_word_ends_with_the_oscillation():
 def found(voltage, command=None, amplitude=1.0, period=PERIOD):
     command = np.zeros_like(voltage) if command is None else command
     return limit_cycle(voltage, command, period, amplitude)
+
+
+def test_of_many_voltages_each_is_judged_as_alone():
+    times = np.arange(3000) * PERIOD
+    rows = np.stack(
+        [
+            2.0 * np.sin(2.0 * np.pi * 20.0 * times),
+            2.0 * np.sin(2.0 * np.pi * 20.0 * times) * (times < 1.0),
+            0.1 * np.sin(2.0 * np.pi * 20.0 * times),
+            np.zeros_like(times),
+        ]
+    )
+    alone = [found(row) for row in rows]
+    assert [cycle is not None for cycle in alone] == [True, True, False, False]
+    assert list(ends_at_rest(rows, PERIOD, 1.0)) == [0.0 if c is None else c.end for c in alone]
+    assert not np.any(ends_at_rest(rows, PERIOD, 0.0))
 
 
 T = np.arange(6000) * PERIOD

@@ -49,6 +49,25 @@ def limit_cycle(
     return LimitCycle(*map(float, longest)) if longest[0] > 0.0 else None
 
 
+def survey_all(p: oscillation.Params, voltages: Array, command: Array, longest: Array) -> None:
+    """``survey`` of each row of ``voltages`` (N×n), whose ``longest`` is a row of that (N×4)."""
+    for i in range(voltages.shape[0]):
+        survey(p, voltages[i], command, longest[i])
+
+
+def ends_at_rest(voltages: Array, period: float, amplitude: float) -> Array:
+    """Times [s] at which the limit cycles in N ``voltages`` [V] (N×n) end, at a command of 0 V; 0.0: none.
+
+    They are those that ``limit_cycle`` finds, of at least ``amplitude`` [V].
+    """
+    longest = np.zeros((len(voltages), 4))
+    if amplitude > 0.0 and len(voltages):
+        p = oscillation.Params(amplitude, period)
+        rows = np.ascontiguousarray(voltages)
+        compile_function(survey_all, nogil=True)(p, rows, np.zeros(rows.shape[1]), longest)
+    return np.where(longest[:, 0] > 0.0, longest[:, 3], 0.0)
+
+
 def in_words(saturated: float, cycle: LimitCycle | None) -> str:
     """Saturation (share of the samples) and limit cycle of a run in one line, "" if there is neither."""
     parts = []

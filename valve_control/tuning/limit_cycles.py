@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.analysis.limit_cycle import limit_cycle
+from valve_control.analysis.limit_cycle import ends_at_rest
 from valve_control.laws.law import Law
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import Values, number, updated
@@ -200,10 +200,8 @@ def restless(traces: Array, period: float, least: float) -> npt.NDArray[np.bool_
     found = ~finite | np.array(
         [bool(one) and _turns(row, 0.5 * REST) >= TURNS for one, row in zip(large, swing, strict=True)]
     )
-    still = np.zeros(traces.shape[1])
-    for i in np.flatnonzero(~found):
-        cycle = limit_cycle(traces[i, :, 2], still, period, least)
-        found[i] = cycle is not None and cycle.end > HELD - RESTING
+    calm = np.flatnonzero(~found)
+    found[calm] = ends_at_rest(traces[calm, :, 2], period, least) > HELD - RESTING
     return np.asarray(found, dtype=bool)
 
 

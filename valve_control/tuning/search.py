@@ -120,6 +120,7 @@ class _Trials:
         self._law, self._problem, self._free, self._workers = law, problem, free, workers
         self._box = margins.prepared(problem.box)
         self._rested: dict[tuple[float, ...], float] = {}  # share of the valves on which a set does not rest
+        self._least: dict[float, tuple[int, float]] = {}  # by limit: points looked at, and their least cost
 
     def judged(self, several: Sequence[Array], chatter: float, wall: float = WALL) -> Judged:
         """Costs of sets of gains under a limit of the chatter; ``wall`` is the cost of missing a margin."""
@@ -145,7 +146,7 @@ class _Trials:
                 costs[i] = self._cost(point, chatter) + wall * missing
                 if missing == 0.0:
                     points[i] = point
-        least = min((self._cost(point, chatter) for point in self.points), default=math.inf)
+        least = self._least_cost(chatter)
         near = [i for i in points if costs[i] < NOT_RUN and costs[i] <= least + CLOSE]
         for i, share in zip(near, self._restless([points[i] for i in near]), strict=True):
             if share > 0.0:
@@ -171,6 +172,15 @@ class _Trials:
                 if share > 0.0
             }
             self.points = [point for point in self.points if point.shares not in restless]
+            self._least.clear()
+
+    def _least_cost(self, chatter: float) -> float:
+        """The least cost of all points under a limit of the chatter; only new ones are looked at."""
+        seen, least = self._least.get(chatter, (0, math.inf))
+        for point in self.points[seen:]:
+            least = min(least, self._cost(point, chatter))
+        self._least[chatter] = len(self.points), least
+        return least
 
     def _cost(self, point: Point, chatter: float) -> float:
         return cost(point, chatter, self._problem.limits.saturated)
