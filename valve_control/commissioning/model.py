@@ -70,7 +70,11 @@ class Known:
         if refused is not None and own in (p.name for p in CONTROLLER) and own not in gains.values:
             # A third order without zeros, zeros far away that cannot be inverted, or too much dead time.
             for lower in range(max(2, order - 1), 1, -1):
-                simpler = rational.fit(exact, lower, None, True, "relative", MOST_DELAY * period)
+                try:
+                    simpler = rational.fit(exact, lower, None, True, "relative", MOST_DELAY * period)
+                except ParameterError as error:
+                    reason = str(error)
+                    continue
                 if np.max(np.abs(np.roots(simpler.model.numerator)), initial=0.0) > math.pi / period:
                     continue  # a zero that is not in the data
                 again = first_gains.first(described(simpler.model, simpler.delay), whole)
