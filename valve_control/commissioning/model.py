@@ -17,7 +17,6 @@ from valve_control.identification.response import Response
 from valve_control.laws.dcarc_design import MOST_DELAY
 from valve_control.parameter import ParameterError, Values
 from valve_control.parameters.table import CONTROLLER
-from valve_control.plant.models import TransferFunction
 from valve_control.simulation.robustness import Quantity
 from valve_control.tuning.trial import Motion
 
@@ -59,36 +58,46 @@ class Known:
         best = rational.fit(exact, order, zeros, late, "relative") if order > 2 else self.second
         self.theta = theta.suggest(exact, self.second, best, u_max)
 
-        def described(model: TransferFunction, delay: float) -> first_gains.Valve:
-            lvdt = Lvdt(rest.noise, rest.resolution)
-            return first_gains.Valve(model, delay, self.theta, lvdt, period, u_max)
-
-        whole = described(found.model, found.delay if late else 0.0)
+        lvdt = Lvdt(rest.noise, rest.resolution)
+        delay = found.delay if late else 0.0
+        whole = first_gains.Valve(found.model, delay, self.theta, lvdt, period, u_max)
         gains = first_gains.first(whole)
         own = f"{law}.denominator"
-        refused = reason = _refusal(gains, law)
+        refused = _refusal(gains, law)
         if refused is not None and own in (p.name for p in CONTROLLER) and own not in gains.values:
-            # A third order without zeros, zeros far away that cannot be inverted, or too much dead time.
-            for lower in range(max(2, order - 1), 1, -1):
-                try:
-                    simpler = rational.fit(exact, lower, None, True, "relative", MOST_DELAY * period)
-                except ParameterError as error:
-                    reason = str(error)
-                    continue
-                if np.max(np.abs(np.roots(simpler.model.numerator)), initial=0.0) > math.pi / period:
-                    continue  # a zero that is not in the data
-                again = first_gains.first(described(simpler.model, simpler.delay), whole)
-                if own in again.values:
-                    note = (
-                        f"{law} gets a model of order {lower} with {1e3 * simpler.delay:.2g} ms of dead "
-                        f"time, because {refused}"
-                    )
-                    gains = again._replace(notes=(note, *again.notes))
-                    break
-                reason = _refusal(again, law)
-            else:
-                raise ParameterError(f"{law} gets no model: {reason}")
+            gains = _simpler(exact, whole, law, refused)
         self.gains, self.notes = gains.values, gains.notes
+
+
+def _simpler(
+    exact: Response,
+    whole: first_gains.Valve,
+    law: str,
+    refused: str,
+) -> first_gains.Gains:
+    """First gains of ``law``, which takes no model of the form of ``whole``, with one of lower order.
+
+    It is a third order without zeros, or has zeros far away that cannot be inverted, or too much dead time.
+    Raises ParameterError.
+    """
+    reason = refused
+    for lower in range(max(2, len(whole.model.denominator) - 2), 1, -1):
+        try:
+            simpler = rational.fit(exact, lower, None, True, "relative", MOST_DELAY * whole.period)
+        except ParameterError as error:
+            reason = str(error)
+            continue
+        if np.max(np.abs(np.roots(simpler.model.numerator)), initial=0.0) > math.pi / whole.period:
+            continue  # a zero that is not in the data
+        gains = first_gains.first(whole._replace(model=simpler.model, delay=simpler.delay), whole)
+        if f"{law}.denominator" in gains.values:
+            note = (
+                f"{law} gets a model of order {lower} with {1e3 * simpler.delay:.2g} ms of dead time, "
+                f"because {refused}"
+            )
+            return gains._replace(notes=(note, *gains.notes))
+        reason = _refusal(gains, law) or reason
+    raise ParameterError(f"{law} gets no model: {reason}")
 
 
 def _refusal(gains: first_gains.Gains, law: str) -> str | None:
