@@ -164,6 +164,7 @@ def run_valve(
             "shown": valve_signals,
         },
         compiled,
+        nogil=True,
     )
     end: Parts = loop(p, begin, commands, noise, signals, terms)
     return end

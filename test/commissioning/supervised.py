@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from valve_control.commissioning import courses, sequence, small_signal, statics
+from valve_control.commissioning import courses, small_signal, statics
 from valve_control.commissioning.bench import Fault, Record, Seen
+from valve_control.commissioning.plan import limiting
 from valve_control.commissioning.watch import Watch
 from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.parameters import build
@@ -11,6 +12,26 @@ from valve_control.parameters.table import CONTROLLER, VALVE
 from valve_control.plant import valve
 from valve_control.supervision.record import Mode
 from valve_control.supervision.supervisor import Supervisor
+
+
+class Steps:
+    """Goes on with each step, or as long as ``answers`` say so, and keeps what is said."""
+
+    def __init__(self, answers=None):
+        self.answers, self.asked, self.told, self.valve, self.refused = answers, [], [], None, []
+
+    def confirm(self, text):
+        self.asked.append(text)
+        return self.answers is None or (bool(self.answers) and self.answers.pop())
+
+    def progress(self, *progress):
+        self.told.append(progress)
+
+    def found(self, valve):
+        self.valve = valve
+
+    def not_taken(self, changes, reason):
+        self.refused.append((changes, reason))
 
 
 class SupervisedValve:
@@ -93,7 +114,7 @@ def driven(bench, limits):
     def silent(done):
         pass
 
-    bench.apply(sequence.limiting(bench.values(), limits))
+    bench.apply(limiting(bench.values(), limits))
     rest = statics.at_rest(bench.drive(courses.rest(2.0), limits, silent))
     slow = bench.drive(courses.triangle(limits, 1.6, 4), limits, silent)
     static = statics.slow(slow, rest, limits)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from supervised import SupervisedValve, driven
 
-from valve_control.commissioning import plant, sequence
+from valve_control.commissioning import plant, small_signal
 from valve_control.commissioning.bench import Limits
 
 LIMITS = Limits(4.0, 2.0)
@@ -17,7 +17,7 @@ def silent(*done):
 def found(valve, told=silent):
     """What commissioning fits to the readings of ``valve``."""
     rest, slow, static, planned, sine = driven(SupervisedValve(valve), LIMITS)
-    _, fits, friction = sequence._linear(sine, planned, static, rest)
+    _, fits, friction = small_signal.linear(sine, planned, static, rest)
     return plant.fitted([slow, sine], fits, friction, static.offset, rest, told)
 
 

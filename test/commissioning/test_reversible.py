@@ -6,21 +6,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from supervised import SupervisedValve
+from supervised import Steps, SupervisedValve
 
 from valve_control.commissioning import backup, sequence
 from valve_control.commissioning.bench import Fault, Limits
+from valve_control.commissioning.plan import Plan, check
 from valve_control.commissioning.watch import Watch
 from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.parameters.table import CONTROLLER
 
 LIMITS = Limits(3.0, 1.5)
 BEFORE = {"controller": "oarc", "u_max": 9.0, "oarc.k1": 77.0, "command_limit": 8.0, "reshaping.lead": 0.004}
-PLAN = sequence.Plan(LIMITS, "pid", 0.3, 40, 3, 8, 1, 2)
-
-
-def yes(text):
-    return True
+PLAN = Plan(LIMITS, "pid", 0.3, 40, 3, 8, 1, 2)
 
 
 def nothing(*progress):
@@ -35,7 +32,7 @@ def test_a_fault_at_any_sample(at, interrupt):
     valve.fault = KeyboardInterrupt if interrupt else Fault
     before, told = valve.values(), []
     with pytest.raises(valve.fault), sequence.reversible(valve, before, told.append):
-        sequence.run(valve, PLAN, before, yes, nothing)
+        sequence.run(valve, PLAN, before, Steps())
     assert len(valve.readings) == at
     assert not valve.active and valve.values() == before
     assert told == ["the controller is inactive and gives 0 V", "all its parameters are as before"]
@@ -47,9 +44,9 @@ def test_a_fault_at_any_sample(at, interrupt):
 @pytest.mark.parametrize("answers", [0, 1, 2])
 def test_a_step_that_is_refused(answers):
     valve = SupervisedValve({"lvdt.noise": 0.004}, BEFORE)
-    before, left = valve.values(), [True] * answers
+    before, steps = valve.values(), Steps([True] * answers)
     with pytest.raises(sequence.Refused), sequence.reversible(valve, before, nothing):
-        sequence.run(valve, PLAN, before, lambda text: bool(left) and left.pop(), nothing)
+        sequence.run(valve, PLAN, before, steps)
     assert valve.values() == before and not valve.active
 
 
@@ -59,29 +56,23 @@ def test_parameters_that_do_not_come_back_are_told():
             super().apply({name: value for name, value in changes.items() if name != "u_max"})
 
     valve = Stubborn({}, BEFORE)
-    with pytest.raises(Fault, match="u_max could not be set back"):
-        sequence.restore(valve, {**valve.values(), "u_max": 5.0})
+    with pytest.raises(Fault, match="u_max could not be set"):
+        sequence.bring_to(valve, {**valve.values(), "u_max": 5.0})
 
 
 @pytest.mark.campaign
 def test_from_first_to_last_step():
     """dcarc on a valve with friction: afterwards its gains differ, and they do what was said."""
     valve = SupervisedValve({"friction.coulomb": 0.6, "lvdt.noise": 0.004}, BEFORE)
-    before, asked, told = valve.values(), [], []
+    before, steps = valve.values(), Steps()
     with sequence.reversible(valve, before, nothing):
-        found = sequence.run(
-            valve,
-            PLAN._replace(law="dcarc"),
-            before,
-            lambda text: asked.append(text) or True,
-            lambda *progress: told.append(progress),
-        )
+        found = sequence.run(valve, PLAN._replace(law="dcarc"), before, steps)
     for name, most in (("slow triangle", 0.2), ("stepped sine", 0.01), ("model", 0.35), ("tuning", 0.5)):
-        shares = np.array([done / total for step, done, total in told if step == name])
+        shares = np.array([done / total for step, done, total in steps.told if step == name])
         assert shares[0] <= 0.01 and shares[-1] == 1.0 and np.max(shares) == 1.0, name
         assert np.max(np.diff(shares)) <= most, name  # no long silence
     assert found.tuned.chatter == PLAN.chatter
-    assert len(asked) == 6 and valve.active
+    assert len(steps.asked) == 6 and valve.active
     assert valve.values() == {**before, **found.applied}
     assert found.applied["controller"] == "dcarc" and "u_max" not in found.applied
     assert {name.split(".")[0] for name in found.applied} <= {"controller", "dcarc", "arc", "reshaping"}
@@ -90,7 +81,7 @@ def test_from_first_to_last_step():
     assert found.verification.measured.e_rms < 2.0 * found.verification.expected.e_rms + 0.002
     assert found.friction.coulomb == pytest.approx(0.6, abs=0.03)
     json.dumps(sequence.as_dict(found)["applied"])
-    sequence.restore(valve, before)
+    sequence.bring_to(valve, before)
     assert valve.values() == before
 
 
@@ -105,7 +96,7 @@ def test_from_first_to_last_step():
 def test_plans_that_do_not_fit_are_refused_before_anything_happens(limits, law, words):
     values = updated(CONTROLLER, defaults(CONTROLLER), BEFORE)
     with pytest.raises(ParameterError, match=words):
-        sequence.check(PLAN._replace(limits=limits, law=law), values)
+        check(PLAN._replace(limits=limits, law=law), values)
 
 
 def test_the_watch_ends_it_at_the_first_wrong_message():

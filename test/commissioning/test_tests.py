@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from supervised import SupervisedValve, driven
 
-from valve_control.commissioning import plant, sequence, small_signal, statics
+from valve_control.commissioning import plant, small_signal, statics
 from valve_control.commissioning.bench import Limits, Record
 from valve_control.identification import rational
 from valve_control.identification.response import Response
@@ -57,7 +57,7 @@ def test_slow_triangle_tells_gain_offset_friction_and_dead_zone(tested):
 
 def test_simulated_under_the_same_voltages_the_fitted_valve_is_the_true_one(tested):
     _, rest, slow, static, planned, sine = tested
-    response, fits, friction = sequence._linear(sine, planned, static, rest)
+    response, fits, friction = small_signal.linear(sine, planned, static, rest)
     biased = fits[0].model.denominator[2]
     found = plant.fitted([slow, sine], fits[:1], friction, static.offset, rest)
     b0, (_, a1, a0) = found.model.numerator[-1], found.model.denominator
@@ -129,6 +129,6 @@ def test_too_much_friction_for_the_limit_is_told():
 def test_order_of_the_model_follows_the_valve(tested):
     """A higher order is taken only where it is better by more than rounding."""
     _, rest, slow, static, planned, sine = tested
-    _, fits, friction = sequence._linear(sine, planned, static, rest)
+    _, fits, friction = small_signal.linear(sine, planned, static, rest)
     assert {fit.order for fit in fits} <= {2, 3, 4} and isinstance(fits[0], rational.Fit)
     assert len(plant.fitted([slow, sine], fits, friction, static.offset, rest).model.denominator) == 3

@@ -13,8 +13,10 @@ from valve_control.cli.common import check_processes, say
 from valve_control.parameter import ParameterError, word
 
 if TYPE_CHECKING:
-    from valve_control.commissioning.sequence import Plan, Result
+    from valve_control.commissioning.plan import Plan
+    from valve_control.commissioning.sequence import Result
     from valve_control.nodes.commission import Controller
+    from valve_control.parameter import Values
 
 CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
 FAILED = 1  # exit status if the parameters are those from before
@@ -115,7 +117,7 @@ def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
             f"{arguments.folder} has the parameters of {kept.node}, not of {controller.name}; give --node or "
             "--folder"
         )
-    count = sequence.restore(controller, kept.values)
+    count = sequence.bring_to(controller, kept.values)
     backup.mark(Path(arguments.folder), kept.node, backup.UNDONE)
     say(arguments, f"{count} parameters of {kept.node} set back; all are as before the commissioning")
     if arguments.activate:
@@ -127,7 +129,7 @@ def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
 
 def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
     from valve_control.commissioning.bench import Limits
-    from valve_control.commissioning.sequence import Plan
+    from valve_control.commissioning.plan import Plan
 
     return Plan(
         Limits(arguments.max_voltage, arguments.travel),
@@ -145,6 +147,7 @@ def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
 def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     from valve_control.commissioning import backup, sequence
     from valve_control.commissioning.bench import Fault
+    from valve_control.commissioning.plan import check
 
     folder = Path(arguments.folder)
     before = controller.values()
@@ -155,7 +158,7 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
             "from before it; --undo brings them back"
         )
     plan = _plan(arguments, word(before, "controller"))
-    sequence.check(plan, before)
+    check(plan, before)
     controller.meet_valve()
     backup.write(folder, controller.name, before)
     say(arguments, f"wrote {folder / backup.PARAMETERS}: the parameters from before")
@@ -163,7 +166,7 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     told: list[str] = []
     try:
         with sequence.reversible(controller, before, told.append):
-            result = sequence.run(controller, plan, before, steps.confirm, steps.progress)
+            result = sequence.run(controller, plan, before, steps)
             backup.mark(folder, controller.name, backup.DONE)
     except BaseException as error:
         steps.close()
@@ -184,7 +187,7 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
 
 
 class _Steps:
-    """Asks before each step, and shows its progress."""
+    """Asks before each step, shows its progress, and writes what is found on the way."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         self._arguments = arguments
@@ -216,6 +219,23 @@ class _Steps:
         self._bar.total = total
         self._bar.update(done - self._bar.n)
 
+    def found(self, valve: "Values") -> None:
+        """Write the fitted valve, which is worth having whatever becomes of the gains."""
+        self._keep("valve.yaml", "/**/valve_simulator", valve, "The valve as commissioning found it.")
+
+    def not_taken(self, changes: "Values", reason: str) -> None:
+        """Write the gains that the running valve did not take."""
+        about = f"Gains that the running valve did not take: {reason}."
+        self._keep("refused.yaml", self._arguments.node, changes, about)
+
+    def _keep(self, name: str, node: str, values: "Values", about: str) -> None:
+        from valve_control.parameters import files
+
+        self.close()
+        path = Path(self._arguments.folder) / name
+        outputs.write(str(path), files.as_yaml({node: values}, [about]))
+        say(self._arguments, f"wrote {path}")
+
     def close(self) -> None:
         """End the bar that is shown."""
         if self._bar is not None:
@@ -233,10 +253,8 @@ def _write(arguments: argparse.Namespace, result: "Result") -> None:
         "valve-control " + " ".join(arguments.line),
         f"e_rms {made.measured.e_rms:.4g} V and c_u {made.measured.c_u:.3f} in the verification run",
     ]
-    valve = sequence.valve_values(result)
     texts = {
         "tuned.yaml": files.as_yaml({arguments.node: result.applied}, about),
-        "valve.yaml": files.as_yaml({"/**/valve_simulator": valve}, ["The valve as commissioning found it."]),
         "commission.json": outputs.as_json(sequence.as_dict(result)),
         "report.html": report.page(result),
     }

@@ -42,6 +42,10 @@ class Fault(RuntimeError):
     """Ends a commissioning at once; the message is one clause for the user."""
 
 
+class Swings(Fault):
+    """The loop of controller and valve swings."""
+
+
 class Bench(Protocol):
     """A running controller with its valve."""
 

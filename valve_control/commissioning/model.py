@@ -116,17 +116,18 @@ def controller_values(known: Known, law: str) -> Values:
     return {**estimates, **own}
 
 
-def box(found: Plant, period: float) -> list[Quantity]:
-    """What one valve may be from day to day, around what was found."""
+def box(found: Plant, period: float, wider: float = 1.0) -> list[Quantity]:
+    """What one valve may be from day to day, around what was found; ``wider``: times as far as usual."""
+    spread, rubbing, shift = wider * SPREAD, wider * RUBBING, wider * OFFSET
     friction, offset = found.friction.coulomb, max(-9.0, min(9.0, found.offset))
     quantities = [
-        Quantity("gain", 1.0 - SPREAD, 1.0 + SPREAD, "-"),
-        Quantity("speed", 1.0 - SPREAD, 1.0 + SPREAD, "-"),
-        Quantity("disturbance.offset", offset - OFFSET, offset + OFFSET, "V"),
-        Quantity("lvdt.delay", found.delay, found.delay + LATER * period, "s"),
+        Quantity("gain", 1.0 - spread, 1.0 + spread, "-"),
+        Quantity("speed", 1.0 - spread, 1.0 + spread, "-"),
+        Quantity("disturbance.offset", offset - shift, offset + shift, "V"),
+        Quantity("lvdt.delay", found.delay, found.delay + wider * LATER * period, "s"),
     ]
     if friction > 0.0:
-        low, high = (1.0 - RUBBING) * friction, (1.0 + RUBBING) * friction
+        low, high = (1.0 - rubbing) * friction, (1.0 + rubbing) * friction
         quantities.append(Quantity("friction.coulomb", low, high, "V"))
     return quantities
 

@@ -8,70 +8,32 @@ process.
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from valve_control import interrupts
-from valve_control.analysis.indices import Indices, indices
-from valve_control.commissioning import backup, courses, model, plant, small_signal, statics
-from valve_control.commissioning.bench import Bench, Course, Fault, Limits, Record
+from valve_control.commissioning import backup, courses, gains, model, plant, small_signal, statics
+from valve_control.commissioning.bench import Bench, Course, Fault, Record, Swings
+from valve_control.commissioning.gains import Gains, Verification
+from valve_control.commissioning.plan import Plan, limiting
 from valve_control.commissioning.plant import Plant
 from valve_control.commissioning.statics import Friction, Rest, Static
-from valve_control.identification import rational
-from valve_control.identification.rational import Fit
 from valve_control.identification.response import Response
-from valve_control.laws.registry import LAWS
-from valve_control.parameter import ParameterError, Value, Values, defaults, number, updated
-from valve_control.parameters.table import CONTROLLER, NODES
-from valve_control.simulation import offline
-from valve_control.tuning import box, trial, tuner, verification
-from valve_control.tuning.trial import Problem
-from valve_control.tuning.tuner import Aim, Tuned
+from valve_control.parameter import ParameterError, Values, number
+from valve_control.tuning import tuner, verification
+from valve_control.tuning.tuner import Tuned
 
 SPRING = 0.5  # s  in which the spring centres the spool
 STILL = 2.0  # s  at rest
 RATE = 0.4  # 1/s  times the limit of the voltage: rate of the triangle
 TURNS = 4  # of the triangle
-ROUNDS = 3  # of friction and lag
-HIGHER = (
-    (3, 0),
-    (4, 2),
-)  # orders beside the second, and their zeros: a lag of solenoid or amplifier has none
-SILENCE = 0.5  # s  of the command, after which the controller leads to neutral
-UNSEEN_SEED = 1_000_003  # added to the seed for valves that the search does not see
-WORSE = 2.0  # times error and chatter of the simulation, that the running valve may have
-SLACK = 0.002  # V  of error beside that
+PAUSE = 0.3  # s  after each motion of the verification run
+# Times as wide as usual, the boxes of valves around the model that gains are sought for: the second one where
+# the running valve does not take the gains of the first.
+BOXES = (1.0, 2.0)
 # Of the step "model", in percent, what is done when the fits of the response are, and when the valve is.
 RESPONSE, VALVE, WHOLE = 25.0, 95.0, 100.0
-VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
-
-Confirm = Callable[[str], bool]  # whether to go on with a step
-Progress = Callable[[str, float, float], None]  # name of the step, done, of
-
-
-class Plan(NamedTuple):
-    """What is wanted of a commissioning."""
-
-    limits: Limits
-    law: str
-    chatter: float  # limit of c_u
-    budget: int  # sets of gains
-    valves: int  # that are simulated in the search
-    unseen: int  # on which gains are verified
-    seed: int
-    threads: int
-    firm: bool = True  # False: where no gains keep the limit of c_u, the quieter ones are taken
-
-
-class Verification(NamedTuple):
-    """The verification run, and what the simulation of the fitted valve says of it."""
-
-    record: Record
-    measured: Indices
-    expected: Indices  # with the new gains
-    former: Indices | None  # with the parameters from before, None if those saturate or are unstable
-    reasons: list[str]  # why the gains are not accepted
 
 
 class Result(NamedTuple):
@@ -97,38 +59,20 @@ class Refused(RuntimeError):
     """The user does not want to go on."""
 
 
-def limiting(before: Values, limits: Limits) -> Values:
-    """What keeps the ``limits`` on the controller, while the voltage is commanded."""
-    timeout = number(before, "command_timeout")
-    return {
-        "controller": "open_loop",
-        "open_loop.static_gain": 1.0,
-        "u_max": limits.voltage,
-        "command_limit": limits.voltage,
-        "command_timeout": SILENCE if timeout == 0.0 else min(timeout, SILENCE),
-        "command.interpolation": "hold",
-        "reshaping.lead": 0.0,
-    }
+class Steps(Protocol):
+    """Who goes through the steps with the valve."""
 
+    def confirm(self, text: str) -> bool:
+        """Whether to go on with a step; ``text`` says what it does."""
 
-def check(plan: Plan, values: Values) -> None:
-    """Raise ParameterError unless ``plan`` fits a controller with these ``values``."""
-    u_max, lvdt_limit = number(values, "u_max"), number(values, "lvdt.limit")
-    if not 0.1 <= plan.limits.voltage <= u_max:
-        raise ParameterError(
-            f"--max-voltage is {plan.limits.voltage:g} V; it must lie between 0.1 V and u_max, {u_max:g} V"
-        )
-    if not 0.2 <= plan.limits.travel <= min(lvdt_limit, number(values, "command_limit")):
-        most = min(lvdt_limit, number(values, "command_limit"))
-        raise ParameterError(
-            f"--travel is {plan.limits.travel:g} V; it must lie between 0.2 V and the smaller of lvdt.limit "
-            f"and command_limit, {most:g} V"
-        )
-    if values["lockstep"]:
-        raise ParameterError("the controller runs in lockstep; a valve is commissioned on the wall clock")
-    if not LAWS[plan.law].free:
-        raise ParameterError(f"{plan.law} has no gains to choose; there is nothing to tune")
-    updated(CONTROLLER, values, limiting(values, plan.limits))
+    def progress(self, name: str, done: float, total: float) -> None:
+        """``done`` of ``total`` of the step ``name`` are over."""
+
+    def found(self, valve: Values) -> None:
+        """The valve as parameters of the simulated one, as soon as it is known."""
+
+    def not_taken(self, changes: Values, reason: str) -> None:
+        """The gains that the running valve did not take, and why."""
 
 
 @contextmanager
@@ -146,121 +90,213 @@ def reversible(bench: Bench, before: Values, said: Callable[[str], None]) -> Ite
                 said("the controller is inactive and gives 0 V")
             except Fault as fault:
                 said(f"the controller could not be switched off: {fault}")
-            restore(bench, before)
+            bring_to(bench, before)
             said("all its parameters are as before")
         raise
 
 
-def restore(bench: Bench, before: Values) -> int:
-    """Set all parameters ``before``; returns how many differed. Raises Fault if they are not back."""
-    changes = backup.differences(bench.values(), before)
+def bring_to(bench: Bench, wanted: Values) -> int:
+    """Set what differs from all the parameters ``wanted``; returns how many. Raises Fault."""
+    changes = backup.differences(bench.values(), wanted)
     if changes:
         bench.apply(changes)
-        left = backup.differences(bench.values(), before)
+        left = backup.differences(bench.values(), wanted)
         if left:
-            raise Fault(f"{', '.join(left)} could not be set back")
+            raise Fault(f"{', '.join(left)} could not be set")
     return len(changes)
 
 
-def run(bench: Bench, plan: Plan, before: Values, confirm: Confirm, progress: Progress) -> Result:
+def run(bench: Bench, plan: Plan, before: Values, steps: Steps) -> Result:
     """Commission the valve of ``bench``, whose controller has the parameters ``before``.
 
     Raises Fault, ParameterError (one sentence) or Refused; the controller then is as it was left: call it
     within ``reversible``.
     """
-    limits, period = plan.limits, number(before, "sample_period")
-    seconds: dict[str, float] = {}
+    return _Commissioning(bench, plan, before, steps).run()
 
-    def drive(name: str, course: Course, about: Callable[[], float]) -> Record:
-        began = time.monotonic()
-        record = bench.drive(course, limits, lambda done: progress(name, min(done, about()), about()))
-        progress(name, about(), about())
-        seconds[name] = time.monotonic() - began
+
+class _Commissioning:
+    """One valve on its way from the parameters ``before`` to new ones."""
+
+    def __init__(self, bench: Bench, plan: Plan, before: Values, steps: Steps) -> None:
+        self._bench, self._plan, self._before, self._steps = bench, plan, before, steps
+        self._limits, self._period = plan.limits, number(before, "sample_period")
+        self._seconds: dict[str, float] = {}
+
+    def run(self) -> Result:
+        limits, period, before = self._limits, self._period, self._before
+        self._ask(
+            f"0 V; the controller gets its limits (±{limits.voltage:g} V, reading within ±{limits.travel:g} "
+            f"V) and the law open_loop; then {STILL:g} s at 0 V"
+        )
+        self._to_rest()
+        rest = statics.at_rest(self._drive("noise at rest", courses.rest(STILL), lambda: STILL))
+        slow = self._triangle()
+        static = statics.slow(slow, rest, limits)
+        planned = small_signal.plan(limits, rest, static, period)
+        sine = self._sine(planned)
+        with self._timed("model"):
+            self._modelled(0.0)
+            response, fits, friction = small_signal.linear(
+                sine, planned, static, rest, lambda done, total: self._modelled(RESPONSE * done / total)
+            )
+            found = plant.fitted(
+                [slow, sine], fits, friction, static.offset, rest,
+                lambda done, total: self._modelled(RESPONSE + (VALVE - RESPONSE) * done / total),
+                self._plan.threads,
+            )  # fmt: skip
+            self._modelled(VALVE)
+            self._steps.found(plant.values(found, rest, period, number(before, "u_max")))
+            known = model.Known(found, rest, period, number(before, "u_max"), self._plan.law)
+            self._modelled(WHOLE)
+        made, verified, notes = self._gains(found, known, rest)
+        self._ask("the new gains stay; voltage and travel get their limits from before back")
+        final = {**before, **made.chosen}
+        bring_to(self._bench, final)
+        self._bench.watch(
+            limits._replace(voltage=number(before, "u_max"), travel=number(before, "lvdt.limit"))
+        )
+        notes = [*response.notes, *_unexplained(found), *known.notes, *notes]
+        notes += _louder(self._plan, made.tuned, rest)
+        return Result(
+            self._plan, before, rest, slow, static, found.friction, sine, response, found, made.tuned,
+            backup.differences(before, final), verified, notes, self._seconds,
+        )  # fmt: skip
+
+    def _to_rest(self) -> None:
+        """The valve at 0 V, the controller open loop within the limits, its other parameters as before."""
+        self._bench.off()
+        bring_to(self._bench, {**self._before, **limiting(self._before, self._limits)})
+        self._bench.on()
+        # Where the law from before left the spool is not the commissioning's doing.
+        self._bench.drive(courses.rest(SPRING), self._limits._replace(travel=np.inf), lambda done: None)
+        self._bench.apply({"lvdt.limit": self._limits.travel})
+
+    def _triangle(self) -> Record:
+        limits, rate = self._limits, RATE * self._limits.voltage
+        self._ask(
+            f"a slow triangle of the voltage up to ±{limits.voltage:g} V, turned at {courses.REACH:.0%} of "
+            "the travel"
+        )
+        turned: list[float] = []
+        return self._drive(
+            "slow triangle",
+            courses.triangle(limits, rate, TURNS, turned.append),
+            lambda: courses.triangle_time(limits, rate, TURNS, turned),
+        )
+
+    def _sine(self, planned: small_signal.Plan) -> Record:
+        length = planned.steps[-1].end
+        self._ask(
+            f"{length:.0f} s of sines of {planned.amplitude:.2g} V from {planned.steps[0].frequency:g} to "
+            f"{planned.steps[-1].frequency:g} Hz"
+        )
+        course = courses.stepped_sine(self._limits, planned.steps, planned.amplitude, planned.offset)
+        return self._drive("stepped sine", course, lambda: length)
+
+    def _gains(self, found: Plant, known: model.Known, rest: Rest) -> tuple[Gains, Verification, list[str]]:
+        """Gains that the running valve takes, and notes on those that it did not. Raises ParameterError."""
+        refusals: list[str] = []
+        for wider in BOXES:
+            if refusals:
+                self._to_rest()
+            made = self._tuned(found, known, rest, wider, refusals)
+            verified, reasons = self._verified(made)
+            if verified is not None and not reasons:
+                return made, verified, [_taken_at_last(wider, text) for text in refusals]
+            refusals.append("; ".join(reasons))
+            self._steps.not_taken(made.chosen, refusals[-1])
+        raise ParameterError(_not_accepted(refusals))
+
+    def _tuned(
+        self, found: Plant, known: model.Known, rest: Rest, wider: float, refusals: list[str]
+    ) -> Gains:
+        tried = f"{self._plan.budget} sets of gains of {self._plan.law} are tried in simulation"
+        if refusals:
+            tried = (
+                f"the running valve does not take these gains ({refusals[-1]}); {tried}, for valves "
+                f"{wider:g} times as far from the model"
+            )
+        self._ask(f"{tried}; the valve stays at 0 V")
+
+        def told(done: float, total: float) -> None:
+            self._bench.watch(self._limits)
+            self._steps.progress("tuning", done, total)
+
+        with self._timed("tuning"):
+            try:
+                made = gains.tuned(self._plan, self._before, found, known, rest, wider, told)
+            except ParameterError as error:
+                if not refusals:
+                    raise
+                raise ParameterError(_not_accepted([*refusals, str(error)])) from error
+        if not made.tuned.chosen.holds:
+            reasons = "; ".join(made.tuned.chosen.verified.reasons)
+            raise ParameterError(_not_accepted([*refusals, reasons]))
+        return made
+
+    def _verified(self, made: Gains) -> tuple[Verification | None, list[str]]:
+        """The verification run, None if it ended early, and why the gains are not accepted."""
+        pause = np.zeros(round(PAUSE / self._period))
+        wanted = np.concatenate([part for motion in made.motions for part in (motion.wanted, pause)])
+        length = len(wanted) * self._period
+        self._ask(
+            f"the new gains of {self._plan.law} are set, and the valve moves for {length:.0f} s in closed "
+            "loop"
+        )
+        self._bench.apply({**made.chosen, "command_limit": self._limits.travel})
+        try:
+            record = self._drive("verification", courses.motion(wanted, self._period), lambda: length)
+        except Swings as fault:
+            self._bench.off()
+            return None, [str(fault)]
+        verified = gains.judged(self._plan, self._before, made, record)
+        return verified, verified.reasons
+
+    def _drive(self, name: str, course: Course, about: Callable[[], float]) -> Record:
+        """Record of ``course``, the step ``name``; ``about``: how long [s] it takes."""
+        with self._timed(name):
+            record = self._bench.drive(
+                course,
+                self._limits,
+                lambda done: self._steps.progress(name, min(done, about()), about()),
+            )
+            self._steps.progress(name, about(), about())
         return record
 
-    def ask(text: str) -> None:
-        if not confirm(text):
+    def _ask(self, text: str) -> None:
+        if not self._steps.confirm(text):
             raise Refused("stopped by the user")
 
-    ask(
-        f"0 V; the controller gets its limits (±{limits.voltage:g} V, reading within ±{limits.travel:g} V) "
-        f"and the law open_loop; then {STILL:g} s at 0 V"
-    )
-    bench.off()
-    bench.apply(limiting(before, limits))
-    bench.on()
-    # Where the law from before left the spool is not the commissioning's doing.
-    bench.drive(courses.rest(SPRING), limits._replace(travel=np.inf), lambda done: None)
-    bench.apply({"lvdt.limit": limits.travel})
-    rest = statics.at_rest(drive("noise at rest", courses.rest(STILL), lambda: STILL))
-    ask(
-        f"a slow triangle of the voltage up to ±{limits.voltage:g} V, turned at {courses.REACH:.0%} of the "
-        "travel"
-    )
-    rate = RATE * limits.voltage
-    turned: list[float] = []
-    slow = drive(
-        "slow triangle",
-        courses.triangle(limits, rate, TURNS, turned.append),
-        lambda: courses.triangle_time(limits, rate, TURNS, turned),
-    )
-    static = statics.slow(slow, rest, limits)
-    planned = small_signal.plan(limits, rest, static, period)
-    length = planned.steps[-1].end
-    ask(
-        f"{length:.0f} s of sines of {planned.amplitude:.2g} V from {planned.steps[0].frequency:g} to "
-        f"{planned.steps[-1].frequency:g} Hz"
-    )
-    course = courses.stepped_sine(limits, planned.steps, planned.amplitude, planned.offset)
-    sine = drive("stepped sine", course, lambda: length)
-    began = time.monotonic()
+    def _modelled(self, percent: float) -> None:
+        self._bench.watch(self._limits)
+        self._steps.progress("model", percent, WHOLE)
 
-    def modelled(percent: float) -> None:
-        bench.watch(limits)
-        progress("model", percent, WHOLE)
+    @contextmanager
+    def _timed(self, name: str) -> Iterator[None]:
+        """Add the time of the block to that of the step ``name``."""
+        began = time.monotonic()
+        try:
+            yield
+        finally:
+            self._seconds[name] = self._seconds.get(name, 0.0) + time.monotonic() - began
 
-    modelled(0.0)
-    response, fits, friction = _linear(
-        sine, planned, static, rest, lambda done, total: modelled(RESPONSE * done / total)
+
+def _not_accepted(refusals: list[str]) -> str:
+    """Why neither the first gains nor those for a wider box are accepted."""
+    if len(refusals) == 1:
+        return f"the gains are not accepted: {refusals[0]}"
+    return (
+        f"the gains are not accepted: {refusals[0]}; nor are those for valves {BOXES[-1]:g} times as far "
+        f"from the model: {refusals[1]}"
     )
-    found = plant.fitted(
-        [slow, sine], fits, friction, static.offset, rest,
-        lambda done, total: modelled(RESPONSE + (VALVE - RESPONSE) * done / total),
-    )  # fmt: skip
-    modelled(VALVE)
-    known = model.Known(found, rest, period, number(before, "u_max"), plan.law)
-    modelled(WHOLE)
-    seconds["model"] = time.monotonic() - began
-    ask(f"{plan.budget} sets of gains of {plan.law} are tried in simulation; the valve stays at 0 V")
-    began = time.monotonic()
-    tuned, motions, valve_values, own = _tuned(bench, plan, before, found, known, rest, progress)
-    seconds["tuning"] = time.monotonic() - began
-    if not tuned.chosen.holds:
-        raise ParameterError(f"the gains are not accepted: {'; '.join(tuned.chosen.verified.reasons)}")
-    chosen = _chosen(before, own, tuned)
-    wanted = np.concatenate([np.concatenate([m.wanted, np.zeros(round(0.3 / period))]) for m in motions])
-    ask(
-        f"the new gains of {plan.law} are set, and the valve moves for {len(wanted) * period:.0f} s in "
-        "closed loop"
+
+
+def _taken_at_last(wider: float, refusal: str) -> str:
+    return (
+        f"the running valve did not take the first gains ({refusal}); those in force are for valves "
+        f"{wider:g} times as far from the model"
     )
-    bench.apply({**chosen, "command_limit": limits.travel})
-    record = drive("verification", courses.motion(wanted, period), lambda: len(wanted) * period)
-    limit = plan.chatter if tuned.chatter is None else tuned.chatter
-    verified = _verified(plan, limit, before, chosen, valve_values, record)
-    if verified.reasons:
-        raise ParameterError(f"the gains are not accepted: {'; '.join(verified.reasons)}")
-    ask("the new gains stay; voltage and travel get their limits from before back")
-    final = {**before, **chosen}
-    bench.apply(backup.differences(bench.values(), final))
-    left = backup.differences(bench.values(), final)
-    if left:
-        raise Fault(f"{', '.join(left)} could not be set")
-    bench.watch(limits._replace(voltage=number(before, "u_max"), travel=number(before, "lvdt.limit")))
-    notes = [*response.notes, *_unexplained(found), *known.notes, *_louder(plan, tuned, rest)]
-    return Result(
-        plan, before, rest, slow, static, found.friction, sine, response, found, tuned,
-        backup.differences(before, final), verified, notes, seconds,
-    )  # fmt: skip
 
 
 def _unexplained(found: Plant) -> list[str]:
@@ -289,148 +325,6 @@ def _louder(plan: Plan, tuned: Tuned, rest: Rest) -> list[str]:
         f"(least of {tuned.tried} sets: {least:.3g}); those of least error up to {tuned.chatter:.3g} are "
         "taken; --max-chatter sets a limit that is kept in any case"
     ]
-
-
-def _linear(
-    sine: Record,
-    planned: small_signal.Plan,
-    static: Static,
-    rest: Rest,
-    told: plant.Told = lambda done, total: None,
-) -> tuple[Response, list[Fit], Friction]:
-    """Response without friction, its fits, and friction without the valve's own lag.
-
-    ``told`` gets the fits that are done, and of how many. Raises ParameterError.
-    """
-    friction = Friction(static.friction, 1.0)
-    total = float(ROUNDS + len(HIGHER))
-    for done in range(ROUNDS):
-        told(float(done), total)
-        response = small_signal.measured(sine, planned, friction.coulomb)
-        second = rational.fit(response, 2)
-        lag = second.model.denominator[1] / second.model.denominator[2] + second.delay
-        friction = statics.friction(static, lag, rest)
-    fits = [second]
-    for done, (order, zeros) in enumerate(HIGHER, ROUNDS):
-        told(float(done), total)
-        try:
-            fits.append(rational.fit(response, order, zeros))
-        except ParameterError as error:
-            response = response._replace(notes=(*response.notes, f"no model of order {order}: {error}"))
-    return response, fits, friction
-
-
-def _tuned(
-    bench: Bench,
-    plan: Plan,
-    before: Values,
-    found: Plant,
-    known: model.Known,
-    rest: Rest,
-    progress: Progress,
-) -> tuple[Tuned, list[Any], Values, Values]:
-    """Gains for the fitted valve and its box, motions, the simulated valve, the law's model.
-
-    Raises ParameterError.
-    """
-    limits, period = plan.limits, number(before, "sample_period")
-    valve_values = updated(
-        NODES["valve_simulator"],
-        defaults(NODES["valve_simulator"]),
-        plant.values(found, rest, period, limits.voltage),
-    )
-    own = model.controller_values(known, plan.law)
-    values = updated(
-        CONTROLLER,
-        before,
-        {**own, "controller": plan.law, "u_max": limits.voltage, "command_limit": limits.travel},
-    )
-    motions = model.motions(found, known, limits, period)
-    settings = {
-        "controller": values,
-        "valve_simulator": valve_values,
-        "command_source": updated(
-            NODES["command_source"], defaults(NODES["command_source"]), {"sample_period": period}
-        ),
-    }
-    quantities = model.box(found, period)
-    seen, other = (
-        box.study_of(settings, quantities, count, seed)
-        for count, seed in ((plan.valves, plan.seed), (plan.unseen, plan.seed + UNSEEN_SEED))
-    )
-    problem = Problem(
-        values, motions, box.drawn(seen), box.bounding(seen), trial.USUAL, False, False, plan.seed
-    )
-    unseen = problem._replace(plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + UNSEEN_SEED)
-    law = LAWS[plan.law]
-    total = plan.budget * len(tuner.variants(law, values))
-    verifying = VERIFYING * plan.unseen / plan.valves
-
-    def told(done: float, verifications: int = 1) -> None:
-        bench.watch(limits)
-        progress("tuning", done, total + verifications * verifying)
-
-    told(0.0)
-    tuned = tuner.tuned(
-        law, problem, unseen, Aim(plan.chatter, None, plan.firm), plan.budget, plan.seed, told, plan.threads,
-        lambda tried: told(total + tried * verifying, tried + 1),
-    )  # fmt: skip
-    told(total + verifying)
-    return tuned, motions, valve_values, own
-
-
-def _chosen(before: Values, own: Values, tuned: Tuned) -> dict[str, Value]:
-    """What the controller gets for good."""
-    return {**own, **tuned.chosen.changes, "controller": tuned.law}
-
-
-def _verified(
-    plan: Plan, chatter: float, before: Values, chosen: Values, valve_values: Values, record: Record
-) -> Verification:
-    """Judge the verification run by the simulation of the same commands; ``chatter``: limit of c_u.
-
-    Raises ParameterError.
-    """
-    measured = _indices(record)
-    limited = {"u_max": plan.limits.voltage, "command_limit": plan.limits.travel}
-    made = offline.simulate(updated(CONTROLLER, before, {**chosen, **limited}), valve_values, record.command)
-    former: Indices | None = None
-    with np.errstate(over="ignore", invalid="ignore"):
-        old = offline.simulate(updated(CONTROLLER, before, limited), valve_values, record.command)
-    if np.all(np.isfinite(old.measurement)):
-        former = old.indices
-    reasons = []
-    most = WORSE * made.indices.e_rms + SLACK
-    if not measured.e_rms <= most:
-        reasons.append(
-            f"the error is {1e3 * measured.e_rms:.3g} mV rms on the running valve, and "
-            f"{1e3 * made.indices.e_rms:.3g} mV in simulation: the model does not describe this valve"
-        )
-    most_chatter = WORSE * max(chatter, made.indices.c_u)
-    if not measured.c_u <= most_chatter:
-        reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
-    if former is not None and former.e_rms < measured.e_rms and former.c_u < chatter:
-        reasons.append(
-            f"in simulation the parameters from before do better, {1e3 * former.e_rms:.3g} mV rms instead of "
-            f"{1e3 * measured.e_rms:.3g} mV"
-        )
-    return Verification(record, measured, made.indices, former, reasons)
-
-
-def _indices(record: Record) -> Indices:
-    known = np.isfinite(record.reading) & np.isfinite(record.voltage) & np.isfinite(record.command)
-    return indices(
-        np.where(known, record.reading - record.command, 0.0),
-        np.where(known, record.voltage, 0.0),
-        record.period,
-        known,
-    )
-
-
-def valve_values(result: Result) -> Values:
-    """The valve that was found, as parameters of the simulated one with the limits from before."""
-    before = result.before
-    return plant.values(result.plant, result.rest, number(before, "sample_period"), number(before, "u_max"))
 
 
 def as_dict(result: Result) -> dict[str, Any]:

@@ -6,16 +6,19 @@ harmonic is 4F/π. So the valve itself was driven by U - (4F/π)·j·Y/|Y| inste
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from valve_control.commands import scenarios
+from valve_control.commissioning import statics
 from valve_control.commissioning.bench import Limits, Record
 from valve_control.commissioning.courses import REACH
-from valve_control.commissioning.statics import Rest, Static
-from valve_control.identification import response
+from valve_control.commissioning.statics import Friction, Rest, Static
+from valve_control.identification import rational, response
+from valve_control.identification.rational import Fit
 from valve_control.identification.response import Response, Segment
 from valve_control.parameter import ParameterError
 
@@ -28,6 +31,11 @@ FILLED = 0.9  # of the travel at which a course turns round, that the lowest fre
 SLIDES = 1.4  # times the friction, which a sine needs at least
 DRIVEN = 0.25  # of a sine's amplitude, that must be left for the valve itself
 UNSURE = 0.05  # relative uncertainty of the friction
+ROUNDS = 3  # of friction and lag
+# Orders beside the second, and their zeros: a lag of solenoid or amplifier has none.
+HIGHER = ((3, 0), (4, 2))
+
+Told = Callable[[float, float], None]  # fits that are done, of how many
 
 
 class Plan(NamedTuple):
@@ -77,6 +85,35 @@ def measured(record: Record, made: Plan, friction: float) -> Response:
         driven = math.sqrt(2.0) * float(np.std(record.voltage[middle : segment.end]))
         kept.append((i, driven))
     return _without(seen, dict(kept), friction)
+
+
+def linear(
+    sine: Record,
+    planned: Plan,
+    static: Static,
+    rest: Rest,
+    told: Told = lambda done, total: None,
+) -> tuple[Response, list[Fit], Friction]:
+    """Response without friction, its fits, and friction without the valve's own lag.
+
+    ``told`` gets the fits that are done, and of how many. Raises ParameterError.
+    """
+    friction = Friction(static.friction, 1.0)
+    total = float(ROUNDS + len(HIGHER))
+    for done in range(ROUNDS):
+        told(float(done), total)
+        response = measured(sine, planned, friction.coulomb)
+        second = rational.fit(response, 2)
+        lag = second.model.denominator[1] / second.model.denominator[2] + second.delay
+        friction = statics.friction(static, lag, rest)
+    fits = [second]
+    for done, (order, zeros) in enumerate(HIGHER, ROUNDS):
+        told(float(done), total)
+        try:
+            fits.append(rational.fit(response, order, zeros))
+        except ParameterError as error:
+            response = response._replace(notes=(*response.notes, f"no model of order {order}: {error}"))
+    return response, fits, friction
 
 
 def _without(seen: Response, driven: dict[int, float], friction: float) -> Response:

@@ -2,17 +2,13 @@
 
 import math
 
-from valve_control.commissioning.bench import Fault, Limits
+from valve_control.commissioning.bench import Fault, Limits, Swings
 
 BEYOND = 3  # readings in a row: a single one may be wrong
 ROUNDING = 1e-9  # V
-ENDS = (
-    "oscillates",
-    "saturated for",
-    "publishers on",
-    "inactive",
-    "unconfigured",
-)  # words of a warning that ends it
+SWINGS = "oscillates"
+# Words of a warning that ends it.
+ENDS = ("saturated for", "publishers on", "inactive", "unconfigured")
 
 
 class Watch:
@@ -38,5 +34,7 @@ class Watch:
 
     def diagnosis(self, error: bool, text: str) -> None:
         """Take in what the controller says of itself; ``error``: it gives 0 V."""
+        if SWINGS in text:
+            raise Swings(f"the controller says: {text}")
         if error or any(word in text for word in ENDS):
             raise Fault(f"the controller says: {text}")

@@ -1,0 +1,142 @@
+"""Tunes the law for the fitted valve, and judges the run that verifies the gains on the running one."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from valve_control.analysis.indices import Indices, indices
+from valve_control.commissioning import model, plant
+from valve_control.commissioning.bench import Record
+from valve_control.commissioning.plan import Plan
+from valve_control.commissioning.plant import Plant
+from valve_control.commissioning.statics import Rest
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import Values, defaults, number, updated
+from valve_control.parameters.table import CONTROLLER, NODES
+from valve_control.simulation import offline
+from valve_control.tuning import box, trial, tuner
+from valve_control.tuning.trial import Motion, Problem
+from valve_control.tuning.tuner import Aim, Tuned
+
+UNSEEN_SEED = 1_000_003  # added to the seed for valves that the search does not see
+WORSE = 2.0  # times error and chatter of the simulation, that the running valve may have
+SLACK = 0.002  # V  of error beside that
+VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
+
+Told = Callable[[float, float], None]  # sets of gains that are over, of about how many
+
+
+class Gains(NamedTuple):
+    """What tuning chose, and what it was chosen on."""
+
+    tuned: Tuned
+    motions: list[Motion]
+    valve: Values  # of the simulated valve, with the limit of the voltage that is in force
+    chosen: Values  # the controller's parameters that are set
+
+
+class Verification(NamedTuple):
+    """The verification run, and what the simulation of the fitted valve says of it."""
+
+    record: Record
+    measured: Indices
+    expected: Indices  # with the new gains
+    former: Indices | None  # with the parameters from before, None if those saturate or are unstable
+    reasons: list[str]  # why the gains are not accepted
+
+
+def tuned(
+    plan: Plan, before: Values, found: Plant, known: model.Known, rest: Rest, wider: float, told: Told
+) -> Gains:
+    """Gains for the fitted valve and a box around it, ``wider`` times as wide as usual.
+
+    What ``told`` raises ends the search. Raises ParameterError.
+    """
+    limits, period = plan.limits, number(before, "sample_period")
+    valve = updated(
+        NODES["valve_simulator"],
+        defaults(NODES["valve_simulator"]),
+        plant.values(found, rest, period, limits.voltage),
+    )
+    own = model.controller_values(known, plan.law)
+    values = updated(
+        CONTROLLER,
+        before,
+        {**own, "controller": plan.law, "u_max": limits.voltage, "command_limit": limits.travel},
+    )
+    motions = model.motions(found, known, limits, period)
+    settings = {
+        "controller": values,
+        "valve_simulator": valve,
+        "command_source": updated(
+            NODES["command_source"], defaults(NODES["command_source"]), {"sample_period": period}
+        ),
+    }
+    quantities = model.box(found, period, wider)
+    seen, other = (
+        box.study_of(settings, quantities, count, seed)
+        for count, seed in ((plan.valves, plan.seed), (plan.unseen, plan.seed + UNSEEN_SEED))
+    )
+    problem = Problem(
+        values, motions, box.drawn(seen), box.bounding(seen), trial.USUAL, False, False, plan.seed
+    )
+    unseen = problem._replace(plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + UNSEEN_SEED)
+    law = LAWS[plan.law]
+    total = plan.budget * len(tuner.variants(law, values))
+    verifying = VERIFYING * plan.unseen / plan.valves
+
+    def done(sets: float, verifications: int = 1) -> None:
+        told(sets, total + verifications * verifying)
+
+    done(0.0)
+    made = tuner.tuned(
+        law, problem, unseen, Aim(plan.chatter, None, plan.firm), plan.budget, plan.seed, done, plan.threads,
+        lambda tried: done(total + tried * verifying, tried + 1),
+    )  # fmt: skip
+    done(total + verifying)
+    return Gains(made, motions, valve, {**own, **made.chosen.changes, "controller": made.law})
+
+
+def judged(plan: Plan, before: Values, gains: Gains, record: Record) -> Verification:
+    """Judge the verification run of a ``record`` by the simulation of the same commands.
+
+    Raises ParameterError.
+    """
+    chatter = plan.chatter if gains.tuned.chatter is None else gains.tuned.chatter
+    measured = _indices(record)
+    limited = {"u_max": plan.limits.voltage, "command_limit": plan.limits.travel}
+    made = offline.simulate(
+        updated(CONTROLLER, before, {**gains.chosen, **limited}), gains.valve, record.command
+    )
+    former: Indices | None = None
+    with np.errstate(over="ignore", invalid="ignore"):
+        old = offline.simulate(updated(CONTROLLER, before, limited), gains.valve, record.command)
+    if np.all(np.isfinite(old.measurement)):
+        former = old.indices
+    reasons = []
+    most = WORSE * made.indices.e_rms + SLACK
+    if not measured.e_rms <= most:
+        reasons.append(
+            f"the error is {1e3 * measured.e_rms:.3g} mV rms on the running valve, and "
+            f"{1e3 * made.indices.e_rms:.3g} mV in simulation: the model does not describe this valve"
+        )
+    most_chatter = WORSE * max(chatter, made.indices.c_u)
+    if not measured.c_u <= most_chatter:
+        reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
+    if former is not None and former.e_rms < measured.e_rms and former.c_u < chatter:
+        reasons.append(
+            f"in simulation the parameters from before do better, {1e3 * former.e_rms:.3g} mV rms instead of "
+            f"{1e3 * measured.e_rms:.3g} mV"
+        )
+    return Verification(record, measured, made.indices, former, reasons)
+
+
+def _indices(record: Record) -> Indices:
+    known = np.isfinite(record.reading) & np.isfinite(record.voltage) & np.isfinite(record.command)
+    return indices(
+        np.where(known, record.reading - record.command, 0.0),
+        np.where(known, record.voltage, 0.0),
+        record.period,
+        known,
+    )
