@@ -83,8 +83,7 @@ class SupervisedValve:
             reading, voltage = self.sample()
             watch.reading(reading)
             watch.voltage(voltage)
-            if self.supervisor.mode is Mode.SAFE:
-                raise Fault(self.supervisor.reason)
+            watch.diagnosis(self.supervisor.mode is Mode.SAFE, self.supervisor.reason)
             readings.append(reading)
             voltages.append(voltage)
             commands.append(limited)

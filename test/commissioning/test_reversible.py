@@ -9,11 +9,13 @@ from hypothesis import strategies as st
 from supervised import Steps, SupervisedValve
 
 from valve_control.commissioning import backup, sequence
-from valve_control.commissioning.bench import Fault, Limits
+from valve_control.commissioning.bench import Fault, Limits, Swings
 from valve_control.commissioning.plan import Plan, check
 from valve_control.commissioning.watch import Watch
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters.table import CONTROLLER
+from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.plant import valve as plant
 
 LIMITS = Limits(3.0, 1.5)
 BEFORE = {"controller": "oarc", "u_max": 9.0, "oarc.k1": 77.0, "command_limit": 8.0, "reshaping.lead": 0.004}
@@ -85,6 +87,54 @@ def test_from_first_to_last_step():
     assert valve.values() == before
 
 
+class BecomesLater(Steps):
+    """When the model is found, the dead time of ``valve`` grows to ``delay`` [s]."""
+
+    def __init__(self, valve, delay):
+        super().__init__()
+        self._valve, self._delay = valve, delay
+
+    def found(self, valve):
+        super().found(valve)
+        bench = self._valve
+        bench.plant = updated(VALVE, bench.plant, {"lvdt.delay": self._delay})
+        bench.params = build.valve_params(bench.plant)
+        bench.state = plant.initial(bench.params)
+
+
+def commissioned_later(delay):
+    """A valve whose dead time grows from 0.5 ms to ``delay`` [s], and how its commissioning ends."""
+    valve = SupervisedValve({"friction.coulomb": 0.6, "lvdt.noise": 0.004, "lvdt.delay": 0.0005})
+    before, steps, result = valve.values(), BecomesLater(valve, delay), None
+    wanted = PLAN._replace(law="dcarc", chatter=0.4, budget=60, valves=4)
+    with sequence.reversible(valve, before, nothing):
+        result = sequence.run(valve, wanted, before, steps)
+    return valve, before, steps, result
+
+
+@pytest.mark.campaign
+def test_gains_that_the_running_valve_does_not_take_are_sought_once_more():
+    """The dead time grows by five periods: a swing, 0 V, and gains for a box twice as wide hold."""
+    valve, before, steps, found = commissioned_later(0.0055)
+    (changes, reason), *more = steps.refused
+    assert not more and ("voltage oscillates at" in reason or "the model does not describe" in reason)
+    assert valve.values() == {**before, **found.applied} and valve.active
+    assert found.applied["dcarc.voltage_weight"] != changes["dcarc.voltage_weight"]
+    assert any("did not take the first gains" in note and reason in note for note in found.notes)
+    assert found.verification.measured.e_rms < 2.0 * found.verification.expected.e_rms + 0.002
+    assert steps.valve["friction.coulomb"] == pytest.approx(0.6, abs=0.03)
+    assert np.max(np.abs(valve.voltages)) <= LIMITS.voltage
+    asked = [text for text in steps.asked if "sets of gains" in text]
+    assert len(asked) == 2 and reason in asked[1] and "2 times as far from the model" in asked[1]
+
+
+@pytest.mark.campaign
+def test_a_valve_that_takes_neither_is_refused_with_both_reasons():
+    words = r"^the gains are not accepted: .* oscillates at .*; nor are those for valves 2 times as far"
+    with pytest.raises(ParameterError, match=words):
+        commissioned_later(0.0165)
+
+
 @pytest.mark.parametrize(
     ("limits", "law", "words"),
     [
@@ -120,7 +170,7 @@ def test_the_watch_ends_it_at_the_first_wrong_message():
     watch.diagnosis(False, "LVDT readings lost: bridged")
     with pytest.raises(Fault, match="LVDT silent"):
         watch.diagnosis(True, "LVDT silent")
-    with pytest.raises(Fault, match="limit cycle"):
+    with pytest.raises(Swings, match="limit cycle"):
         watch.diagnosis(False, "voltage oscillates at 8 Hz with 2 V: limit cycle of law and valve")
 
 

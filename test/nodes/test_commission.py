@@ -282,6 +282,9 @@ def aborted(ros, stack, folder, namespace, planned, reached):
         assert "the controller is inactive and gives 0 V" in said
         assert "all its parameters are as before" in said
         assert not seen.active()
+        if step in ("tuning", "verification"):
+            valve = files.load(str(folder / "kept" / "valve.yaml"))["valve_simulator"]
+            assert valve["friction.coulomb"] == pytest.approx(0.6, abs=0.06), "the model stays"
         yield lambda: seen.voltages[-1] == 0.0, "0 V", 20.0
         assert seen.parameters() == before, said
         if how == "no simulator":
