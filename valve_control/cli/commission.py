@@ -229,12 +229,14 @@ class _Steps:
         self._keep("refused.yaml", self._arguments.node, changes, about)
 
     def _keep(self, name: str, node: str, values: "Values", about: str) -> None:
+        from tqdm import tqdm
+
         from valve_control.parameters import files
 
-        self.close()
         path = Path(self._arguments.folder) / name
         outputs.write(str(path), files.as_yaml({node: values}, [about]))
-        say(self._arguments, f"wrote {path}")
+        with tqdm.external_write_mode():  # a bar may be shown
+            say(self._arguments, f"wrote {path}")
 
     def close(self) -> None:
         """End the bar that is shown."""
