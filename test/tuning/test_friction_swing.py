@@ -170,3 +170,10 @@ def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():
     batch.simulate(batch.Batch(law.name, params, batch.records(plants), np.ones(2, int), led), 1, traces)
     assert np.all(limit_cycles.restless(traces[:, -1000:], PERIOD, 1.0))
     assert limit_cycles.after_all(law, problem, Gains({}, 0.0), plants).tolist() == [1]
+    swing = 0.5 * float(np.ptp(traces[0, -500:, 2]))
+    for limit, counted in ((0.8 * swing, [0, 1]), (1.25 * swing, [1])):
+        told = problem._replace(values={**values, "oscillation_limit": limit}, strict=True)
+        assert limit_cycles.after_all(law, told, Gains({}, 0.0), plants).tolist() == counted
+        assert limit_cycles.after_all(law, told._replace(strict=False), Gains({}, 0.0), plants).tolist() == [
+            1
+        ]

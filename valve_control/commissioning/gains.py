@@ -51,7 +51,10 @@ def tuned(
 ) -> Gains:
     """Gains for the fitted valve and a box around it, ``wider`` times as wide as usual.
 
-    What ``told`` raises ends the search. Raises ParameterError.
+    Beyond the usual one a voltage that the controller reports as an oscillation counts even on a spool that
+    swings by itself: the running one may have shown just that. What ``told`` raises ends the search.
+
+    Raises ParameterError.
     """
     limits, period = plan.limits, number(before, "sample_period")
     valve = updated(
@@ -79,7 +82,15 @@ def tuned(
         for count, seed in ((plan.valves, plan.seed), (plan.unseen, plan.seed + UNSEEN_SEED))
     )
     problem = Problem(
-        values, motions, box.drawn(seen), box.bounding(seen), trial.USUAL, False, False, plan.seed
+        values,
+        motions,
+        box.drawn(seen),
+        box.bounding(seen),
+        trial.USUAL,
+        False,
+        False,
+        plan.seed,
+        wider > 1.0,
     )
     unseen = problem._replace(plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + UNSEEN_SEED)
     law = LAWS[plan.law]

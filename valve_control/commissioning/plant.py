@@ -46,6 +46,7 @@ FIRST_STEP = 0.2  # of the spreads of their search
 # Times the speed of the second order without bristles, where their searches begin: of six searches about four
 # end at the valve, whichever speed they begin from.
 SPEEDS = (1.0, 2.0, 1.0, 2.0)
+DOUBTED = 2  # of these searches, after which there are no bristles if none came nearer with them
 HIDDEN = 2.5  # times the friction that shows, where they begin: of a spool that swings most of it does not
 FASTER = 4.0  # times that speed, the pole beside the quadratic
 NEARER = 0.5  # times the error without bristles, under which they count
@@ -124,7 +125,7 @@ def fitted(
     assert best is not None
     bare, shown = best, max(friction.coulomb, best.friction.coulomb)
     for number, factor in enumerate(SPEEDS):
-        if best.error <= EXPLAINED or friction.coulomb == 0.0:
+        if best.error <= EXPLAINED or friction.coulomb == 0.0 or (number >= DOUBTED and best is bare):
             break
         beside = 0
         each = TRIALS + EVALUATIONS * BRISTLE_UNKNOWNS

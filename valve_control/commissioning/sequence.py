@@ -29,6 +29,7 @@ STILL = 2.0  # s  at rest
 RATE = 0.4  # 1/s  times the limit of the voltage: rate of the triangle
 TURNS = 4  # of the triangle
 PAUSE = 0.3  # s  after each motion of the verification run
+REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
 # Times as wide as usual, the boxes of valves around the model that gains are sought for: the second one where
 # the running valve does not take the gains of the first.
 BOXES = (1.0, 2.0)
@@ -238,7 +239,8 @@ class _Commissioning:
     def _verified(self, made: Gains) -> tuple[Verification | None, list[str]]:
         """The verification run, None if it ended early, and why the gains are not accepted."""
         pause = np.zeros(round(PAUSE / self._period))
-        wanted = np.concatenate([part for motion in made.motions for part in (motion.wanted, pause)])
+        parts = [part for motion in made.motions for part in (motion.wanted, pause)]
+        wanted = np.concatenate([*parts, np.zeros(round(REST / self._period))])
         length = len(wanted) * self._period
         self._ask(
             f"the new gains of {self._plan.law} are set, and the valve moves for {length:.0f} s in closed "

@@ -46,6 +46,11 @@ class _Swing(NamedTuple):
 
     amplitude: float  # V
     voltage: float  # V  mean
+    reported: bool  # whether a controller node reports an oscillation of the voltage, and that counts
+
+    def with_another(self, other: "_Swing") -> "_Swing":
+        """The larger one of two, reported if either is."""
+        return max(self, other)._replace(reported=self.reported or other.reported)
 
 
 def steps(period: float, motions: Sequence[Motion] = (), farther: float = 1.0) -> Motion:
@@ -88,7 +93,7 @@ def restless_shares(
 ) -> list[float]:
     """Share of the ``stressed`` box of ``problem`` on which each of ``several`` does not rest after steps.
 
-    It has HELD for it. The last of the steps goes FARTHER than the motions.
+    It has HELD for it. The last of the steps goes FARTHER than the motions. What counts: see ``after_all``.
     """
     return [float(share.item()) for share in trial.shared(_shares, law, problem, several, workers)]
 
@@ -122,8 +127,9 @@ def after_all(
 
     Each is ``held`` [s]; with LASTING only limit cycles are left. In the last RESTING of it the spool has to
     rest, and the voltage must not show what a controller node reports as an oscillation. A run that does not
-    stay finite counts. A valve that swings at a constant voltage, and in the loop less than OWN times as
-    much, does not. While a command moves, friction answers it with harmonics, which are no limit cycle.
+    stay finite counts. A spool that swings at a constant voltage, and in the loop less than OWN times as
+    much, does not, unless ``problem`` is strict and the node would report it. While a command moves, friction
+    answers it with harmonics, which are no limit cycle.
     """
     period = number(problem.values, "sample_period")
     tried = [*_tried(problem, held), *(_held(motion, held, period) for motion in problem.motions)]
@@ -182,9 +188,10 @@ def _restless(
             )
             for end in ends:
                 part = traces[:, end - end_of_it : end]
-                for i in np.flatnonzero(restless(part, period, least)):
-                    swing = _swing(part[i], period)
-                    found[first + int(i)] = max(found.get(first + int(i), swing), swing)
+                reported = _reported(part, period, least)
+                for i in np.flatnonzero(_swings(part, period) | reported).tolist():
+                    swing = _swing(part[i], period, problem.strict and bool(reported[i]))
+                    found[first + i] = swing.with_another(found.get(first + i, swing))
     kept = _by_feedback(problem.values, plants, found, trial.threads_of(workers))
     return [kept[kept // n == j] % n for j in range(len(several))]
 
@@ -194,22 +201,28 @@ def restless(traces: Array, period: float, least: float) -> npt.NDArray[np.bool_
 
     ``least`` [V]: amplitude of the voltage from which on an oscillation of it counts; 0.0: none does.
     """
+    return _swings(traces, period) | _reported(traces, period, least)
+
+
+def _swings(traces: Array, period: float) -> npt.NDArray[np.bool_]:
+    """Which spools swing at the end of ``traces``, or are not finite."""
     finite = np.all(np.isfinite(traces), axis=(1, 2))
     swing = _about_a_line(np.where(finite[:, None], traces[:, -round(RESTING / period) :, 0], 0.0))
     large = np.ptp(swing, axis=1) > 2.0 * REST
-    found = ~finite | np.array(
-        [bool(one) and _turns(row, 0.5 * REST) >= TURNS for one, row in zip(large, swing, strict=True)]
-    )
-    calm = np.flatnonzero(~found)
-    found[calm] = ends_at_rest(traces[calm, :, 2], period, least) > HELD - RESTING
-    return np.asarray(found, dtype=bool)
+    turning = [bool(one) and _turns(row, 0.5 * REST) >= TURNS for one, row in zip(large, swing, strict=True)]
+    return np.asarray(~finite | np.array(turning, dtype=bool))
 
 
-def _swing(trace: Array, period: float) -> _Swing:
+def _reported(traces: Array, period: float, least: float) -> npt.NDArray[np.bool_]:
+    """Of which ``traces`` a controller node would still report an oscillation at the end."""
+    return np.asarray(ends_at_rest(traces[:, :, 2], period, least) > HELD - RESTING, dtype=bool)
+
+
+def _swing(trace: Array, period: float, reported: bool) -> _Swing:
     """Of the end of a ``trace`` (n×3) at one command."""
     last = trace[-round(RESTING / period) :]
     amplitude = float(_amplitude(_about_a_line(last[:, 0])))
-    return _Swing(amplitude if math.isfinite(amplitude) else math.inf, float(np.mean(last[:, 2])))
+    return _Swing(amplitude if math.isfinite(amplitude) else math.inf, float(np.mean(last[:, 2])), reported)
 
 
 def _amplitude(swing: Array) -> Array:
@@ -251,5 +264,6 @@ def _by_feedback(
         amplitude = _amplitude(own)
         larger = np.array([found[i].amplitude for i in some]) >= OWN * amplitude
         rests = np.array([_turns(row, 0.5 * LEAST) < TURNS for row in own]) | ~(amplitude > LEAST)
-        kept += [i for i, counted in zip(some, larger | rests, strict=True) if counted]
+        reported = np.array([found[i].reported for i in some])
+        kept += [i for i, counted in zip(some, larger | rests | reported, strict=True) if counted]
     return np.array(kept, dtype=np.int64)

@@ -61,6 +61,7 @@ class Problem(NamedTuple):
     preview: bool  # whether the motions are known ahead, so that reshaping causes no lag
     largest: bool  # whether the error is the largest of a run, instead of its rms
     seed: int  # of the noise
+    strict: bool = False  # whether a voltage that a node reports counts where the spool swings by itself
 
 
 class Gains(NamedTuple):
