@@ -18,7 +18,7 @@ class Steps:
     """Goes on with each step, or as long as ``answers`` say so, and keeps what is said."""
 
     def __init__(self, answers=None):
-        self.answers, self.asked, self.told, self.valve, self.refused = answers, [], [], None, []
+        self.answers, self.asked, self.told, self.valve, self.refusals = answers, [], [], None, []
 
     def confirm(self, text):
         self.asked.append(text)
@@ -30,8 +30,8 @@ class Steps:
     def found(self, valve):
         self.valve = valve
 
-    def not_taken(self, changes, reason):
-        self.refused.append((changes, reason))
+    def refused(self, changes, reason):
+        self.refusals.append((changes, reason))
 
 
 class SupervisedValve:

@@ -223,9 +223,9 @@ class _Steps:
         """Write the fitted valve, which is worth having whatever becomes of the gains."""
         self._keep("valve.yaml", "/**/valve_simulator", valve, "The valve as commissioning found it.")
 
-    def not_taken(self, changes: "Values", reason: str) -> None:
-        """Write the gains that the running valve did not take."""
-        about = f"Gains that the running valve did not take: {reason}."
+    def refused(self, changes: "Values", reason: str) -> None:
+        """Write gains that are not accepted."""
+        about = f"Gains that were not accepted: {reason}."
         self._keep("refused.yaml", self._arguments.node, changes, about)
 
     def _keep(self, name: str, node: str, values: "Values", about: str) -> None:

@@ -31,7 +31,7 @@ TURNS = 4  # of the triangle
 PAUSE = 0.3  # s  after each motion of the verification run
 REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
 # Times as wide as usual, the boxes of valves around the model that gains are sought for: the second one where
-# the running valve does not take the gains of the first.
+# those for the first do not hold.
 BOXES = (1.0, 2.0)
 # Of the step "model", in percent, what is done when the fits of the response are, and when the valve is.
 RESPONSE, VALVE, WHOLE = 25.0, 95.0, 100.0
@@ -72,8 +72,8 @@ class Steps(Protocol):
     def found(self, valve: Values) -> None:
         """The valve as parameters of the simulated one, as soon as it is known."""
 
-    def not_taken(self, changes: Values, reason: str) -> None:
-        """The gains that the running valve did not take, and why."""
+    def refused(self, changes: Values, reason: str) -> None:
+        """Gains that are not accepted, and why."""
 
 
 @contextmanager
@@ -196,17 +196,19 @@ class _Commissioning:
         return self._drive("stepped sine", course, lambda: length)
 
     def _gains(self, found: Plant, known: model.Known, rest: Rest) -> tuple[Gains, Verification, list[str]]:
-        """Gains that the running valve takes, and notes on those that it did not. Raises ParameterError."""
+        """Gains that hold, also on the valve, and notes on those that did not. Raises ParameterError."""
         refusals: list[str] = []
         for wider in BOXES:
-            if refusals:
-                self._to_rest()
             made = self._tuned(found, known, rest, wider, refusals)
-            verified, reasons = self._verified(made)
-            if verified is not None and not reasons:
-                return made, verified, [_taken_at_last(wider, text) for text in refusals]
+            reasons = made.tuned.chosen.verified.reasons
+            if not reasons:
+                verified, reasons = self._verified(made)
+                if verified is not None and not reasons:
+                    return made, verified, [_taken_at_last(wider, text) for text in refusals]
+                if wider != BOXES[-1]:
+                    self._to_rest()
             refusals.append("; ".join(reasons))
-            self._steps.not_taken(made.chosen, refusals[-1])
+            self._steps.refused(made.chosen, refusals[-1])
         raise ParameterError(_not_accepted(refusals))
 
     def _tuned(
@@ -215,8 +217,8 @@ class _Commissioning:
         tried = f"{self._plan.budget} sets of gains of {self._plan.law} are tried in simulation"
         if refusals:
             tried = (
-                f"the running valve does not take these gains ({refusals[-1]}); {tried}, for valves "
-                f"{wider:g} times as far from the model"
+                f"these gains are not accepted ({refusals[-1]}); {tried}, for valves {wider:g} times as far "
+                "from the model"
             )
         self._ask(f"{tried}; the valve stays at 0 V")
 
@@ -226,15 +228,11 @@ class _Commissioning:
 
         with self._timed("tuning"):
             try:
-                made = gains.tuned(self._plan, self._before, found, known, rest, wider, told)
+                return gains.tuned(self._plan, self._before, found, known, rest, wider, told)
             except ParameterError as error:
                 if not refusals:
                     raise
                 raise ParameterError(_not_accepted([*refusals, str(error)])) from error
-        if not made.tuned.chosen.holds:
-            reasons = "; ".join(made.tuned.chosen.verified.reasons)
-            raise ParameterError(_not_accepted([*refusals, reasons]))
-        return made
 
     def _verified(self, made: Gains) -> tuple[Verification | None, list[str]]:
         """The verification run, None if it ended early, and why the gains are not accepted."""
@@ -296,8 +294,8 @@ def _not_accepted(refusals: list[str]) -> str:
 
 def _taken_at_last(wider: float, refusal: str) -> str:
     return (
-        f"the running valve did not take the first gains ({refusal}); those in force are for valves "
-        f"{wider:g} times as far from the model"
+        f"the first gains were not accepted ({refusal}); those in force are for valves {wider:g} times as "
+        "far from the model"
     )
 
 
