@@ -58,8 +58,8 @@ def test_parameters_that_do_not_come_back_are_told():
             super().apply({name: value for name, value in changes.items() if name != "u_max"})
 
     valve = Stubborn({}, BEFORE)
-    with pytest.raises(Fault, match="u_max could not be set"):
-        sequence.bring_to(valve, {**valve.values(), "u_max": 5.0})
+    with pytest.raises(Fault, match="u_max could not be set back"):
+        sequence.restore(valve, {**valve.values(), "u_max": 5.0})
 
 
 @pytest.mark.campaign
@@ -83,7 +83,7 @@ def test_from_first_to_last_step():
     assert found.verification.measured.e_rms < 2.0 * found.verification.expected.e_rms + 0.002
     assert found.friction.coulomb == pytest.approx(0.6, abs=0.03)
     json.dumps(sequence.as_dict(found)["applied"])
-    sequence.bring_to(valve, before)
+    sequence.restore(valve, before)
     assert valve.values() == before
 
 
@@ -105,7 +105,7 @@ class BecomesLater(Steps):
 def commissioned_later(delay):
     """A valve whose dead time grows from 0.5 ms to ``delay`` [s], and how its commissioning ends."""
     valve = SupervisedValve({"friction.coulomb": 0.6, "lvdt.noise": 0.004, "lvdt.delay": 0.0005})
-    before, steps, result = valve.values(), BecomesLater(valve, delay), None
+    before, steps = valve.values(), BecomesLater(valve, delay)
     wanted = PLAN._replace(law="dcarc", chatter=0.4, budget=60, valves=4)
     with sequence.reversible(valve, before, nothing):
         result = sequence.run(valve, wanted, before, steps)
@@ -172,6 +172,11 @@ def test_the_watch_ends_it_at_the_first_wrong_message():
         watch.diagnosis(True, "LVDT silent")
     with pytest.raises(Swings, match="limit cycle"):
         watch.diagnosis(False, "voltage oscillates at 8 Hz with 2 V: limit cycle of law and valve")
+    # What must not go on with other gains is no mere swing.
+    for error, text in ((True, "LVDT silent"), (False, "2 publishers on spool_command")):
+        with pytest.raises(Fault) as ended:
+            watch.diagnosis(error, f"voltage oscillates at 8 Hz with 2 V; {text}")
+        assert ended.type is Fault
 
 
 @settings(max_examples=30)

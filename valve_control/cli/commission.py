@@ -117,7 +117,7 @@ def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
             f"{arguments.folder} has the parameters of {kept.node}, not of {controller.name}; give --node or "
             "--folder"
         )
-    count = sequence.bring_to(controller, kept.values)
+    count = sequence.restore(controller, kept.values)
     backup.mark(Path(arguments.folder), kept.node, backup.UNDONE)
     say(arguments, f"{count} parameters of {kept.node} set back; all are as before the commissioning")
     if arguments.activate:

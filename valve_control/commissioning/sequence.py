@@ -91,19 +91,24 @@ def reversible(bench: Bench, before: Values, said: Callable[[str], None]) -> Ite
                 said("the controller is inactive and gives 0 V")
             except Fault as fault:
                 said(f"the controller could not be switched off: {fault}")
-            bring_to(bench, before)
+            restore(bench, before)
             said("all its parameters are as before")
         raise
 
 
-def bring_to(bench: Bench, wanted: Values) -> int:
+def restore(bench: Bench, before: Values) -> int:
+    """Set all parameters ``before``; returns how many differed. Raises Fault if they are not back."""
+    return _bring_to(bench, before, "set back")
+
+
+def _bring_to(bench: Bench, wanted: Values, done: str = "set") -> int:
     """Set what differs from all the parameters ``wanted``; returns how many. Raises Fault."""
     changes = backup.differences(bench.values(), wanted)
     if changes:
         bench.apply(changes)
         left = backup.differences(bench.values(), wanted)
         if left:
-            raise Fault(f"{', '.join(left)} could not be set")
+            raise Fault(f"{', '.join(left)} could not be {done}")
     return len(changes)
 
 
@@ -130,7 +135,8 @@ class _Commissioning:
             f"0 V; the controller gets its limits (±{limits.voltage:g} V, reading within ±{limits.travel:g} "
             f"V) and the law open_loop; then {STILL:g} s at 0 V"
         )
-        self._to_rest()
+        self._bench.off()
+        self._open_loop()
         rest = statics.at_rest(self._drive("noise at rest", courses.rest(STILL), lambda: STILL))
         slow = self._triangle()
         static = statics.slow(slow, rest, limits)
@@ -153,7 +159,7 @@ class _Commissioning:
         made, verified, notes = self._gains(found, known, rest)
         self._ask("the new gains stay; voltage and travel get their limits from before back")
         final = {**before, **made.chosen}
-        bring_to(self._bench, final)
+        _bring_to(self._bench, final)
         self._bench.watch(
             limits._replace(voltage=number(before, "u_max"), travel=number(before, "lvdt.limit"))
         )
@@ -164,10 +170,9 @@ class _Commissioning:
             backup.differences(before, final), verified, notes, self._seconds,
         )  # fmt: skip
 
-    def _to_rest(self) -> None:
-        """The valve at 0 V, the controller open loop within the limits, its other parameters as before."""
-        self._bench.off()
-        bring_to(self._bench, {**self._before, **limiting(self._before, self._limits)})
+    def _open_loop(self) -> None:
+        """From inactive to 0 V: open loop within the limits, the other parameters as before."""
+        _bring_to(self._bench, {**self._before, **limiting(self._before, self._limits)})
         self._bench.on()
         # Where the law from before left the spool is not the commissioning's doing.
         self._bench.drive(courses.rest(SPRING), self._limits._replace(travel=np.inf), lambda done: None)
@@ -205,8 +210,9 @@ class _Commissioning:
                 verified, reasons = self._verified(made)
                 if verified is not None and not reasons:
                     return made, verified, [_taken_at_last(wider, text) for text in refusals]
+                self._bench.off()
                 if wider != BOXES[-1]:
-                    self._to_rest()
+                    self._open_loop()
             refusals.append("; ".join(reasons))
             self._steps.refused(made.chosen, refusals[-1])
         raise ParameterError(_not_accepted(refusals))
@@ -248,7 +254,6 @@ class _Commissioning:
         try:
             record = self._drive("verification", courses.motion(wanted, self._period), lambda: length)
         except Swings as fault:
-            self._bench.off()
             return None, [str(fault)]
         verified = gains.judged(self._plan, self._before, made, record)
         return verified, verified.reasons

@@ -34,7 +34,7 @@ class Watch:
 
     def diagnosis(self, error: bool, text: str) -> None:
         """Take in what the controller says of itself; ``error``: it gives 0 V."""
-        if SWINGS in text:
-            raise Swings(f"the controller says: {text}")
         if error or any(word in text for word in ENDS):
             raise Fault(f"the controller says: {text}")
+        if SWINGS in text:
+            raise Swings(f"the controller says: {text}")
