@@ -10,6 +10,9 @@ from valve_control.parameter import Value, Values
 
 Floats = npt.NDArray[np.float64]
 Told = Callable[[float], None]  # s of a course that are over
+Progress = Callable[
+    [float, float], None
+]  # fits, simulations or sets of gains that are over, of about how many
 
 
 class Limits(NamedTuple):

@@ -1,13 +1,12 @@
 """Tunes the law for the fitted valve, and judges the run that verifies the gains on the running one."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from valve_control.analysis.indices import Indices, indices
 from valve_control.commissioning import model, plant
-from valve_control.commissioning.bench import Record
+from valve_control.commissioning.bench import Progress, Record
 from valve_control.commissioning.plan import Plan
 from valve_control.commissioning.plant import Plant
 from valve_control.commissioning.statics import Rest
@@ -23,8 +22,6 @@ UNSEEN_SEED = 1_000_003  # added to the seed for valves that the search does not
 WORSE = 2.0  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
 VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
-
-Told = Callable[[float, float], None]  # sets of gains that are over, of about how many
 
 
 class Gains(NamedTuple):
@@ -47,7 +44,7 @@ class Verification(NamedTuple):
 
 
 def tuned(
-    plan: Plan, before: Values, found: Plant, known: model.Known, rest: Rest, wider: float, told: Told
+    plan: Plan, before: Values, found: Plant, known: model.Known, rest: Rest, wider: float, told: Progress
 ) -> Gains:
     """Gains for the fitted valve and a box around it, ``wider`` times as wide as usual.
 

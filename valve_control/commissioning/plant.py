@@ -20,7 +20,7 @@ import numpy.typing as npt
 import scipy.optimize
 
 from valve_control import closed_loop
-from valve_control.commissioning.bench import Record
+from valve_control.commissioning.bench import Progress, Record
 from valve_control.commissioning.statics import Friction, Rest
 from valve_control.identification.rational import Fit
 from valve_control.laws import biquads, design
@@ -51,8 +51,6 @@ HIDDEN = 2.5  # times the friction that shows, where they begin: of a spool that
 FASTER = 4.0  # times that speed, the pole beside the quadratic
 NEARER = 0.5  # times the error without bristles, under which they count
 SEED = 1
-
-Told = Callable[[float, float], None]  # simulations that are over, of about how many
 
 
 class Plant(NamedTuple):
@@ -94,7 +92,7 @@ def fitted(
     friction: Friction,
     offset: float,
     rest: Rest,
-    told: Told = lambda done, total: None,
+    told: Progress = lambda done, total: None,
     threads: int = 1,
 ) -> Plant:
     """The valve whose simulation comes nearest to ``records``, of the order of one of ``fits``.

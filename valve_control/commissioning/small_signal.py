@@ -6,7 +6,6 @@ harmonic is 4F/π. So the valve itself was driven by U - (4F/π)·j·Y/|Y| inste
 """
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy.typing as npt
 
 from valve_control.commands import scenarios
 from valve_control.commissioning import statics
-from valve_control.commissioning.bench import Limits, Record
+from valve_control.commissioning.bench import Limits, Progress, Record
 from valve_control.commissioning.courses import REACH
 from valve_control.commissioning.statics import Friction, Rest, Static
 from valve_control.identification import rational, response
@@ -34,8 +33,6 @@ UNSURE = 0.05  # relative uncertainty of the friction
 ROUNDS = 3  # of friction and lag
 # Orders beside the second, and their zeros: a lag of solenoid or amplifier has none.
 HIGHER = ((3, 0), (4, 2))
-
-Told = Callable[[float, float], None]  # fits that are done, of how many
 
 
 class Plan(NamedTuple):
@@ -92,7 +89,7 @@ def linear(
     planned: Plan,
     static: Static,
     rest: Rest,
-    told: Told = lambda done, total: None,
+    told: Progress = lambda done, total: None,
 ) -> tuple[Response, list[Fit], Friction]:
     """Response without friction, its fits, and friction without the valve's own lag.
 
