@@ -216,23 +216,29 @@ def step_of(said):
 
 
 def together(ros, *flows):
-    """Goes on with each flow, a generator, when the condition that it gave last holds."""
+    """Goes on with each flow, a generator, when the condition that it gave last holds.
+
+    When one fails the others are closed, so that what they have started does not meet the next try.
+    """
 
     def next_of(flow):
         condition, what, limit = next(flow)
         return condition, what, time.monotonic() + limit
 
-    waits = {flow: next_of(flow) for flow in flows}
-    while waits:
-        rclpy.spin_once(ros, timeout_sec=0.02)
-        for flow, (condition, what, end) in list(waits.items()):
-            if condition():
-                try:
-                    waits[flow] = next_of(flow)
-                except StopIteration:
-                    del waits[flow]
-            else:
-                assert time.monotonic() < end, f"{what} not in time"
+    with ExitStack() as stack:
+        for flow in flows:
+            stack.callback(flow.close)
+        waits = {flow: next_of(flow) for flow in flows}
+        while waits:
+            rclpy.spin_once(ros, timeout_sec=0.02)
+            for flow, (condition, what, end) in list(waits.items()):
+                if condition():
+                    try:
+                        waits[flow] = next_of(flow)
+                    except StopIteration:
+                        del waits[flow]
+                else:
+                    assert time.monotonic() < end, f"{what} not in time"
 
 
 def aborted(ros, stack, folder, namespace, planned, reached):

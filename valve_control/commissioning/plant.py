@@ -49,6 +49,8 @@ SPEEDS = (1.0, 2.0, 1.0, 2.0)
 DOUBTED = 2  # of these searches, after which there are no bristles if none came nearer with them
 HIDDEN = 2.5  # times the friction that shows, where they begin: of a spool that swings most of it does not
 FASTER = 4.0  # times that speed, the pole beside the quadratic
+# rad/s and radians a sample. Nothing shows of a pole beyond, and a search would go on with it to infinity.
+SLOWEST_POLE, FASTEST_POLE = 0.01, 100.0
 NEARER = 0.5  # times the error without bristles, under which they count
 SEED = 1
 
@@ -189,8 +191,8 @@ def _weight(record: Record, rest: Rest) -> Floats:
 class _Form(NamedTuple):
     """What the unknowns of a search mean.
 
-    Of each pair of poles, then of a single real one, logarithms of the coefficients; numerator over its
-    static part; with bristles the logarithm of their presliding over the usual one; friction [V], offset [V],
+    Of each pair of poles, then of a single real one, logarithms of the coefficients, which stay between those
+    of the slowest and of the fastest pole; numerator over its static part; with bristles the logarithm of their presliding over the usual one; friction [V], offset [V],
     dead time [periods]. All are of the size of 1.
     """
 
@@ -207,12 +209,16 @@ class _Form(NamedTuple):
 
     def plant(self, x: Floats) -> Plant:
         """The valve with unknowns ``x``."""
+        slowest, fastest = math.log(SLOWEST_POLE), math.log(FASTEST_POLE / self.period)
+
+        def coefficient(i: int, power: int) -> float:
+            return math.exp(min(max(x[i] - 1.0, power * slowest), power * fastest))
+
         denominator: npt.NDArray[Any] = np.ones(1)
-        for i in range(self.order // 2):
-            pair = [1.0, math.exp(x[2 * i] - 1.0), math.exp(x[2 * i + 1] - 1.0)]
-            denominator = np.polymul(denominator, pair)
+        for i in range(0, self.order - 1, 2):
+            denominator = np.polymul(denominator, [1.0, coefficient(i, 1), coefficient(i + 1, 2)])
         if self.order % 2:
-            denominator = np.polymul(denominator, [1.0, math.exp(x[self.order - 1] - 1.0)])
+            denominator = np.polymul(denominator, [1.0, coefficient(self.order - 1, 1)])
         scale = denominator[-1] ** (1.0 / self.order)
         ascending = [x[self.order + i] * denominator[-1] * scale**-i for i in range(self.zeros)]
         model = TransferFunction(tuple(map(float, ascending[::-1])), tuple(map(float, denominator)))
