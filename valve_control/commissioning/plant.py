@@ -192,8 +192,9 @@ class _Form(NamedTuple):
     """What the unknowns of a search mean.
 
     Of each pair of poles, then of a single real one, logarithms of the coefficients, which stay between those
-    of the slowest and of the fastest pole; numerator over its static part; with bristles the logarithm of their presliding over the usual one; friction [V], offset [V],
-    dead time [periods]. All are of the size of 1.
+    of the slowest and of the fastest pole; numerator over its static part; with bristles the logarithm of
+    their presliding over the usual one; friction [V], offset [V], dead time [periods]. All are of the size
+    of 1.
     """
 
     order: int
