@@ -15,8 +15,9 @@ Margins come first: a set that misses them by far is not simulated, and what the
 their cost, so that the search sees on both sides of a margin where it gets better; that part grows as long as
 the best sets of a run miss margins. Only those that keep all margins are results. One that would be the best
 so far, or is on the front, has to come to rest after steps, on valves that have used up half of the margins.
-Asking those within 10 % of the best too takes a third of a search and gave no smaller errors (pid, arc, oarc,
-dcarc, two or three seeds each). A search is repeatable by its seed, whatever the number of threads.
+Where such a set did not, those near the best are asked too for a while, so that a run sees where loops rest;
+where all rest, that would take a third of a search and show nothing. A search is repeatable by its seed,
+whatever the number of threads.
 """
 
 import math
@@ -59,6 +60,8 @@ FAR = 0.5  # by which the margins may be missed together, as parts of them, to b
 MISSED = 20.0  # cost of margins that are missed by more, before what they are missed by
 RESTLESS = 10.0  # cost of a loop that does not come to rest, before the share of valves on which it does not
 BEYOND = 10.0  # by which a set of gains that misses a margin counts for more when runs are compared
+CLOSE = 0.1  # of the logarithm of the error, by which a set may miss the best to be asked whether it rests
+ALERT = 100  # sets of gains, for which those are asked after one that did not rest
 NOT_RUN = 100.0  # cost of gains that are none
 FRONT_LIMITS = (0.2, 0.4, 0.1, 0.05)  # of the chatter, where none is asked for
 
@@ -120,6 +123,7 @@ class _Trials:
         self._law, self._problem, self._free, self._workers = law, problem, free, workers
         self._box = margins.prepared(problem.box)
         self._rested: dict[tuple[float, ...], float] = {}  # share of the valves on which a set does not rest
+        self._alert_until = 0  # number of the set of gains up to which those near the best are asked too
         self._least: dict[float, tuple[int, float]] = {}  # by limit: points looked at, and their least cost
 
     def judged(self, several: Sequence[Array], chatter: float, wall: float = WALL) -> Judged:
@@ -147,9 +151,11 @@ class _Trials:
                 if missing == 0.0:
                     points[i] = point
         least = self._least_cost(chatter)
-        better = [i for i in points if costs[i] < NOT_RUN and costs[i] <= least]
-        for i, share in zip(better, self._restless([points[i] for i in better]), strict=True):
+        most = least + (CLOSE if self.tried < self._alert_until else 0.0)
+        asked = [i for i in points if costs[i] < NOT_RUN and costs[i] <= most]
+        for i, share in zip(asked, self._restless([points[i] for i in asked]), strict=True):
             if share > 0.0:
+                self._alert_until = self.tried + len(several) + ALERT
                 costs[i] = RESTLESS + share
                 del points[i]
         self.points += [point for point in points.values() if math.isfinite(point.error)]
