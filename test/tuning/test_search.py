@@ -183,6 +183,37 @@ def test_cost_goes_on_beyond_a_margin():
     assert 0.0 < costs[1] - costs[0] < 0.01
 
 
+@pytest.mark.parametrize("all_rest", [True, False])
+def test_what_would_be_the_best_is_asked_whether_it_rests(all_rest, monkeypatch):
+    """Where one did not rest, those near the best are asked too, and only there."""
+    limit, budget, done = 0.3, 240, [0]
+    asked, together, real = {}, [], limit_cycles.restless_shares
+
+    def restless(law, problem, several, workers=None):
+        if done[-1] < budget:  # at the end the front is asked
+            together.append([repr(gains) for gains in several])
+        for gains, share in zip(several, real(law, problem, several, workers), strict=True):
+            asked[repr(gains)] = share if all_rest or len(asked) % 5 < 4 else 1.0
+        return [asked[repr(gains)] for gains in several]
+
+    monkeypatch.setattr(limit_cycles, "restless_shares", restless)
+    there = problem("pid")
+    found = search.search(LAWS["pid"], there, [search.Phase(limit, 1.0)], budget, 1, done.append, 1)
+    assert all(asked[repr(point.gains)] == 0.0 for point in search.front(found.points))
+    costs = {repr(p.gains): search.cost(p, limit, there.limits.saturated) for p in found.points}
+    least, order = math.inf, list(costs)
+    for gains, cost in costs.items():
+        assert cost > least or gains in asked
+        least = min(least, cost)
+    beyond = []  # the least of all before them, of those that rest
+    for several in together:
+        resting = [gains for gains in several if gains in costs]
+        before = order[: order.index(resting[0])] if resting else []
+        most = min((costs[gains] for gains in before), default=math.inf)
+        beyond += [costs[gains] - most for gains in resting]
+    assert max(beyond) <= search.CLOSE and (max(beyond) <= 0.0) == all_rest
+
+
 def test_a_known_motion_is_followed_without_lag():
     """Preview inverts the reshaping: the reference of every law that reshapes is the wanted motion."""
     p = problem("dcarc", preview=True)
