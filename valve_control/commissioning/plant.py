@@ -42,6 +42,7 @@ EXPLAINED = 3.0  # error up to which a model describes the valve
 PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.1  # V  of the bristles: first guess and bounds
 BRISTLE_UNKNOWNS = 8
 POPULATION, TRIALS = 24, 2500  # valves with bristles that are simulated: with fewer the search ends anywhere
+AWAY = 0.1  # of the logarithms of coefficients, from their bounds, where a search begins
 FIRST_STEP = 0.2  # of the spreads of their search
 # Times the speed of the second order without bristles, where their searches begin: of six searches about four
 # end at the valve, whichever speed they begin from.
@@ -49,8 +50,10 @@ SPEEDS = (1.0, 2.0, 1.0, 2.0)
 DOUBTED = 2  # of these searches, after which there are no bristles if none came nearer with them
 HIDDEN = 2.5  # times the friction that shows, where they begin: of a spool that swings most of it does not
 FASTER = 4.0  # times that speed, the pole beside the quadratic
-# rad/s and radians a sample. Nothing shows of a pole beyond, and a search would go on with it to infinity.
-SLOWEST_POLE, FASTEST_POLE = 0.01, 100.0
+# Of a pole beyond these nothing but its lag shows, and a search would go on with it to infinity: the tests
+# end at 100 Hz or below, and at a fifth of the sampling frequency.
+SLOWEST_POLE = 0.01  # rad/s
+FASTEST_POLE, FASTEST_SPEED = 10.0, 6000.0  # radians a sample and rad/s, the smaller of which bounds it
 NEARER = 0.5  # times the error without bristles, under which they count
 SEED = 1
 
@@ -210,22 +213,22 @@ class _Form(NamedTuple):
 
     def plant(self, x: Floats) -> Plant:
         """The valve with unknowns ``x``."""
-        slowest, fastest = math.log(SLOWEST_POLE), math.log(FASTEST_POLE / self.period)
-
-        def coefficient(i: int, power: int) -> float:
-            return math.exp(min(max(x[i] - 1.0, power * slowest), power * fastest))
-
+        coefficients = np.exp(np.clip(x[: self.order], *self.coefficients()) - 1.0)
         denominator: npt.NDArray[Any] = np.ones(1)
-        for i in range(0, self.order - 1, 2):
-            denominator = np.polymul(denominator, [1.0, coefficient(i, 1), coefficient(i + 1, 2)])
-        if self.order % 2:
-            denominator = np.polymul(denominator, [1.0, coefficient(self.order - 1, 1)])
+        for i in range(0, self.order, 2):
+            denominator = np.polymul(denominator, [1.0, *coefficients[i : min(i + 2, self.order)]])
         scale = denominator[-1] ** (1.0 / self.order)
         ascending = [x[self.order + i] * denominator[-1] * scale**-i for i in range(self.zeros)]
         model = TransferFunction(tuple(map(float, ascending[::-1])), tuple(map(float, denominator)))
         friction = Friction(max(0.0, float(x[-3])), self.static_ratio)
         presliding = PRESLIDING * math.exp(x[-4] - 1.0) if self.bristles else 0.0
         return Plant(model, friction, -float(x[-2]), float(x[-1]) * self.period, math.inf, presliding)
+
+    def coefficients(self) -> tuple[Floats, Floats]:
+        """Least and largest unknowns of the poles; those beyond are taken for these."""
+        powers = np.array([1.0 + i % 2 for i in range(self.order)])
+        fastest = min(FASTEST_POLE / self.period, FASTEST_SPEED)
+        return 1.0 + powers * math.log(SLOWEST_POLE), 1.0 + powers * math.log(fastest)
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Lower and upper bounds of the unknowns."""
@@ -237,8 +240,10 @@ class _Form(NamedTuple):
         return lower, upper
 
     def inside(self, x: Floats) -> Floats:
-        """``x`` with friction and dead time within their bounds, and not upon them."""
+        """``x`` with poles, friction and dead time within their bounds, and not upon them."""
         begin = x.copy()
+        least, most = self.coefficients()
+        begin[: self.order] = np.clip(begin[: self.order], least + AWAY, most - AWAY)
         begin[-3], begin[-1] = max(begin[-3], 1e-6), min(max(begin[-1], 1e-3), self.latest - 1e-3)
         return begin
 
@@ -336,16 +341,15 @@ def _with_bristles(
 
 def _parameters(fit: Fit, friction: Friction, offset: float, period: float) -> Floats:
     """Unknowns of a search that begins at ``fit``, without bristles."""
-    roots = np.roots(fit.model.denominator)
-    ordered = sorted(roots, key=lambda root: (abs(root), root.imag))
-    single = None
-    if fit.order % 2:  # the fastest real pole stands alone
-        single = max((root.real for root in ordered if root.imag == 0.0), key=abs)
-        ordered.remove(single)
+    roots = sorted(np.roots(fit.model.denominator), key=lambda root: (abs(root), root.imag))
+    real = [root for root in roots if root.imag == 0.0]
+    single = real.pop().real if fit.order % 2 else None  # the fastest real pole stands alone
+    pairs = [*zip(real[::2], real[1::2], strict=True)]
+    pairs += [(root.conjugate(), root) for root in roots if root.imag > 0.0]
     factors = []
-    for i in range(0, len(ordered), 2):
-        pair = np.poly(ordered[i : i + 2]).real
-        factors += [1.0 + math.log(pair[1]), 1.0 + math.log(pair[2])]
+    for pair in sorted(pairs, key=lambda pair: abs(pair[0])):
+        _, first, second = np.poly(pair).real
+        factors += [1.0 + math.log(first), 1.0 + math.log(second)]
     if single is not None:
         factors.append(1.0 + math.log(-single))
     scale = abs(fit.model.denominator[-1]) ** (1.0 / fit.order)
