@@ -143,7 +143,7 @@ def main() -> int:
             "law": name,
             "preview_s": gains.ahead,
             "trials": found.tried,
-            "missed_margins": found.missed,
+            "unusable": found.missed,
             "valves": arguments.valves,
             **errors,
             "not_at_rest_after_1_s": len(swinging),

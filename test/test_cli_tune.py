@@ -60,7 +60,7 @@ def test_one_json_object_and_a_file_for_each_law(run, tmp_path, commands):
     for name, law in result["laws"].items():
         assert law["accepted"] and law["file"] == f"t_{name}.yaml"
         assert law["verified"]["e_rms"]["median"] <= law["verified"]["e_rms"]["p95"]
-        assert law["verified"]["c_u"] <= 0.6 * 1.05 and law["verified"]["limit_cycles"] == 0
+        assert law["verified"]["c_u"] <= 0.6 * 1.05 and law["verified"]["restless"] == 0
         worst = law["margins"]
         assert worst["gain_db"] >= 3.0 and worst["phase_deg"] >= 20.0 and worst["delay_s"] >= 0.0005
         chatter = [point["chatter"] for point in law["front"]]

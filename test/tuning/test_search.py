@@ -183,17 +183,19 @@ def test_cost_goes_on_beyond_a_margin():
     assert 0.0 < costs[1] - costs[0] < 0.01
 
 
-@pytest.mark.parametrize("all_rest", [True, False])
-def test_what_would_be_the_best_is_asked_whether_it_rests(all_rest, monkeypatch):
-    """Where one did not rest, those near the best are asked too, and only there."""
+@pytest.mark.parametrize("resting", ["all", "four of five", "all but the first"])
+def test_what_would_be_the_best_is_asked_whether_it_rests(resting, monkeypatch):
+    """After one that did not rest, those near the best are asked too, for a while."""
     limit, budget, done = 0.3, 240, [0]
     asked, together, real = {}, [], limit_cycles.restless_shares
 
     def restless(law, problem, several, workers=None):
         if done[-1] < budget:  # at the end the front is asked
-            together.append([repr(gains) for gains in several])
+            together.append((done[-1], [repr(gains) for gains in several]))
         for gains, share in zip(several, real(law, problem, several, workers), strict=True):
-            asked[repr(gains)] = share if all_rest or len(asked) % 5 < 4 else 1.0
+            number = len(asked)
+            moves = {"all": False, "four of five": number % 5 == 4, "all but the first": number == 0}[resting]
+            asked[repr(gains)] = 1.0 if moves else share
         return [asked[repr(gains)] for gains in several]
 
     monkeypatch.setattr(limit_cycles, "restless_shares", restless)
@@ -205,13 +207,21 @@ def test_what_would_be_the_best_is_asked_whether_it_rests(all_rest, monkeypatch)
     for gains, cost in costs.items():
         assert cost > least or gains in asked
         least = min(least, cost)
-    beyond = []  # the least of all before them, of those that rest
-    for several in together:
-        resting = [gains for gains in several if gains in costs]
-        before = order[: order.index(resting[0])] if resting else []
+    beyond = []  # the least of all before them, of those that rest, and after how many sets
+    for tried, several in together:
+        rest = [gains for gains in several if gains in costs]
+        before = order[: order.index(rest[0])] if rest else []
         most = min((costs[gains] for gains in before), default=math.inf)
-        beyond += [costs[gains] - most for gains in resting]
-    assert max(beyond) <= search.CLOSE and (max(beyond) <= 0.0) == all_rest
+        beyond += [(tried, costs[gains] - most) for gains in rest]
+    assert max(over for _, over in beyond) <= search.CLOSE
+    last = max((tried for tried, over in beyond if over > 0.0), default=None)
+    if resting == "all":
+        assert last is None
+    elif resting == "four of five":
+        assert last > budget / 2
+    else:
+        assert 0 < last < done[1] + 100
+        assert any(tried > last for tried, _ in beyond)  # some were asked after it
 
 
 def test_a_known_motion_is_followed_without_lag():
@@ -236,9 +246,9 @@ def test_gains_without_margin_are_not_accepted(config):
     study = box.study_of(SETTINGS, wide, 24, 7)
     p = p._replace(plants=box.drawn(study), box=box.bounding(study))
     found = verification.verified(LAWS["pid"], p, Gains({}, 0.0), 0.25)
-    assert len(found.cycling) > 0
+    assert len(found.restless) > 0
     assert any("unstable" in reason for reason in found.reasons)
-    assert any("limit cycle" in reason for reason in found.reasons)
+    assert any("do not rest within 1 s" in reason for reason in found.reasons)
 
 
 def test_variants_are_those_that_were_not_decided():

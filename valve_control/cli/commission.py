@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import interrupts, outputs
-from valve_control.cli.common import check_processes, say
+from valve_control.cli.common import check_processes, say, write_json
 from valve_control.parameter import ParameterError, word
 
 if TYPE_CHECKING:
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from valve_control.parameter import Values
 
 CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
+VALVE, REFUSED = "valve.yaml", "refused_{}.yaml"
+TUNED, RESULT, REPORT = "tuned.yaml", "commission.json", "report.html"
 FAILED = 1  # exit status if the parameters are those from before
 
 
@@ -81,10 +83,12 @@ def _commission(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
+    from valve_control.tuning import box
+
     check_processes("threads", arguments.threads)
-    for name in ("valves", "unseen", "budget"):
-        if getattr(arguments, name) < 1:
-            raise ParameterError(f"--{name} is {getattr(arguments, name)}; it must be at least 1")
+    box.check_draws(arguments.seed, arguments.valves, arguments.unseen)
+    if arguments.budget < 1:
+        raise ParameterError(f"--budget is {arguments.budget}; it must be at least 1")
     for name in ("max_voltage", "travel", "max_chatter"):
         value = getattr(arguments, name)
         if value is not None and not 0.0 < value < math.inf:
@@ -152,6 +156,11 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     folder = Path(arguments.folder)
     before = controller.values()
     kept = backup.read(folder)
+    if kept is not None and kept.node != controller.name and kept.state in (backup.RUNNING, backup.DONE):
+        raise ParameterError(
+            f"{folder} has the parameters from before the commissioning of {kept.node}; --folder gives "
+            f"{controller.name} one of its own"
+        )
     if kept is not None and kept.state == backup.RUNNING and backup.differences(before, kept.values):
         raise ParameterError(
             f"a commissioning of {kept.node} was not brought to its end, and {folder} has the parameters "
@@ -160,16 +169,27 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     plan = _plan(arguments, word(before, "controller"))
     check(plan, before)
     controller.meet_valve()
+    refused = [REFUSED.format(number) for number in (1, 2)]
+    aside = backup.set_aside(folder, [REPORT, RESULT, TUNED, VALVE, *refused])
+    if aside is not None:
+        say(arguments, f"moved what an earlier commissioning left to {aside}")
     backup.write(folder, controller.name, before)
     say(arguments, f"wrote {folder / backup.PARAMETERS}: the parameters from before")
     steps = _Steps(arguments)
     told: list[str] = []
+    written: list[Path] = []
     try:
         with sequence.reversible(controller, before, told.append):
             result = sequence.run(controller, plan, before, steps)
+            steps.close()
+            for name, text in _texts(arguments, result).items():
+                written.append(folder / name)
+                outputs.write(str(folder / name), text)
             backup.mark(folder, controller.name, backup.DONE)
     except BaseException as error:
         steps.close()
+        for path in written:
+            path.unlink(missing_ok=True)
         backup_safe = "all its parameters are as before" in told
         if backup_safe:
             backup.mark(folder, controller.name, backup.ABORTED)
@@ -181,8 +201,7 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
             print(f"valve-control: {error}", file=sys.stderr)
             return FAILED
         raise
-    steps.close()
-    _write(arguments, result)
+    _tell(arguments, result, written)
     return 0
 
 
@@ -192,6 +211,7 @@ class _Steps:
     def __init__(self, arguments: argparse.Namespace) -> None:
         self._arguments = arguments
         self._bar: Any = None
+        self._refusals = 0
 
     def confirm(self, text: str) -> bool:
         """Whether to go on; the question says what comes next."""
@@ -221,12 +241,13 @@ class _Steps:
 
     def found(self, valve: "Values") -> None:
         """Write the fitted valve, which is worth having whatever becomes of the gains."""
-        self._keep("valve.yaml", "/**/valve_simulator", valve, "The valve as commissioning found it.")
+        self._keep(VALVE, "/**/valve_simulator", valve, "The valve as commissioning found it.")
 
     def refused(self, changes: "Values", reason: str) -> None:
         """Write gains that are not accepted."""
         about = f"Gains that were not accepted: {reason}."
-        self._keep("refused.yaml", self._arguments.node, changes, about)
+        self._refusals += 1
+        self._keep(REFUSED.format(self._refusals), self._arguments.node, changes, about)
 
     def _keep(self, name: str, node: str, values: "Values", about: str) -> None:
         from tqdm import tqdm
@@ -245,21 +266,27 @@ class _Steps:
             self._bar = None
 
 
-def _write(arguments: argparse.Namespace, result: "Result") -> None:
+def _texts(arguments: argparse.Namespace, result: "Result") -> dict[str, str]:
+    """What is written of a commissioning that succeeded, by file."""
     from valve_control.commissioning import report, sequence
     from valve_control.parameters import files
 
-    folder = Path(arguments.folder)
-    made = result.verification
+    made = result.verification.measured
     about = [
         "valve-control " + " ".join(arguments.line),
-        f"e_rms {made.measured.e_rms:.4g} V and c_u {made.measured.c_u:.3f} in the verification run",
+        f"e_rms {made.e_rms:.4g} V and c_u {made.c_u:.3f} in the verification run",
     ]
-    texts = {
-        "tuned.yaml": files.as_yaml({arguments.node: result.applied}, about),
-        "commission.json": outputs.as_json(sequence.as_dict(result)),
-        "report.html": report.page(result),
+    return {
+        REPORT: report.page(result),
+        RESULT: outputs.as_json(sequence.as_dict(result)),
+        TUNED: files.as_yaml({arguments.node: result.applied}, about),
     }
+
+
+def _tell(arguments: argparse.Namespace, result: "Result", written: list[Path]) -> None:
+    from valve_control.commissioning import sequence
+
+    made = result.verification
     say(
         arguments,
         f"{result.tuned.law}: e_rms {1e3 * made.measured.e_rms:.2f} mV, c_u {made.measured.c_u:.3f} on the "
@@ -269,11 +296,6 @@ def _write(arguments: argparse.Namespace, result: "Result") -> None:
     )
     for note in result.notes:
         say(arguments, note)
-    for name, text in texts.items():
-        outputs.write(str(folder / name), text)
-        say(arguments, f"wrote {folder / name}")
-    if arguments.json == "-":
-        print(texts["commission.json"], end="")
-    elif arguments.json is not None:
-        outputs.write(arguments.json, texts["commission.json"])
-        say(arguments, f"wrote {arguments.json}")
+    for path in written:
+        say(arguments, f"wrote {path}")
+    write_json(arguments, sequence.as_dict(result))

@@ -5,7 +5,7 @@ import math
 import os
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from valve_control.tuning.tuner import Aim, Tuned
 
 PID = "pid"  # that is tuned beside the others
-UNSEEN_SEED = 1_000_003  # added to the seed for valves that the search does not see
 FAILED = 1  # exit status if gains of a law are not accepted
 
 
@@ -134,7 +133,7 @@ def _tune(arguments: argparse.Namespace) -> int:
     asked = laws if PID in laws or arguments.alone else [*laws, PID]
     problem, unseen = _problems(arguments, settings, files, asked, recorded)
     counts = [len(tuner.variants(LAWS[name], problem.values)) for name in asked]
-    seed, aim = arguments.seed or 1, _aim(arguments)
+    seed, aim = _seed(arguments), _aim(arguments)
     found: dict[str, Tuned] = {}
     missing: dict[str, str] = {}
     total = arguments.budget * sum(counts)
@@ -149,6 +148,7 @@ def _tune(arguments: argparse.Namespace) -> int:
                 )
             except ParameterError as error:
                 if isinstance(error, ClusterError) or (len(laws) == 1 and name in laws):
+                    _tell_old([*paths.values(), arguments.html, arguments.json])
                     raise
                 missing[name] = str(error)
                 print(error, file=sys.stderr)
@@ -160,6 +160,7 @@ def _tune(arguments: argparse.Namespace) -> int:
     for name, path in written.items():
         _save(path, name, problem.values, found[name], arguments)
         say(arguments, f"wrote {path}")
+    _tell_old([path for name, path in paths.items() if name not in written])
     for name, one in found.items():
         for reason in one.chosen.verified.reasons:
             print(f"{name}: not accepted, because {reason}", file=sys.stderr)
@@ -177,6 +178,13 @@ def _tune(arguments: argparse.Namespace) -> int:
     write_json(arguments, result)
     search.kept.forget()
     return 0 if all(name in found and found[name].chosen.holds for name in laws) else FAILED
+
+
+def _tell_old(paths: Sequence[str | None]) -> None:
+    """Say which of ``paths`` are there from before, so that nobody takes them for results."""
+    for path in paths:
+        if path not in (None, "-") and Path(path).is_file():
+            print(f"{path} is from before and was not replaced", file=sys.stderr)
 
 
 class _Search:
@@ -234,7 +242,7 @@ def _stoppable(
     request = {
         "laws": asked,
         "budget": arguments.budget,
-        "seed": arguments.seed or 1,
+        "seed": _seed(arguments),
         "max_chatter": aim.chatter,
         "max_error": aim.error,
         "seen": digest(problem),
@@ -271,10 +279,12 @@ def _stoppable(
 
 
 def _check(arguments: argparse.Namespace) -> None:
+    from valve_control.tuning import box
+
     check_processes("threads", arguments.threads)
-    for name, least in (("valves", 1), ("unseen", 1), ("budget", 1)):
-        if getattr(arguments, name) < least:
-            raise ParameterError(f"--{name} is {getattr(arguments, name)}; it must be at least {least}")
+    box.check_draws(_seed(arguments), arguments.valves, arguments.unseen)
+    if arguments.budget < 1:
+        raise ParameterError(f"--budget is {arguments.budget}; it must be at least 1")
     if arguments.max_chatter is not None and arguments.max_error is not None:
         raise ParameterError("--max-chatter and --max-error contradict each other; give one of them")
     for name in ("max_chatter", "max_error", "peak", "swing"):
@@ -292,6 +302,10 @@ def _check(arguments: argparse.Namespace) -> None:
             raise ParameterError(
                 f"--{name.replace('_', '-')} is {value:g}; it must lie between 0 and {most:g}"
             )
+
+
+def _seed(arguments: argparse.Namespace) -> int:
+    return 1 if arguments.seed is None else int(arguments.seed)
 
 
 def _laws(names: str | None, usual: str) -> list[str]:
@@ -399,9 +413,9 @@ def _problems(
                 file=sys.stderr,
             )
         settings = {**settings, "controller": values}
-    seed = arguments.seed or 1
+    seed = _seed(arguments)
     study = box.study_of(settings, quantities, arguments.valves, seed)
-    other = box.study_of(settings, quantities, arguments.unseen, seed + UNSEEN_SEED)
+    other = box.study_of(settings, quantities, arguments.unseen, seed + box.UNSEEN_SEED)
     seen = Problem(
         settings["controller"],
         motions,
@@ -412,7 +426,7 @@ def _problems(
         arguments.error == "max",
         seed,
     )
-    return seen, seen._replace(plants=box.drawn(other), box=box.bounding(other), seed=seed + UNSEEN_SEED)
+    return seen, seen._replace(plants=box.drawn(other), box=box.bounding(other), seed=seed + box.UNSEEN_SEED)
 
 
 class _Recorded(NamedTuple):

@@ -1,6 +1,8 @@
 """Keeps the parameters from before a commissioning in a file, so that they come back whatever happens."""
 
+import itertools
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +13,7 @@ from valve_control.parameters.table import CONTROLLER
 
 PARAMETERS = "before.yaml"
 STATE = "state.json"
+EARLIER = "earlier"  # folder of what earlier commissionings left
 RUNNING, DONE, ABORTED, UNDONE = "running", "commissioned", "aborted", "undone"
 
 
@@ -30,6 +33,22 @@ def write(folder: Path, node: str, values: Values) -> None:
     )
     outputs.write(str(folder / PARAMETERS), text)
     mark(folder, node, RUNNING)
+
+
+def set_aside(folder: Path, results: Sequence[str]) -> Path | None:
+    """Move parameters, state and ``results`` of an earlier commissioning to a folder of their own.
+
+    Returns that folder, which ``read`` takes as well; None: nothing was left. Raises OSError.
+    """
+    left = [path for name in (*results, STATE, PARAMETERS) if (path := folder / name).exists()]
+    if not left:
+        return None
+    places = (folder / EARLIER / str(number) for number in itertools.count(1))
+    place = next(path for path in places if not path.exists())
+    place.mkdir(parents=True)
+    for path in left:
+        path.rename(place / path.name)
+    return place
 
 
 def mark(folder: Path, node: str, state: str) -> None:

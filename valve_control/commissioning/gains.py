@@ -18,7 +18,6 @@ from valve_control.tuning import box, trial, tuner
 from valve_control.tuning.trial import Motion, Problem
 from valve_control.tuning.tuner import Aim, Tuned
 
-UNSEEN_SEED = 1_000_003  # added to the seed for valves that the search does not see
 WORSE = 2.0  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
 VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
@@ -76,7 +75,7 @@ def tuned(
     quantities = model.box(found, period, wider)
     seen, other = (
         box.study_of(settings, quantities, count, seed)
-        for count, seed in ((plan.valves, plan.seed), (plan.unseen, plan.seed + UNSEEN_SEED))
+        for count, seed in ((plan.valves, plan.seed), (plan.unseen, plan.seed + box.UNSEEN_SEED))
     )
     problem = Problem(
         values,
@@ -89,7 +88,9 @@ def tuned(
         plan.seed,
         wider > 1.0,
     )
-    unseen = problem._replace(plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + UNSEEN_SEED)
+    unseen = problem._replace(
+        plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + box.UNSEEN_SEED
+    )
     law = LAWS[plan.law]
     total = plan.budget * len(tuner.variants(law, values))
     verifying = VERIFYING * plan.unseen / plan.valves

@@ -10,7 +10,7 @@ from valve_control.commissioning.bench import Record
 from valve_control.commissioning.sequence import Result
 from valve_control.identification import bode, result
 from valve_control.parameters.build import as_text
-from valve_control.tuning import margins, verification
+from valve_control.tuning import limit_cycles, margins, verification
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -53,8 +53,8 @@ def _verdict(found: Result) -> str:
             f"{1e3 * made.former.e_rms:.1f} mV and c_u {made.former.c_u:.3f} on the same commands."
         )
     sentences.append(
-        f"No voltage was beyond ±{limits.voltage:g} V, and no three readings in a row were beyond "
-        f"±{limits.travel:g} V."
+        f"No voltage was beyond ±{limits.voltage:g} V, and in tests and verification no three readings in a "
+        f"row were beyond ±{limits.travel:g} V."
     )
     sentences.append("valve-control commission --undo brings the parameters from before back.")
     return pages.notes([*sentences, *found.notes])
@@ -147,7 +147,7 @@ def _margins(found: Result) -> str:
         ("swing about rest that friction sustains in the loop [V]", worst["swing_v"]),
         (f"e_rms, median of {unseen['valves']} valves [mV]", 1e3 * (unseen["e_rms"]["median"] or np.nan)),
         ("e_rms, 95 % [mV]", 1e3 * (unseen["e_rms"]["p95"] or np.nan)),
-        ("limit cycles", unseen["limit_cycles"]),
+        (f"valves that do not rest within {limit_cycles.HELD:g} s", unseen["restless"]),
     ]
     return "<p>The least over a box around this valve.</p>" + pages.table(
         ["", ""], [[name, "without end" if v is None else f"{v:.3g}"] for name, v in rows]

@@ -151,7 +151,7 @@ def _reached(found: Mapping[str, Tuned]) -> str:
                 "" if r["c_u"] is None else f"{r['c_u']:.3f}",
                 f"{100.0 * r['saturated']:.2g} %",
                 _mV(r["unseen_commands"]["e_rms"]["median"]),
-                str(r["limit_cycles"]),
+                str(r["restless"]),
             ]
         )
     head = [
@@ -162,7 +162,7 @@ def _reached(found: Mapping[str, Tuned]) -> str:
         "c_u",
         "saturated",
         "other commands [mV]",
-        "limit cycles",
+        f"not at rest after {limit_cycles.HELD:g} s",
     ]
     return pages.table(head, rows)
 

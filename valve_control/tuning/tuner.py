@@ -54,7 +54,7 @@ class Tuned(NamedTuple):
     front: list[tuple[Mapping[str, Value], Point]]  # by falling chatter, with the variant
     chosen: Chosen  # that holds, or the first of those that do not
     tried: int
-    missed: int  # of them, the margins
+    missed: int  # of them, the margins or rest
     chatter: float | None = None  # limit of it that was kept
 
 
@@ -217,5 +217,5 @@ def as_dict(result: Tuned) -> dict[str, Any]:
         "reasons": chosen.verified.reasons,
         "chatter_limit": result.chatter,
         "tried": result.tried,
-        "missed_margins": result.missed,
+        "unusable": result.missed,
     }

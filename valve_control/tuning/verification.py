@@ -21,7 +21,7 @@ class Verified(NamedTuple):
     seen: Outcome  # on the motions of the search
     unseen: Outcome  # on others
     margins: margins.Margins  # of each valve
-    cycling: npt.NDArray[np.int64]  # numbers of valves on which steps or motions end in a limit cycle
+    restless: npt.NDArray[np.int64]  # numbers of valves that do not rest after a step or a motion
     reasons: list[str]  # why the gains are not accepted, as sentences; []: they are
 
 
@@ -52,17 +52,20 @@ def verified(
     seen = trial.run(law, problem, [gains], workers)[0]
     others = problem._replace(motions=other_motions(problem.motions), seed=problem.seed + 500_000)
     unseen = trial.run(law, others, [gains], workers)[0]
-    cycles = limit_cycles.after_all(law, others, gains, problem.plants, workers)
+    restless = limit_cycles.after_all(law, others, gains, problem.plants, workers)
     reasons = [*_margins_missed(problem.limits, margins.as_dict(margins.worst(found)))]
     if not np.all(np.isfinite(seen.e_rms)) or not np.all(np.isfinite(unseen.e_rms)):
         reasons.append("a run does not stay finite")
-    if len(cycles):
-        reasons.append(f"{len(cycles)} of {len(problem.plants)} valves end in a limit cycle")
+    if len(restless):
+        reasons.append(
+            f"{len(restless)} of {len(problem.plants)} valves do not rest within {limit_cycles.HELD:g} s "
+            "after a step or a motion"
+        )
     (share,) = limit_cycles.restless_shares(law, problem, [gains], workers)
     if share > 0.0:
         reasons.append(
-            f"{100.0 * share:.2g} % of the valves in the box end in a limit cycle when half of the margins "
-            "is gone"
+            f"{100.0 * share:.2g} % of the valves in the box do not rest within {limit_cycles.HELD:g} s "
+            "after a step when half of the margins is gone"
         )
     for outcome, what in ((seen, "the commands"), (unseen, "commands that were not seen")):
         share = float(np.mean(outcome.saturated))
@@ -70,7 +73,7 @@ def verified(
             reasons.append(f"on {what} the amplifier saturates in {100.0 * share:.2g} % of the samples")
     if chatter is not None and not seen.chatter <= SLACK * chatter:
         reasons.append(f"c_u is {seen.chatter:.3f} on valves that were not seen, above {chatter:g}")
-    return Verified(seen, unseen, found, cycles, reasons)
+    return Verified(seen, unseen, found, restless, reasons)
 
 
 def _margins_missed(limits: trial.Limits, worst: dict[str, float | None]) -> list[str]:
@@ -121,5 +124,5 @@ def as_dict(v: Verified) -> dict[str, Any]:
             "c_u": v.unseen.chatter if np.isfinite(v.unseen.chatter) else None,
         },
         "valves": v.seen.e_rms.shape[1],
-        "limit_cycles": len(v.cycling),
+        "restless": len(v.restless),
     }
