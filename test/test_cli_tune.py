@@ -113,6 +113,26 @@ def test_what_does_not_hold_is_not_written(run, tmp_path, commands, monkeypatch)
     assert "pid: not accepted, because c_u is" in err and not (tmp_path / "t.yaml").exists()
 
 
+def test_a_file_from_before_is_not_taken_for_a_result(run, tmp_path, commands, monkeypatch):
+    from valve_control.tuning import verification
+
+    for name in ("t.yaml", "r.html", "j.json"):
+        (tmp_path / name).write_text("old", encoding="utf-8")
+    outputs = ["--output", "t.yaml", "--html", "r.html", "--json", "j.json"]
+    few = [*SMALL, "--budget", "24"]
+    status, _, err = run("tune", "--controller", "pid", *commands, *few, "--max-chatter", "1e-6", *outputs)
+    assert status == 2 and "have a chatter of 1e-06 or less" in err
+    for name in ("t.yaml", "r.html", "j.json"):
+        assert f"{name} is from before and was not replaced" in err
+        assert (tmp_path / name).read_text(encoding="utf-8") == "old"
+    monkeypatch.setattr(verification, "SLACK", 0.01)
+    status, _, err = run("tune", "--controller", "pid", *commands, *few, *outputs)
+    assert status == 1 and "t.yaml is from before and was not replaced" in err
+    assert "r.html is" not in err and "j.json is" not in err
+    assert (tmp_path / "t.yaml").read_text(encoding="utf-8") == "old"
+    assert json.loads((tmp_path / "j.json").read_text(encoding="utf-8"))["laws"]["pid"]["file"] is None
+
+
 @pytest.mark.parametrize(
     "options, sentence",
     [
@@ -122,6 +142,9 @@ def test_what_does_not_hold_is_not_written(run, tmp_path, commands, monkeypatch)
         (["--max-chatter", "nan"], "--max-chatter is nan; it must be above 0, and finite"),
         (["--phase-margin", "-1"], "--phase-margin is -1; it must lie between 0 and 120"),
         (["--budget", "0"], "--budget is 0; it must be at least 1"),
+        (["--seed", "-1"], "--seed is -1; it must lie between 0 and 2000000000"),
+        (["--seed", "2147000000"], "--seed is 2147000000; it must lie between 0 and 2000000000"),
+        (["--valves", "0"], "--valves is 0; it must lie between 1 and 100000"),
         (["--set", "friction.coulomb=1.0"], "tune varies friction.coulomb from 0 to 2 V"),
         (
             ["--scenario", "sine"],
