@@ -45,6 +45,7 @@ class SupervisedValve:
         self.random = np.random.default_rng(int(self.plant["seed"]))
         self.voltages, self.readings, self.applied = [], [], []
         self.active = True
+        self.late = 1  # samples from one command to the next
         self.fault_at = fault_at
         self.fault = Fault
 
@@ -78,7 +79,8 @@ class SupervisedValve:
         period = self.params.period
         watch = Watch(limits)
         while True:
-            limited = max(-10.0, min(10.0, command))
+            if len(readings) % self.late == 0:
+                limited = max(-10.0, min(10.0, command))
             self.supervisor.command(limited)
             reading, voltage = self.sample()
             watch.reading(reading)

@@ -74,6 +74,8 @@ def test_from_first_to_last_step():
         assert shares[0] <= 0.01 and shares[-1] == 1.0 and np.max(shares) == 1.0, name
         assert np.max(np.diff(shares)) <= most, name  # no long silence
     assert found.tuned.chatter == PLAN.chatter
+    assert found.verification.punctual == pytest.approx(found.verification.expected, rel=1e-3)
+    assert not any("came late" in note for note in found.notes)
     assert len(steps.asked) == 6 and valve.active
     assert valve.values() == {**before, **found.applied}
     assert found.applied["controller"] == "dcarc" and "u_max" not in found.applied
@@ -85,6 +87,23 @@ def test_from_first_to_last_step():
     json.dumps(sequence.as_dict(found)["applied"])
     sequence.restore(valve, before)
     assert valve.values() == before
+
+
+@pytest.mark.campaign
+def test_commands_that_come_late_are_told():
+    """Every eighth sample in the verification run: most of the error is theirs."""
+
+    class Late(Steps):
+        def found(self, plant):
+            valve.late = 8
+
+    valve = SupervisedValve({"friction.coulomb": 0.6, "lvdt.noise": 0.004}, BEFORE)
+    found = sequence.run(valve, PLAN._replace(law="dcarc"), valve.values(), Late())
+    made = found.verification
+    assert made.punctual.e_rms < 0.5 * made.expected.e_rms
+    assert made.expected.e_rms == pytest.approx(made.measured.e_rms, rel=0.3)
+    (note,) = [note for note in found.notes if "came late" in note]
+    assert f"{1e3 * made.punctual.e_rms:.3g} mV with commands in time" in note
 
 
 class BecomesLater(Steps):

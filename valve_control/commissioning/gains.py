@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from valve_control.analysis.indices import Indices, indices
 from valve_control.commissioning import model, plant
@@ -18,6 +19,7 @@ from valve_control.tuning import box, trial, tuner
 from valve_control.tuning.trial import Motion, Problem
 from valve_control.tuning.tuner import Aim, Tuned
 
+Floats = npt.NDArray[np.float64]
 WORSE = 2.0  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
 VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
@@ -37,7 +39,8 @@ class Verification(NamedTuple):
 
     record: Record
     measured: Indices
-    expected: Indices  # with the new gains
+    expected: Indices  # with the new gains, on the commands as they came
+    punctual: Indices  # with the new gains, on commands that come in time
     former: Indices | None  # with the parameters from before, None if those saturate or are unstable
     reasons: list[str]  # why the gains are not accepted
 
@@ -107,17 +110,19 @@ def tuned(
     return Gains(made, motions, valve, {**own, **made.chosen.changes, "controller": made.law})
 
 
-def judged(plan: Plan, before: Values, gains: Gains, record: Record) -> Verification:
-    """Judge the verification run of a ``record`` by the simulation of the same commands.
+def judged(plan: Plan, before: Values, gains: Gains, wanted: Floats, record: Record) -> Verification:
+    """Judge the ``record`` of a verification run by the simulation of the same commands.
+
+    ``wanted``: commands [V], n, as they would have come in time.
 
     Raises ParameterError.
     """
     chatter = plan.chatter if gains.tuned.chatter is None else gains.tuned.chatter
     measured = _indices(record)
     limited = {"u_max": plan.limits.voltage, "command_limit": plan.limits.travel}
-    made = offline.simulate(
-        updated(CONTROLLER, before, {**gains.chosen, **limited}), gains.valve, record.command
-    )
+    values = updated(CONTROLLER, before, {**gains.chosen, **limited})
+    made = offline.simulate(values, gains.valve, record.command)
+    punctual = offline.simulate(values, gains.valve, wanted)
     former: Indices | None = None
     with np.errstate(over="ignore", invalid="ignore"):
         old = offline.simulate(updated(CONTROLLER, before, limited), gains.valve, record.command)
@@ -138,7 +143,7 @@ def judged(plan: Plan, before: Values, gains: Gains, record: Record) -> Verifica
             f"in simulation the parameters from before do better, {1e3 * former.e_rms:.3g} mV rms instead of "
             f"{1e3 * measured.e_rms:.3g} mV"
         )
-    return Verification(record, measured, made.indices, former, reasons)
+    return Verification(record, measured, made.indices, punctual.indices, former, reasons)
 
 
 def _indices(record: Record) -> Indices:

@@ -163,7 +163,7 @@ class _Commissioning:
         self._bench.watch(
             limits._replace(voltage=number(before, "u_max"), travel=number(before, "lvdt.limit"))
         )
-        notes = [*response.notes, *_unexplained(found), *known.notes, *notes]
+        notes = [*response.notes, *_unexplained(found), *known.notes, *notes, *_late(verified)]
         notes += _louder(self._plan, made.tuned, rest)
         return Result(
             self._plan, before, rest, slow, static, found.friction, sine, response, found, made.tuned,
@@ -255,7 +255,7 @@ class _Commissioning:
             record = self._drive("verification", courses.motion(wanted, self._period), lambda: length)
         except Swings as fault:
             return None, [str(fault)]
-        verified = gains.judged(self._plan, self._before, made, record)
+        verified = gains.judged(self._plan, self._before, made, wanted, record)
         return verified, verified.reasons
 
     def _drive(self, name: str, course: Course, about: Callable[[], float]) -> Record:
@@ -320,6 +320,19 @@ def _unexplained(found: Plant) -> list[str]:
     return notes
 
 
+def _late(made: Verification) -> list[str]:
+    """A sentence about commands that came late, where that makes most of the error."""
+    late, punctual = made.expected.e_rms, made.punctual.e_rms
+    if late <= gains.WORSE * punctual + gains.SLACK:
+        return []
+    return [
+        f"the commands of the verification run came late, in steps of up to "
+        f"{np.nanmax(np.abs(np.diff(made.record.command))):.2g} V: with them the simulation has "
+        f"{1e3 * late:.3g} mV of error, and {1e3 * punctual:.3g} mV with commands in time; where the upper "
+        "level is late too, a lower reshaping.natural_frequency or a higher reshaping.max_accel bears more"
+    ]
+
+
 def _louder(plan: Plan, tuned: Tuned, rest: Rest) -> list[str]:
     """A sentence about a limit of c_u that had to give way."""
     if tuned.chatter is None or tuned.chatter <= plan.chatter:
@@ -362,6 +375,7 @@ def as_dict(result: Result) -> dict[str, Any]:
         "verification": {
             "measured": made.measured._asdict(),
             "simulated": made.expected._asdict(),
+            "simulated_in_time": made.punctual._asdict(),
             "simulated_before": None if made.former is None else made.former._asdict(),
             "unseen_valves": verification.as_dict(result.tuned.chosen.verified),
         },
