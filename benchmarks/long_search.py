@@ -26,7 +26,7 @@ from valve_control.parameter import ParameterError, Value, defaults, updated
 from valve_control.parameters import files
 from valve_control.parameters.table import CONTROLLER, NODES
 from valve_control.simulation import robustness
-from valve_control.tuning import box, limit_cycles, margins, search, trial, tuner
+from valve_control.tuning import box, limit_cycles, margins, pauses, search, trial, tuner
 from valve_control.tuning.trial import Gains
 
 Array = npt.NDArray[np.float64]
@@ -139,6 +139,8 @@ def long_search(
             costs[i] += math.log(error) + 6.0 * beyond if math.isfinite(error) else 100.0
             if beyond == 0.0 and error < best[0]:
                 (share,) = limit_cycles.restless_shares(law, problem, [gains])
+                if not pauses.borne(law, problem, gains):
+                    share = 1.0
                 if share > 0.0:
                     costs[i] = 10.0 + share
                 else:

@@ -55,6 +55,7 @@ def shared(share: float) -> trial.Limits:
         MARGINS.sensitivity_db / share,
         MARGINS.swing / share,
         MARGINS.saturated,
+        MARGINS.pause_s,
     )
 
 

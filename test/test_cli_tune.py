@@ -140,6 +140,7 @@ def test_a_file_from_before_is_not_taken_for_a_result(run, tmp_path, commands, m
         (["--controller", "pdi"], "there is no law 'pdi'; there are arc, oarc, dcarc"),
         (["--max-error", "0.01"], "--max-chatter and --max-error contradict each other; give one of them"),
         (["--max-chatter", "nan"], "--max-chatter is nan; it must be above 0, and finite"),
+        (["--pause", "0.1"], "--pause is 0.1; it must lie between 0 and 0.05"),
         (["--phase-margin", "-1"], "--phase-margin is -1; it must lie between 0 and 120"),
         (["--budget", "0"], "--budget is 0; it must be at least 1"),
         (["--seed", "-1"], "--seed is -1; it must lie between 0 and 2000000000"),

@@ -15,7 +15,7 @@ from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.parameters import files
 from valve_control.parameters.table import CONTROLLER, NODES
 from valve_control.simulation import robustness
-from valve_control.tuning import box, limit_cycles, margins, search, trial, tuner, verification
+from valve_control.tuning import box, limit_cycles, margins, pauses, search, trial, tuner, verification
 from valve_control.tuning.search import Point
 from valve_control.tuning.trial import Gains
 
@@ -222,6 +222,29 @@ def test_what_would_be_the_best_is_asked_whether_it_rests(resting, monkeypatch):
     else:
         assert 0 < last < done[1] + 100
         assert any(tried > last for tried, _ in beyond)  # some were asked after it
+
+
+def test_gains_bear_a_pause_of_the_command():
+    """On a sine whose acceleration is half the limit; without the limit some of the front do not."""
+    time = np.arange(2000) * 0.001
+    wanted = np.sin(2.0 * np.pi * 12.0 * time) * np.clip(time / 0.2, 0.0, 1.0)
+    there = problem("dcarc", valves=2)._replace(motions=[trial.Motion("sine", wanted)])
+    law, borne, chosen = LAWS["dcarc"], [], None
+    for pause in (0.0, 0.01):
+        asked = there._replace(limits=there.limits._replace(pause_s=pause))
+        found = search.search(law, asked, [search.Phase(0.4, 1.0)], 150, 1, lambda done: None, 1)
+        front = search.front(found.points)
+        assert front
+        borne.append([pauses.borne(law, _bearing(there), point.gains) for point in front])
+        chosen = chosen or next(p for p, bears in zip(front, borne[0], strict=True) if not bears)
+    assert not all(borne[0]) and all(borne[1])
+    unseen = _bearing(there)._replace(seed=7)
+    reasons = verification.verified(law, unseen, chosen.gains, 0.4).reasons
+    assert any("after a pause of the command of 10 ms or less" in reason for reason in reasons)
+
+
+def _bearing(there):
+    return there._replace(limits=there.limits._replace(pause_s=0.01))
 
 
 def test_a_known_motion_is_followed_without_lag():

@@ -90,6 +90,13 @@ def add_commands(commands: Any) -> None:
     limits.add_argument(
         "--saturation", type=float, default=0.02, metavar="X", help="mean share of the samples (0.02)"
     )
+    limits.add_argument(
+        "--pause",
+        type=float,
+        default=0.01,
+        metavar="S",
+        help="of the command, after which the reference has to come back (0.01 s; 0: not asked for)",
+    )
     group = tune.add_argument_group("search")
     group.add_argument("--valves", type=int, default=8, metavar="N", help="that are simulated (8)")
     group.add_argument("--unseen", type=int, default=64, metavar="N", help="valves to verify on (64)")
@@ -279,7 +286,7 @@ def _stoppable(
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    from valve_control.tuning import box
+    from valve_control.tuning import box, pauses
 
     check_processes("threads", arguments.threads)
     box.check_draws(_seed(arguments), arguments.valves, arguments.unseen)
@@ -296,6 +303,7 @@ def _check(arguments: argparse.Namespace) -> None:
         ("phase_margin", 120.0),
         ("delay_margin", 1.0),
         ("saturation", 1.0),
+        ("pause", pauses.LONGEST),
     ):
         value = getattr(arguments, name)
         if not 0.0 <= value <= most:
@@ -353,6 +361,7 @@ def _limits(arguments: argparse.Namespace) -> "Limits":
         arguments.peak,
         arguments.swing,
         arguments.saturation,
+        arguments.pause,
     )
 
 

@@ -10,7 +10,7 @@ from valve_control.commissioning.bench import Record
 from valve_control.commissioning.sequence import Result
 from valve_control.identification import bode, result
 from valve_control.parameters.build import as_text
-from valve_control.tuning import limit_cycles, margins, verification
+from valve_control.tuning import limit_cycles, margins, pauses, verification
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -149,9 +149,10 @@ def _margins(found: Result) -> str:
         ("e_rms, 95 % [mV]", 1e3 * (unseen["e_rms"]["p95"] or np.nan)),
         (f"valves that do not rest within {limit_cycles.HELD:g} s", unseen["restless"]),
     ]
-    return "<p>The least over a box around this valve.</p>" + pages.table(
-        ["", ""], [[name, "without end" if v is None else f"{v:.3g}"] for name, v in rows]
-    )
+    texts = [[name, "without end" if v is None else f"{v:.3g}"] for name, v in rows]
+    pause = pauses.as_text(found.tuned.chosen.verified.pause_s)
+    texts.append(["pause of the command after which the reference does not come back [ms]", pause])
+    return "<p>The least over a box around this valve.</p>" + pages.table(["", ""], texts)
 
 
 def _verification(record: Record) -> str:

@@ -14,7 +14,7 @@ from valve_control.parameter import number, updated
 from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
 from valve_control.simulation import batch
-from valve_control.tuning import limit_cycles, margins, trial, verification
+from valve_control.tuning import limit_cycles, margins, pauses, trial, verification
 from valve_control.tuning.trial import Motion, Problem
 from valve_control.tuning.tuner import Aim, Tuned
 
@@ -183,6 +183,7 @@ def _margins(unseen: Problem, found: Mapping[str, Tuned]) -> str:
             f"{limits.sensitivity_db:g}",
             "",
             f"{limits.swing:g}",
+            f"{1e3 * limits.pause_s:g}",
         ]
     ]
     for name, one in found.items():
@@ -197,6 +198,7 @@ def _margins(unseen: Problem, found: Mapping[str, Tuned]) -> str:
                 text(worst["sensitivity_db"]),
                 text(worst["response_db"]),
                 text(worst["swing_v"]),
+                pauses.as_text(one.chosen.verified.pause_s),
             ]
         )
     head = [
@@ -208,8 +210,13 @@ def _margins(unseen: Problem, found: Mapping[str, Tuned]) -> str:
         "sensitivity [dB]",
         "response [dB]",
         "swing [V]",
+        "pause [ms]",
     ]
-    return "<p>The least of each over all valves, of the peaks the largest.</p>" + pages.table(head, rows)
+    return (
+        "<p>The least of each over all valves, of the peaks the largest. Pause: the shortest one of the "
+        "command after which the reference does not come back while the motion lasts.</p>"
+        + pages.table(head, rows)
+    )
 
 
 def _distribution(found: Mapping[str, Tuned]) -> str:

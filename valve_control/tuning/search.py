@@ -34,7 +34,7 @@ from valve_control.laws.free import Free, present
 from valve_control.laws.law import Law
 from valve_control.laws.reshaping import LEAD_ACCEL
 from valve_control.parameter import ParameterError
-from valve_control.tuning import limit_cycles, margins, trial
+from valve_control.tuning import limit_cycles, margins, pauses, trial
 from valve_control.tuning.trial import AHEAD, Gains, Outcome, Problem, Workers
 
 Array = npt.NDArray[np.float64]
@@ -192,8 +192,15 @@ class _Trials:
         return cost(point, chatter, self._problem.limits.saturated)
 
     def _restless(self, points: Sequence[Point]) -> list[float]:
-        """Share of the harder valves on which the loops of ``points`` do not come to rest."""
+        """Share of the harder valves on which the loops of ``points`` do not come to rest.
+
+        1.0 where the reference does not come back after a pause of the command.
+        """
         new = [p for p in points if p.shares not in self._rested]
+        strayed = [p for p in new if not pauses.borne(self._law, self._problem, p.gains)]
+        self._rested.update((p.shares, 1.0) for p in strayed)
+        self.missed += len(strayed)
+        new = [p for p in new if p.shares not in self._rested]
         if new:
             shares = limit_cycles.restless_shares(
                 self._law, self._problem, [point.gains for point in new], self._workers

@@ -43,10 +43,17 @@ class Limits(NamedTuple):
     sensitivity_db: float  # at most
     swing: float  # V  at most; amplitude of swings about rest that friction sustains, by the loop
     saturated: float  # at most; share of the samples at the limit of the voltage
+    pause_s: float = 0.0  # s  of the command, after which the reference comes back; pauses.shortest is longer
 
 
 USUAL = Limits(
-    gain_db=3.0, phase_deg=20.0, delay_s=0.0005, sensitivity_db=12.0, swing=0.04, saturated=0.02
+    gain_db=3.0,
+    phase_deg=20.0,
+    delay_s=0.0005,
+    sensitivity_db=12.0,
+    swing=0.04,
+    saturated=0.02,
+    pause_s=0.01,
 )  # where nothing else is asked for
 
 

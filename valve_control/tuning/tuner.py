@@ -168,8 +168,8 @@ def _nothing(law: Law, front: Sequence[Point], aim: Aim, tried: int, missed: int
     if not front:
         return (
             f"{law.name}: none of {tried} sets of gains can be used ({missed} of them miss the margins in "
-            "the box or do not come to rest); lower the limits of the margins, narrow the box, or give a "
-            "larger --budget"
+            "the box, do not come to rest, or do not bear a pause of the command); lower the limits of the "
+            "margins, narrow the box, or give a larger --budget"
         )
     if aim.chatter is not None:
         least = min(point.chatter for point in front)

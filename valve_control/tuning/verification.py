@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.laws.law import Law
-from valve_control.tuning import limit_cycles, margins, trial
+from valve_control.tuning import limit_cycles, margins, pauses, trial
 from valve_control.tuning.trial import Gains, Motion, Outcome, Problem, Workers
 
 Array = npt.NDArray[np.float64]
@@ -22,6 +22,7 @@ class Verified(NamedTuple):
     unseen: Outcome  # on others
     margins: margins.Margins  # of each valve
     restless: npt.NDArray[np.int64]  # numbers of valves that do not rest after a step or a motion
+    pause_s: float  # shortest pause of the command after which the reference strays; infinite: none
     reasons: list[str]  # why the gains are not accepted, as sentences; []: they are
 
 
@@ -67,13 +68,19 @@ def verified(
             f"{100.0 * share:.2g} % of the valves in the box do not rest within {limit_cycles.HELD:g} s "
             "after a step when half of the margins is gone"
         )
+    pause = pauses.shortest(law, problem, gains)
+    if not pauses.borne(law, problem, gains):
+        reasons.append(
+            f"after a pause of the command of {1e3 * problem.limits.pause_s:g} ms or less the reference does "
+            "not come back while the motion lasts"
+        )
     for outcome, what in ((seen, "the commands"), (unseen, "commands that were not seen")):
         share = float(np.mean(outcome.saturated))
         if share > problem.limits.saturated:
             reasons.append(f"on {what} the amplifier saturates in {100.0 * share:.2g} % of the samples")
     if chatter is not None and not seen.chatter <= SLACK * chatter:
         reasons.append(f"c_u is {seen.chatter:.3f} on valves that were not seen, above {chatter:g}")
-    return Verified(seen, unseen, found, restless, reasons)
+    return Verified(seen, unseen, found, restless, pause, reasons)
 
 
 def _margins_missed(limits: trial.Limits, worst: dict[str, float | None]) -> list[str]:
@@ -125,4 +132,5 @@ def as_dict(v: Verified) -> dict[str, Any]:
         },
         "valves": v.seen.e_rms.shape[1],
         "restless": len(v.restless),
+        "pause_s": v.pause_s if np.isfinite(v.pause_s) else None,
     }

@@ -1,0 +1,125 @@
+"""A pause of the command: whether the reference comes back, or stays on the large answer of the reshaping."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from valve_control.commands import arrays
+from valve_control.laws import command_lead, reshaping
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import files
+from valve_control.parameters.table import CONTROLLER
+from valve_control.tuning import pauses, trial
+from valve_control.tuning.trial import Gains, Motion, Problem
+
+PERIOD = 0.001
+MOST = 12000.0  # V/s²
+
+
+def sine(amplitude, frequency, seconds=3.0):
+    time = np.arange(round(seconds / PERIOD)) * PERIOD
+    return amplitude * np.sin(2.0 * np.pi * frequency * time) * np.clip(time / 0.2, 0.0, 1.0)
+
+
+def problem(wanted, law="dcarc", **changes):
+    values = {"controller": law, **{name.replace("__", "."): value for name, value in changes.items()}}
+    values = updated(CONTROLLER, defaults(CONTROLLER), values)
+    return Problem(values, [Motion("wanted", wanted)], [], [], trial.USUAL, False, False, 1)
+
+
+def shortest(wanted, law="dcarc", **changes):
+    return pauses.shortest(LAWS[law], problem(wanted, law, **changes), Gains({}, 0.0))
+
+
+def reference(commands, **changes):
+    """In plain Python, by the functions that the laws use."""
+    values = problem(commands, **changes).values
+    led = command_lead.applied(command_lead.build(values, True), commands)
+    p, state, made = reshaping.build(values), reshaping.State(0.0, 0.0), []
+    for command in led.tolist():
+        made.append(state.reference)
+        state = reshaping.advance(p, state, reshaping.acceleration(p, state, command))
+    return np.array(made)
+
+
+@pytest.mark.parametrize("frequency, lead, bears", [(800.0, 0.0019, False), (314.0, 0.005, True)])
+def test_one_pause_leads_a_fast_reshaping_to_an_answer_of_several_times_the_size(frequency, lead, bears):
+    """1 V at 12 Hz, of which the acceleration is half the limit: 10 ms of pause, 1.5 s later."""
+    wanted = sine(1.0, 12.0)
+    late = wanted.copy()
+    late[1000:1010] = wanted[999]
+    settings = {"reshaping__natural_frequency": frequency, "reshaping__lead": lead}
+    assert np.max(np.abs(reference(wanted, **settings) - wanted)[500:]) < 0.15
+    away = np.max(np.abs(reference(late, **settings) - wanted)[2500:])
+    assert away < 0.15 if bears else away > 3.0
+    assert (shortest(wanted, **settings) > 0.01) == bears
+    # Half the size is no longer led astray, at 800 rad/s neither.
+    assert shortest(0.3 * wanted, **settings) > 0.01
+
+
+def large_answer_lasts(natural_frequency, damping, amplitude, frequency):
+    """Begun at any phase of the command."""
+    p = reshaping.Params(natural_frequency, damping, 1e9, MOST, PERIOD)
+    w = 2.0 * np.pi * frequency
+    large = 4.0 / np.pi * MOST / w**2
+    for phase in np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False):
+        commands = amplitude * np.sin(w * PERIOD * np.arange(1500) + phase)
+        state, seen = reshaping.State(0.0, -large * w), []
+        for command in commands.tolist():
+            state = reshaping.advance(p, state, reshaping.acceleration(p, state, command))
+            seen.append(abs(state.reference))
+        if max(seen[-200:]) > 0.5 * large:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("natural_frequency", [800.0, 500.0, 314.0])
+@pytest.mark.parametrize("frequency", [8.0, 16.0])
+def test_the_large_answer_exists_from_where_the_describing_function_says(natural_frequency, frequency):
+    """A·ω²/M from (4/π)·ω·(2·ξ/ω_n - ΔT/2) on: simulated within a quarter of it."""
+    damping, w = 0.8, 2.0 * np.pi * frequency
+    least = 4.0 / np.pi * w * (2.0 * damping / natural_frequency - 0.5 * PERIOD)
+    for factor, lasts in ((0.75, False), (1.25, True)):
+        amplitude = factor * least * MOST / w**2
+        assert large_answer_lasts(natural_frequency, damping, amplitude, frequency) == lasts, factor
+
+
+@settings(max_examples=30)
+@given(
+    st.floats(0.05, 1.0), st.floats(2.0, 25.0), st.floats(100.0, 900.0), st.floats(0.0, 0.01),
+    st.sampled_from([0.0, 1.0]),
+)  # fmt: skip
+def test_with_room_below_the_limit_every_pause_is_borne(share, frequency, natural_frequency, lead, accel):
+    """Where the limits are never met the reshaping is linear, and forgets a pause."""
+    amplitude = share / (2.0 * np.pi * frequency) ** 2 * 100.0
+    settings = {"reshaping__natural_frequency": natural_frequency, "reshaping__lead": lead}
+    settings |= {"reshaping__lead_accel": accel, "reshaping__max_accel": 1e7, "reshaping__max_rate": 1e5}
+    assert math.isinf(shortest(sine(amplitude, frequency, 1.5), **settings))
+
+
+def test_what_is_not_reshaped_and_what_is_known_ahead_is_not_looked_at():
+    wanted = sine(1.0, 12.0)
+    settings = {"reshaping__natural_frequency": 800.0}
+    assert shortest(wanted, **settings) < math.inf
+    assert math.isinf(shortest(wanted, "pid", pid__form="plain", **settings))
+    ahead = problem(wanted, **settings)._replace(preview=True)
+    assert math.isinf(pauses.shortest(LAWS["dcarc"], ahead, Gains({}, 0.0)))
+    none = problem(wanted, **settings)
+    none = none._replace(limits=trial.USUAL._replace(pause_s=0.0))
+    assert pauses.borne(LAWS["dcarc"], none, Gains({}, 0.0))
+
+
+@pytest.mark.parametrize("valve", ["d3fxe", "d3fxe_experiment"])
+@pytest.mark.parametrize("law", ["dcarc", "oarc", "arc", "pid"])
+def test_shipped_gains_bear_pauses_on_their_commands(valve, law, config):
+    values = files.load(str(config / "tuned" / f"{valve}_{law}.yaml"))["controller"]
+    names = ("fast_strokes", "sines", "slow_strokes")
+    motions = [Motion(name, arrays.read(str(config / "commands" / f"{name}.csv"))) for name in names]
+    there = Problem(
+        updated(CONTROLLER, defaults(CONTROLLER), values), motions, [], [], trial.USUAL, False, False, 1
+    )
+    assert math.isinf(pauses.shortest(LAWS[law], there, Gains({}, 0.0)))

@@ -1,0 +1,108 @@
+"""Tries what a pause of the command does to the reference: whether it comes back to that without one.
+
+A fast motion has two answers of the reshaping (8) to (11) once the acceleration (6) is at its limit: the
+small one, which follows it, and one of several times its size, of which the acceleration is at one limit or
+at the other. A step of the command, as after a pause of the upper level, can lead from the first to the
+second, which then lasts as long as the motion: a jump resonance. The faster the reshaping the shorter the
+pause that does it, for what damps (8) at the limit is its lag 2·xi_n/omega_n, less the delay of a sample.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.compiling import compile_function
+from valve_control.laws import command_lead, reshaping
+from valve_control.laws.law import Law
+from valve_control.parameter import Values, number
+from valve_control.tuning import trial
+from valve_control.tuning.trial import Gains, Problem
+
+Array = npt.NDArray[np.float64]
+EVERY = 0.41  # s  from one pause to the next
+OFFSETS = 8  # places of the first one
+SEEN = 0.1  # s  before the next pause, in which the reference has to be back
+BACK = 0.1  # of the reach of the motion, within which it is
+LONGEST = 0.05  # s  that is tried
+STEP = 0.005  # s  from one length to the next
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+
+
+def shortest(law: Law, problem: Problem, gains: Gains, longest: float = LONGEST) -> float:
+    """The shortest pause [s] of a command, up to ``longest``, after which the reference does not come back.
+
+    Infinite if it always does, as for a law that does not reshape. Motions that are known ahead come with
+    their rate and acceleration, and are not looked at.
+    """
+    values = trial.values_with(problem, gains)
+    params = trial.built(law, values)
+    if problem.preview or not law.reshapes(params):
+        return math.inf
+    period, limit = number(values, "sample_period"), number(values, "command_limit")
+    lead = command_lead.build(values, True) or _none(values)
+    strays = compile_function(_strays, nogil=True)
+    every, seen = round(EVERY / period), round(SEEN / period)
+    clipped = [np.clip(motion.wanted, -limit, limit) for motion in problem.motions]
+    for pause in lengths(longest, period):
+        for commands in clipped:
+            allowed = BACK * float(np.max(np.abs(commands)))
+            for i in range(OFFSETS):
+                first = round((i * GOLDEN) % 1.0 * every)
+                if strays(params.reshaping, lead, commands, (pause, first, every, seen), allowed):
+                    return pause * period
+    return math.inf
+
+
+def borne(law: Law, problem: Problem, gains: Gains) -> bool:
+    """Whether the reference comes back after all pauses up to the limit of ``problem``."""
+    return math.isinf(shortest(law, problem, gains, problem.limits.pause_s))
+
+
+def as_text(found: float) -> str:
+    """What ``shortest`` found, in ms."""
+    return f"{1e3 * found:.3g}" if math.isfinite(found) else f"none up to {1e3 * LONGEST:g}"
+
+
+def lengths(longest: float, period: float) -> Sequence[int]:
+    """Pauses that are tried [samples], the shortest first, ``longest`` [s] the last one; 0.0: none."""
+    count = math.ceil(longest / STEP)
+    return sorted({max(1, round(longest * (i + 1) / count / period)) for i in range(count)})
+
+
+def _none(values: Values) -> command_lead.Params:
+    """A lead of 0 s."""
+    limit, period = number(values, "command_limit"), number(values, "sample_period")
+    return command_lead.Params(0.0, 0.0, 0.0, 0.0, 0.0, limit, period)
+
+
+def _strays(
+    p: reshaping.Params,
+    lead: command_lead.Params,
+    commands: Array,
+    at: tuple[int, int, int, int],
+    allowed: float,
+) -> bool:
+    """Whether the reference under ``commands`` [V] with pauses does not come back to that without.
+
+    ``at`` [samples]: length of a pause, the first one, from one to the next, and where it is looked at before
+    the next; ``allowed`` [V]: how far it may be away there.
+    """
+    pause, first, every, seen = at
+    held = commands[0]
+    in_time, late = command_lead.initial(held), command_lead.initial(held)
+    undisturbed, disturbed = reshaping.State(held, 0.0), reshaping.State(held, 0.0)
+    for k in range(len(commands)):
+        since = (k - first) % every
+        if since >= pause:
+            held = commands[k]
+        if since >= every - seen and abs(disturbed.reference - undisturbed.reference) > allowed:
+            return True
+        in_time = command_lead.step(lead, in_time, commands[k])
+        late = command_lead.step(lead, late, held)
+        accel = reshaping.acceleration(p, undisturbed, command_lead.led(lead, in_time, commands[k]))
+        undisturbed = reshaping.advance(p, undisturbed, accel)
+        accel = reshaping.acceleration(p, disturbed, command_lead.led(lead, late, held))
+        disturbed = reshaping.advance(p, disturbed, accel)
+    return False
