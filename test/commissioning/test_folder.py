@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import resource
 
 import pytest
 from supervised import SupervisedValve
@@ -125,6 +126,17 @@ def test_an_end_while_the_results_are_written_is_no_success(tmp_path, monkeypatc
         left = {path.name for path in tmp_path.iterdir()} - {"earlier"}
         assert left == {"before.yaml", "state.json", "valve.yaml"} and state(tmp_path) == backup.ABORTED
     capfd.readouterr()
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, usual[1]))  # less than the report
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            commission._run(arguments(tmp_path, *quick), valve)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+    assert valve.values() == before and not valve.active
+    assert "all its parameters are as before" in capfd.readouterr().err
+    left = {path.name for path in tmp_path.iterdir()} - {"earlier"}
+    assert left == {"before.yaml", "state.json", "valve.yaml"} and state(tmp_path) == backup.ABORTED
     assert commission._run(arguments(tmp_path, *quick), valve) == 0
     told = json.loads((tmp_path / "commission.json").read_text(encoding="utf-8"))
     assert valve.active and valve.values() == {**before, **told["applied"]}

@@ -188,15 +188,18 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
             backup.mark(folder, controller.name, backup.DONE)
     except BaseException as error:
         steps.close()
-        for path in written:
-            path.unlink(missing_ok=True)
         backup_safe = "all its parameters are as before" in told
-        if backup_safe:
-            backup.mark(folder, controller.name, backup.ABORTED)
         if isinstance(error, Fault) and not backup_safe:
             told.append(f"its parameters from before are in {folder}; --undo brings them back")
         for text in told:
             print(text, file=sys.stderr)
+        if backup_safe:
+            try:
+                for path in written:
+                    path.unlink(missing_ok=True)
+                backup.mark(folder, controller.name, backup.ABORTED)
+            except OSError as failed:
+                print(f"{folder} could not be put in order: {failed.strerror or failed}", file=sys.stderr)
         if isinstance(error, (ParameterError, sequence.Refused)):
             print(f"valve-control: {error}", file=sys.stderr)
             return FAILED

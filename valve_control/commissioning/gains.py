@@ -41,6 +41,7 @@ class Verification(NamedTuple):
     measured: Indices
     expected: Indices  # with the new gains, on the commands as they came
     punctual: Indices  # with the new gains, on commands that come in time
+    away: float  # V  how far the commands were from those, at most
     former: Indices | None  # with the parameters from before, None if those saturate or are unstable
     reasons: list[str]  # why the gains are not accepted
 
@@ -143,7 +144,9 @@ def judged(plan: Plan, before: Values, gains: Gains, wanted: Floats, record: Rec
             f"in simulation the parameters from before do better, {1e3 * former.e_rms:.3g} mV rms instead of "
             f"{1e3 * measured.e_rms:.3g} mV"
         )
-    return Verification(record, measured, made.indices, punctual.indices, former, reasons)
+    n = min(len(wanted), len(record.command))
+    away = float(np.nanmax(np.abs(record.command[:n] - wanted[:n])))
+    return Verification(record, measured, made.indices, punctual.indices, away, former, reasons)
 
 
 def _indices(record: Record) -> Indices:

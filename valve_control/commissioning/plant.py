@@ -42,6 +42,7 @@ EXPLAINED = 3.0  # error up to which a model describes the valve
 PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.1  # V  of the bristles: first guess and bounds
 BRISTLE_UNKNOWNS = 8
 POPULATION, TRIALS = 24, 2500  # valves with bristles that are simulated: with fewer the search ends anywhere
+BEGUN = 0.45  # of the bound, the fastest pole with which a search begins: a coefficient may be a sum of two
 AWAY = 0.1  # of the logarithms of coefficients, from their bounds, where a search begins
 FIRST_STEP = 0.2  # of the spreads of their search
 # Times the speed of the second order without bristles, where their searches begin: of six searches about four
@@ -227,8 +228,10 @@ class _Form(NamedTuple):
     def coefficients(self) -> tuple[Floats, Floats]:
         """Least and largest unknowns of the poles; those beyond are taken for these."""
         powers = np.array([1.0 + i % 2 for i in range(self.order)])
-        fastest = min(FASTEST_POLE / self.period, FASTEST_SPEED)
-        return 1.0 + powers * math.log(SLOWEST_POLE), 1.0 + powers * math.log(fastest)
+        return (
+            1.0 + powers * math.log(SLOWEST_POLE),
+            1.0 + powers * math.log(_fastest(self.period)),
+        )
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Lower and upper bounds of the unknowns."""
@@ -339,9 +342,16 @@ def _with_bristles(
     return _refined(records, weights, form, np.clip(strategy.result.xbest, lower, upper), counted)
 
 
+def _fastest(period: float) -> float:
+    """Bound of the poles [rad/s]."""
+    return min(FASTEST_POLE / period, FASTEST_SPEED)
+
+
 def _parameters(fit: Fit, friction: Friction, offset: float, period: float) -> Floats:
     """Unknowns of a search that begins at ``fit``, without bristles."""
-    roots = sorted(np.roots(fit.model.denominator), key=lambda root: (abs(root), root.imag))
+    fitted_roots = np.roots(fit.model.denominator)
+    factor = np.minimum(1.0, BEGUN * _fastest(period) / np.abs(fitted_roots))
+    roots = sorted(factor * fitted_roots, key=lambda root: (abs(root), root.imag))
     real = [root for root in roots if root.imag == 0.0]
     single = real.pop().real if fit.order % 2 else None  # the fastest real pole stands alone
     pairs = [*zip(real[::2], real[1::2], strict=True)]
@@ -352,7 +362,7 @@ def _parameters(fit: Fit, friction: Friction, offset: float, period: float) -> F
         factors += [1.0 + math.log(first), 1.0 + math.log(second)]
     if single is not None:
         factors.append(1.0 + math.log(-single))
-    scale = abs(fit.model.denominator[-1]) ** (1.0 / fit.order)
+    scale = (abs(fit.model.denominator[-1]) * float(np.prod(factor))) ** (1.0 / fit.order)
     static = fit.model.denominator[-1]
     ascending = [c * scale**i / static for i, c in enumerate(reversed(fit.model.numerator))]
     return np.array([*factors, *ascending, friction.coulomb, offset, fit.delay / period])

@@ -323,13 +323,12 @@ def _unexplained(found: Plant) -> list[str]:
 def _late(made: Verification) -> list[str]:
     """A sentence about commands that came late, where that makes most of the error."""
     late, punctual = made.expected.e_rms, made.punctual.e_rms
-    if late <= gains.WORSE * punctual + gains.SLACK:
+    if not late > gains.WORSE * punctual + gains.SLACK:
         return []
     return [
-        f"the commands of the verification run came late, in steps of up to "
-        f"{np.nanmax(np.abs(np.diff(made.record.command))):.2g} V: with them the simulation has "
-        f"{1e3 * late:.3g} mV of error, and {1e3 * punctual:.3g} mV with commands in time; where the upper "
-        "level is late too, a lower reshaping.natural_frequency or a higher reshaping.max_accel bears more"
+        f"the commands of the verification run came late, and were up to {made.away:.2g} V away from those "
+        f"in time: with them the simulation has {1e3 * late:.3g} mV of error, and {1e3 * punctual:.3g} mV "
+        "with commands in time"
     ]
 
 

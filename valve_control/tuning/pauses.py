@@ -26,20 +26,21 @@ OFFSETS = 8  # places of the first one
 SEEN = 0.1  # s  before the next pause, in which the reference has to be back
 BACK = 0.1  # of the reach of the motion, within which it is
 LONGEST = 0.05  # s  that is tried
-STEP = 0.005  # s  from one length to the next
+STEP = 0.002  # s  from one length to the next
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
-def shortest(law: Law, problem: Problem, gains: Gains, longest: float = LONGEST) -> float:
+def shortest(law: Law, problem: Problem, gains: Gains, longest: float = LONGEST) -> float | None:
     """The shortest pause [s] of a command, up to ``longest``, after which the reference does not come back.
 
-    Infinite if it always does, as for a law that does not reshape. Motions that are known ahead come with
-    their rate and acceleration, and are not looked at.
+    Of the ``lengths``, at OFFSETS places of each of the motions; infinite if it always does. None for what is
+    not looked at: a law that does not reshape, and motions that are known ahead, which come with their rate
+    and acceleration.
     """
     values = trial.values_with(problem, gains)
     params = trial.built(law, values)
     if problem.preview or not law.reshapes(params):
-        return math.inf
+        return None
     period, limit = number(values, "sample_period"), number(values, "command_limit")
     lead = command_lead.build(values, True) or _none(values)
     strays = compile_function(_strays, nogil=True)
@@ -56,19 +57,26 @@ def shortest(law: Law, problem: Problem, gains: Gains, longest: float = LONGEST)
 
 
 def borne(law: Law, problem: Problem, gains: Gains) -> bool:
-    """Whether the reference comes back after all pauses up to the limit of ``problem``."""
-    return math.isinf(shortest(law, problem, gains, problem.limits.pause_s))
+    """Whether the reference comes back after the pauses up to the limit of ``problem``."""
+    found = shortest(law, problem, gains, problem.limits.pause_s)
+    return found is None or math.isinf(found)
 
 
-def as_text(found: float) -> str:
+def as_text(found: float | None) -> str:
     """What ``shortest`` found, in ms."""
+    if found is None:
+        return "not looked at"
     return f"{1e3 * found:.3g}" if math.isfinite(found) else f"none up to {1e3 * LONGEST:g}"
 
 
 def lengths(longest: float, period: float) -> Sequence[int]:
-    """Pauses that are tried [samples], the shortest first, ``longest`` [s] the last one; 0.0: none."""
-    count = math.ceil(longest / STEP)
-    return sorted({max(1, round(longest * (i + 1) / count / period)) for i in range(count)})
+    """Pauses that are tried [samples], the shortest first: every STEP up to ``longest`` [s], and that.
+
+    None for 0.0.
+    """
+    whole = [STEP * (i + 1) for i in range(math.floor(longest / STEP + 1e-6))]
+    times = [time for time in (*whole, longest) if time > 0.0]
+    return sorted({max(1, math.floor(time / period + 1e-6)) for time in times})
 
 
 def _none(values: Values) -> command_lead.Params:

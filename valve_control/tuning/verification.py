@@ -22,7 +22,7 @@ class Verified(NamedTuple):
     unseen: Outcome  # on others
     margins: margins.Margins  # of each valve
     restless: npt.NDArray[np.int64]  # numbers of valves that do not rest after a step or a motion
-    pause_s: float  # shortest pause of the command after which the reference strays; infinite: none
+    pause_s: float | None  # pauses.shortest
     reasons: list[str]  # why the gains are not accepted, as sentences; []: they are
 
 
@@ -132,5 +132,5 @@ def as_dict(v: Verified) -> dict[str, Any]:
         },
         "valves": v.seen.e_rms.shape[1],
         "restless": len(v.restless),
-        "pause_s": v.pause_s if np.isfinite(v.pause_s) else None,
+        "pause_s": v.pause_s if v.pause_s is not None and np.isfinite(v.pause_s) else None,
     }
