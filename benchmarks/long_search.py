@@ -138,9 +138,9 @@ def long_search(
             beyond = max(0.0, math.log(max(outcome.chatter, 1e-9) / QUIET)) + max(0.0, loud - 0.02)
             costs[i] += math.log(error) + 6.0 * beyond if math.isfinite(error) else 100.0
             if beyond == 0.0 and error < best[0]:
-                (share,) = limit_cycles.restless_shares(law, problem, [gains])
-                if not pauses.borne(law, problem, gains):
-                    share = 1.0
+                share = 1.0
+                if pauses.borne(law, problem, gains):
+                    (share,) = limit_cycles.restless_shares(law, problem, [gains])
                 if share > 0.0:
                     costs[i] = 10.0 + share
                 else:

@@ -123,7 +123,9 @@ def test_with_room_below_the_limit_every_pause_is_borne(share, frequency, natura
     ],
 )
 def test_lengths(longest, period, expected):
-    assert pauses.lengths(longest, period) == expected
+    assert pauses.lengths(period, longest, longest) == expected
+    # What is asked for is among those that are told of.
+    assert set(expected) <= set(pauses.lengths(period, pauses.LONGEST, longest))
 
 
 def test_what_is_not_reshaped_and_what_is_known_ahead_is_not_looked_at():

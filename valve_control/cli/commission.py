@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import interrupts, outputs
-from valve_control.cli.common import check_processes, say, write_json
+from valve_control.cli.common import check_processes, check_search, say, write_json
 from valve_control.parameter import ParameterError, word
 
 if TYPE_CHECKING:
@@ -83,12 +83,8 @@ def _commission(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    from valve_control.tuning import box
-
     check_processes("threads", arguments.threads)
-    box.check_draws(arguments.seed, arguments.valves, arguments.unseen)
-    if arguments.budget < 1:
-        raise ParameterError(f"--budget is {arguments.budget}; it must be at least 1")
+    check_search(arguments.seed, arguments.valves, arguments.unseen, arguments.budget)
     for name in ("max_voltage", "travel", "max_chatter"):
         value = getattr(arguments, name)
         if value is not None and not 0.0 < value < math.inf:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from valve_control.simulation.cluster import Cluster
 
 MOST_PER_CORE = 4  # processes or threads
+MOST_SEED, MOST_VALVES = 2_000_000_000, 100_000  # of a search
 SOON, EVERY = 2.0, 5.0  # s  to the first line of progress, and from one to the next
 
 
@@ -60,6 +61,22 @@ def check_processes(name: str, count: int) -> None:
             f"--{name} is {count}; it must lie between 1 and {MOST_PER_CORE * cores}, {MOST_PER_CORE} for "
             f"each of the {cores} cores of this machine"
         )
+
+
+def check_search(seed: int, valves: int, unseen: int, budget: int) -> None:
+    """Raise ParameterError for numbers of a search and its verification that cannot be.
+
+    The seed leaves room for what is added to it: other seeds for valves that are not seen, noise and motions.
+    """
+    for name, given, least, most in (
+        ("seed", seed, 0, MOST_SEED),
+        ("valves", valves, 1, MOST_VALVES),
+        ("unseen", unseen, 1, MOST_VALVES),
+    ):
+        if not least <= given <= most:
+            raise ParameterError(f"--{name} is {given}; it must lie between {least} and {most}")
+    if budget < 1:
+        raise ParameterError(f"--budget is {budget}; it must be at least 1")
 
 
 def cluster_option(group: Any) -> None:

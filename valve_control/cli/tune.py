@@ -15,6 +15,7 @@ from valve_control.cli.common import (
     Progress,
     check_outputs,
     check_processes,
+    check_search,
     cluster_option,
     say,
     workers,
@@ -286,12 +287,10 @@ def _stoppable(
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    from valve_control.tuning import box, pauses
+    from valve_control.tuning import pauses
 
     check_processes("threads", arguments.threads)
-    box.check_draws(_seed(arguments), arguments.valves, arguments.unseen)
-    if arguments.budget < 1:
-        raise ParameterError(f"--budget is {arguments.budget}; it must be at least 1")
+    check_search(_seed(arguments), arguments.valves, arguments.unseen, arguments.budget)
     if arguments.max_chatter is not None and arguments.max_error is not None:
         raise ParameterError("--max-chatter and --max-error contradict each other; give one of them")
     for name in ("max_chatter", "max_error", "peak", "swing"):

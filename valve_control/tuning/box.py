@@ -19,18 +19,6 @@ FRICTION = "friction.coulomb"
 
 
 UNSEEN_SEED = 1_000_003  # added to the seed for valves that the search does not see
-MOST_SEED, MOST_VALVES = 2_000_000_000, 100_000
-
-
-def check_draws(seed: int, valves: int, unseen: int) -> None:
-    """Raise ParameterError unless so many valves can be drawn with ``seed``, for search and verification."""
-    for name, given, least, most in (
-        ("seed", seed, 0, MOST_SEED),
-        ("valves", valves, 1, MOST_VALVES),
-        ("unseen", unseen, 1, MOST_VALVES),
-    ):
-        if not least <= given <= most:
-            raise ParameterError(f"--{name} is {given}; it must lie between {least} and {most}")
 
 
 def study_of(settings: Settings, box: Sequence[Quantity], valves: int, seed: int) -> Study:

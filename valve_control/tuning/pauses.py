@@ -43,16 +43,27 @@ def shortest(law: Law, problem: Problem, gains: Gains, longest: float = LONGEST)
         return None
     period, limit = number(values, "sample_period"), number(values, "command_limit")
     lead = command_lead.build(values, True) or _none(values)
-    strays = compile_function(_strays, nogil=True)
+    fill = compile_function(_fill, nogil=True)
     every, seen = round(EVERY / period), round(SEEN / period)
-    clipped = [np.clip(motion.wanted, -limit, limit) for motion in problem.motions]
-    for pause in lengths(longest, period):
-        for commands in clipped:
-            allowed = BACK * float(np.max(np.abs(commands)))
-            for i in range(OFFSETS):
-                first = round((i * GOLDEN) % 1.0 * every)
-                if strays(params.reshaping, lead, commands, (pause, first, every, seen), allowed):
-                    return pause * period
+
+    def reference(commands: Array, pause: int, first: int) -> Array:
+        made = np.empty_like(commands)
+        fill(params.reshaping, lead, commands, pause, first, every, made)
+        return made
+
+    tried = []
+    for motion in problem.motions:
+        commands = np.clip(motion.wanted, -limit, limit)
+        undisturbed, allowed = reference(commands, 0, 0), BACK * float(np.max(np.abs(commands)))
+        for i in range(OFFSETS):
+            first = round((i * GOLDEN) % 1.0 * every)
+            looked_at = (np.arange(len(commands)) - first) % every >= every - seen
+            tried.append((commands, first, undisturbed[looked_at], looked_at, allowed))
+    for pause in lengths(period, longest, problem.limits.pause_s):
+        for commands, first, wanted, looked_at, allowed in tried:
+            away = np.abs(reference(commands, pause, first)[looked_at] - wanted)
+            if np.max(away, initial=0.0) > allowed:
+                return pause * period
     return math.inf
 
 
@@ -69,13 +80,13 @@ def as_text(found: float | None) -> str:
     return f"{1e3 * found:.3g}" if math.isfinite(found) else f"none up to {1e3 * LONGEST:g}"
 
 
-def lengths(longest: float, period: float) -> Sequence[int]:
+def lengths(period: float, longest: float, limit: float) -> Sequence[int]:
     """Pauses that are tried [samples], the shortest first: every STEP up to ``longest`` [s], and that.
 
-    None for 0.0.
+    And the ``limit`` [s], which is within; none for 0.0.
     """
     whole = [STEP * (i + 1) for i in range(math.floor(longest / STEP + 1e-6))]
-    times = [time for time in (*whole, longest) if time > 0.0]
+    times = [time for time in (*whole, longest, min(limit, longest)) if time > 0.0]
     return sorted({max(1, math.floor(time / period + 1e-6)) for time in times})
 
 
@@ -85,32 +96,25 @@ def _none(values: Values) -> command_lead.Params:
     return command_lead.Params(0.0, 0.0, 0.0, 0.0, 0.0, limit, period)
 
 
-def _strays(
+def _fill(
     p: reshaping.Params,
     lead: command_lead.Params,
     commands: Array,
-    at: tuple[int, int, int, int],
-    allowed: float,
-) -> bool:
-    """Whether the reference under ``commands`` [V] with pauses does not come back to that without.
+    pause: int,
+    first: int,
+    every: int,
+    result: Array,
+) -> None:
+    """Write the reference [V] under ``commands`` [V] into ``result``.
 
-    ``at`` [samples]: length of a pause, the first one, from one to the next, and where it is looked at before
-    the next; ``allowed`` [V]: how far it may be away there.
+    They pause for so many samples from sample ``first`` on, and again after ``every`` samples.
     """
-    pause, first, every, seen = at
     held = commands[0]
-    in_time, late = command_lead.initial(held), command_lead.initial(held)
-    undisturbed, disturbed = reshaping.State(held, 0.0), reshaping.State(held, 0.0)
+    led, state = command_lead.initial(held), reshaping.State(held, 0.0)
     for k in range(len(commands)):
-        since = (k - first) % every
-        if since >= pause:
+        result[k] = state.reference
+        if (k - first) % every >= pause:
             held = commands[k]
-        if since >= every - seen and abs(disturbed.reference - undisturbed.reference) > allowed:
-            return True
-        in_time = command_lead.step(lead, in_time, commands[k])
-        late = command_lead.step(lead, late, held)
-        accel = reshaping.acceleration(p, undisturbed, command_lead.led(lead, in_time, commands[k]))
-        undisturbed = reshaping.advance(p, undisturbed, accel)
-        accel = reshaping.acceleration(p, disturbed, command_lead.led(lead, late, held))
-        disturbed = reshaping.advance(p, disturbed, accel)
-    return False
+        led = command_lead.step(lead, led, held)
+        accel = reshaping.acceleration(p, state, command_lead.led(lead, led, held))
+        state = reshaping.advance(p, state, accel)
