@@ -17,7 +17,7 @@ ifndef ROS_DISTRO
 export AMENT_PREFIX_PATH := $(abspath $(VENV))
 endif
 
-.PHONY: help setup demo faults lockstep joiners paper axis bench test campaign browser lint docs clean
+.PHONY: help setup demo faults lockstep joiners paper theorems axis delta tuned bench test campaign browser lint docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
@@ -36,20 +36,30 @@ demo: $(STAMP)  ## the cascade over DDS: ARC, OARC, PID and the compensator; fig
 	@$(PYTHON) -m valve_control.nodes.harness.demo $(ARGS)
 
 faults: $(STAMP)  ## fault campaign over DDS: reaction times, out/faults.json (about 9 min)
-	@$(PYTHON) -m valve_control.nodes.harness.faults $(ARGS)
+	@$(PYTHON) -m research.campaigns.faults $(ARGS)
 
 lockstep: $(STAMP)  ## three processes in lockstep, compared bit for bit with offline (ARGS="--duration 60")
 	@$(PYTHON) -m valve_control.nodes.harness.lockstep $(ARGS)
 
 joiners: $(STAMP)  ## processes join the cascade and are killed: does it stand still? (ARGS="--kills 50")
-	@$(PYTHON) -m valve_control.nodes.harness.joiners $(ARGS)
+	@$(PYTHON) -m research.campaigns.joiners $(ARGS)
 
 paper: $(STAMP)  ## the paper's Table 1 and figures through the real nodes in lockstep, out/paper/index.html
-	@$(PYTHON) -m valve_control.cli paper $(ARGS)
+	@$(PYTHON) -m research.paper $(ARGS)
 
-axis: $(STAMP)  ## what a fast valve buys: 200 random axes under five valves, out/axis.json
+theorems: $(STAMP)  ## both theorems and the stability of dcarc on random valves (ARGS="--figure out/theorems.png")
+	@$(PYTHON) -m research.theorems $(ARGS)
+
+axis: $(STAMP)  ## benefit of a fast valve: 200 random axes under five valves, out/axis.json
 	@mkdir -p out
-	@$(PYTHON) -m valve_control.cli axes --json out/axis.json --figure out/axis.png $(ARGS)
+	@$(PYTHON) -m research.axes --json out/axis.json --figure out/axis.png $(ARGS)
+
+delta: $(STAMP)  ## the case of Delta Computer Systems' forum under five valves
+	@$(PYTHON) -m research.delta $(ARGS)
+
+tuned: $(STAMP)  ## every law with its tuned gains on random valves (ARGS="--valves 16 --figure out/tuned.png")
+	@mkdir -p out
+	@$(PYTHON) -m research.tuned $(ARGS)
 
 bench: $(STAMP)  ## benchmarks, as ratios measured in one run (ARGS="--seconds 3600" for an hour's bags)
 	@$(PYTHON) -m benchmarks $(ARGS)

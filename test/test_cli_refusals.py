@@ -135,7 +135,6 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
         (["calibrate", "/dev/zero"], ["device"]),
         (["compensator", "--from", "/dev/zero"], ["device"]),
         (["calibrate", "paper", "--processes", "10000"], ["10000", "cores"]),
-        (["theorems", "--processes", "10000"], ["10000", "cores"]),
         (["study", "--threads", "10000"], ["10000", "cores"]),
     ],
 )

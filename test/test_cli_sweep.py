@@ -22,7 +22,6 @@ OUTPUTS = {
     "calibrate paper": "json output",
     "tune": "json output html",
     "compensator": "json figure output",
-    "theorems": "json figure dcarc-figure",
     "analyze {bag}": "json csv html",
     "replay {bag}": "json csv html",
     "compare {bag} {bag}": "json figure html",
@@ -44,13 +43,11 @@ COUNTS = {
     "identify": "seed order zeros",
     "study": "valves study-seed threads replay",
     "tune": "valves unseen budget threads",
-    "theorems": "valves adaptive-valves loop-valves learning-valves seed processes",
     "calibrate paper": "evaluations population noise-seeds processes search-seed profile",
     "compensator": "order",
 }
 ENDINGS = {
     "figure": ".png",
-    "dcarc-figure": ".png",
     "json": ".json",
     "html": ".html",
     "csv": ".csv",
@@ -151,14 +148,11 @@ def table():
     ):
         lines.append(["calibrate", bad])
         lines.append(["compensator", "--from", bad])
-        lines.append(["paper", "--offline", "--config", bad, "--out", "made"])
-    lines += [["paper", "--offline", "--out", "file.txt"], ["paper", "--offline", "--out", "file.txt/x"]]
     for bad in ("missing", "file.txt", "/dev/zero", "folder"):
         lines.append(["bag", "recover", bad])
     for bad in (["nan"], ["0"], ["inf"], ["0", "0"], ["1e-300"], ["-1"]):
         lines.append(["compensator", "--numerator", *bad, "--denominator", "1", "58", "1650"])
         lines.append(["compensator", "--numerator", "1500", "--denominator", "1", *bad])
-    lines += [["theorems", "--errata-figures", bad] for bad in ("missing", "file.txt")]
     return lines + [
         [],
         ["nothing"],

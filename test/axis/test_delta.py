@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from valve_control.axis import delta
-from valve_control.cli import main
+from research.axes import delta
+from research.delta import main
 
 
 @pytest.mark.parametrize("pole", [20.0, delta.FREQUENCY, 150.0])
@@ -47,15 +47,9 @@ def test_the_published_figures_come_out_and_a_servo_valve_loses_next_to_nothing(
     assert len(servo.corners) == 8 and servo.corners[0] == servo.low
 
 
-def test_a_fixed_case_takes_no_other_settings(capfd):
-    assert main(["axis", "--delta", "--set", "kp=3", "--seed", "4"]) == 2
-    said = capfd.readouterr().err
-    assert "--delta is a fixed case; --seed, --set cannot be given with it" in said
-
-
 @pytest.mark.campaign
 def test_with_dcarc_the_slow_valve_is_ten_times_nearer_than_as_delivered(tmp_path, capfd):
-    assert main(["axis", "--delta", "--json", str(tmp_path / "d.json")]) == 0
+    assert main(["--json", str(tmp_path / "d.json")]) == 0
     found = json.loads((tmp_path / "d.json").read_text())["valves"]
     worst = {name: max(results["own"]["corners"]) for name, results in found.items()}
     assert worst["servo"] < worst["dcarc"] < worst["pid"] < worst["open_loop"]

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from valve_control.axis import hopsan, transmission_lines
+from research.axes import hopsan, transmission_lines
 from valve_control.parameter import ParameterError, defaults
 from valve_control.parameters.axis import AXIS, axis_params
 from valve_control.plant import axis

@@ -7,8 +7,9 @@ import pytest
 import scipy.optimize
 import scipy.signal
 
-from valve_control.axis import run, study
-from valve_control.cli import main
+from research.axes import study
+from research.axes.__main__ import main
+from valve_control.axis import run
 from valve_control.parameters import axis as parameters
 
 
@@ -63,7 +64,7 @@ def test_the_servo_is_the_fastest_of_the_valves():
 
 def test_what_cannot_be_studied_is_refused(capfd, tmp_path):
     for arguments in (["--axes", "0"], ["--threads", "0"], ["--references", str(tmp_path)]):
-        assert main(["axes", *arguments]) == 2
+        assert main(arguments) == 2
         assert capfd.readouterr().err.count("\n") == 1
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from valve_control.axis import study
+from research.axes import study
 from valve_control.compiling import compile_function
 from valve_control.motion import axis_arc
 from valve_control.motion.axis_arc import Measured, Model, Theta

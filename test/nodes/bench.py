@@ -15,6 +15,8 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64, Float64MultiArray
 
+from research import campaigns
+from valve_control import nodes
 from valve_control.nodes.harness.processes import process
 from valve_control.parameter import defaults
 from valve_control.parameters import build
@@ -23,6 +25,11 @@ from valve_control.plant import valve
 
 LIMIT = 20.0  # s
 ASK_AGAIN = 3.0  # s
+PROGRAMS = {
+    **{name: f"valve_control.nodes.{name}" for name in nodes.NODES},
+    **{name: f"valve_control.nodes.harness.{name}" for name in nodes.TOOLS},
+    **{name: f"research.campaigns.{name}" for name in campaigns.TOOLS},
+}  # what is started as a process → its module
 HOLD = 2000  # samples; the bench is slower than the clock
 
 
@@ -161,7 +168,7 @@ def run_tool(tool, folder, *arguments, timeout=900):
     Raises HeldUpError if it failed and the simulator says that it could not keep pace.
     """
     done = subprocess.run(
-        [sys.executable, "-m", f"valve_control.nodes.harness.{tool}", "--out", str(folder), *arguments],
+        [sys.executable, "-m", PROGRAMS[tool], "--out", str(folder), *arguments],
         capture_output=True,
         text=True,
         timeout=timeout,

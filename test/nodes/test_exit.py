@@ -10,8 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
+from bench import PROGRAMS
 
-from valve_control.nodes import NODES, TOOLS
+from valve_control.nodes import NODES
 
 THREADS_LEFT = """
 import json, os, signal, sys
@@ -23,19 +24,17 @@ print(json.dumps([status, threads]))
 """
 
 
+ROOT = Path(__file__).resolve().parents[2]
 # Without which a node does not begin.
 NEEDED = {"axis_controller": ("--ros-args", "-p", "machine:=bench")}
-
-
-def module(name):
-    return f"valve_control.nodes.{'harness.' * (name in TOOLS)}{name}"
 
 
 def start(name, *arguments, cwd=None):
     arguments = (*arguments, *NEEDED.get(name, ()))
     return subprocess.Popen(
-        [sys.executable, "-m", module(name), *arguments],
+        [sys.executable, "-m", PROGRAMS[name], *arguments],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
 
 
@@ -112,9 +111,6 @@ def runs_in(process, folder):
         return False
 
 
-PROGRAMS = [*NODES, *TOOLS]
-
-
 @pytest.mark.parametrize(
     ("name", "count"),
     [
@@ -126,12 +122,12 @@ PROGRAMS = [*NODES, *TOOLS]
 def test_ctrl_c_during_the_imports_is_quiet(name, count, tmp_path):
     moments = random.Random(name)
     for _ in range(count):
-        with start(name, *(["--out", str(tmp_path)] if name in TOOLS else []), cwd=tmp_path) as child:
+        with start(name, *(["--out", str(tmp_path)] if name not in NODES else []), cwd=tmp_path) as child:
             until(lambda c=child: mask(c, "SigCgt"), f"{name} did not begin")
             time.sleep(moments.uniform(0.0, 0.6))
             child.send_signal(signal.SIGINT)
             out, err = child.communicate(timeout=30.0)
-        assert child.returncode == (130 if name in TOOLS else 0), (child.returncode, err)
+        assert child.returncode == (0 if name in NODES else 130), (child.returncode, err)
         assert "Traceback" not in err, err
 
 

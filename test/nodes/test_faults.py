@@ -5,7 +5,7 @@ import math
 import pytest
 from bench import HeldUpError, run_tool
 
-from valve_control.nodes.harness.faults import CONTROLLERS, FAULTS
+from research.campaigns.faults import CONTROLLERS, FAULTS
 
 pytestmark = [pytest.mark.campaign, pytest.mark.alone]
 

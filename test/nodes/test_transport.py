@@ -7,7 +7,7 @@ import pytest
 from bench import run_tool, spin_until
 from std_msgs.msg import Float64
 
-from valve_control.nodes.harness.joiners import crowd
+from research.campaigns.joiners import crowd
 from valve_control.nodes.harness.processes import process
 from valve_control.nodes.transport import ANYWHERE, THIS_HOST, leave_own_profile, use_own_profile
 

@@ -1,17 +1,18 @@
 """The paper's table and figures as files, from offline runs; `make paper` does it through the nodes."""
 
+import contextlib
+import io
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
+from research.paper.__main__ import main
+from research.paper.figures import measured
+from research.paper.runs import CONFIG, paper_runs, values_of, valve_gain, valve_of
+from research.paper.traces import heard, load, offline, save
 from valve_control.analysis.indices import PAPER_TABLE_1
 from valve_control.identification.rational import measured_corners
-from valve_control.paper.figures import measured
-from valve_control.paper.runs import CONFIG, paper_runs, values_of, valve_gain, valve_of
-from valve_control.paper.traces import heard, load, offline, save
 from valve_control.parameter import defaults, updated
 from valve_control.parameters import build, files
 from valve_control.parameters.table import VALVE
@@ -21,13 +22,10 @@ from valve_control.simulation import offline as simulation
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("paper")
-    done = subprocess.run(
-        [sys.executable, "-m", "valve_control.cli", "paper", "--offline", "--out", str(folder)],
-        capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return folder, done.stdout
+    folder, said = tmp_path_factory.mktemp("paper"), io.StringIO()
+    with contextlib.redirect_stdout(said):
+        assert main(["--offline", "--out", str(folder)]) == 0
+    return folder, said.getvalue()
 
 
 def test_table_1_is_reproduced(made):
@@ -62,14 +60,17 @@ def test_every_figure_as_png_svg_and_in_one_page(made):
     assert f"wrote {folder / 'index.html'}" in said
 
 
-def test_output_folder_that_cannot_be_made(tmp_path):
+def refused(capsys, *arguments):
+    assert main(["--offline", *arguments]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    return said
+
+
+@pytest.mark.parametrize("folder", ["file", "file/x"])
+def test_output_folder_that_cannot_be_made(tmp_path, capsys, folder):
     (tmp_path / "file").write_text("")
-    folder = str(tmp_path / "file" / "x")
-    done = subprocess.run(
-        [sys.executable, "-m", "valve_control.cli", "paper", "--offline", "--out", folder],
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "cannot be made" in done.stderr
+    assert "cannot be made" in refused(capsys, "--out", str(tmp_path / folder))
 
 
 def test_response_of_a_linear_valve_is_that_of_its_model(config):
@@ -140,11 +141,8 @@ def test_frequencies_at_which_the_amplifier_saturates_are_left_out(config):
         ("/**/valve_simulator:\n  ros__parameters: {flow_force: -1.5}\n", "does not stay where it is"),
     ],
 )
-def test_files_that_hold_no_usable_valve(tmp_path, text, said):
+def test_files_that_hold_no_usable_valve(tmp_path, monkeypatch, capsys, text, said):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "v.yaml").write_text(text)
-    done = subprocess.run(
-        [sys.executable, "-m", "valve_control.cli", "paper", "--offline", "--config", "v.yaml"],
-        capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and said in done.stderr
+    assert said in refused(capsys, "--config", "v.yaml")
     assert not (tmp_path / "out").exists()

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from valve_control.nodes.harness.faults import FAULTS, FREQUENCY, PERIOD, SETTINGS
+from research.campaigns.faults import FAULTS, FREQUENCY, PERIOD, SETTINGS
 from valve_control.parameter import defaults, updated
 from valve_control.parameters import build, files
 from valve_control.parameters.table import CONTROLLER, NODES, VALVE

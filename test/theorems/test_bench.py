@@ -5,10 +5,10 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 
+from research.theorems import bench
+from research.theorems.bench import Motion
 from valve_control.laws import reshaping
 from valve_control.laws.projection import Theta
-from valve_control.theorems import bench
-from valve_control.theorems.bench import Motion
 
 
 @pytest.mark.parametrize("truth", [(58.771, 1657.206), (120.0, 900.0), (60.0, 900.0)])

@@ -4,14 +4,15 @@ import json
 import matplotlib.figure
 import pytest
 
-from valve_control.cli import main
-from valve_control.theorems import adaptive, bench, figures, robust, sampling, tables
+from research.theorems import adaptive, bench, figures, robust, sampling, tables
+from research.theorems.__main__ import main
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--valves", "0"], "--valves must be at least 1"),
+        (["--processes", "10000"], "--processes is 10000; it must lie between 1 and"),
         (["--seed", "-1"], "--seed must not be negative"),
         (["--errata-figures", "no/such/folder"], "there is no such folder"),
         (["--json", "no/such/folder/a.json"], "there is no folder"),
@@ -23,7 +24,7 @@ from valve_control.theorems import adaptive, bench, figures, robust, sampling, t
 )
 def test_bad_arguments_are_refused_in_one_sentence(capsys, monkeypatch, arguments, message):
     monkeypatch.setattr(robust, "experiment", lambda *_, **__: pytest.fail("the experiment began"))
-    assert main(["theorems", *arguments]) == 2
+    assert main(arguments) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
 
@@ -45,7 +46,7 @@ def short(monkeypatch):
 def test_command_writes_table_json_and_figure(tmp_path, capsys, short):
     target, figure = tmp_path / "a.json", tmp_path / "a.svg"
     arguments = ["--valves", "6", "--adaptive-valves", "2", *FEW]
-    assert main(["theorems", *arguments, "--json", str(target), "--figure", str(figure)]) == 0
+    assert main([*arguments, "--json", str(target), "--figure", str(figure)]) == 0
     out = capsys.readouterr().out
     assert "ARC, true velocity" in out and "three sines" in out
     result = json.loads(target.read_text())
@@ -61,7 +62,7 @@ def test_results_are_written_before_the_figure_is_drawn(tmp_path, capsys, monkey
     monkeypatch.setattr(figures, "draw_theorems", full)
     target = tmp_path / "a.json"
     arguments = ["--valves", "2", "--adaptive-valves", "1", *FEW, "--json", str(target)]
-    assert main(["theorems", *arguments, "--figure", str(tmp_path / "a.png")]) != 0
+    assert main([*arguments, "--figure", str(tmp_path / "a.png")]) != 0
     assert "No space left" in capsys.readouterr().err
     assert json.loads(target.read_text())["bound"]["valves"] == 2
 
@@ -69,7 +70,7 @@ def test_results_are_written_before_the_figure_is_drawn(tmp_path, capsys, monkey
 def test_errata_figures_that_cannot_be_written_are_refused_before_the_study(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(robust, "experiment", lambda *_, **__: pytest.fail("the experiment began"))
     (tmp_path / "sample_period.svg").mkdir()
-    assert main(["theorems", "--errata-figures", str(tmp_path)]) == 2
+    assert main(["--errata-figures", str(tmp_path)]) == 2
     assert "it is a folder" in capsys.readouterr().err
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from research.theorems import bench, learning, loop
 from valve_control.laws import dcarc, reshaping
-from valve_control.theorems import bench, learning, loop
 
 
 @pytest.fixture(scope="module")

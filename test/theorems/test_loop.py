@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from research.theorems import loop
 from valve_control.laws import dcarc
 from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
 from valve_control.parameters import stability
 from valve_control.plant import valve
-from valve_control.theorems import loop
 
 VALVES = 150
 NOMINAL = loop.Valves(*(np.array([v]) for v in (1.0, 1.0, 1.0, 0.0, 0.0)))

@@ -1,10 +1,10 @@
-"""Theorems 1 A and 2 A on a few random valves; the whole experiment is `valve-control theorems`."""
+"""Theorems 1 A and 2 A on a few random valves; the whole experiment is `make theorems`."""
 
 import numpy as np
 import pytest
 
+from research.theorems import robust, tables
 from valve_control.laws.projection import Theta
-from valve_control.theorems import robust, tables
 
 VALVES = 60
 

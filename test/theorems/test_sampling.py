@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from valve_control.theorems import sampling
+from research.theorems import sampling
 
 
 def test_the_printed_weight_chatters_above_a_third_of_a_millisecond():

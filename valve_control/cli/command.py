@@ -1,31 +1,27 @@
 """Puts all sub-commands into one parser, and turns their errors into one sentence and an exit status."""
 
 import argparse
-import contextlib
 import os
 import sys
 import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from valve_control import __version__, interrupts
-from valve_control.bags.errors import BagError
+from valve_control import __version__
 from valve_control.cli import (
     axis,
     calibration,
     commission,
     export,
     identification,
-    paper,
+    moved,
     recordings,
     simulate,
     study,
-    theorems,
     tune,
 )
-from valve_control.cli.common import Parser
+from valve_control.cli.common import Parser, ended
 from valve_control.laws.registry import REFUSED
-from valve_control.parameter import ParameterError
 
 EXAMPLES = """examples:
   valve-control identify --set lvdt.noise=0.005 --output valve.yaml --figure bode.png
@@ -47,17 +43,14 @@ EXAMPLES = """examples:
   valve-control replay my_bag --mode what-if --set arc.k1=150
   valve-control compare monday_bag tuesday_bag --html both.html
   valve-control bag recover my_bag
-  valve-control paper
-  valve-control theorems --figure theorems.png
 """
 
 
 GROUPS = {
     "your valve": ("identify", "compensator", "calibrate", "parameters"),
-    "simulate": ("simulate", "compare", "study", "tune", "axis", "axes"),
+    "simulate": ("simulate", "compare", "study", "tune", "axis"),
     "the machine": ("commission", "export"),
     "recordings": ("analyze", "replay", "bag"),
-    "the paper": ("paper", "theorems"),
 }
 WIDTH = 78  # columns of the list of commands
 
@@ -85,22 +78,22 @@ class Commands:
             recordings,
             identification,
             calibration,
-            paper,
-            theorems,
             study,
             tune,
             commission,
             export,
             axis,
+            moved,
         ):
             part.add_commands(self)
         for title, names in GROUPS.items():
             self.top.add_argument_group(title, "\n".join(self._line(name) for name in names))
 
     def add_parser(self, name: str, help: str, **options: Any) -> argparse.ArgumentParser:
-        """Add and return the parser of the sub-command ``name``; ``help`` is its line in the list."""
+        """Add and return the parser of the sub-command ``name``; ``help`` is its line in the list, "" for none."""
         parser: argparse.ArgumentParser = self._commands.add_parser(name, **options)
-        self.parsers[name], self._texts[name] = parser, help
+        if help:
+            self.parsers[name], self._texts[name] = parser, help
         return parser
 
     def _line(self, name: str) -> str:
@@ -125,41 +118,4 @@ def run(argv: Sequence[str]) -> int:
         commands.parsers[arguments.task].error(f"unrecognized arguments: {' '.join(stray)}")
     for sentence in REFUSED:
         print(f"valve-control: {sentence}", file=sys.stderr)
-    try:
-        status = int(arguments.run(arguments) or 0)
-        sys.stdout.flush()
-        return status
-    except (ParameterError, BagError) as error:
-        print(f"valve-control: {error}", file=sys.stderr)
-        return 2
-    except ModuleNotFoundError as error:
-        print(
-            f"valve-control: {arguments.task} needs the Python package {error.name} "
-            f"(pip install {error.name})",
-            file=sys.stderr,
-        )
-        return 2
-    except BrokenPipeError:
-        _leave_output()
-        return 1
-    except OSError as error:
-        print(
-            f"valve-control: {error.filename or 'output'} cannot be written: {error.strerror or error}",
-            file=sys.stderr,
-        )
-        _leave_output()
-        return 1
-    except MemoryError:
-        print(f"valve-control: {arguments.task} needs more memory than there is", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return interrupts.STATUS
-
-
-def _leave_output() -> None:
-    """Discard what standard output could not take, so that Python does not try again at its exit."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        with contextlib.suppress(OSError):
-            sys.stdout.close()
+    return ended("valve-control", arguments.task, lambda: arguments.run(arguments))

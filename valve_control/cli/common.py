@@ -1,15 +1,17 @@
 """Holds what the sub-commands share: parser, checks of outputs and processes, progress, JSON."""
 
 import argparse
+import contextlib
 import difflib
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from valve_control import outputs
+from valve_control import interrupts, outputs
+from valve_control.bags.errors import BagError
 from valve_control.parameter import ParameterError
 
 if TYPE_CHECKING:
@@ -141,3 +143,44 @@ def write_json(arguments: argparse.Namespace, result: Any) -> None:
         return
     outputs.write(arguments.json, text)
     say(arguments, f"wrote {arguments.json}")
+
+
+def ended(program: str, task: str, work: Callable[[], int | None]) -> int:
+    """Do ``work`` and return the exit status; every expected error becomes one sentence of ``program``."""
+    try:
+        status = int(work() or 0)
+        sys.stdout.flush()
+        return status
+    except (ParameterError, BagError) as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        print(
+            f"{program}: {task} needs the Python package {error.name} (pip install {error.name})",
+            file=sys.stderr,
+        )
+        return 2
+    except BrokenPipeError:
+        _leave_output()
+        return 1
+    except OSError as error:
+        print(
+            f"{program}: {error.filename or 'output'} cannot be written: {error.strerror or error}",
+            file=sys.stderr,
+        )
+        _leave_output()
+        return 1
+    except MemoryError:
+        print(f"{program}: {task} needs more memory than there is", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return interrupts.STATUS
+
+
+def _leave_output() -> None:
+    """Discard what standard output could not take, so that Python does not try again at its exit."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with contextlib.suppress(OSError):
+            sys.stdout.close()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
 from valve_control.analysis.tables import HEADER, index_row
-from valve_control.cli import tuned
+from valve_control.cli import moved
 from valve_control.cli.common import Parser, check_outputs, say, tell_notes, write_json
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
 from valve_control.parameters.axis import AXIS_NODES
@@ -86,14 +86,14 @@ def add_commands(commands: Any) -> None:
         parents=[setup, output_options()],
         help="several bags; or, without a bag, all controllers in simulation beside the paper's Table 1",
         description="Compare the runs in several bags. Without a bag: run every controller on one valve and "
-        "one command, beside the paper's Table 1; or, with --tuned, all laws at their best on random valves.",
+        "one command, beside the paper's Table 1.",
     )
     compare.add_argument("bags", nargs="*", metavar="BAG", help="bags to compare")
     compare.add_argument("--html", metavar="FILE", help="bags: tables and overlaid figures as one HTML page")
     compare.add_argument(
         "--map", action="append", default=[], metavar="PART=/TOPIC.FIELD", help="bags: as for analyze"
     )
-    tuned.add_options(compare)
+    compare.add_argument("--tuned", action=moved.Option)
     compare.set_defaults(run=_compare)
     parameters = commands.add_parser("parameters", help="list parameters with unit, range and meaning")
     parameters.add_argument("match", nargs="?", default="", help="only names that contain this")
@@ -218,28 +218,10 @@ def _traces(arguments: argparse.Namespace, run: "Run") -> None:
         say(arguments, f"wrote {arguments.npz}")
 
 
-def _option(name: str) -> str:
-    return "bags" if name == "bags" else f"--{name.replace('_', '-')}"
-
-
 def _compare(arguments: argparse.Namespace) -> None:
     from valve_control.analysis.indices import PAPER_TABLE_1
     from valve_control.simulation import offline
 
-    if arguments.tuned:
-        given = [
-            name for name in (*SIMULATED, "bags", "html", "map") if getattr(arguments, name) not in (None, [])
-        ]
-        given = [name for name in given if name != "seed"]
-        if given:
-            raise ParameterError(
-                f"compare --tuned takes no {_option(given[0])}; it has valves and commands of its own"
-            )
-        tuned.compare_tuned(arguments)
-        return
-    for name in ("valves", "box", "limit", "gains"):
-        if getattr(arguments, name) is not None:
-            raise ParameterError(f"compare takes --{name} with --tuned only")
     if arguments.bags:
         from valve_control.cli.recordings import compare_bags
 

@@ -23,19 +23,18 @@ NODES = (
     "axis_controller",
     "dashboard",
 )
-TOOLS = ("demo", "faults", "lockstep", "joiners", "paper")
+TOOLS = ("demo", "lockstep")
 
 
-def _program() -> str:
+def program() -> str:
     """Name of the node or tool that this process was started as, "" if it only imports one."""
     if sys.argv[:1] != ["-m"]:
         return os.path.basename(sys.argv[0]) if sys.argv else ""
     words = sys.orig_argv
-    module = words[words.index("-m") + 1] if "-m" in words else ""
-    return module.removeprefix(f"{__name__}.").removeprefix("harness.")
+    return words[words.index("-m") + 1].rpartition(".")[2] if "-m" in words else ""
 
 
-def _leave_quietly(status: int) -> None:
+def leave_quietly(status: int) -> None:
     """End the process at once on SIGINT and SIGTERM, while there is nothing yet to be ended in order."""
 
     def leave(number: int, frame: Any) -> None:
@@ -46,7 +45,7 @@ def _leave_quietly(status: int) -> None:
 
 
 # The imports of a node take a second or more, in which Ctrl-C would give a traceback.
-if _program() in NODES:
-    _leave_quietly(0)
-elif _program() in TOOLS:
-    _leave_quietly(130)
+if program() in NODES:
+    leave_quietly(0)
+elif program() in TOOLS:
+    leave_quietly(130)

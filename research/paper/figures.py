@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from research.paper.runs import BANDWIDTH, CLOSED_AMPLITUDE, FEEDBACK, OPEN_AMPLITUDE, open_loops
+from research.paper.traces import Trace
 from valve_control.analysis.figures import COLOURS, Line, Plot
 from valve_control.identification import bode
 from valve_control.identification.rational import hold, measured_corners
 from valve_control.identification.response import Response, find_segments, stepped
 from valve_control.laws import design
-from valve_control.paper.runs import BANDWIDTH, CLOSED_AMPLITUDE, FEEDBACK, OPEN_AMPLITUDE, open_loops
-from valve_control.paper.traces import Trace
 from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 Floats = npt.NDArray[np.float64]

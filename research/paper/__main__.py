@@ -1,26 +1,26 @@
-"""Defines the sub-command `paper`: makes the paper's Table 1 and figures again."""
+"""``python -m research.paper``: makes the paper's Table 1 and figures again."""
 
 import argparse
 import importlib.util
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import say
+from research import running
+from valve_control.cli.common import Parser, say
 from valve_control.parameter import ParameterError, number
 
 if TYPE_CHECKING:
-    from valve_control.paper.traces import Trace
+    from research.paper.traces import Trace
 
 
-def add_commands(commands: Any) -> None:
-    """Add paper to the command's sub-commands."""
-    paper = commands.add_parser(
+def _options() -> Parser:
+    paper = running.options(
         "paper",
-        help="rebuild the paper's Table 1 and its figures",
-        description="Run PID, ARC, OARC and the compensators on the calibrated valve, through the real nodes "
+        "Run PID, ARC, OARC and the compensators on the calibrated valve, through the real nodes "
         "in lockstep, and write table1.json, the paper's figures as PNG and SVG, and index.html.",
     )
     paper.add_argument("--out", default="out/paper", metavar="FOLDER", help="output folder (out/paper)")
@@ -30,13 +30,14 @@ def add_commands(commands: Any) -> None:
         help="simulate without ROS nodes; the numbers are the same, bit for bit",
     )
     paper.add_argument("--config", metavar="FILE", help="another calibrated valve (d3fxe_experiment.yaml)")
-    paper.set_defaults(run=_paper, json=None)
+    paper.set_defaults(json=None)
+    return paper
 
 
 def _paper(arguments: argparse.Namespace) -> int:
-    from valve_control.paper import report
-    from valve_control.paper.figures import figures
-    from valve_control.paper.runs import CONFIG, paper_runs, valve_gain, valve_of
+    from research.paper import report
+    from research.paper.figures import figures
+    from research.paper.runs import CONFIG, paper_runs, valve_gain, valve_of
     from valve_control.parameters import files
 
     config = arguments.config or str(files.config_folder() / CONFIG)
@@ -77,8 +78,8 @@ def _paper(arguments: argparse.Namespace) -> int:
 
 
 def _offline(planned: list[Any], config: str) -> "dict[str, Trace]":
-    from valve_control.paper import traces
-    from valve_control.paper.runs import values_of
+    from research.paper import traces
+    from research.paper.runs import values_of
     from valve_control.parameters import build, files
     from valve_control.simulation import offline
 
@@ -95,7 +96,7 @@ def _offline(planned: list[Any], config: str) -> "dict[str, Trace]":
 
 def _through_nodes(planned: list[Any], folder: Path, config: str) -> "dict[str, Trace] | None":
     """Runs of the real nodes, started by another process, as this one imports no ROS; None if they fail."""
-    from valve_control.paper import traces
+    from research.paper import traces
 
     if importlib.util.find_spec("rclpy") is None:
         raise ParameterError("paper needs ROS 2 (rclpy) for the runs of the nodes; or give --offline")
@@ -104,7 +105,7 @@ def _through_nodes(planned: list[Any], folder: Path, config: str) -> "dict[str, 
     command = [
         sys.executable,
         "-m",
-        "valve_control.nodes.harness.paper",
+        "research.campaigns.paper",
         "--out",
         str(logs),
         "--config",
@@ -112,8 +113,17 @@ def _through_nodes(planned: list[Any], folder: Path, config: str) -> "dict[str, 
     ]
     status = subprocess.run(command, check=False).returncode
     if status != 0:
-        print(f"valve-control: the runs of the nodes failed; their logs are in {logs}", file=sys.stderr)
+        print(f"the runs of the nodes failed; their logs are in {logs}", file=sys.stderr)
         return None
     results = json.loads((logs / "lockstep.json").read_text(encoding="utf-8"))
     print(f"{len(results)} runs through the nodes, each equal to its twin offline, bit for bit")
     return {run.name: traces.load(logs / f"{run.name}.npz") for run in planned}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the study; returns the exit status."""
+    return running.run(_options(), _paper, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from research.theorems import adaptive, learning, loop, robust, sampling
+from research.theorems.tables import percent
 from valve_control import outputs
 from valve_control.analysis.figures import COLOURS
-from valve_control.theorems import adaptive, learning, loop, robust, sampling
-from valve_control.theorems.tables import percent
 
 PERIOD_AXIS = "sample period ΔT [ms]"
 

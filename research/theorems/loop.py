@@ -15,14 +15,14 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from research.theorems import bench
+from research.theorems.bench import Array, Progress
 from valve_control.laws import dcarc
 from valve_control.parameter import Values, defaults, updated
 from valve_control.parameters import files
 from valve_control.parameters.table import CONTROLLER
 from valve_control.plant.models import FOURTH_ORDER, TransferFunction
 from valve_control.plant.valve import realisation
-from valve_control.theorems import bench
-from valve_control.theorems.bench import Array, Progress
 
 Complex = npt.NDArray[np.complex128]
 PERIOD = 1e-3  # s

@@ -1,29 +1,28 @@
-"""Defines the sub-command `theorems`: tests both theorems, and the stability of dcarc, on random valves."""
+"""``python -m research.theorems``: both theorems, and the stability of dcarc, on random valves."""
 
 import argparse
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from valve_control.cli.common import check_outputs, check_processes, say, write_json
+from research import running
+from valve_control.cli.common import Parser, check_outputs, check_processes, say, write_json
 from valve_control.parameter import ParameterError
 
 if TYPE_CHECKING:
-    from valve_control.theorems.bench import Progress
+    from research.theorems.bench import Progress
 
 ERRATA_FIGURES = ("theorems", "sample_period")
 COUNTS = ("valves", "adaptive_valves", "loop_valves", "learning_valves")
 
 
-def add_commands(commands: Any) -> None:
-    """Add theorems to the command's sub-commands."""
-    theorems = commands.add_parser(
+def _options() -> Parser:
+    theorems = running.options(
         "theorems",
-        help="both theorems of the paper, and the stability of dcarc, on random valves",
-        description="Put both theorems to the test on random valves: V2 against its guaranteed bound under "
+        "Put both theorems to the test on random valves: V2 against its guaranteed bound under "
         "bounded disturbances, and the error's decay under parametric uncertainty only, at sample periods "
         "from 1 ms down to 20 µs. And dcarc, at 1 ms: poles of the loop over boxes of valves of several "
         "sizes, what of the valve breaks it, and how fast it may learn.",
@@ -51,7 +50,7 @@ def add_commands(commands: Any) -> None:
         help="also find the sample period that each weight ρ of OARC allows; draw the figures of "
         "docs/errata.md into FOLDER",
     )
-    theorems.set_defaults(run=_theorems)
+    return theorems
 
 
 @contextmanager
@@ -68,7 +67,7 @@ def _progress(title: str) -> Iterator["Progress"]:
 
 
 def _theorems(arguments: argparse.Namespace) -> None:
-    from valve_control.theorems import adaptive, figures, learning, loop, robust, sampling, tables
+    from research.theorems import adaptive, figures, learning, loop, robust, sampling, tables
 
     check_processes("processes", arguments.processes)
     for name in COUNTS:
@@ -120,3 +119,12 @@ def _theorems(arguments: argparse.Namespace) -> None:
         figures.draw_theorems(drawn["theorems"], bound, error)
         figures.draw_sample_period(drawn["sample_period"], limits)
         say(arguments, f"wrote theorems and sample_period as PNG and SVG to {folder}")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the study; returns the exit status."""
+    return running.run(_options(), _theorems, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

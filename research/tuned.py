@@ -1,12 +1,14 @@
-"""Runs `compare --tuned`: all laws with their tuned gains on random valves."""
+"""``python -m research.tuned``: every law with its tuned gains on random valves, beside the oracle."""
 
 import argparse
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from research import running
 from valve_control import outputs
-from valve_control.cli.common import check_outputs, say, write_json
+from valve_control.cli.common import Parser, check_outputs, say, write_json
 from valve_control.parameter import ParameterError
 
 if TYPE_CHECKING:
@@ -18,37 +20,39 @@ VALVES = 200
 MOST = 100_000
 
 
-def add_options(compare: argparse.ArgumentParser) -> None:
-    """Add the options of `compare --tuned`."""
-    group = compare.add_argument_group("tuned laws on random valves")
-    group.add_argument(
-        "--tuned",
-        action="store_true",
-        help="every law with its gains of config/tuned on four commands, with and without preview, beside "
-        "the oracle; --seed draws the valves",
+def _options() -> Parser:
+    parser = running.options(
+        "tuned",
+        "Every law with its gains of config/tuned on four commands, with and without preview, beside the "
+        "oracle.",
     )
-    group.add_argument("--valves", type=int, metavar="N", help=f"how many ({VALVES})")
-    group.add_argument("--box", choices=BOXES, help="narrow: as they are; wide: speed and dead time vary too")
-    group.add_argument(
-        "--limit", type=float, metavar="C_U", help="chatter that the gains are tuned for (0.25)"
+    parser.add_argument("--valves", type=int, default=VALVES, metavar="N", help=f"how many ({VALVES})")
+    parser.add_argument("--seed", type=int, default=SEED, metavar="N", help=f"of the valves ({SEED})")
+    parser.add_argument(
+        "--box",
+        choices=BOXES,
+        default=BOXES[0],
+        help="narrow: as they are; wide: speed and dead time vary too",
     )
-    group.add_argument("--gains", metavar="FOLDER", help="gains in another folder than config/tuned")
+    parser.add_argument(
+        "--limit", type=float, default=0.25, metavar="C_U", help="chatter that the gains are tuned for (0.25)"
+    )
+    parser.add_argument("--gains", metavar="FOLDER", help="gains in another folder than config/tuned")
+    parser.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
+    parser.add_argument("--figure", metavar="FILE", help="medians and 95th percentiles as PNG or SVG")
+    return parser
 
 
-def compare_tuned(arguments: argparse.Namespace) -> None:
-    """Measure, print, write."""
+def _compare(arguments: argparse.Namespace) -> None:
     from valve_control.parameters import files
     from valve_control.simulation import comparison
 
     check_outputs(arguments, figures=[arguments.figure])
-    count = VALVES if arguments.valves is None else arguments.valves
+    count, seed, box, limit = arguments.valves, arguments.seed, arguments.box, arguments.limit
     if not 1 <= count <= MOST:
         raise ParameterError(f"--valves is {count}; it must lie between 1 and {MOST}")
-    seed = SEED if arguments.seed is None else arguments.seed
     if seed < 0:
         raise ParameterError(f"--seed is {seed}; it must be 0 or more")
-    box = arguments.box or BOXES[0]
-    limit = 0.25 if arguments.limit is None else arguments.limit
     folder = Path(arguments.gains) if arguments.gains else files.config_folder() / "tuned"
     given = comparison.setups(folder, box, limit)
     found = comparison.compare(given, count, seed, box == "wide")
@@ -119,3 +123,12 @@ def _figure(found: Mapping[str, Mapping[str, "Errors"]], path: str) -> bytes:
         axes.legend(fontsize="small", ncols=len(by_name), loc="upper center", bbox_to_anchor=(0.5, -0.08))
     figure.tight_layout()
     return outputs.figure_bytes(figure, path)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the study; returns the exit status."""
+    return running.run(_options(), _compare, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from research.axes import study
 from valve_control import closed_loop
-from valve_control.axis import run, study
+from valve_control.axis import run
 from valve_control.axis.cascade import valve_law_step
 from valve_control.closed_loop import Sample
 from valve_control.compiling import compile_function

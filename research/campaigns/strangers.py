@@ -21,8 +21,8 @@ from valve_control.nodes.harness.processes import yield_cores
 
 MEET = 10.0  # s until a client sees its server
 PATIENCE = 5.0  # s for the last answers
-STORM_RATE = 200.0  # 1/s
-LOOK = 0.001  # s between two looks for answers
+STORM_RATE = 100.0  # 1/s; 200 and a look each 1 ms fill two cores, and the simulator loses samples
+LOOK = 0.005  # s between two looks for answers
 
 
 def leave(count: int, target: str) -> None:
@@ -41,7 +41,7 @@ def leave(count: int, target: str) -> None:
 
 
 def storm(seconds: float, target: str, name: str, values: tuple[float, float]) -> None:
-    """Set the parameter ``name`` STORM_RATE times a second, without waiting for the answers."""
+    """Set the parameter ``name``, at most STORM_RATE times a second, each call after the last one's answer."""
     rclpy.init(args=[])
     node = rclpy.create_node("storm")
     client = node.create_client(SetParameters, f"{target}/set_parameters", qos_profile=qos_profile_parameters)
@@ -58,9 +58,9 @@ def storm(seconds: float, target: str, name: str, values: tuple[float, float]) -
     end = due + seconds
     with client.handle:
         while (now := time.monotonic()) < end or (len(took) < len(asked) and now < end + PATIENCE):
-            if due <= now < end:
+            if due <= now < end and len(took) == len(asked):
                 asked[client.handle.send_request(_change(name, values[len(asked) % 2]))] = now
-                due += 1.0 / STORM_RATE
+                due = now + 1.0 / STORM_RATE
             while (answer := client.handle.take_response(SetParameters.Response)) is not None:
                 header, response = answer
                 if response is None:

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from valve_control.theorems import adaptive, bench, learning, loop, robust, sampling
-from valve_control.theorems.bench import Array
+from research.theorems import adaptive, bench, learning, loop, robust, sampling
+from research.theorems.bench import Array
 
 QUANTILES = (0.5, 0.9, 0.99)
 FAST = 20.0  # Γ over the paper's, from which on a third of the cases is

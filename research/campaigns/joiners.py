@@ -163,7 +163,7 @@ def crowd(kills: int, log: Path, alone: float = 0.0) -> Iterator[Crowd]:
     costs = log.with_suffix(".cpu_s")
     costs.write_text("")
     text = (
-        "from pathlib import Path; from valve_control.nodes.harness.joiners import send_them; "
+        "from pathlib import Path; from research.campaigns.joiners import send_them; "
         f"send_them({kills}, {alone!r}, Path({str(costs)!r}))"
     )
     with log.open("wb") as output:
@@ -338,7 +338,7 @@ def measure(kills: int, folder: Path) -> list[dict[str, Any]]:
 
 
 def main() -> int:
-    """Entry point of `make joiners` and of `ros2 run valve_control joiners`."""
+    """Entry point of `make joiners`."""
     options = tool_options("joiners", __doc__, ())
     options.add_argument("--kills", type=int, default=200, metavar="N", help="processes that join (200)")
     arguments = parse_tool(options)

@@ -1,13 +1,13 @@
-"""Runs what `valve-control paper` needs through the real nodes, in lockstep over DDS."""
+"""Runs what `python -m research.paper` needs through the real nodes, in lockstep over DDS."""
 
 import sys
 from pathlib import Path
 
+from research.paper import traces
+from research.paper.runs import CONFIG, paper_runs, valve_of
 from valve_control import outputs
 from valve_control.nodes.harness.lockstep import check, heard_enough, run_lockstep
 from valve_control.nodes.harness.processes import parse_tool, run_tool, tool_options
-from valve_control.paper import traces
-from valve_control.paper.runs import CONFIG, paper_runs, valve_of
 from valve_control.parameters import files
 
 TRIES = 3

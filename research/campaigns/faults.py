@@ -17,11 +17,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
+from research.campaigns import strangers
+from research.campaigns.joiners import LOOK, Waits, crowd, pauses
 from valve_control import outputs
 from valve_control.laws.registry import LAWS
 from valve_control.nodes.adapter import EVERYTHING, PolledSubscription
-from valve_control.nodes.harness import strangers
-from valve_control.nodes.harness.joiners import LOOK, Waits, crowd, pauses
 from valve_control.nodes.harness.processes import (
     Listener,
     bar,
@@ -561,7 +561,7 @@ def table(results: Sequence[dict[str, Any]]) -> str:
 
 
 def main() -> int:
-    """Entry point of `make faults` and of `ros2 run valve_control faults`."""
+    """Entry point of `make faults`."""
     options = tool_options("faults", __doc__, CONTROLLERS)
     options.add_argument("--seed", type=int, default=1, metavar="N", help="of the moments of injection (1)")
     options.add_argument(

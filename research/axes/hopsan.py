@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.axis import run, transmission_lines
-from valve_control.axis.transmission_lines import Servo
+from research.axes import transmission_lines
+from research.axes.transmission_lines import Servo
+from valve_control.axis import run
 from valve_control.compiling import compile_function
 from valve_control.parameter import ParameterError, Values, number, numbers, updated
 from valve_control.parameters import files

@@ -1,0 +1,7 @@
+"""Research behind the product, run from a checkout: theorems, paper, axes, tuned laws, campaigns."""
+
+from pathlib import Path
+
+from valve_control.compiling import add_sources
+
+add_sources(__name__, Path(__file__).parent)

@@ -1,0 +1,70 @@
+"""The comparison of tuned laws as a user runs it, and the former commands of research."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from research.tuned import main
+
+
+@pytest.fixture
+def tuned(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        try:
+            status = main(list(arguments))
+        except SystemExit as ended:
+            status = ended.code
+        return status, *capsys.readouterr()
+
+    return call
+
+
+def test_tuned_laws_beside_the_oracle(tuned, tmp_path):
+    status, out, err = tuned("--valves", "2", "--json", "t.json", "--figure", "t.png")
+    assert status == 0, err
+    assert "medians over 2 valves of the narrow box" in out and "wrote t.png" in out
+    result = json.loads((tmp_path / "t.json").read_text())
+    assert result["valves"] == 2 and result["laws"]["pid_plain"]["preview_s"] > 0.0
+    for mode in ("with preview", "command alone"):
+        assert {"pid_plain", "pid_reference", "oarc", "dcarc", "oracle"} == result[mode].keys()
+        for told in result[mode].values():
+            assert len(told["median"]) == 5 and told["c_u"] > 0.0
+    assert (tmp_path / "t.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--valves", "0"], "--valves is 0; it must lie between 1 and 100000"),
+        (["--seed", "-1"], "--seed is -1; it must be 0 or more"),
+        (["--limit", "0.123"], "no gains are tuned for the narrow box at c_u <= 0.123"),
+        (["--gains", "nowhere"], "nowhere has none"),
+        (["--box", "huge"], "invalid choice"),
+        (["--figure", "t.pdf"], ".png or .svg"),
+    ],
+)
+def test_bad_input_is_one_sentence(tuned, tmp_path, arguments, words):
+    status, out, err = tuned(*arguments)
+    assert status == 2 and out == ""
+    assert len(err.strip().splitlines()) == 1 and words in err, err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "target"),
+    [
+        ("theorems --valves 3 --json -", "theorems"),
+        ("paper --offline", "paper"),
+        ("axes --axes 2", "axis"),
+        ("axis --delta --json d.json", "delta"),
+        ("compare --tuned --valves 2", "tuned"),
+    ],
+)
+def test_a_former_command_names_the_present_one(run, tmp_path, arguments, target):
+    status, out, err = run(*arguments.split())
+    assert status == 2 and out == "" and err.count("\n") == 1
+    assert err.endswith(f"in a checkout of valve_control: make {target}\n")
+    assert f"\n{target}: " in (Path(__file__).parents[2] / "Makefile").read_text()
