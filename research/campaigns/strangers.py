@@ -41,7 +41,7 @@ def leave(count: int, target: str) -> None:
 
 
 def storm(seconds: float, target: str, name: str, values: tuple[float, float]) -> None:
-    """Set the parameter ``name``, at most STORM_RATE times a second, each call after the last one's answer."""
+    """Set the parameter ``name`` at most STORM_RATE times a second, each time after the last answer."""
     rclpy.init(args=[])
     node = rclpy.create_node("storm")
     client = node.create_client(SetParameters, f"{target}/set_parameters", qos_profile=qos_profile_parameters)
