@@ -90,7 +90,7 @@ class Commands:
             self.top.add_argument_group(title, "\n".join(self._line(name) for name in names))
 
     def add_parser(self, name: str, help: str, **options: Any) -> argparse.ArgumentParser:
-        """Add and return the parser of the sub-command ``name``; ``help``: its line in the list, "" for none."""
+        """Add and return the parser of the sub-command ``name``; ``help`` is its line in the list, or ""."""
         parser: argparse.ArgumentParser = self._commands.add_parser(name, **options)
         if help:
             self.parsers[name], self._texts[name] = parser, help
