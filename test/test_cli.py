@@ -68,6 +68,17 @@ def test_command_from_csv_and_npy_and_all_outputs(tmp_path):
     assert json.loads(from_npy.stdout) == json.loads(files["json"].read_text())
 
 
+def test_no_term_of_a_law_hides_a_signal(tmp_path):
+    """A bias of the LVDT moves the true position by as much, and the estimate not at all."""
+    path = tmp_path / "traces.npz"
+    done = run("simulate", "--controller", "dcarc", "--scenario", "constant", "--duration", "1",
+               "--set", "lvdt.bias=0.5", "--npz", path)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    with np.load(path) as traces:
+        assert abs(traces["position"][-1] + 0.5) < 0.01
+        assert abs(traces["dcarc.position"][-1]) < 0.01
+
+
 def test_compare_lists_every_controller(tmp_path):
     done = run("compare", "--duration", "1.0", "--json", tmp_path / "c.json")
     assert done.returncode == 0, done.stderr

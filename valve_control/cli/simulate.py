@@ -204,8 +204,9 @@ def _traces(arguments: argparse.Namespace, run: "Run") -> None:
         "position": run.position,
         "measurement": run.measurement,
         "voltage": run.voltage,
-        **run.terms,
     }
+    terms = {f"{run.controller}.{name}" if name in columns else name: row for name, row in run.terms.items()}
+    columns.update(terms)
     if arguments.csv is not None:
         outputs.write(arguments.csv, outputs.csv_text(columns, "%.10g"))
         say(arguments, f"wrote {arguments.csv}")
