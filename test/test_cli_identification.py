@@ -20,6 +20,25 @@ from made import Run, write
 QUICK = ["--set", "steps=12", "--set", "cycles=4", "--set", "frequency=1.0", "--set", "step_time=0.8"]
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--sample-period", "0.02"], "ms is the longest that its model and gains"),
+        (
+            ["--sample-period", "0.0001", "--valve", "custom", "--set", "numerator=[4.8e6]",
+             "--set", "denominator=[1.0, 3500.0, 4.8e6]"],
+            "--set end_frequency=1000",
+        ),
+    ],
+)  # fmt: skip
+def test_a_test_that_does_not_fit_the_valve_says_which_one_would(run, options, words):
+    """And what it writes can be simulated at its own period."""
+    status, out, err = run("identify", *QUICK, *options, "--output", "valve.yaml")
+    assert status == 0 and words in out, err
+    status, out, err = run("simulate", "--controller", "pid", "--params-file", "valve.yaml", "--json", "-")
+    assert status == 0 and json.loads(out)["warning"] is None, err
+
+
 def test_identified_model_goes_into_simulate_and_compensator(run, tmp_path):
     status, out, err = run(
         "identify", *QUICK, "--set", "lvdt.noise=0.005", "--output", "valve.yaml", "--json", "r.json",

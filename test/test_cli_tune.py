@@ -28,6 +28,11 @@ def test_what_has_to_hold_is_what_commission_asks_for_too():
     assert tune._limits(command.parser().parse_args(["tune"])) == trial.USUAL
 
 
+def test_without_a_result_there_is_no_head_of_a_table(capsys):
+    tune._print({})
+    assert capsys.readouterr().out == ""
+
+
 @pytest.fixture
 def commands(tmp_path):
     """Options that name two commands."""

@@ -23,6 +23,17 @@ REAL = {
 }
 
 
+def test_a_reference_that_is_cut_although_the_valve_could_follow_is_said(simulate):
+    """A valve of 100 Hz with the limits of the D3FXE; with (6) and (7) of its own nothing is said."""
+    valve = {"valve": "custom", "numerator": [394784.0], "denominator": [1.0, 1005.3, 394784.0]}
+    command = np.where(np.arange(400) % 100 < 50, 0.0, 1.0)
+    run = simulate("pid", command, valve=valve)
+    assert "reshaping.max_accel 12000 cuts the reference in" in run.warning
+    assert "3.948e+06" in run.warning
+    own = {"reshaping.max_accel": 3.948e6, "reshaping.max_rate": 3927.0}
+    assert "cuts the reference" not in simulate("pid", command, valve=valve, **own).warning
+
+
 def trajectory(period=0.001):
     return build.commands(updated(COMMAND, defaults(COMMAND), {"sample_period": period}))
 

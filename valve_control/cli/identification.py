@@ -300,6 +300,7 @@ def _found(
         except ParameterError as error:
             notes.append(f"the second order stands alone: {error}")
     best = fits[-1]
+    notes += experiment.range_notes(measured, second, best)
     suggestion = theta.suggest(measured, second, best, tested.u_max)
     readings = lvdt.observe(tested.position)
     model, delay, told = first_gains.with_dead_time(measured, best, arguments.weighting)

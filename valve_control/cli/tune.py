@@ -23,11 +23,12 @@ from valve_control.cli.common import (
 )
 from valve_control.cli.simulate import CONTROLLERS, settings_of, setup_options
 from valve_control.cli.study import box_of
-from valve_control.parameter import ParameterError, Values, number, word
+from valve_control.parameter import ParameterError, Values, defaults, number, word
 
 if TYPE_CHECKING:
     from valve_control.analysis.indices import Indices
     from valve_control.commissioning.recorded import Found
+    from valve_control.plant.models import TransferFunction
     from valve_control.recordings.recording import Aligned, Valve
     from valve_control.simulation.cluster import Cluster
     from valve_control.simulation.robustness import Quantity
@@ -403,6 +404,8 @@ def _problems(
 ) -> tuple["Problem", "Problem"]:
     """What the search sees, and what verification sees. Raises ParameterError."""
     from valve_control.laws.registry import LAWS
+    from valve_control.parameters import build
+    from valve_control.plant import models
     from valve_control.simulation import offline
     from valve_control.tuning import box
     from valve_control.tuning.trial import Problem
@@ -421,6 +424,8 @@ def _problems(
                 file=sys.stderr,
             )
         settings = {**settings, "controller": values}
+    model = build.valve_model(settings["valve_simulator"])
+    settings = {**settings, "controller": _with_limits(settings["controller"], model)}
     seed = _seed(arguments)
     study = box.study_of(settings, quantities, arguments.valves, seed)
     other = box.study_of(settings, quantities, arguments.unseen, seed + box.UNSEEN_SEED)
@@ -433,8 +438,24 @@ def _problems(
         arguments.preview,
         arguments.error == "max",
         seed,
+        scale=models.scale_of(model),
     )
     return seen, seen._replace(plants=box.drawn(other), box=box.bounding(other), seed=seed + box.UNSEEN_SEED)
+
+
+def _with_limits(values: Values, model: "TransferFunction") -> Values:
+    """The controller's ``values`` with (6) and (7) of the valve, where they are the defaults for another."""
+    from valve_control.laws import reshaping
+    from valve_control.parameter import updated
+    from valve_control.parameters.table import CONTROLLER
+
+    limits = reshaping.limits(model, number(values, "u_max"))
+    usual = defaults(reshaping.PARAMETERS)
+    if not limits or any(values[name] != usual[name] for name in limits):
+        return values
+    text = " and ".join(f"{name} {value}" for name, value in limits.items())
+    print(f"note: {text}, (6) and (7) of this valve; --set says otherwise", file=sys.stderr)
+    return updated(CONTROLLER, values, limits)
 
 
 class _Recorded(NamedTuple):
@@ -607,6 +628,8 @@ def _result(
 def _print(found: dict[str, "Tuned"]) -> None:
     from valve_control.tuning import margins, verification
 
+    if not found:
+        return
     print(
         f"{'law':12}{'e_rms [V]':>12}{'95 % [V]':>12}{'c_u':>8}"
         f"{'gain [dB]':>11}{'phase [deg]':>13}{'delay [ms]':>12}"
@@ -620,7 +643,5 @@ def _print(found: dict[str, "Tuned"]) -> None:
             f"{worst.phase_deg[0]:13.3g}{1e3 * worst.delay_s[0]:12.3g}"
             + ("" if one.chosen.holds else "  not accepted")
         )
-    shown = next(iter(found.values()), None)
-    if shown is not None:
-        valves = verification.as_dict(shown.chosen.verified)["valves"]
-        print(f"on {valves} valves that the search did not see; margins: the least in the box")
+    valves = verification.as_dict(next(iter(found.values())).chosen.verified)["valves"]
+    print(f"on {valves} valves that the search did not see; margins: the least in the box")

@@ -14,6 +14,7 @@ from valve_control.commissioning.statics import Rest
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import Values, defaults, number, updated
 from valve_control.parameters.table import CONTROLLER, NODES
+from valve_control.plant.models import scale_of
 from valve_control.simulation import offline
 from valve_control.tuning import box, trial, tuner
 from valve_control.tuning.trial import Motion, Problem
@@ -91,6 +92,7 @@ def tuned(
         False,
         plan.seed,
         wider > 1.0,
+        scale_of(found.model),
     )
     unseen = problem._replace(
         plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + box.UNSEEN_SEED

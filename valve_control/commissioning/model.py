@@ -106,8 +106,11 @@ def _refusal(gains: first_gains.Gains, law: str) -> str | None:
 
 
 def controller_values(known: Known, law: str) -> Values:
-    """First gains and model of ``law``, and the estimates by which readings are compared with the voltage."""
-    own = {name: value for name, value in known.gains.items() if name.startswith(f"{law}.")}
+    """First gains and model of ``law``, and the estimates by which readings are compared with the voltage.
+
+    With the limits of the reference, where those of the D3FXE do not fit the valve.
+    """
+    own = {name: value for name, value in known.gains.items() if name.startswith((f"{law}.", "reshaping."))}
     estimates = {
         "arc.theta_initial": list(known.theta.initial),
         "arc.theta_min": list(known.theta.lower),

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from valve_control.commands import scenarios
 from valve_control.identification import response
+from valve_control.identification.rational import Fit, measured_corners
 from valve_control.identification.response import Response, Segment
 from valve_control.parameter import ParameterError, Values, number, updated, word
 from valve_control.parameters import build
@@ -23,6 +24,7 @@ STUCK = 0.005  # V/V, a response that no moving spool stays below
 SPAN = 5.0  # highest over lowest frequency that a model needs at least
 HELD_TRAVEL = 0.1  # V, and
 HELD_GAIN = 0.25  # V/V, below both of which a spool may be held by friction: its bristles give a few 0.01 V
+SAMPLES = 20.0  # in a period of a valve's natural frequency, where holding the voltage costs 9° of phase
 DIVERGED = 1e3  # times u_max, beyond which a position has run away
 
 
@@ -78,7 +80,7 @@ def simulated(controller: Values, valve: Values, command: Values, motion: Floats
             "choose a smaller amplitude"
         )
     with np.errstate(over="ignore", invalid="ignore"):
-        run = offline.simulate(open_loop, valve, motion)
+        run = offline.simulate(open_loop, valve, motion, alone=True)
     if not np.all(np.abs(run.measurement) <= DIVERGED * u_max):
         raise ParameterError(
             "the position runs away, so the valve has no frequency response without feedback"
@@ -156,6 +158,27 @@ def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | 
             f"{SPAN:g}:1 at least"
         )
     return measured
+
+
+def range_notes(measured: Response, second: Fit, best: Fit) -> list[str]:
+    """What the sample period and the range of the frequencies leave untold of the valve, as sentences."""
+    made = []
+    highest, most = float(measured.frequency[-1]), ROOM / measured.period
+    if measured_corners(measured, best.model.static_gain).minus_3db is None and highest < 0.9 * most:
+        further = min(most, 10.0 * highest)
+        made.append(
+            f"no -3 dB up to {highest:.4g} Hz: the valve goes further than the test; with "
+            f"--set end_frequency={further:.4g} it tells more"
+        )
+    natural = math.sqrt(max(0.0, second.model.denominator[-1])) / (2.0 * math.pi)
+    if natural * measured.period * SAMPLES > 1.0:
+        made.append(
+            f"the sample period of {1e3 * measured.period:.4g} ms is too long for this valve, which has "
+            f"{1.0 / (natural * measured.period):.2g} samples in a period of its natural frequency of "
+            f"{natural:.3g} Hz; {1e3 / (SAMPLES * natural):.2g} ms is the longest that its model and gains "
+            "can be relied on with"
+        )
+    return made
 
 
 def check_travel(experiment: Experiment, static_gain: float) -> None:

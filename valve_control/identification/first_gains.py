@@ -15,7 +15,7 @@ from valve_control.identification.lvdt import Lvdt
 from valve_control.identification.rational import Fit, check_worth, fit
 from valve_control.identification.response import Response
 from valve_control.identification.theta import Suggestion
-from valve_control.laws import arc, dcarc, oarc, pid
+from valve_control.laws import arc, dcarc, oarc, pid, reshaping
 from valve_control.laws.law import Law
 from valve_control.parameter import ParameterError, Value, Values, defaults, number, numbers, updated
 from valve_control.parameters import stability
@@ -82,12 +82,12 @@ def with_dead_time(
 
 
 def first(known: Valve, around: Valve | None = None) -> Gains:
-    """Gains of ``pid``, ``arc``, ``oarc`` and ``dcarc``.
+    """Gains of ``pid``, ``arc``, ``oarc`` and ``dcarc``, and limits of the reference for an unusual valve.
 
     ``around``: the valve on which, and on whose box, they have to be stable, where ``known`` has a simpler
     model than that.
     """
-    values: Values = {}
+    values: Values = {**reshaping.limits(known.model, known.u_max), **reshaping.at_period(known.period)}
     notes: list[str] = []
     makers: tuple[tuple[Law, Callable[[Valve, float], Values]], ...] = (
         (pid.LAW, _pid),
@@ -113,7 +113,7 @@ def _safe(
 
     Raises ParameterError.
     """
-    base = {**defaults(CONTROLLER), "sample_period": known.period}
+    base = {**defaults(CONTROLLER), "sample_period": known.period, **reshaping.at_period(known.period)}
     share = 1.0
     for _ in range(HALVINGS + 1):
         made = make(known, share)

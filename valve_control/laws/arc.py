@@ -210,9 +210,9 @@ LAW = Law(
     model=model,
     linear=without_adaptation,
     free=(
-        Free("arc.k1", 10.0, 600.0),
-        Free("arc.k2", 10.0, 600.0),
+        Free("arc.k1", 10.0, 600.0, powers=(1, 0)),
+        Free("arc.k2", 10.0, 600.0, powers=(1, 0)),
         *estimates.free("arc"),
-        Free("arc.velocity_cutoff", 20.0, 500.0),
+        Free("arc.velocity_cutoff", 20.0, 500.0, powers=(1, 0)),
     ),
 )

@@ -564,9 +564,9 @@ LAW = Law(
     free=(
         Free("dcarc.disturbance_rate", 0.5, 60.0),
         Free("dcarc.input_noise", 0.05, 10.0),
-        Free("dcarc.voltage_weight", 1e-3, 3.0),
+        Free("dcarc.voltage_weight", 1e-3, 3.0, powers=(0, 2)),
         Free("dcarc.fit_noise", 0.1, 10.0),
-        Free("dcarc.forgetting", 0.003, 3.0),
+        Free("dcarc.forgetting", 0.003, 3.0, powers=(1, 0)),
         Free(
             "dcarc.presliding[0]",
             0.002,
@@ -584,8 +584,8 @@ LAW = Law(
         Free("dcarc.theta_spread[4]", 0.01, 3.0),
         Free("dcarc.theta_spread[5]", 0.01, 3.0),
         Free("dcarc.theta_spread[6]", 0.01, 3.0),
-        Free("dcarc.theta_spread[7]", 1e-6, 0.03),
-        Free("dcarc.theta_spread[8]", 1e-6, 3e-4),
+        Free("dcarc.theta_spread[7]", 1e-6, 0.03, powers=(-1, -1)),
+        Free("dcarc.theta_spread[8]", 1e-6, 3e-4, powers=(-2, -1)),
     ),
     remedy="shorten sample_period, or raise dcarc.voltage_weight or lower dcarc.disturbance_rate",
 )

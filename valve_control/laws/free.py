@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from valve_control.parameter import Value, Values, number, numbers
+from valve_control.plant.models import D3FXE, Scale
 
 DIGITS = 4  # that are chosen, so that a file holds just what was tried
 
@@ -29,6 +30,14 @@ class Free(NamedTuple):
     followers: tuple[tuple[str, float], ...] = ()  # numbers that are always this one times a factor
     only: tuple[str, ...] = ()  # a parameter, and its values for which this number matters; (): always
     unit: Callable[[Values], float] = one  # of the number, from values of what stands before it in ``free``
+    powers: tuple[int, int] = (0, 0)  # of speed and gain of the valve, with which the range goes
+
+    def ranged(self, scale: Scale) -> "Free":
+        """The same for a valve with this ``scale``; the range is that for the D3FXE."""
+        if scale == D3FXE:
+            return self
+        factor = scale.speed ** self.powers[0] * scale.gain ** self.powers[1]
+        return self._replace(low=self.low * factor, high=self.high * factor)
 
     def from_share(self, share: float) -> float:
         """The number at ``share``, 0 to 1, of the range."""

@@ -254,14 +254,14 @@ LAW = Law(
     steady_command=steady_command,
     form=("pid.form",),
     free=(
-        Free("pid.kp", 0.3, 60.0),
-        Free("pid.ki", 3.0, 1000.0, unit=proportional),  # 1/s  1/T_i
-        Free("pid.kd", 3e-4, 0.03, unit=proportional),  # s  T_d
-        Free("pid.derivative_cutoff", 20.0, 500.0),
-        Free("pid.static_feedforward", 0.3, 3.0, only=("pid.form", "plain")),
-        Free("pid.theta[0]", 5.0, 200.0, only=("pid.form", "reference", "paper")),
-        Free("pid.theta[1]", 300.0, 5000.0, only=("pid.form", "reference", "paper")),
-        Free("pid.theta[2]", 300.0, 5000.0, only=("pid.form", "reference", "paper")),
+        Free("pid.kp", 0.3, 60.0, powers=(0, -1)),
+        Free("pid.ki", 3.0, 1000.0, unit=proportional, powers=(1, 0)),  # 1/s  1/T_i
+        Free("pid.kd", 3e-4, 0.03, unit=proportional, powers=(-1, 0)),  # s  T_d
+        Free("pid.derivative_cutoff", 20.0, 500.0, powers=(1, 0)),
+        Free("pid.static_feedforward", 0.3, 3.0, only=("pid.form", "plain"), powers=(0, -1)),
+        Free("pid.theta[0]", 5.0, 200.0, only=("pid.form", "reference", "paper"), powers=(1, 0)),
+        Free("pid.theta[1]", 300.0, 5000.0, only=("pid.form", "reference", "paper"), powers=(2, 0)),
+        Free("pid.theta[2]", 300.0, 5000.0, only=("pid.form", "reference", "paper"), powers=(2, 1)),
     ),
     variants=(
         {"pid.form": "plain", "pid.break_frequency": 0.0},

@@ -4,7 +4,8 @@ import math
 from typing import NamedTuple
 
 from valve_control.laws.free import Free
-from valve_control.parameter import Parameter, ParameterError, Table, Values, number
+from valve_control.parameter import Parameter, ParameterError, Table, Values, defaults, number
+from valve_control.plant.models import D3FXE, LIKE, Scale, TransferFunction, slow_motion
 
 
 class Params(NamedTuple):
@@ -84,20 +85,49 @@ PARAMETERS: Table = (
 )
 
 
+def limits(model: TransferFunction, u_max: float) -> Values:
+    """Limits (6) and (7) for a valve with ``model`` and at most ``u_max`` [V].
+
+    None where the defaults, which are those of the D3FXE, are within a factor LIKE of both, or where (1) does
+    not describe the valve.
+    """
+    slow = slow_motion(model)
+    if slow is None:
+        return {}
+    usual = defaults(PARAMETERS)
+    wanted = {"reshaping.max_accel": slow.b0 * u_max, "reshaping.max_rate": slow.b0 * u_max / slow.a1}
+    if all(1.0 / LIKE <= value / number(usual, name) <= LIKE for name, value in wanted.items()):
+        return {}
+    ranges = {p.name: (p.low, p.high) for p in PARAMETERS}
+    return {name: float(f"{min(max(v, ranges[name][0]), ranges[name][1]):.4g}") for name, v in wanted.items()}
+
+
+def at_period(period: float) -> Values:
+    """Natural frequency for a sample ``period`` [s] at which the default one is too fast; none if it is not.
+
+    It has the lead of two periods that ``frequency`` asks for.
+    """
+    usual = defaults(PARAMETERS)
+    highest = number(usual, "reshaping.damping") / period
+    if number(usual, "reshaping.natural_frequency") <= highest:
+        return {}
+    return {"reshaping.natural_frequency": float(f"{highest:.4g}")}
+
+
 HIGHEST = 1200.0  # rad/s  that a tuner may choose
-LEAD = Free("reshaping.lead", 0.0, 0.03, logarithmic=False)  # of a law that does not reshape
+LEAD = Free("reshaping.lead", 0.0, 0.03, logarithmic=False, powers=(-1, 0))  # of a law that does not reshape
 LEAD_ACCEL = Free("reshaping.lead_accel", 0.0, 1.0, logarithmic=False)
 
 
-def frequency(values: Values) -> Free:
-    """The natural frequency that a tuner may choose with these ``values`` of the controller.
+def frequency(values: Values, scale: Scale = D3FXE) -> Free:
+    """The natural frequency that a tuner may choose with these ``values`` of the controller, on a valve.
 
     At the limit (6) the acceleration changes its sign where the reference will be at the command in
     2·ξ_n/ω_n, and the reference answers a period later. With less than two periods of lead it takes long to
     rest after a step, with one and a third it swings for ever: so ω_n is at most ξ_n/ΔT.
     """
-    high = min(HIGHEST, number(values, "reshaping.damping") / number(values, "sample_period"))
-    return Free("reshaping.natural_frequency", min(100.0, 0.25 * high), high)
+    high = min(HIGHEST * scale.speed, number(values, "reshaping.damping") / number(values, "sample_period"))
+    return Free("reshaping.natural_frequency", min(100.0 * scale.speed, 0.25 * high), high)
 
 
 def lag(values: Values) -> float:
@@ -105,9 +135,9 @@ def lag(values: Values) -> float:
     return 2.0 * number(values, "reshaping.damping") / number(values, "reshaping.natural_frequency")
 
 
-def lead(values: Values) -> Free:
+def lead(values: Values, scale: Scale = D3FXE) -> Free:
     """The lead that a tuner may choose for a law that reshapes, in lags of (8)."""
-    longest = 2.0 * number(values, "reshaping.damping") / frequency(values).low
+    longest = 2.0 * number(values, "reshaping.damping") / frequency(values, scale).low
     return Free("reshaping.lead", 0.25, max(0.5, min(6.0, MOST_LEAD / longest)), unit=lag)
 
 
@@ -121,7 +151,8 @@ def build(values: Values) -> Params:
     if wn * period >= limit:
         raise ParameterError(
             f"reshaping.natural_frequency is {wn:g} rad/s; at a sample period of {period:g} s and "
-            f"damping {damping:g} it must be below {limit / period:g} rad/s"
+            f"damping {damping:g} it must be below {limit / period:g} rad/s, or sample_period below "
+            f"{1e3 * limit / wn:.3g} ms"
         )
     return Params(
         wn, damping, number(values, "reshaping.max_rate"), number(values, "reshaping.max_accel"), period

@@ -17,7 +17,7 @@ def valve_model(values: Values) -> TransferFunction:
     """Linear model of the valve, with its gain scaled. Raises ParameterError."""
     model = models.chosen(values, "valve", "")
     scale = number(values, "gain_scale")
-    return TransferFunction(tuple(scale * c for c in model.numerator), model.denominator)
+    return model.scaled(scale)
 
 
 def law_params(values: Values) -> Any:

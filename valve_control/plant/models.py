@@ -1,5 +1,6 @@
 """Lists transfer functions of the Parker D3FXE01HCNBJ0011 from voltage to spool position."""
 
+import math
 from typing import NamedTuple
 
 from valve_control.parameter import Parameter, ParameterError, Table, Values, numbers, word
@@ -16,12 +17,63 @@ class TransferFunction(NamedTuple):
         """Gain at s = 0."""
         return self.numerator[-1] / self.denominator[-1]
 
+    def scaled(self, gain: float) -> "TransferFunction":
+        """The same with ``gain`` times its gain."""
+        return TransferFunction(tuple(gain * c for c in self.numerator), self.denominator)
+
+
+class SlowMotion(NamedTuple):
+    """The model (1) that moves a spool like another one as long as it moves slowly."""
+
+    a1: float  # 1/s
+    a0: float  # 1/s²
+    b0: float  # 1/s²
+
+
+def slow_motion(model: TransferFunction) -> SlowMotion | None:
+    """(1) whose voltage for a motion has the same part in position, rate and acceleration as with ``model``.
+
+    It is the beginning of the power series of its reciprocal. None: (1) does not describe such a valve.
+    """
+    n, d = ([*reversed(part), 0.0, 0.0][:3] for part in model)
+    stiffness = d[0] / n[0]
+    damping = (d[1] - stiffness * n[1]) / n[0]
+    inertia = (d[2] - stiffness * n[2] - damping * n[1]) / n[0]
+    if min(stiffness, damping, inertia) <= 0.0:
+        return None
+    return SlowMotion(damping / inertia, stiffness / inertia, 1.0 / inertia)
+
 
 SECOND_ORDER = TransferFunction((1502.057,), (1.0, 58.771, 1657.206))  # (2)
 FOURTH_ORDER = TransferFunction(
     (1206.0, 229256.0, 46882988.0), (1.0, 163.0, 47859.0, 1969807.0, 56553725.0)
 )  # (3)
+LIKE = 2.0  # times speed and gain of the D3FXE, up to which, and half of it, a valve is like it
+
+
+class Scale(NamedTuple):
+    """Speed and static gain of a valve over those of the D3FXE, to which defaults and ranges belong."""
+
+    speed: float
+    gain: float
+
+
+D3FXE = Scale(1.0, 1.0)
+
+
+def scale_of(model: TransferFunction) -> Scale:
+    """Of a valve with ``model``; that of the D3FXE where it is like it, or (1) does not describe it."""
+    own, usual = slow_motion(model), slow_motion(FOURTH_ORDER)
+    if own is None or usual is None:
+        return D3FXE
+    found = Scale(math.sqrt(own.a0 / usual.a0), model.static_gain / FOURTH_ORDER.static_gain)
+    return D3FXE if all(1.0 / LIKE <= factor <= LIKE for factor in found) else found
+
+
 MODELS = {"second_order": SECOND_ORDER, "fourth_order": FOURTH_ORDER}
+
+
+LARGEST = 1e18  # coefficient of a custom model, which a fourth order of 3 kHz has
 
 
 def custom_parameters(prefix: str) -> Table:
@@ -32,16 +84,16 @@ def custom_parameters(prefix: str) -> Table:
             [1502.057],
             "",
             "custom model, numerator in s, highest power first",
-            -1e12,
-            1e12,
+            -LARGEST,
+            LARGEST,
         ),
         Parameter(
             f"{prefix}denominator",
             [1.0, 58.771, 1657.206],
             "",
             "custom model, denominator in s, highest power first",
-            -1e12,
-            1e12,
+            -LARGEST,
+            LARGEST,
         ),
     )
 

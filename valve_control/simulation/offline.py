@@ -11,18 +11,20 @@ from valve_control import closed_loop
 from valve_control.analysis.indices import Indices, indices, rms
 from valve_control.analysis.limit_cycle import LimitCycle, limit_cycle
 from valve_control.compiling import explained
-from valve_control.laws import command_lead
+from valve_control.laws import command_lead, reshaping
 from valve_control.laws.law import Law
 from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
 from valve_control.parameter import ParameterError, Values, number, word
 from valve_control.parameters import build, stability
 from valve_control.plant import valve
+from valve_control.plant.models import LIKE, TransferFunction
 
 Array = npt.NDArray[np.float64]
 PROBES = (0.3, 1.0)  # V  steps with which a valve is tried
 PROBE = 1.0  # s  length of a trial, and how long a limit cycle has to be there at its end
 PROBE_END = 0.2  # s
+CUT = 0.01  # share of the samples, from which on limits that are too low for the valve are told of
 PIECE = 1_000_000  # samples between two words about progress
 
 
@@ -66,18 +68,20 @@ def simulate(
     compiled: bool = True,
     noise_start: int = 0,
     told: Callable[[int], None] | None = None,
+    alone: bool = False,
 ) -> Run:
     """Simulate the loop over ``command`` [V], one entry per sample. Raises ParameterError.
 
     ``noise_start``: how many LVDT readings the simulator had already made when the controller joined.
-    ``told`` is called with the number of samples done since its last call.
+    ``told`` is called with the number of samples done since its last call. ``alone``: the parameters of other
+    laws are not looked at.
     """
     check_agreement(controller_values, valve_values)
     if noise_start < 0:
         raise ParameterError(f"noise_start is {noise_start}; it must be 0 or more")
     name = word(controller_values, "controller")
     law = LAWS[name]
-    law_params = build.law_params(controller_values)
+    law_params = law.build(controller_values) if alone else build.law_params(controller_values)
     valve_params = build.valve_params(valve_values)
     limit = number(controller_values, "command_limit")
     command = np.clip(np.ascontiguousarray(command, dtype=np.float64), -limit, limit)
@@ -117,6 +121,7 @@ def simulate(
     ]
     if not warnings_found[1]:
         warnings_found.append(_probe(law, law_params, valve_params, least, compiled))
+    warnings_found.append(_cut(law, law_params, terms, build.valve_model(valve_values)))
     true_error = position - command
     return Run(
         controller=name,
@@ -133,6 +138,30 @@ def simulate(
         limit_cycle=limit_cycle(voltage, command, period, least, compiled),
         warning="; ".join(filter(None, warnings_found)),
     )
+
+
+def _cut(law: Law, params: Any, terms: Array, model: TransferFunction) -> str:
+    """One sentence if limits far below what the valve can do cut the reference in a run with these ``terms``.
+
+    ``terms``: n×m, as the law names them.
+    """
+    if not law.reshapes(params):
+        return ""
+    own: reshaping.Params = params.reshaping
+    could = reshaping.limits(model, params.u_max)
+    said = []
+    for name, term, limit in (
+        ("reshaping.max_accel", "reference_accel", own.max_accel),
+        ("reshaping.max_rate", "reference_rate", own.max_rate),
+    ):
+        if name in could and LIKE * limit < number(could, name):
+            share = float(np.mean(np.abs(terms[:, law.term_labels.index(term)]) >= limit * (1.0 - 1e-9)))
+            if share > CUT:
+                said.append(
+                    f"{name} {limit:g} cuts the reference in {100.0 * share:.2g} % of the samples, and the "
+                    f"valve can follow {number(could, name):g}"
+                )
+    return "; ".join(said)
 
 
 def check_memory(samples: float, terms: int = 0) -> None:

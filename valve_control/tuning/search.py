@@ -279,7 +279,7 @@ def search(
     workers: Workers = None,
 ) -> Found:
     """Try ``budget`` sets of gains of ``law``. Raises ParameterError for a law that has none to choose."""
-    free = trial.free_numbers(law, problem.values, problem.preview)
+    free = trial.free_numbers(law, problem.values, problem.preview, problem.scale)
     if not free:
         raise ParameterError(f"{law.name} has no gains to choose; there is nothing to tune")
     trials = _Trials(law, problem, free, workers)

@@ -16,6 +16,7 @@ from valve_control.laws.registry import LAWS
 from valve_control.parameter import Value, Values, number, updated
 from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
+from valve_control.plant.models import D3FXE, Scale
 from valve_control.simulation import batch, comparison
 from valve_control.simulation.cluster import Cluster
 from valve_control.tuning import margins
@@ -69,6 +70,7 @@ class Problem(NamedTuple):
     largest: bool  # whether the error is the largest of a run, instead of its rms
     seed: int  # of the noise
     strict: bool = False  # whether a voltage that a node reports counts where the spool swings by itself
+    scale: Scale = D3FXE  # of the valve, with which the ranges go
 
 
 class Gains(NamedTuple):
@@ -111,20 +113,20 @@ def error_of(problem: Problem, outcome: Outcome) -> float:
     return typical(outcome.e_max if problem.largest else outcome.e_rms)
 
 
-def free_numbers(law: Law, values: Values, preview: bool) -> tuple[Free, ...]:
-    """The numbers that may be chosen with these ``values`` of the controller.
+def free_numbers(law: Law, values: Values, preview: bool, scale: Scale = D3FXE) -> tuple[Free, ...]:
+    """The numbers that may be chosen with these ``values`` of the controller, on a valve of this ``scale``.
 
     A motion that is known ahead needs no lead, and the frequency of the reshaping then has no effect.
     """
-    own = tuple(free for free in law.free if free.matters(values))
+    own = tuple(free.ranged(scale) for free in law.free if free.matters(values))
     if not own:
         return ()
     reshapes = law.reshapes(law.build(values))
     if preview:
         return own if reshapes else (*own, AHEAD)
     if not reshapes:
-        return (*own, reshaping.LEAD, reshaping.LEAD_ACCEL)
-    return (*own, reshaping.frequency(values), reshaping.lead(values), reshaping.LEAD_ACCEL)
+        return (*own, reshaping.LEAD.ranged(scale), reshaping.LEAD_ACCEL)
+    return (*own, reshaping.frequency(values, scale), reshaping.lead(values, scale), reshaping.LEAD_ACCEL)
 
 
 def gains_at(free: Sequence[Free], values: Values, shares: Sequence[float]) -> Gains:
