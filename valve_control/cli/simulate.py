@@ -17,11 +17,15 @@ from valve_control.parameters.axis import AXIS_NODES
 from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
+    from valve_control.simulation.delivery import Delivery
     from valve_control.simulation.offline import Run
 
 CONTROLLERS = lookup(NODES["controller"], "controller").choices
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
-SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
+SIMULATED = (
+    "valve", "scenario", "command", "sample_period", "duration", "seed", "command_period", "command_jitter",
+    "set", "params_file",
+)  # fmt: skip
 LONG = 5_000_000  # samples from which on a run shows its progress
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
@@ -59,6 +63,22 @@ def setup_options(several: bool = False) -> Parser:
     return options
 
 
+def delivery_options() -> Parser:
+    """Parser with the options that say how the commands come."""
+    options = Parser(add_help=False)
+    group = options.add_argument_group("how the commands come")
+    group.add_argument(
+        "--command-period",
+        type=float,
+        metavar="S",
+        help="from one command of the upper level to the next; command.interpolation joins them (each sample)",
+    )
+    group.add_argument(
+        "--command-jitter", type=float, metavar="S", help="by which each is early or late at most (0)"
+    )
+    return options
+
+
 def output_options() -> Parser:
     """Parser with the options that say what is written."""
     options = Parser(add_help=False)
@@ -73,7 +93,7 @@ def add_commands(commands: Any) -> None:
     setup = setup_options()
     simulate = commands.add_parser(
         "simulate",
-        parents=[setup, output_options()],
+        parents=[setup, delivery_options(), output_options()],
         help="one controller on one valve and one command",
         description="Run one controller on one simulated valve; print the indices I1-I5 of the paper.",
     )
@@ -83,7 +103,7 @@ def add_commands(commands: Any) -> None:
     simulate.set_defaults(run=_simulate)
     compare = commands.add_parser(
         "compare",
-        parents=[setup, output_options()],
+        parents=[setup, delivery_options(), output_options()],
         help="several bags; or, without a bag, all controllers in simulation beside the paper's Table 1",
         description="Compare the runs in several bags. Without a bag: run every controller on one valve and "
         "one command, beside the paper's Table 1.",
@@ -135,6 +155,25 @@ def _command(arguments: argparse.Namespace, values: Values) -> Any:
     return build.commands(values)
 
 
+def delivery_of(arguments: argparse.Namespace, values: Values) -> "Delivery | None":
+    """How the options and the controller's ``values`` let commands come; None: one a sample, in time.
+
+    Raises ParameterError.
+    """
+    from valve_control.simulation import delivery
+
+    asked = arguments.command_period, arguments.command_jitter
+    if asked == (None, None) and values["command.interpolation"] == "hold":
+        return None
+    period, jitter = asked
+    seed = 1 if arguments.seed is None else arguments.seed
+    made = delivery.Delivery(
+        number(values, "sample_period") if period is None else period, jitter or 0.0, seed
+    )
+    delivery.check(values, made)
+    return made
+
+
 def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:
     from valve_control.analysis import limit_cycle
 
@@ -169,11 +208,16 @@ def _simulate(arguments: argparse.Namespace) -> None:
     check_outputs(arguments, [arguments.csv, arguments.npz], [arguments.figure])
     settings = settings_of(arguments)
     command = _command(arguments, settings["command_source"])
+    delivered = delivery_of(arguments, settings["controller"])
     from tqdm import tqdm
 
     with tqdm(total=len(command), unit=" samples", disable=len(command) < LONG, ascii=True) as bar:
         run = offline.simulate(
-            settings["controller"], settings["valve_simulator"], command, told=lambda done: bar.update(done)
+            settings["controller"],
+            settings["valve_simulator"],
+            command,
+            told=lambda done: bar.update(done),
+            delivered=delivered,
         )
     if run.warning:
         print(f"warning: {run.warning}", file=sys.stderr)
@@ -238,10 +282,11 @@ def _compare(arguments: argparse.Namespace) -> None:
     check_outputs(arguments, figures=[arguments.figure])
     settings = settings_of(arguments)
     command = _command(arguments, settings["command_source"])
+    delivered = delivery_of(arguments, settings["controller"])
     runs = []
     for controller in CONTROLLERS:
         values = updated(NODES["controller"], settings["controller"], {"controller": controller})
-        run = offline.simulate(values, settings["valve_simulator"], command)
+        run = offline.simulate(values, settings["valve_simulator"], command, delivered=delivered)
         if run.warning:
             print(f"warning: {run.warning}", file=sys.stderr)
         runs.append(run)

@@ -21,7 +21,13 @@ from valve_control.cli.common import (
     workers,
     write_json,
 )
-from valve_control.cli.simulate import CONTROLLERS, settings_of, setup_options
+from valve_control.cli.simulate import (
+    CONTROLLERS,
+    delivery_of,
+    delivery_options,
+    settings_of,
+    setup_options,
+)
 from valve_control.cli.study import box_of
 from valve_control.parameter import ParameterError, Values, defaults, number, word
 
@@ -45,7 +51,7 @@ def add_commands(commands: Any) -> None:
     """Add tune to the command's sub-commands."""
     tune = commands.add_parser(
         "tune",
-        parents=[setup_options(several=True)],
+        parents=[setup_options(several=True), delivery_options()],
         help="the best gains of any law for a valve and its spread, verified",
         description="Search the gains of one or more laws: small error of the true position at limited "
         "chatter on valves drawn from the study's box around a valve, with margins of the sampled loop that "
@@ -292,6 +298,11 @@ def _check(arguments: argparse.Namespace) -> None:
 
     check_processes("threads", arguments.threads)
     check_search(_seed(arguments), arguments.valves, arguments.unseen, arguments.budget)
+    if arguments.preview and (arguments.command_period, arguments.command_jitter) != (None, None):
+        raise ParameterError(
+            "--preview is for motions that are known ahead, so tune takes no --command-period and no "
+            "--command-jitter with it"
+        )
     if arguments.max_chatter is not None and arguments.max_error is not None:
         raise ParameterError("--max-chatter and --max-error contradict each other; give one of them")
     for name in ("max_chatter", "max_error", "peak", "swing"):
@@ -439,6 +450,7 @@ def _problems(
         arguments.error == "max",
         seed,
         scale=models.scale_of(model),
+        delivery=None if arguments.preview else delivery_of(arguments, settings["controller"]),
     )
     return seen, seen._replace(plants=box.drawn(other), box=box.bounding(other), seed=seed + box.UNSEEN_SEED)
 

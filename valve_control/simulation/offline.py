@@ -19,6 +19,8 @@ from valve_control.parameter import ParameterError, Values, number, word
 from valve_control.parameters import build, stability
 from valve_control.plant import valve
 from valve_control.plant.models import LIKE, TransferFunction
+from valve_control.simulation import delivery
+from valve_control.simulation.delivery import Delivery
 
 Array = npt.NDArray[np.float64]
 PROBES = (0.3, 1.0)  # V  steps with which a valve is tried
@@ -69,12 +71,14 @@ def simulate(
     noise_start: int = 0,
     told: Callable[[int], None] | None = None,
     alone: bool = False,
+    delivered: Delivery | None = None,
 ) -> Run:
     """Simulate the loop over ``command`` [V], one entry per sample. Raises ParameterError.
 
     ``noise_start``: how many LVDT readings the simulator had already made when the controller joined.
     ``told`` is called with the number of samples done since its last call. ``alone``: the parameters of other
-    laws are not looked at.
+    laws are not looked at. ``delivered``: how the command comes; None: one for each sample, in time. The error
+    is that from ``command`` all the same.
     """
     check_agreement(controller_values, valve_values)
     if noise_start < 0:
@@ -96,7 +100,11 @@ def simulate(
     valve_state = valve.initial(valve_params)
     first = valve.read(valve_params, valve_state, noise[0])
     law_state = law.module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
-    led = command_lead.applied(command_lead.build(controller_values, law.reshapes(law_params)), command)
+    lead = command_lead.build(controller_values, law.reshapes(law_params))
+    if delivered is None:
+        led = command_lead.applied(lead, command)
+    else:
+        led = delivery.led(lead, delivery.received(controller_values, command, delivered))
     end = closed_loop.parts(law_state, valve_state)
     with explained(f"the law '{name}' of the package {law.package}"):
         for start in range(0, n, PIECE):

@@ -17,8 +17,9 @@ from valve_control.parameter import Value, Values, number, updated
 from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import valve
 from valve_control.plant.models import D3FXE, Scale
-from valve_control.simulation import batch, comparison
+from valve_control.simulation import batch, comparison, delivery
 from valve_control.simulation.cluster import Cluster
+from valve_control.simulation.delivery import Delivery
 from valve_control.tuning import margins
 from valve_control.tuning.kept import Kept, digest
 
@@ -71,6 +72,7 @@ class Problem(NamedTuple):
     seed: int  # of the noise
     strict: bool = False  # whether a voltage that a node reports counts where the spool swings by itself
     scale: Scale = D3FXE  # of the valve, with which the ranges go
+    delivery: Delivery | None = None  # of commands that are not previewed; None: one a sample, in time
 
 
 class Gains(NamedTuple):
@@ -156,6 +158,8 @@ def given(law: Law, params: Any, values: Values, gains: Gains, problem: Problem,
     limit = number(values, "command_limit")
     if not problem.preview:
         lead = command_lead.build(values, law.reshapes(params))
+        if problem.delivery is not None:
+            return delivery.led(lead, delivery.received(values, wanted, problem.delivery))
         clipped = np.clip(wanted, -limit, limit)
         if lead is None:
             return clipped
