@@ -79,6 +79,18 @@ def test_no_term_of_a_law_hides_a_signal(tmp_path):
         assert abs(traces["dcarc.position"][-1]) < 0.01
 
 
+def test_commands_come_offline_as_a_node_would_get_them():
+    def e_rms(*options):
+        done = run("simulate", "--scenario", "sine", "--duration", "2", "--json", "-", *options)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)["true_error"]["e_rms"]
+
+    usual = e_rms()
+    linear = ("--set", "command.interpolation=linear")
+    assert e_rms("--command-period", "0.001") == usual
+    assert usual < e_rms(*linear) < e_rms("--command-period", "0.01", *linear)
+
+
 def test_compare_lists_every_controller(tmp_path):
     done = run("compare", "--duration", "1.0", "--json", tmp_path / "c.json")
     assert done.returncode == 0, done.stderr

@@ -41,7 +41,9 @@ def test_uneven_commands_come_twice_and_not_at_all():
     assert np.max(np.abs(got - TIMES)) < 0.0021
 
 
-@pytest.mark.parametrize("wrong", [Delivery(0.0005), Delivery(0.2), Delivery(0.01, 0.02), Delivery(0.01, -1.0)])
+@pytest.mark.parametrize(
+    "wrong", [Delivery(0.0005), Delivery(0.2), Delivery(0.01, 0.02), Delivery(0.01, -1.0)]
+)
 def test_what_no_upper_level_does_is_refused(wrong):
     with pytest.raises(ParameterError, match="--command-(period|jitter) is .* must lie between"):
         delivery.check(values(), wrong)

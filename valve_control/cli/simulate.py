@@ -71,7 +71,7 @@ def delivery_options() -> Parser:
         "--command-period",
         type=float,
         metavar="S",
-        help="from one command of the upper level to the next; command.interpolation joins them (each sample)",
+        help="from one command to the next (a sample); command.interpolation joins them",
     )
     group.add_argument(
         "--command-jitter", type=float, metavar="S", help="by which each is early or late at most (0)"

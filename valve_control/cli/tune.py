@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from valve_control.tuning.tuner import Aim, Tuned
 
 PID = "pid"  # that is tuned beside the others
+LOUDER = 1.2  # times the chatter with commands in time, from which that with uneven ones is told
 FAILED = 1  # exit status if gains of a law are not accepted
 
 
@@ -657,3 +658,11 @@ def _print(found: dict[str, "Tuned"]) -> None:
         )
     valves = verification.as_dict(next(iter(found.values())).chosen.verified)["valves"]
     print(f"on {valves} valves that the search did not see; margins: the least in the box")
+    for name, one in found.items():
+        reached = verification.as_dict(one.chosen.verified)
+        uneven = reached["uneven_c_u"]
+        if uneven is not None and uneven > LOUDER * (reached["c_u"] or 0.0):
+            print(
+                f"{name}: c_u {uneven:.2f} with commands that come early or late by {verification.UNEVEN:g} "
+                "samples; --command-jitter tunes for such, command.interpolation joins them"
+            )

@@ -40,8 +40,8 @@ def check(values: Values, delivery: Delivery) -> None:
     period, most = number(values, "sample_period"), command_course.LONGEST
     if not period <= delivery.period <= most:
         raise ParameterError(
-            f"--command-period is {delivery.period:g} s; it must lie between the sample period, {period:g} s, "
-            f"and {most:g} s"
+            f"--command-period is {delivery.period:g} s; it must lie between the sample period, "
+            f"{period:g} s, and {most:g} s"
         )
     if not 0.0 <= delivery.jitter <= delivery.period:
         raise ParameterError(

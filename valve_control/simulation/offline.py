@@ -76,9 +76,9 @@ def simulate(
     """Simulate the loop over ``command`` [V], one entry per sample. Raises ParameterError.
 
     ``noise_start``: how many LVDT readings the simulator had already made when the controller joined.
-    ``told`` is called with the number of samples done since its last call. ``alone``: the parameters of other
-    laws are not looked at. ``delivered``: how the command comes; None: one for each sample, in time. The error
-    is that from ``command`` all the same.
+    ``told`` is called with the number of samples done since its last call. ``alone``: the parameters of
+    other laws are not looked at. ``delivered``: how the command comes; None: one for each sample, in time.
+    The error is that from ``command`` all the same.
     """
     check_agreement(controller_values, valve_values)
     if noise_start < 0:
