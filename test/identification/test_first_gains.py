@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from valve_control.identification import bode, first_gains, rational, theta
+from valve_control.identification import bode, first_gains, friction, rational, theta
+from valve_control.identification.friction import Friction
 from valve_control.identification.lvdt import Lvdt
 from valve_control.identification.response import Response
 from valve_control.laws.registry import LAWS
@@ -87,6 +88,16 @@ def test_scales_of_the_paper_come_back_on_its_valve():
         for name in gains:
             assert made[f"{law}.{name}"] == share * own[f"{law}.{name}"], (law, name)
         assert made[f"{law}.gamma"] == pytest.approx([share**2 * g for g in own[f"{law}.gamma"]])
+
+
+@pytest.mark.parametrize("offset", [0.55, 1.4, -2.0])
+def test_dcarc_takes_any_offset_and_its_causes_are_told(offset):
+    rubbing = Friction(0.8, 0.02, 0.83, offset, 8)
+    made = first_gains.first(known(FOURTH_ORDER)._replace(friction=rubbing))
+    assert made.notes == ()
+    assert made.values["dcarc.theta_initial"][6] == -offset
+    (note,) = friction.offset_notes(rubbing)
+    assert f"a bias of the LVDT of {0.83 * offset:.3g} V" in note
 
 
 @pytest.mark.parametrize(

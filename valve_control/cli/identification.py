@@ -261,7 +261,7 @@ def _found(
     measured: "Response",
     rubbing: "Friction | None" = None,
 ) -> "Identification":
-    from valve_control.identification import experiment, first_gains, lvdt, rational, result, theta
+    from valve_control.identification import experiment, first_gains, friction, lvdt, rational, result, theta
 
     options = {"delayed": arguments.delay, "weighting": arguments.weighting}
     notes = [*tested.notes, *measured.notes]
@@ -301,6 +301,8 @@ def _found(
             notes.append(f"the second order stands alone: {error}")
     best = fits[-1]
     notes += experiment.range_notes(measured, second, best)
+    if rubbing is not None:
+        notes += friction.offset_notes(rubbing)
     suggestion = theta.suggest(measured, second, best, tested.u_max)
     readings = lvdt.observe(tested.position)
     model, delay, told = first_gains.with_dead_time(measured, best, arguments.weighting)

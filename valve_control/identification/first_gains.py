@@ -36,6 +36,7 @@ PRESLIDINGS = (0.4, 1.0, 2.5)  # of the three bristles over the measured one
 CLOSE, LEAST_SPREAD = 0.3, 0.1  # -, V  spread of the weights around the measured friction
 HIGHEST = 1.5  # times the measured friction, up to which a weight may go
 OFFSET_SPREAD = 0.2  # V
+OFFSET_ROOM = 0.5  # V  beyond the measured offset, up to which a weight may go at least
 CERTAIN = 2.0  # bounds that a dead time must be above 0
 
 
@@ -219,8 +220,12 @@ def _bristles(friction: Friction) -> Values:
         highest[i] = max(highest[i], HIGHEST * friction.coulomb)
         spread[i] = max(CLOSE * friction.coulomb, LEAST_SPREAD)
     spread[6] = OFFSET_SPREAD
+    lowest = list(numbers(own, "dcarc.theta_min"))
+    lowest[6] = min(lowest[6], start[6] - OFFSET_ROOM)
+    highest[6] = max(highest[6], start[6] + OFFSET_ROOM)
     made: Values = {
         "dcarc.theta_initial": start,
+        "dcarc.theta_min": lowest,
         "dcarc.theta_max": highest,
         "dcarc.theta_spread": spread,
     }
