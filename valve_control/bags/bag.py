@@ -1,5 +1,6 @@
 """Opens a bag from any recorder: a folder with or without metadata.yaml, or a single file."""
 
+import re
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +14,8 @@ from valve_control.bags import metadata as bag_metadata
 from valve_control.bags.cdr import Decoder
 from valve_control.bags.errors import BagError
 from valve_control.bags.mcap import McapFile
-from valve_control.bags.messages import Block, Integers, Topic
+from valve_control.bags.messages import CDR, Block, Integers, Topic, absolute
+from valve_control.bags.placeholders import PlaceholderError, refuse
 from valve_control.bags.sqlite import SqliteFile
 
 Floats = npt.NDArray[np.float64]
@@ -22,6 +24,9 @@ KINDS: dict[str, tuple[str, type[McapFile] | type[SqliteFile]]] = {
     ".db3": ("sqlite3", SqliteFile),
 }
 ZSTD = (".zstd", ".zst")
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+ADVICE = re.compile(r" \(valve-control bag recover [^)]*\)")  # does not help where rosbag2 compressed
+HEAD = 50  # messages at the beginning of a file that tell its time, the middle one of them
 MANY = 500_000  # messages that are kept of a sparse topic
 
 
@@ -35,6 +40,17 @@ class Series(NamedTuple):
     raw: list[bytes]  # the messages themselves, if they were asked for
     undecodable: int  # messages left out
     error: str  # why the first of them
+
+
+def in_order(files: Sequence[McapFile | SqliteFile]) -> list[McapFile | SqliteFile]:
+    """``files`` by the log times of their first messages; an empty one stays behind the one before it."""
+    times = [0]
+    for file in files:
+        block = file.head()
+        times.append(
+            times[-1] if block is None else int(np.sort(block.log_time[:HEAD])[len(block.topic[:HEAD]) // 2])
+        )
+    return [file for _, file in sorted(zip(times[1:], files, strict=True), key=lambda entry: entry[0])]
 
 
 class Bag:
@@ -52,15 +68,23 @@ class Bag:
         self.version: int | None = None  # of metadata.yaml
         self.distribution = ""
         self._unpacked: tempfile.TemporaryDirectory[str] | None = None
+        self._formats: dict[
+            str, str
+        ] = {}  # serialization of topics, where metadata.yaml has another than CDR
         self._files = self._open()
         for file in self._files:
-            self.problems += file.problems
-            for topic in file.topics:
+            self.problems += [self._advised(problem) for problem in file.problems]
+            for told in file.topics:
+                topic = self._as_told(told)
                 known = self.topics.setdefault(topic.name, topic)
-                if known.type != topic.type:
-                    self._complain(
-                        f"{topic.name} has two types, {known.type} and {topic.type}; the second is left out"
-                    )
+                for what, one, other in (
+                    ("types", known.type, topic.type),
+                    ("serializations", known.encoding, topic.encoding),
+                ):
+                    if one != other:
+                        self._complain(
+                            f"{topic.name} has two {what}, {one} and {other}; the second is left out"
+                        )
         if not self.topics:
             reasons = f": {'; '.join(self.problems)}" if self.problems else ""
             self.close()
@@ -99,7 +123,7 @@ class Bag:
     ) -> Iterator[tuple[str, Block]]:
         """Yield messages of ``topics`` in blocks, each of one topic; ``start``, ``end`` [ns]: log times."""
         for file in self._files:
-            names = [t.name if self.topics[t.name].type == t.type else "" for t in file.topics]
+            names = [t.name if self._is_known(self._as_told(t)) else "" for t in file.topics]
             wanted = [i for i, name in enumerate(names) if name in topics]
             for block in file.blocks(start, end, told):
                 for i in wanted:
@@ -109,7 +133,7 @@ class Bag:
                     part = block if len(chosen) == len(block.topic) else block.select(chosen)
                     yield names[i], self._decompressed(part) if self.compression == "message" else part
             for problem in file.problems:
-                self._complain(problem)
+                self._complain(self._advised(problem))
 
     def read(
         self,
@@ -156,8 +180,13 @@ class Bag:
         if not self.path.exists():
             raise BagError(f"there is no bag {self.path}")
         if self.path.is_file():
-            return [self._file(self.path)]
-        paths = self._listed() if (self.path / "metadata.yaml").exists() else self._found()
+            file = self._file(self.path)
+            self._recognise([file])
+            return [file]
+        found = sorted(
+            (p for p in self.path.iterdir() if _plain_suffix(p) in KINDS), key=lambda p: (len(p.name), p.name)
+        )
+        paths, flaw = self._listed(found)
         files: list[McapFile | SqliteFile] = []
         refused = []
         for path in paths:
@@ -171,39 +200,93 @@ class Bag:
         if not files:
             raise BagError("; ".join(refused))
         self.problems += [f"{text}, it is left out" for text in refused]
-        return files
+        ordered = in_order(files) if len(files) > 1 else files
+        if ordered != files and not flaw:
+            self._complain(
+                f"metadata.yaml of {self.path} does not list the files in the order of their times, "
+                "in which they are read"
+            )
+        self._recognise(ordered)
+        if flaw:
+            self._complain(self._advised(flaw))
+        return ordered
 
-    def _listed(self) -> list[Path]:
+    def _listed(self, found: list[Path]) -> tuple[list[Path], str]:
+        """Files of the bag out of those ``found`` in its folder, and what is wrong with its metadata.yaml."""
+        if not (self.path / bag_metadata.NAME).exists():
+            if not found:
+                raise BagError(
+                    f"{self.path} is not a bag: it has neither metadata.yaml nor .mcap nor .db3 files"
+                )
+            return found, (
+                f"{self.path} is unfinished: it has no metadata.yaml "
+                "(valve-control bag recover makes it whole)"
+            )
         try:
             told = bag_metadata.read(self.path)
         except bag_metadata.UnknownVersionError:
             raise
         except BagError as error:
-            self._complain(f"{error}; it is not used (valve-control bag recover writes it anew)")
-            return self._found(complain=False)
+            advice = (
+                "" if isinstance(error, PlaceholderError) else " (valve-control bag recover writes it anew)"
+            )
+            if not found:
+                raise
+            return found, f"{error}; it is not used{advice}"
         self.version = told.version
         self.distribution = told.ros_distro
         self.compression = told.compression_mode.lower() if told.compression_mode.lower() != "none" else ""
         if self.compression and told.compression_format != "zstd":
             raise BagError(f"{self.path} is compressed with {told.compression_format!r}; zstd is known")
+        self._formats = {
+            absolute(topic.name): topic.serialization_format
+            for topic, _ in told.topics
+            if topic.serialization_format != CDR
+        }
         paths = [self.path / Path(name).name for name in told.relative_file_paths]
         missing = [path for path in paths if not path.exists()]
         for path in missing:
             self._complain(f"{path.name}, which metadata.yaml names, is missing")
         if len(missing) == len(paths):
             raise BagError(f"{self.path} has none of the files that its metadata.yaml names")
-        return [path for path in paths if path.exists()]
+        for path in found:
+            if path not in paths:
+                self._complain(
+                    self._advised(
+                        f"{path.name} lies in the folder, but metadata.yaml does not list it: it is not read "
+                        "(valve-control bag recover takes it in)"
+                    )
+                )
+        return [path for path in paths if path.exists()], ""
 
-    def _found(self, complain: bool = True) -> list[Path]:
-        paths = [p for p in self.path.iterdir() if _plain_suffix(p) in KINDS]
-        if not paths:
-            raise BagError(f"{self.path} is not a bag: it has neither metadata.yaml nor .mcap nor .db3 files")
-        if complain:
+    def _recognise(self, files: Sequence[McapFile | SqliteFile]) -> None:
+        """Find out whether rosbag2 compressed the messages, where no metadata.yaml says it."""
+        if self.compression:
+            return
+        if self._unpacked is not None:
+            self.compression = "file"
+            return
+        block = next((block for file in files if (block := file.head()) is not None), None)
+        if block is None:
+            return
+        starts = block.buffer[block.offset[block.length >= 4][:HEAD, None] + np.arange(4)]
+        if (starts == np.frombuffer(ZSTD_MAGIC, np.uint8)).all(axis=1).any():
+            self.compression = "message"
             self._complain(
-                f"{self.path} is unfinished: it has no metadata.yaml "
-                "(valve-control bag recover makes it whole)"
+                f"messages of {self.path} are compressed with zstd, though no metadata.yaml says so"
             )
-        return sorted(paths, key=lambda p: (len(p.name), p.name))
+
+    def _advised(self, problem: str) -> str:
+        """``problem`` without the advice to recover, which compressed bags cannot take."""
+        return ADVICE.sub("", problem) if self.compression else problem
+
+    def _as_told(self, topic: Topic) -> Topic:
+        """``topic`` with the serialization that metadata.yaml names, if that is another than CDR."""
+        return topic._replace(encoding=self._formats.get(topic.name, topic.encoding))
+
+    def _is_known(self, topic: Topic) -> bool:
+        known = self.topics[topic.name]
+        return (known.type, known.encoding) == (topic.type, topic.encoding)
 
     def _file(self, path: Path) -> McapFile | SqliteFile:
         suffix = _plain_suffix(path)
@@ -211,6 +294,7 @@ class Bag:
             raise BagError(
                 f"{path} is not a bag; a bag is a folder with metadata.yaml, an .mcap or a .db3 file"
             )
+        refuse(path)
         self.storage, kind = KINDS[suffix]
         return kind(self._unpack(path) if path.suffix in ZSTD else path)
 

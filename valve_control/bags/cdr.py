@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from valve_control.bags.errors import BagError
-from valve_control.bags.messages import Bytes, Integers, Topic
+from valve_control.bags.messages import Bytes, Integers, Topic, full_type
 from valve_control.compiling import compile_function
 
 SIZES = {
@@ -187,24 +187,50 @@ def jazzy() -> Typestore:
 
 
 def types_of(topic: Topic) -> Any:
-    """Field definitions for the topic's type: the bag's own, else those of ROS 2 Jazzy. Raises BagError."""
-    if topic.definition and topic.type:
-        try:
-            store = get_typestore(Stores.EMPTY)
-            if topic.definition_format == "ros2idl":
-                store.register(get_types_from_idl(topic.definition))
-            else:
-                store.register(get_types_from_msg(topic.definition, topic.type))
-            if topic.type in store.fielddefs:
-                return store.fielddefs
-        except Exception:  # the parser raises what it meets; the distribution's definition is as good
-            pass
+    """Field definitions for the topic's type: the bag's own, completed by those of ROS 2 Jazzy.
+
+    Where the bag's own are not complete even so, those of Jazzy alone. Raises BagError.
+    """
+    if topic.unreadable:
+        raise BagError(topic.unreadable)
     known = jazzy().fielddefs
+    own = known | _defined(topic)
+    missing = _missing(own, topic.type)
+    if not missing:
+        return own
     if topic.type not in known:
-        raise BagError(
-            f"{topic.name} has the type {topic.type or 'unknown'}, of which the bag has no definition"
-        )
+        has = f"a definition that lacks {missing}" if topic.type in own else "no definition"
+        raise BagError(f"{topic.name} has the type {topic.type}, of which the bag has {has}")
     return known
+
+
+def _defined(topic: Topic) -> dict[str, Any]:
+    """Field definitions that the bag has for the topic, {} if they cannot be read."""
+    store = get_typestore(Stores.EMPTY)
+    try:
+        if topic.definition_format.endswith("idl"):
+            store.register(get_types_from_idl(topic.definition))
+        elif topic.definition:
+            store.register(get_types_from_msg(topic.definition, topic.type))
+    except Exception:  # the parser raises what it meets
+        return {}
+    return {alias: fields for name, fields in store.fielddefs.items() for alias in (name, full_type(name))}
+
+
+def _missing(types: Any, name: str, above: tuple[str, ...] = ()) -> str:
+    """The first type in ``name`` that ``types`` lacks, or that contains itself; "" if there is none."""
+    if name not in types or name in above:
+        return name
+    for _, description in types[name][1]:
+        node, detail = description
+        if node not in (Nodetype.BASE, Nodetype.NAME):
+            node, detail = detail[0]
+        missing = _missing(types, detail, (*above, name)) if node == Nodetype.NAME else ""
+        if missing:
+            return missing
+        if node == Nodetype.BASE and detail[0] not in (*SIZES, "string", "wstring"):
+            return str(detail[0])
+    return ""
 
 
 def _gather(

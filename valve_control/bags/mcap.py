@@ -176,6 +176,10 @@ class McapFile:
         if told is not None:
             told(max(0, self.size - done))
 
+    def head(self) -> Block | None:
+        """The first messages, None if there are none."""
+        return next((block for block in self.blocks() if len(block.topic)), None)
+
     # How
 
     def _release(self, begin: int, end: int) -> None:
@@ -302,7 +306,7 @@ class McapFile:
             qos_profiles(channel.metadata.get("offered_qos_profiles", "")),
         )
         for i, known in enumerate(self.topics):
-            if (known.name, known.type) == (topic.name, topic.type):
+            if (known.name, known.type, known.encoding) == (topic.name, topic.type, topic.encoding):
                 return i
         self.topics.append(topic)
         return len(self.topics) - 1

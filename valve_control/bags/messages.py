@@ -10,6 +10,7 @@ from valve_control.bags.metadata import LOADER
 
 Bytes = npt.NDArray[np.uint8]
 Integers = npt.NDArray[np.int64]
+CDR = "cdr"  # the serialization of ROS 2 messages, the only one that is read
 
 
 class Topic(NamedTuple):
@@ -22,6 +23,15 @@ class Topic(NamedTuple):
     definition: str = ""
     type_hash: str = ""
     qos: tuple[dict[str, Any], ...] = ()  # offered by each publisher; () if unknown
+
+    @property
+    def unreadable(self) -> str:
+        """Why its messages cannot be read, whatever is in them; "" if they can."""
+        if self.encoding != CDR:
+            kind = self.type or "no type"
+            encoding = f"is serialized as {self.encoding}" if self.encoding else "names no serialization"
+            return f"{self.name} ({kind}) {encoding}; only {CDR} can be read"
+        return "" if self.type else f"{self.name} ({self.encoding}) has no schema, so its type is not known"
 
 
 class Block(NamedTuple):
@@ -46,7 +56,13 @@ def absolute(name: str) -> str:
 
 
 def full_type(name: str) -> str:
-    """Full name of a type, such as std_msgs/msg/Float64, for which some recorders write std_msgs/Float64."""
+    """Full name of a type, such as std_msgs/msg/Float64.
+
+    Some recorders write std_msgs/Float64, std_msgs::msg::Float64 or, as DDS, std_msgs::msg::dds_::Float64_.
+    """
+    if "::dds_::" in name:
+        name = name.replace("::dds_::", "::").removesuffix("_")
+    name = name.replace("::", "/")
     package, slash, rest = name.partition("/")
     return f"{package}/msg/{rest}" if package and slash and rest and "/" not in rest else name
 

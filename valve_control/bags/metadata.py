@@ -9,6 +9,7 @@ from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReli
 
 from valve_control import outputs
 from valve_control.bags.errors import BagError
+from valve_control.bags.placeholders import refuse
 
 NAME = "metadata.yaml"
 VERSION = 9
@@ -186,6 +187,7 @@ def read(folder: Path) -> Metadata:
     """Metadata of the bag in ``folder``. Raises BagError."""
     path = folder / NAME
     try:
+        refuse(path)
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise BagError(f"{folder} has no {NAME}; a bag is a folder with one") from None

@@ -14,6 +14,7 @@ from valve_control.bags.messages import Block, Integers, Topic, absolute, full_t
 MAGIC = b"SQLite format 3\0"
 ROWS = 500
 PIECES = 100
+HEAD = 50  # messages that tell of what kind a file is
 DAMAGE = (sqlite3.Error, KeyError, TypeError, ValueError, OverflowError)
 TIMES = "valve_control_times"  # source times and sequence numbers, which rosbag2's own tables lack
 
@@ -103,24 +104,37 @@ class SqliteFile:
         except DAMAGE as error:
             self.problems.append(f"{self.path} is damaged, what follows is left out: {error}")
 
+    def head(self) -> Block | None:
+        """The first messages, None if there are none."""
+        try:
+            return next(self._blocks(None, None, None, limit=HEAD), None)
+        except DAMAGE:
+            return None
+
     def _blocks(
-        self, start: int | None, end: int | None, told: Callable[[int], None] | None
+        self,
+        start: int | None,
+        end: int | None,
+        told: Callable[[int], None] | None,
+        limit: int = -1,
     ) -> Iterator[Block]:
         table = np.full(max(self._ids, default=0) + 2, -1, dtype=np.int64)
         for number, topic in self._ids.items():
             table[number] = topic
         conditions, limits = [], []
-        for text, limit in (("timestamp >= ?", start), ("timestamp < ?", end)):
-            if limit is not None:
+        for text, bound in (("timestamp >= ?", start), ("timestamp < ?", end)):
+            if bound is not None:
                 conditions.append(text)
-                limits.append(limit)
+                limits.append(bound)
         where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
         times = f"LEFT JOIN {TIMES} ON message_id = id" if TIMES in self._tables else ""
         columns = "ifnull(publish_time, 0), ifnull(sequence, 0)" if times else "0, 0"
         cursor = self._db.execute(
-            f"SELECT topic_id, timestamp, {columns}, data FROM messages {times} {where} ORDER BY id", limits
+            f"SELECT topic_id, timestamp, {columns}, data FROM messages {times} {where} ORDER BY id "
+            f"LIMIT {limit}",
+            limits,
         )
-        (total,) = self._db.execute("SELECT count(*) FROM messages").fetchone()
+        (total,) = self._db.execute("SELECT count(*) FROM messages").fetchone() if told is not None else (0,)
         read, done = 0, 0
         while (block := self._block(cursor, table)) is not None:
             read += len(block.topic)

@@ -88,6 +88,9 @@ def _timed(
         parts = ("spool_command", "spool_position")
         valves = find_valves(bag, maps).values()
         topics = sorted({v.sources[part].topic for v in valves for part in parts if part in v.sources})
+    for name in topics:
+        if bag.topic(name).unreadable:
+            raise BagError(f"{path} cannot be played: {bag.topic(name).unreadable}")
     begin = bag.begin
     series = bag.read(
         {},

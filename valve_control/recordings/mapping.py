@@ -90,16 +90,18 @@ def parse_map(text: str) -> tuple[str, str, Source]:
 def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     """Valves of a bag by name: each namespace with a topic of the cascade, and what is mapped.
 
-    Raises BagError if there is none, or a mapped topic or field does not exist.
+    Raises BagError if there is none, a mapped topic or field does not exist, or one of their topics cannot be
+    read at all.
     """
     sources: dict[str, dict[str, Source]] = {}
+    left_out: list[str] = []
     for name in bag.topics:
         namespace, _, part = name.rpartition("/")
         if part in PARTS:
             found = Source(name, "data")
-            wrong = _wrong_field(bag, found)
+            wrong = "" if bag.topics[name].unreadable else _wrong_field(bag, found)
             if wrong:
-                bag.problems.append(f"{wrong}; it is left out")
+                left_out.append(f"{wrong}; it is left out")
             else:
                 sources.setdefault(_name(namespace), {})[part] = found
     for name in bag.topics:
@@ -108,8 +110,8 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
         commands = parts.get("spool_command")
         if part != TRAJECTORY or not parts or not _spoken(bag, name):
             continue
-        if (commands is None or not _spoken(bag, commands.topic)) and not _wrong_field(
-            bag, Source(name, POSITION)
+        if (commands is None or not _spoken(bag, commands.topic)) and (
+            bag.topics[name].unreadable or not _wrong_field(bag, Source(name, POSITION))
         ):
             parts["spool_command"] = Source(name, POSITION)
     mapped: dict[tuple[str, str], str] = {}
@@ -123,6 +125,14 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
         if wrong:
             raise BagError(wrong)
         sources.setdefault(valve, {})[part] = source
+    unreadable = {
+        bag.topics[source.topic].unreadable for parts in sources.values() for source in parts.values()
+    } - {""}
+    if unreadable:
+        raise BagError(f"{bag.path}: {'; '.join(sorted(unreadable))}")
+    if left_out and not sources:
+        raise BagError(f"{bag.path} has no topic of a valve that can be read: {'; '.join(left_out)}")
+    bag.problems += left_out
     if not sources:
         topics = ", ".join(f"{t.name} ({t.type})" for t in bag.topics.values())
         raise BagError(
@@ -151,7 +161,9 @@ def _own_topics(bag: Bag, namespace: str) -> list[str]:
             (
                 name
                 for name, topic in bag.topics.items()
-                if topic.type == STATE_TYPE and re.fullmatch(rf"{re.escape(namespace)}/[^/]+/{kind}", name)
+                if topic.type == STATE_TYPE
+                and not topic.unreadable
+                and re.fullmatch(rf"{re.escape(namespace)}/[^/]+/{kind}", name)
             ),
             "",
         )

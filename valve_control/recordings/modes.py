@@ -48,7 +48,11 @@ class Interval(NamedTuple):
 
 def diagnostic_topics(bag: Bag) -> list[str]:
     """Topics on which nodes publish diagnostics."""
-    return [t.name for t in bag.topics.values() if t.type == TYPE and t.name.endswith("/diagnostics")]
+    return [
+        t.name
+        for t in bag.topics.values()
+        if t.type == TYPE and t.name.endswith("/diagnostics") and not t.unreadable
+    ]
 
 
 def words(series: Sequence[Series], problems: list[str]) -> dict[str, list[Word]]:

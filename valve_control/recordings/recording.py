@@ -127,7 +127,7 @@ def load(
     raw = {parameters.TOPIC, *diagnostics}
     if journals:
         raw |= {topic for valve in topics.values() for topic in (valve.journal, valve.memory)}
-    raw &= set(bag.topics)
+    raw &= {name for name, topic in bag.topics.items() if not topic.unreadable}
     begin = bag.begin
     first = begin if start is None else begin + nanoseconds(start, "--from")
     since = 0 if start is None else first

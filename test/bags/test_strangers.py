@@ -1,0 +1,264 @@
+"""Bags of other recorders: serializations, definitions, orders and names of files."""
+
+import random
+import shutil
+import sqlite3
+import struct
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.writer import Writer as LibraryWriter
+from rosbags.typesys import Stores, get_typestore
+from test_writer import fill, opened
+
+from valve_control.bags import metadata
+from valve_control.bags.bag import Bag
+from valve_control.bags.cdr import Decoder
+from valve_control.bags.errors import BagError
+from valve_control.bags.messages import Topic
+from valve_control.recordings.mapping import find_valves
+
+FLOAT = "std_msgs/msg/Float64"
+STORE = get_typestore(Stores.ROS2_JAZZY)
+SECOND = 10**9
+POSITION, COMMAND, VOLTAGE = "/spool_position", "/spool_command", "/valve_voltage"
+
+
+def number(value):
+    return b"\0\1\0\0" + struct.pack("<d", value)
+
+
+def channels(path, topics, count=20):
+    """An MCAP file of ``topics``: name → encoding, type, format and text of its definition, message."""
+    with path.open("wb") as stream:
+        writer = LibraryWriter(stream)
+        writer.start("ros2")
+        for name, (encoding, kind, form, text, message) in topics.items():
+            schema = 0 if kind is None else writer.register_schema(kind, form, text.encode())
+            channel = writer.register_channel(name, encoding, schema)
+            for k in range(count):
+                writer.add_message(channel, SECOND + k * 10**6, message, SECOND + k * 10**6, k + 1)
+        writer.finish()
+    return path
+
+
+CDR = ("cdr", FLOAT, "ros2msg", "float64 data", number(0.5))
+FOREIGN = {
+    "json": ("json", FLOAT, "jsonschema", '{"type": "object"}', b'{"data": 0.5}'),
+    "json without a schema": ("json", None, "", "", b'{"data": 0.5}'),
+    "protobuf": ("protobuf", "foxglove.Number", "protobuf", "\n", b"\t\0\0\0\0\0\0\xe0?"),
+    "flatbuffer": ("flatbuffer", "Number", "flatbuffer", "x", bytes(40)),
+    "ros1": ("ros1", "std_msgs/Float64", "ros1msg", "float64 data", struct.pack("<d", 0.5)),
+    "cbor": ("cbor", FLOAT, "", "", b"\xa1ddata\xfb" + struct.pack(">d", 0.5)),
+    "msgpack": ("msgpack", FLOAT, "ros2msg", "float64 data", b"\x81\xa4data\xcb" + struct.pack(">d", 0.5)),
+    "wrong_format": ("wrong_format", FLOAT, "ros2msg", "float64 data", number(0.5)),
+    "CDR by another name": ("xcdr2", FLOAT, "ros2msg", "float64 data", number(0.5)),
+    "no encoding": ("", FLOAT, "ros2msg", "float64 data", number(0.5)),
+    "no schema": ("cdr", None, "", "", number(0.5)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FOREIGN)
+@pytest.mark.parametrize("topics", [[POSITION], [COMMAND], [POSITION, COMMAND, VOLTAGE]], ids=len)
+def test_what_is_not_cdr_is_refused_with_topic_and_encoding(tmp_path, kind, topics):
+    """It was analysed as CDR; where nothing else was there, "has no spool_command; it has /spool_command"."""
+    path = channels(
+        tmp_path / "a.mcap",
+        {name: FOREIGN[kind] if name in topics else CDR for name in (POSITION, COMMAND, VOLTAGE)},
+    )
+    with pytest.raises(BagError) as caught, closing(Bag(path)) as bag:
+        find_valves(bag)
+    encoding = FOREIGN[kind][0]
+    for name in topics:
+        assert name in str(caught.value)
+    assert encoding in str(caught.value) and "has no spool" not in str(caught.value)
+
+
+def test_another_topic_in_its_place_is_read(tmp_path):
+    path = channels(tmp_path / "a.mcap", {POSITION: FOREIGN["json"], "/lvdt": CDR, "/noise": FOREIGN["json"]})
+    with closing(Bag(path)) as bag:
+        (valve,) = find_valves(bag, ["spool_position=/lvdt"]).values()
+    assert valve.sources["spool_position"].topic == "/lvdt"
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_the_serialization_that_metadata_names_counts(tmp_path, storage):
+    """As in `wrong_rmw_test` of rosbag2, whose database says cdr and whose metadata.yaml does not."""
+    with opened(tmp_path / "bag", storage=storage) as writer:
+        fill(writer, 20)
+    file = tmp_path / "bag" / metadata.NAME
+    file.write_text(
+        file.read_text().replace("serialization_format: cdr", "serialization_format: wrong_format")
+    )
+    with pytest.raises(BagError, match=f"{POSITION}.*wrong_format"), closing(Bag(tmp_path / "bag")) as bag:
+        find_valves(bag)
+
+
+# Definitions
+
+HEADED = "std_msgs/Header header\nfloat64 data"
+OWN_IDL = "module mine { module msg { struct Number { double data; }; }; };"
+IDL = "module std_msgs { module msg { struct Float64 { double data; }; }; };"
+DEFINITIONS = {
+    "omgidl": (FLOAT, "omgidl", IDL),
+    "omgidl with its own names": ("std_msgs::msg::Float64", "omgidl", IDL),
+    "names of DDS": ("std_msgs::msg::dds_::Float64_", "omgidl", ""),
+    "omgidl that nobody reads": (FLOAT, "omgidl", "#pragma once\n@appendable struct X { wchar c; };"),
+    "omgidl of a type of its own": ("mine::msg::Number", "omgidl", OWN_IDL),
+    "ros2idl": (FLOAT, "ros2idl", IDL),
+    "text of another kind": (FLOAT, "ros2msg", IDL),
+    "json schema": (FLOAT, "jsonschema", '{"title": "Float64"}'),
+    "nothing": (FLOAT, "", ""),
+    "a short name": ("std_msgs/Float64", "ros2msg", "float64 data"),
+    "comments and constants": (FLOAT, "ros2msg", "# V\nfloat64 LIMIT=10.0\nfloat64 data # at the spool"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", DEFINITIONS)
+def test_numbers_are_found_whatever_the_definition(tmp_path, kind):
+    """Of definitions without their dependencies, and of IDL, it was a KeyError."""
+    path = channels(tmp_path / "a.mcap", {POSITION: ("cdr", *DEFINITIONS[kind], number(0.5))})
+    with closing(Bag(path)) as bag:
+        (valve,) = find_valves(bag).values()
+        source = valve.sources["spool_position"]
+        values = bag.read({source.topic: [source.field]})[source.topic].values[source.field]
+    assert np.array_equal(values, np.full(20, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("definition", "words"),
+    [
+        (HEADED, ""),
+        ("mine/Unknown u\nfloat64 data", "mine/msg/Unknown"),
+        ("mine/Headed again\nfloat64 data", "mine/msg/Headed"),
+        ("mine/Unknown[] u\nfloat64 data", "mine/msg/Unknown"),
+        ("", "no definition"),
+    ],
+)
+def test_standard_types_complete_a_definition_and_others_are_said(definition, words):
+    topic = Topic("/t", "mine/msg/Headed", definition_format="ros2msg", definition=definition)
+    if words:
+        with pytest.raises(BagError, match=words):
+            Decoder(topic, ["data"])
+        return
+    raw = b"\0\1\0\0" + struct.pack("<iII3sxd", 1, 2, 3, b"ab\0", 0.25)
+    values, done = Decoder(topic, ["data", "header.stamp.sec"]).decode(
+        np.frombuffer(raw, np.uint8), np.array([0]), np.array([len(raw)])
+    )
+    assert done.all() and values.tolist() == [[0.25, 1.0]]
+
+
+# Files and their order
+
+
+def split(folder, count=5, storage="mcap"):
+    """A bag of ``count`` files, each of 0.1 s, and the times of its messages."""
+    with opened(folder, storage=storage, max_seconds=0.1) as writer:
+        fill(writer, 100 * count)
+    return times(folder)
+
+
+def times(folder):
+    with closing(Bag(folder)) as bag:
+        return bag.read({}, raw=[POSITION])[POSITION].log_time
+
+
+NAMES = {
+    "rosbag2 since 2026": lambda k: f"{k}_run_2026_11_26-20_{59 if k < 3 else 0:02}_{58 - k:02}",
+    "no numbers": lambda k: ("delta", "alpha", "echo", "bravo", "charlie")[k],
+    "backwards": lambda k: f"run_{9 - k}",
+    "dates": lambda k: f"run_{(26, 27, 1, 2, 3)[k]:02}",
+    "one word before the number": lambda k: f"{('z', 'y', 'x', 'w', 'v')[k]}_{k % 2}",
+}
+
+
+def renamed(folder, name):
+    """Files get other names, in metadata.yaml too."""
+    told = metadata.read(folder)
+    new = [f"{NAMES[name](k)}{Path(path).suffix}" for k, path in enumerate(told.relative_file_paths)]
+    for old, path in zip(told.relative_file_paths, new, strict=True):
+        (folder / old).rename(folder / path)
+    files = [file._replace(path=path) for file, path in zip(told.files, new, strict=True)]
+    metadata.write(folder, told._replace(relative_file_paths=tuple(new), files=tuple(files)))
+    return told, new
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("name", NAMES)
+def test_files_are_read_in_the_order_of_their_times(tmp_path, name, storage):
+    expected = split(tmp_path / "bag", storage=storage)
+    renamed(tmp_path / "bag", name)
+    assert np.array_equal(times(tmp_path / "bag"), expected)
+    (tmp_path / "bag" / metadata.NAME).unlink()
+    assert np.array_equal(times(tmp_path / "bag"), expected)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_list_in_another_order_is_said_and_not_followed(tmp_path, seed):
+    expected = split(tmp_path / "bag")
+    told = metadata.read(tmp_path / "bag")
+    order = list(range(1, 5)) + [0]
+    random.Random(seed).shuffle(order)
+    metadata.write(
+        tmp_path / "bag",
+        told._replace(
+            relative_file_paths=tuple(told.relative_file_paths[k] for k in order),
+            files=tuple(told.files[k] for k in order),
+        ),
+    )
+    assert np.array_equal(times(tmp_path / "bag"), expected)
+    with closing(Bag(tmp_path / "bag")) as bag:
+        assert any("order" in problem for problem in bag.problems)
+
+
+def test_a_file_that_metadata_does_not_list_is_said(tmp_path):
+    split(tmp_path / "bag")
+    shutil.copy(tmp_path / "bag" / "bag_1.mcap", tmp_path / "bag" / "other.mcap")
+    with closing(Bag(tmp_path / "bag")) as bag:
+        assert any("other.mcap" in p and "does not list" in p for p in bag.problems)
+        assert len(bag.read({}, raw=[POSITION])[POSITION].log_time) == 500
+
+
+# Compressed messages
+
+
+@pytest.mark.parametrize("left", ["no metadata", "silent metadata", "single file"])
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_compressed_messages_are_recognised(tmp_path, storage, left):
+    packed = zstandard.ZstdCompressor()
+    with opened(tmp_path / "bag", storage=storage) as writer:
+        for k in range(50):
+            data = packed.compress(number(0.1 * k))
+            writer.write(POSITION, SECOND + k * 10**6, SECOND + k * 10**6, k + 1, data)
+    path = tmp_path / "bag"
+    if left == "no metadata":
+        (path / metadata.NAME).unlink()
+    if left == "single file":
+        (path,) = (p for p in path.iterdir() if p.suffix != ".yaml")
+    with closing(Bag(path)) as bag:
+        values = bag.read({POSITION: ["data"]})[POSITION].values["data"]
+        assert np.array_equal(values, 0.1 * np.arange(50))
+        assert any("zstd" in p for p in bag.problems) and not any("recover" in p for p in bag.problems)
+
+
+# Old and unusual tables
+
+
+def test_three_columns_of_topics_are_enough(tmp_path):
+    """Databases of the first releases of rosbag2 name no serialization."""
+    with closing(sqlite3.connect(tmp_path / "old.db3")) as database:
+        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT)")
+        database.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+        )
+        database.execute("INSERT INTO topics VALUES (1, 'spool_position', 'std_msgs/Float64')")
+        database.executemany(
+            "INSERT INTO messages VALUES (?, 1, ?, ?)",
+            [(k + 1, SECOND + k * 10**6, number(k)) for k in range(100)],
+        )
+        database.commit()
+    with closing(Bag(tmp_path / "old.db3")) as bag:
+        assert bag.read({POSITION: ["data"]})[POSITION].values["data"].tolist() == list(range(100))
