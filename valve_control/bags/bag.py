@@ -4,7 +4,7 @@ import re
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +16,10 @@ from valve_control.bags.errors import BagError
 from valve_control.bags.mcap import McapFile
 from valve_control.bags.messages import CDR, Block, Integers, Topic, absolute
 from valve_control.bags.placeholders import PlaceholderError, refuse
-from valve_control.bags.sqlite import SqliteFile
+from valve_control.bags.sqlite import HEAD, SqliteFile
 
 Floats = npt.NDArray[np.float64]
+T = TypeVar("T")
 KINDS: dict[str, tuple[str, type[McapFile] | type[SqliteFile]]] = {
     ".mcap": ("mcap", McapFile),
     ".db3": ("sqlite3", SqliteFile),
@@ -26,7 +27,6 @@ KINDS: dict[str, tuple[str, type[McapFile] | type[SqliteFile]]] = {
 ZSTD = (".zstd", ".zst")
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 ADVICE = re.compile(r" \(valve-control bag recover [^)]*\)")  # does not help where rosbag2 compressed
-HEAD = 50  # messages at the beginning of a file that tell its time, the middle one of them
 MANY = 500_000  # messages that are kept of a sparse topic
 
 
@@ -42,15 +42,20 @@ class Series(NamedTuple):
     error: str  # why the first of them
 
 
-def in_order(files: Sequence[McapFile | SqliteFile]) -> list[McapFile | SqliteFile]:
-    """``files`` by the log times of their first messages; an empty one stays behind the one before it."""
-    times = [0]
-    for file in files:
-        block = file.head()
-        times.append(
-            times[-1] if block is None else int(np.sort(block.log_time[:HEAD])[len(block.topic[:HEAD]) // 2])
-        )
-    return [file for _, file in sorted(zip(times[1:], files, strict=True), key=lambda entry: entry[0])]
+def times(block: Block | None) -> Integers:
+    """Log times [ns] of the first messages of a file, whose ``head`` is ``block``."""
+    return np.empty(0, dtype=np.int64) if block is None else block.log_time[:HEAD]
+
+
+def in_order(files: Sequence[T], heads: Sequence[Integers]) -> list[T]:
+    """``files`` by the log times [ns] of their first messages, the middle one of them.
+
+    One without messages stays behind the one before it.
+    """
+    keys = [0]
+    for head in heads:
+        keys.append(int(np.sort(head)[len(head) // 2]) if len(head) else keys[-1])
+    return [file for _, file in sorted(zip(keys[1:], files, strict=True), key=lambda entry: entry[0])]
 
 
 class Bag:
@@ -200,7 +205,7 @@ class Bag:
         if not files:
             raise BagError("; ".join(refused))
         self.problems += [f"{text}, it is left out" for text in refused]
-        ordered = in_order(files) if len(files) > 1 else files
+        ordered = in_order(files, [times(file.head()) for file in files]) if len(files) > 1 else files
         if ordered != files and not flaw:
             self._complain(
                 f"metadata.yaml of {self.path} does not list the files in the order of their times, "

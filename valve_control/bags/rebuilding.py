@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from valve_control.bags import metadata
 from valve_control.bags.errors import BagError, NothingError
+from valve_control.bags.messages import CDR
 from valve_control.bags.metadata import Metadata
 from valve_control.bags.pages import Pages, Row, Value
 from valve_control.bags.writer import SQLITE_SCHEMA
@@ -79,6 +80,8 @@ def _fill(database: sqlite3.Connection, pages: Pages) -> tuple[dict[int, Sequenc
                 messages.append((number, *columns[1:]))
             case (None, int(), int()):
                 times.append((number, *columns[1:]))
+            case (None, str(), str()):  # of the first releases of rosbag2
+                topics[number] = (*columns[1:], CDR, "", "")
             case (None, str(), str() as encoding, str(), *rest) if _are_texts(rest):
                 if encoding in ENCODINGS:
                     definitions[number] = (*columns[1:], "")[:4]

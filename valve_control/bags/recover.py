@@ -12,23 +12,28 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Schema, Statistics
 
 from valve_control.bags import metadata, repair
-from valve_control.bags.bag import Bag
+from valve_control.bags.bag import KINDS, ZSTD, Bag, in_order, times
 from valve_control.bags.errors import BagError, NothingError
+from valve_control.bags.mcap import McapFile
+from valve_control.bags.messages import CDR, Integers, absolute, full_type
 from valve_control.bags.metadata import Counted, File, Metadata, TopicMetadata
 from valve_control.bags.pages import read_log
+from valve_control.bags.placeholders import refuse
 from valve_control.bags.rebuilding import rebuild
 from valve_control.bags.rewriting import rewrite
 from valve_control.bags.salvage import Salvage
+from valve_control.bags.sqlite import HEAD
 from valve_control.bags.writer import BUSY, SQLITE_SCHEMA, SUFFIXES, Lock, reason
 
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 SIDE_FILES = ("-wal", "-shm", "-journal")  # what SQLite leaves beside a database that was not closed
 KEPT = re.compile(r"(?P<name>.+\.(?:mcap|db3))\.damaged(?:\.(?P<number>\d+))?")
+CLOSE = 1_000_000  # ns by which times in metadata.yaml may differ from those of the messages
 NEW = ".repair"  # ends the name of a file that is being written anew
 
 
@@ -45,6 +50,8 @@ class RecoveredFile(NamedTuple):
     kept: str = ""  # name of the damaged file, which was kept
     empty: bool = False  # there was not one byte in it
     gone: bool = False  # nothing of a bag was in it, and the bag goes on without it
+    missing: bool = False  # metadata.yaml names it, and it is not there
+    unlisted: bool = False  # it is there, and metadata.yaml did not name it
 
 
 class Recovered(NamedTuple):
@@ -53,6 +60,7 @@ class Recovered(NamedTuple):
     bag: Path
     files: tuple[RecoveredFile, ...]
     done: bool  # False: the bag was whole and was not touched
+    metadata_kept: str = ""  # name under which the metadata.yaml from before was kept
 
     @property
     def messages(self) -> int:
@@ -76,6 +84,7 @@ class _Inventory(NamedTuple):
 
     file: File
     topics: tuple[Counted, ...]
+    head: Integers  # log times of its first messages [ns]
 
 
 class _State(NamedTuple):
@@ -90,13 +99,26 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
 
     A file that only lacks its end gets it. One that is damaged is written anew from all that can be read in
     it, and kept beside under a name that ends with .damaged. The folder gets a metadata.yaml made from its
-    files. A whole bag is not touched. If this is interrupted nothing is lost: call it again. Raises BagError.
+    files, in the order of their times. A whole bag is not touched, nor one of which a file stands for another
+    that was not fetched, or whose metadata.yaml is of a version that is not known. If this is interrupted
+    nothing is lost: call it again. Raises BagError.
     """
-    if not path.exists() and not _interrupted(path):
+    if not path.exists() and not path.is_symlink() and not _interrupted(path):
         raise BagError(f"{path} does not exist")
-    if out is not None:
-        _files(path)
-        path = _copied(path, out)
+    _refuse_foreign(path)
+    if out is None:
+        return _in_place(path, keep=True)
+    _files(path)
+    copy = _copied(path, out)
+    try:
+        return _in_place(copy, keep=False)
+    except BagError:
+        shutil.rmtree(copy) if copy.is_dir() else _remove(copy)
+        raise
+
+
+def _in_place(path: Path, keep: bool) -> Recovered:
+    """Recover the bag ``path``; ``keep``: damaged files."""
     try:
         lock = Lock(path if path.is_dir() else path.absolute().parent)
     except OSError as error:
@@ -105,23 +127,43 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
         _take_up(path)
         _refuse_compressed(path)
         storage, files = _files(path)
-        return _recovered(path, storage, files, keep=out is None)
+        return _recovered(path, storage, files, keep)
     finally:
         lock.release()
 
 
+def _refuse_foreign(path: Path) -> None:
+    """Raise BagError for files that were not fetched, and for a metadata.yaml of an unknown version."""
+    try:
+        for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+            of_bag = file.suffix in (*KINDS, *ZSTD) or file.name == metadata.NAME or file == path
+            if of_bag and (file.is_file() or file.is_symlink()):
+                refuse(file)
+    except OSError as error:
+        raise BagError(f"{error.filename or path} cannot be read: {reason(error)}") from error
+    if path.is_dir():
+        try:
+            metadata.read(path)
+        except metadata.UnknownVersionError as error:
+            raise BagError(
+                f"{error}; the bag is left as it is (under another name of that file, one of version "
+                f"{metadata.VERSION} is made of the bag's files)"
+            ) from error
+        except BagError:
+            pass
+
+
 def _refuse_compressed(path: Path) -> None:
     """Raise BagError for bags that rosbag2 compressed: their content cannot be checked here."""
-    packed = [f.name for f in path.iterdir() if f.suffix in (".zstd", ".zst")] if path.is_dir() else []
+    if not path.is_dir():
+        return
+    packed = [f.name for f in path.iterdir() if f.suffix in ZSTD]
     mode = ""
-    if path.is_dir():
-        with contextlib.suppress(BagError):
-            mode = metadata.read(path).compression_mode
-        if not mode and not packed:
-            with contextlib.suppress(BagError):
-                with contextlib.closing(Bag(path)) as bag:
-                    firsts = [bag.first(name) for name in bag.topics]
-                mode = "MESSAGE" if any(first and first[:4] == ZSTD_MAGIC for first in firsts) else ""
+    with contextlib.suppress(BagError):
+        mode = metadata.read(path).compression_mode
+    if not packed and mode in ("", "NONE", "none"):
+        with contextlib.suppress(BagError), contextlib.closing(Bag(path)) as bag:
+            mode = bag.compression
     if packed or mode not in ("", "NONE", "none"):
         what = f"{packed[0]} is" if packed else "its messages are"
         raise BagError(
@@ -135,6 +177,8 @@ def _recovered(path: Path, storage: str, files: Sequence[Path], keep: bool) -> R
     if path.is_dir():
         with contextlib.suppress(BagError):
             told = metadata.read(path)
+    listed = told.relative_file_paths if told is not None else ()
+    files = sorted(files, key=lambda f: listed.index(f.name) if f.name in listed else len(listed))
     done: list[RecoveredFile] = []
     inventories: list[_Inventory] = []
     folds: list[Path] = []
@@ -156,11 +200,17 @@ def _recovered(path: Path, storage: str, files: Sequence[Path], keep: bool) -> R
         except (OSError, sqlite3.Error, McapError, struct.error) as error:
             raise BagError(f"{file} cannot be repaired: {reason(error)}") from error
         count = inventory.file.message_count
-        done.append(result._replace(messages=count) if result else RecoveredFile(file.name, count, False))
+        entry = result._replace(messages=count) if result else RecoveredFile(file.name, count, False)
+        done.append(entry._replace(unlisted=told is not None and file.name not in listed))
         inventories.append(inventory)
         if state.fold:
             folds.append(file)
-    fits = not path.is_dir() or _fits(told, _made(storage, inventories))
+    for name in listed:
+        if name not in {entry.name for entry in done} and path.is_dir():
+            done.append(RecoveredFile(name, 0, False, lost=_told_count(told, path / name), missing=True))
+    made = _made(storage, in_order(inventories, [inventory.head for inventory in inventories]))
+    fits = not path.is_dir() or _fits(told, made)
+    kept = ""
     if not fits:
         for file in folds:
             try:
@@ -168,8 +218,8 @@ def _recovered(path: Path, storage: str, files: Sequence[Path], keep: bool) -> R
             except sqlite3.Error as error:
                 raise BagError(f"{file} cannot be repaired: {reason(error)}") from error
             done = [entry._replace(repaired=True) if entry.name == file.name else entry for entry in done]
-        _write_metadata(path, told, _made(storage, inventories))
-    return Recovered(path, tuple(done), not fits or any(file.repaired for file in done))
+        kept = _write_metadata(path, told, made, keep)
+    return Recovered(path, tuple(done), not fits or any(file.repaired for file in done), kept)
 
 
 def _files(path: Path) -> tuple[str, list[Path]]:
@@ -330,20 +380,60 @@ def _made(storage: str, inventories: Sequence[_Inventory]) -> Metadata:
 
 
 def _fits(present: Metadata | None, made: Metadata) -> bool:
-    return present is not None and (
-        present.storage_identifier == made.storage_identifier
-        and present.relative_file_paths == made.relative_file_paths
-        and present.message_count == made.message_count
+    return (
+        present is not None
+        and (present.storage_identifier, present.relative_file_paths, present.message_count)
+        == (made.storage_identifier, made.relative_file_paths, made.message_count)
+        and (
+            made.message_count == 0
+            or abs(present.starting_time - made.starting_time) <= CLOSE
+            and abs(present.duration - made.duration) <= CLOSE
+        )
+        and _counts(present) == _counts(made)
     )
 
 
-def _write_metadata(folder: Path, present: Metadata | None, made: Metadata) -> None:
+def _counts(told: Metadata) -> Counter[tuple[str, str]]:
+    """Number of messages of each topic that has any, by name and type."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for topic, count in told.topics:
+        counts[_key(topic)] += count
+    return +counts
+
+
+def _key(topic: TopicMetadata) -> tuple[str, str]:
+    return absolute(topic.name), full_type(topic.type)
+
+
+def _write_metadata(folder: Path, present: Metadata | None, made: Metadata, keep: bool) -> str:
+    """Write metadata.yaml, with what only ``present`` knows; returns the name under which that is kept."""
+    path = folder / metadata.NAME
     if present is not None:
-        made = made._replace(custom_data=present.custom_data)
+        told = {_key(topic): topic for topic, _ in present.topics}
+        topics = [Counted(_completed(topic, told.pop(_key(topic), topic)), n) for topic, n in made.topics]
+        silent = [Counted(topic, 0) for topic in told.values()]
+        made = made._replace(
+            topics=(*topics, *silent),
+            custom_data=present.custom_data,
+            ros_distro=present.ros_distro or made.ros_distro,
+        )
     try:
+        kept = _free_name(path, "damaged").name if keep and path.exists() else ""
+        if kept:
+            shutil.copy2(path, folder / kept)
         metadata.write(folder, made)
     except OSError as error:
-        raise BagError(f"{folder / metadata.NAME} cannot be written: {reason(error)}") from error
+        raise BagError(f"{path} cannot be written: {reason(error)}") from error
+    return kept
+
+
+def _completed(topic: TopicMetadata, told: TopicMetadata) -> TopicMetadata:
+    """``topic`` as its file has it, with what that lacks, and the serialization, as metadata.yaml has it."""
+    return topic._replace(
+        serialization_format=told.serialization_format,
+        offered_qos_profiles=topic.offered_qos_profiles or told.offered_qos_profiles,
+        type_description_hash=topic.type_description_hash or told.type_description_hash,
+    )
 
 
 # MCAP
@@ -392,17 +482,23 @@ def _ended(path: Path) -> RecoveredFile:
 
 
 def _read_mcap(path: Path) -> _Inventory:
+    with closing(McapFile(path)) as file:
+        head = times(file.head())
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
         if summary is not None and summary.statistics is not None:
-            return _mcap_inventory(path, summary.statistics, summary.channels, summary.schemas)
+            return _mcap_inventory(path, summary.statistics, summary.channels, summary.schemas, head)
         stream.seek(0)
         contents = repair.scan(stream, path.stat().st_size, path)
-    return _mcap_inventory(path, contents.statistics(), contents.channels, contents.schemas)
+    return _mcap_inventory(path, contents.statistics(), contents.channels, contents.schemas, head)
 
 
 def _mcap_inventory(
-    path: Path, statistics: Statistics, channels: dict[int, Channel], schemas: dict[int, Schema]
+    path: Path,
+    statistics: Statistics,
+    channels: dict[int, Channel],
+    schemas: dict[int, Schema],
+    head: Integers,
 ) -> _Inventory:
     counts: Counter[TopicMetadata] = Counter()
     for channel in channels.values():
@@ -417,7 +513,7 @@ def _mcap_inventory(
         counts[topic] += statistics.channel_message_counts.get(channel.id, 0)
     start, end = statistics.message_start_time, statistics.message_end_time
     file = File(path.name, start, end - start, statistics.message_count)
-    return _Inventory(file, tuple(Counted(topic, count) for topic, count in counts.items()))
+    return _Inventory(file, tuple(Counted(topic, count) for topic, count in counts.items()), head)
 
 
 def _qos(text: object) -> tuple[metadata.Qos, ...]:
@@ -503,17 +599,20 @@ def _read_sqlite(path: Path) -> _Inventory:
             raise BagError(f"{path} is an SQLite database, but not of a bag: it has no table of topics")
         qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
         type_hash = "type_description_hash" if "type_description_hash" in columns else "''"
+        encoding_column = "serialization_format" if "serialization_format" in columns else f"'{CDR}'"
         counts = dict(database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
         topics = [
             Counted(TopicMetadata(name, kind, encoding, _qos(profiles), digest), counts.get(number, 0))
             for number, name, kind, encoding, profiles, digest in database.execute(
-                f"SELECT id, name, type, serialization_format, {qos}, {type_hash} FROM topics ORDER BY id"
+                f"SELECT id, name, type, {encoding_column}, {qos}, {type_hash} FROM topics ORDER BY id"
             )
         ]
         ((start, end),) = database.execute(
             "SELECT ifnull(min(timestamp), 0), ifnull(max(timestamp), 0) FROM messages"
         )
-    return _Inventory(File(path.name, start, end - start, sum(counts.values())), tuple(topics))
+        firsts = database.execute(f"SELECT timestamp FROM messages ORDER BY id LIMIT {HEAD}").fetchall()
+    head = np.array(firsts, dtype=np.int64).ravel()
+    return _Inventory(File(path.name, start, end - start, sum(counts.values())), tuple(topics), head)
 
 
 EXAMINERS: dict[str, Callable[[Path, Metadata | None, bool], _State]] = {

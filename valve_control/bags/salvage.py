@@ -8,6 +8,7 @@ wrong is read record by record; what is whole in it is had, and counts as doubtf
 import re
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
@@ -88,10 +89,32 @@ class Survey(NamedTuple):
 
     messages: int  # that can be read
     doubtful: int  # of them, whose checksum is wrong or lost
-    expected: int | None  # in the file's own statistics
+    expected: (
+        int | None
+    )  # in the file's own statistics; as many as can be read if it has an end and no damage
     skipped: int  # bytes that cannot be read
     whole: bool  # nothing is wrong
     unfinished: bool  # only the end is missing, as after the kill of a recorder
+
+
+class _Chunk(NamedTuple):
+    """What a survey knows of a sound chunk."""
+
+    length: int  # bytes
+    channels: set[int]  # that have messages in it
+    offsets: dict[int, int]  # where the message indexes behind it begin, by channel
+
+    @property
+    def is_indexed(self) -> bool:
+        """Whether each channel has its message index."""
+        return self.channels <= self.offsets.keys()
+
+    def fits(self, told: ChunkIndex) -> bool:
+        """Whether the summary tells where the chunk and its message indexes are."""
+        offsets = told.message_index_offsets
+        return told.chunk_length == self.length and all(
+            offsets.get(c) == self.offsets[c] for c in self.channels
+        )
 
 
 class Salvage:
@@ -117,8 +140,11 @@ class Salvage:
         whole = unfinished = bytes(self._data[: len(MAGIC)]) == MAGIC[: self._size]
         statistics: Statistics | None = None
         chunk: Piece | None = None  # the one before, whose indexes may follow
-        places: dict[int, int] = {}  # begin and length of each chunk
-        told: dict[int, int] = {}  # likewise, as the summary has it
+        places: dict[int, _Chunk] = {}  # by where they begin
+        told: dict[int, ChunkIndex] = {}  # likewise, as the summary has them
+        counts: Counter[int] = Counter()  # of messages by channel
+        times: list[int] = []  # earliest and latest log times [ns]
+        repeated: set[int] = set()  # channels in the summary
         header = ended = footer = False
         for piece in self.pieces():
             whole = whole and piece.sound and not footer
@@ -127,20 +153,31 @@ class Salvage:
                 ended or piece.sound or piece.torn or (piece.opcode == 0 and self._is_torn(piece))
             )
             skipped += piece.skipped
+            channels = np.unique(piece.messages[:, 0]).tolist() if piece.messages is not None else []
+            if piece.messages is not None and channels:
+                counts.update(piece.messages[:, 0].tolist())
+                times += [int(piece.messages[:, 1].min()), int(piece.messages[:, 1].max())]
             if piece.messages is not None:
                 messages += len(piece.messages)
                 doubtful += len(piece.messages) if piece.doubtful else 0
                 whole = whole and not ended
                 unfinished = unfinished and not ended
             if piece.opcode == Opcode.CHUNK:
+                # Only the index of the last chunk can be written in place.
+                unfinished = unfinished and all(place.is_indexed for place in places.values())
                 chunk = piece
                 chunks += 1
-                places[piece.begin] = piece.end - piece.begin
+                places[piece.begin] = _Chunk(piece.end - piece.begin, set(channels), {})
             elif piece.opcode == Opcode.MESSAGE_INDEX:
                 fits = chunk is not None and self._index_fits(piece, chunk)
                 whole, unfinished = whole and fits, unfinished and fits
+                if chunk is not None:
+                    (channel,) = struct.unpack_from("<H", self._data.data, piece.begin + FRAME.size)
+                    places[chunk.begin].offsets[channel] = piece.begin
             elif piece.opcode == Opcode.CHUNK_INDEX:
-                told[piece.record.chunk_start_offset] = piece.record.chunk_length
+                told[piece.record.chunk_start_offset] = piece.record
+            elif piece.opcode == Opcode.CHANNEL and ended:
+                repeated.add(piece.record.id)
             elif piece.opcode == Opcode.STATISTICS:
                 statistics = piece.record
             header = header or piece.opcode == Opcode.HEADER
@@ -149,12 +186,20 @@ class Salvage:
                 checksum = piece.record.data_section_crc
                 whole = whole and checksum in (0, zlib.crc32(self._data[: piece.begin].data))
             footer = footer or piece.opcode == Opcode.FOOTER
-        whole = whole and header and footer and (not told or told == places)
+        whole = whole and header and footer and told.keys() == places.keys() and repeated >= counts.keys()
+        whole = whole and all(place.is_indexed and place.fits(told[at]) for at, place in places.items())
         if statistics is not None:
             whole = whole and (statistics.message_count, statistics.chunk_count) == (messages, chunks)
+            # The library of C++ takes a start at 0 for none.
+            first, last = (min(times), max(times)) if times else (0, 0)
+            whole = whole and (not times or statistics.message_end_time == last)
+            whole = whole and first in (0, statistics.message_start_time)
+        whole = whole and (statistics is not None or not messages)
         if whole:
             whole = self._summary_is_sound()
-        expected = statistics.message_count if statistics is not None else None
+        expected = messages if footer and not (skipped or doubtful) else None
+        if statistics is not None:
+            expected = statistics.message_count
         return Survey(messages, doubtful, expected, skipped, whole, unfinished and not doubtful)
 
     def _is_torn(self, piece: Piece) -> bool:

@@ -407,9 +407,10 @@ def _recover(arguments: argparse.Namespace) -> int:
     if result.messages == 0:
         say(arguments, f"{result.bag} holds no message; nothing could be recovered")
         return 1
-    wrote = f"; {result.bag / 'metadata.yaml'} fits" if result.bag.is_dir() else ""
+    before = f" (the one before is kept as {result.metadata_kept})" if result.metadata_kept else ""
+    wrote = f"; {result.bag / 'metadata.yaml'} fits{before}" if result.bag.is_dir() else ""
     lost = "how many were lost is not known" if result.lost is None else f"{result.lost} lost"
-    damaged = result.lost != 0 and any(file.kept or file.empty for file in result.files)
+    damaged = result.lost != 0 and any(f.kept or f.empty or f.missing for f in result.files)
     state = f"can be read again: {result.messages} messages, {lost}" if damaged else ""
     say(arguments, f"{result.bag} {state or f'is whole again: {result.messages} messages'}{wrote}")
     return 0
@@ -422,9 +423,13 @@ def _file_as_dict(file: "RecoveredFile") -> dict[str, Any]:
 
 def _done_to(file: "RecoveredFile") -> str:
     """What was done to a file, in words."""
+    if file.missing:
+        held = f", which has {file.lost} messages in it" if file.lost is not None else ""
+        return f"metadata.yaml names it{held}, and it is missing; the bag goes on without it"
     kept = f"; the damaged file is kept as {file.kept}" if file.kept else ""
+    kept += "; metadata.yaml did not list it" if file.unlisted else ""
     if not file.repaired:
-        return "was whole"
+        return f"was whole{kept}"
     if file.empty:
         held = f" ({file.lost} messages were in it)" if file.lost else ""
         return f"was empty, not one byte in it{held}"
