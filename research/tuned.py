@@ -1,6 +1,7 @@
 """``python -m research.tuned``: every law with its tuned gains on random valves, beside the oracle."""
 
 import argparse
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -53,6 +54,8 @@ def _compare(arguments: argparse.Namespace) -> None:
         raise ParameterError(f"--valves is {count}; it must lie between 1 and {MOST}")
     if seed < 0:
         raise ParameterError(f"--seed is {seed}; it must be 0 or more")
+    if not 0.0 < limit < math.inf:
+        raise ParameterError(f"--limit is {limit:g}; it must be above 0, and finite")
     folder = Path(arguments.gains) if arguments.gains else files.config_folder() / "tuned"
     given = comparison.setups(folder, box, limit)
     found = comparison.compare(given, count, seed, box == "wide")

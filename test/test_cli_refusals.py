@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from said import sentences
+
+from valve_control.cli import streams
 
 sys.path.insert(0, str(Path(__file__).parent / "recordings"))
 from made import Run, write
@@ -136,6 +139,16 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
         (["compensator", "--from", "/dev/zero"], ["device"]),
         (["calibrate", "paper", "--processes", "10000"], ["10000", "cores"]),
         (["study", "--threads", "10000"], ["10000", "cores"]),
+        (["compare", "--tuned", "--limit", "nan"], ["--limit is nan", "finite"]),
+        (["compare", "--tuned", "--limit", "-1"], ["--limit is -1", "above 0"]),
+        (["tune", "--controller", "all,pid", "--output", "x.yaml"], ["all,pid", "all stands alone"]),
+        (["tune", "--controller", "arc, all", "--output", "x.yaml"], ["all stands alone"]),
+        (["export", "--controller", "pid", "--output", "e.fmu"], ["e.fmu", "--fmu 2 or --fmu 3"]),
+        (["export", "--plant", "valve", "--output", "E.FMU"], ["E.FMU", "--fmu 2 or --fmu 3"]),
+        (["commission", "--undo", "--folder", "nosuch"], ["no commissioning in nosuch"]),
+        (["analyze", "a" * 300], ["cannot be read", "name too long"]),
+        (["bag", "recover", "a" * 300], ["cannot be read", "name too long"]),
+        (["replay", "/dev/null"], ["/dev/null", "neither a file nor a folder"]),
     ],
 )
 def test_contradictions_and_endless_inputs(run, tmp_path, arguments, words):
@@ -168,6 +181,92 @@ def test_an_output_does_not_take_the_place_of_an_input(run, bags, tmp_path, conf
         refused(run(*arguments), "input")
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
     assert sorted(p.name for p in (bags / "arc").iterdir()) == inside
+
+
+def test_read_only_outputs_stay(run, bags, tmp_path):
+    """They were replaced, since that takes no more than a folder that can be written."""
+    names = ("x.json", "x.csv", "x.png", "x.yaml", "x.html")
+    for name in names:
+        (tmp_path / name).write_text("kept")
+        (tmp_path / name).chmod(0o444)
+    for arguments in (
+        ["simulate", "--duration", "0.1", "--json", "x.json"],
+        ["simulate", "--duration", "0.1", "--csv", "x.csv"],
+        ["simulate", "--duration", "0.1", "--figure", "x.png"],
+        ["compensator", "--output", "x.yaml"],
+        ["analyze", bags / "arc", "--html", "x.html"],
+        ["bag", "recover", bags / "arc", "--json", "x.json"],
+    ):
+        refused(run(*arguments), arguments[-1], "read-only")
+    assert all((tmp_path / name).read_text() == "kept" for name in names)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read anything")
+def test_a_bag_that_may_not_be_read_is_not_called_an_output(run, bags, tmp_path):
+    shutil.copytree(bags / "arc", tmp_path / "bag")
+    (tmp_path / "bag").chmod(0)
+    try:
+        for command in (["analyze"], ["replay"], ["bag", "recover"]):
+            refused(run(*command, tmp_path / "bag"), "cannot be read", "denied")
+    finally:
+        (tmp_path / "bag").chmod(0o755)
+
+
+def shell(text, **environment):
+    """A command line in bash, in which valve-control is the command."""
+    command = f'valve-control() {{ "{sys.executable}" -m valve_control.cli "$@"; }}; {text}'
+    return subprocess.run(
+        ["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False,
+        env={**os.environ, **environment},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "status"),
+    [
+        ("valve-control simulate --duration 0.1 >&-", 0),
+        ("valve-control simulate --duration 0.1 >&- 2>&-", 0),
+        ("valve-control parameters arc >&- <&-", 0),
+        ("valve-control simulate --duration 0.1 --json - >&-", 2),
+        ("valve-control simulate --nothing >&- 2>&-", 2),
+    ],
+)
+def test_closed_streams_are_no_traceback(text, status):
+    done = shell(text)
+    assert done.returncode == status and "Traceback" not in done.stderr
+    assert len(done.stderr.splitlines()) == (1 if status and "2>&-" not in text else 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("valve-control parameters arc", ["Gamma", "theta"]),
+        ("valve-control theorems --help", ["usage"]),
+        ("valve-control study --box", ["0.8 ... 1.25"]),
+        ("valve-control simulate --map µ → Δ", ["unrecognized"]),
+    ],
+)
+def test_terminals_of_ascii_read_other_characters_spelled(text, words):
+    done = shell(text, PYTHONIOENCODING="ascii")
+    assert "Traceback" not in done.stderr and "?" not in done.stdout
+    for word in words:
+        assert word in done.stdout + done.stderr, done.stdout
+
+
+def test_every_character_that_is_printed_can_be_spelled():
+    root = Path(__file__).resolve().parents[1] / "valve_control"
+    used = {c for path in root.rglob("*.py") for c in path.read_text(encoding="utf-8") if not c.isascii()}
+    assert len(used) > 20 and not [c for c in used if "?" in streams.spelled(c)]
+
+
+def test_the_box_of_a_study_as_json(run):
+    """It was empty."""
+    status, out, _ = run("study", "--box", "--fix", "gain", "--json", "-")
+    result = json.loads(out)
+    names = [quantity["name"] for quantity in result["box"]]
+    assert status == 0 and "speed" in names and "gain" not in names
+    assert all(quantity["low"] < quantity["high"] for quantity in result["box"])
+    assert result["sample_periods_s"] == [0.0005, 0.001, 0.002]
 
 
 def test_an_output_that_cannot_take_it_says_so(tmp_path):

@@ -1,6 +1,7 @@
 """Writes files whole or not at all, and checks the paths of outputs before the work begins."""
 
 import contextlib
+import errno
 import io
 import json
 import math
@@ -37,6 +38,8 @@ def check(paths: Sequence[str], inputs: Sequence[str] = ()) -> None:
         ordinary = whole.is_file() or not whole.exists()
         if not os.access(whole.parent if ordinary else whole, os.W_OK):
             raise ParameterError(f"{path} cannot be written: permission denied")
+        if whole.is_file() and _is_read_only(whole):
+            raise ParameterError(f"{path} cannot be written: it is read-only")
         if not ordinary:
             continue
         if str(whole) in taken:
@@ -57,6 +60,8 @@ def write(path: str, content: str | bytes) -> None:
         if target.exists() and not target.is_file():
             target.write_bytes(data)  # such as /dev/null
             return
+        if target.exists() and _is_read_only(target):
+            raise PermissionError(errno.EACCES, "it is read-only")
         with tempfile.NamedTemporaryFile(
             dir=target.parent, prefix=f".{target.name}.", delete=False
         ) as stream:
@@ -72,6 +77,11 @@ def write(path: str, content: str | bytes) -> None:
     except OSError as error:
         error.filename = path
         raise
+
+
+def _is_read_only(path: Path) -> bool:
+    """Whether nobody may write the file, or not the one who asks; root could, and should not by accident."""
+    return not path.stat().st_mode & 0o222 or not os.access(path, os.W_OK)
 
 
 def csv_text(columns: Mapping[str, Any], form: str) -> str:

@@ -76,7 +76,12 @@ class Bag:
         self._formats: dict[
             str, str
         ] = {}  # serialization of topics, where metadata.yaml has another than CDR
-        self._files = self._open()
+        try:
+            self._files = self._open()
+        except OSError as error:
+            raise BagError(
+                f"{error.filename or self.path} cannot be read: {error.strerror or error}"
+            ) from error
         for file in self._files:
             self.problems += [self._advised(problem) for problem in file.problems]
             for told in file.topics:
@@ -188,6 +193,8 @@ class Bag:
             file = self._file(self.path)
             self._recognise([file])
             return [file]
+        if not self.path.is_dir():
+            raise BagError(f"{self.path} is neither a file nor a folder; a bag is one of them")
         found = sorted(
             (p for p in self.path.iterdir() if _plain_suffix(p) in KINDS), key=lambda p: (len(p.name), p.name)
         )

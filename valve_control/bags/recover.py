@@ -103,8 +103,11 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
     that was not fetched, or whose metadata.yaml is of a version that is not known. If this is interrupted
     nothing is lost: call it again. Raises BagError.
     """
-    if not path.exists() and not path.is_symlink() and not _interrupted(path):
-        raise BagError(f"{path} does not exist")
+    try:
+        if not path.exists() and not path.is_symlink() and not _interrupted(path):
+            raise BagError(f"{path} does not exist")
+    except OSError as error:
+        raise BagError(f"{path} cannot be read: {reason(error)}") from error
     _refuse_foreign(path)
     if out is None:
         return _in_place(path, keep=True)

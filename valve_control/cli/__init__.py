@@ -18,8 +18,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return command.run(argv)
     interrupts.watch()
     try:
-        from valve_control.cli import command
+        from valve_control.cli import command, streams
 
+        streams.prepare()
         status = command.run(sys.argv[1:])
     except BaseException:
         interrupts.ignore()

@@ -13,6 +13,7 @@ from valve_control.cli.common import check_processes, check_search, say, write_j
 from valve_control.parameter import ParameterError, word
 
 if TYPE_CHECKING:
+    from valve_control.commissioning.backup import Backup
     from valve_control.commissioning.plan import Plan
     from valve_control.commissioning.sequence import Result
     from valve_control.nodes.commission import Controller
@@ -65,8 +66,12 @@ def add_commands(commands: Any) -> None:
 
 def _commission(arguments: argparse.Namespace) -> int:
     _check(arguments)
+    from valve_control.commissioning import backup
     from valve_control.commissioning.bench import Fault
 
+    kept = backup.read(Path(arguments.folder)) if arguments.undo else None
+    if arguments.undo and kept is None:
+        raise ParameterError(f"there is no commissioning in {arguments.folder}; --folder names another one")
     try:
         from valve_control.nodes.commission import connected
     except ImportError as error:
@@ -74,8 +79,8 @@ def _commission(arguments: argparse.Namespace) -> int:
     interrupts.watch(signal.SIGTERM, signal.SIGHUP)
     with connected(arguments.node) as controller:
         try:
-            if arguments.undo:
-                return _undo(arguments, controller)
+            if kept is not None:
+                return _undo(arguments, controller, kept)
             return _run(arguments, controller)
         except Fault as fault:
             print(f"valve-control: {fault}", file=sys.stderr)
@@ -106,12 +111,9 @@ def _check(arguments: argparse.Namespace) -> None:
         outputs.check([arguments.json])
 
 
-def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
+def _undo(arguments: argparse.Namespace, controller: "Controller", kept: "Backup") -> int:
     from valve_control.commissioning import backup, sequence
 
-    kept = backup.read(Path(arguments.folder))
-    if kept is None:
-        raise ParameterError(f"there is no commissioning in {arguments.folder}; --folder names another one")
     if kept.node != controller.name:
         raise ParameterError(
             f"{arguments.folder} has the parameters of {kept.node}, not of {controller.name}; give --node or "

@@ -44,6 +44,8 @@ def check_outputs(
     wanted = [path for path in (*files, *figures) if path is not None]
     if "-" in wanted:
         raise ParameterError("only --json takes - for standard output; give a file")
+    if arguments.json == "-" and sys.__stdout__ is None:
+        raise ParameterError("--json - needs standard output, which is closed")
     if arguments.json not in (None, "-"):
         wanted.append(arguments.json)
     inputs: list[str] = []

@@ -84,6 +84,11 @@ def _export(arguments: argparse.Namespace) -> None:
         raise ParameterError("the watch counts time, for which float has too few digits; leave out --float")
     if arguments.parameters_only and (arguments.plant is not None or arguments.fmu is not None):
         raise ParameterError("--parameters-only is for the C of a law; leave out --plant and --fmu")
+    if arguments.fmu is None and arguments.output.lower().endswith(".fmu"):
+        raise ParameterError(
+            f"--output {arguments.output} is the name of an FMU, and C goes into a folder; --fmu 2 or "
+            "--fmu 3 makes an FMU"
+        )
     if arguments.fmu is not None and arguments.float:
         raise ParameterError("an FMU calculates in double; leave out --float")
     notes: list[str] = []

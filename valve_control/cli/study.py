@@ -75,6 +75,8 @@ def _study(arguments: argparse.Namespace) -> int:
         for q in chosen.box:
             say(arguments, f"{q.name:24}{q.low:10g} … {q.high:<10g}{q.unit}")
         say(arguments, f"{'sample_period':24}{', '.join(f'{p:g}' for p in chosen.periods):>24} s")
+        box = [{"name": q.name, "low": q.low, "high": q.high, "unit": q.unit} for q in chosen.box]
+        write_json(arguments, {"box": box, "sample_periods_s": chosen.periods})
         return 0
     if arguments.replay is not None:
         _replay(arguments, chosen)

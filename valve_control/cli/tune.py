@@ -337,6 +337,8 @@ def _laws(names: str | None, usual: str) -> list[str]:
     if names == "all":
         return [name for name, law in LAWS.items() if law.free]
     asked = list(dict.fromkeys(name.strip() for name in names.split(",")))
+    if "all" in asked:
+        raise ParameterError(f"--controller {names}: all stands alone, it means every law that has gains")
     for name in asked:
         if name not in CONTROLLERS:
             raise ParameterError(
