@@ -1,6 +1,5 @@
 """Bags of other recorders: serializations, definitions, orders and names of files."""
 
-import random
 import shutil
 import sqlite3
 import struct
@@ -198,12 +197,10 @@ def test_files_are_read_in_the_order_of_their_times(tmp_path, name, storage):
     assert np.array_equal(times(tmp_path / "bag"), expected)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_list_in_another_order_is_said_and_not_followed(tmp_path, seed):
+@pytest.mark.parametrize("order", [[4, 3, 2, 1, 0], [1, 0, 2, 3, 4], [0, 2, 4, 1, 3], [0, 1, 1, 3, 2, 4]])
+def test_a_list_in_another_order_is_said_and_not_followed(tmp_path, order):
     expected = split(tmp_path / "bag")
     told = metadata.read(tmp_path / "bag")
-    order = list(range(1, 5)) + [0]
-    random.Random(seed).shuffle(order)
     metadata.write(
         tmp_path / "bag",
         told._replace(

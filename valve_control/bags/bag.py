@@ -255,7 +255,7 @@ class Bag:
             for topic, _ in told.topics
             if topic.serialization_format != CDR
         }
-        paths = [self.path / Path(name).name for name in told.relative_file_paths]
+        paths = [self.path / name for name in dict.fromkeys(told.relative_file_paths)]
         missing = [path for path in paths if not path.exists()]
         for path in missing:
             self._complain(f"{path.name}, which metadata.yaml names, is missing")

@@ -66,12 +66,10 @@ def add_commands(commands: Any) -> None:
 
 def _commission(arguments: argparse.Namespace) -> int:
     _check(arguments)
-    from valve_control.commissioning import backup
     from valve_control.commissioning.bench import Fault
 
-    kept = backup.read(Path(arguments.folder)) if arguments.undo else None
-    if arguments.undo and kept is None:
-        raise ParameterError(f"there is no commissioning in {arguments.folder}; --folder names another one")
+    if arguments.undo:
+        _backup(arguments)  # whether there is one is known without the node
     try:
         from valve_control.nodes.commission import connected
     except ImportError as error:
@@ -79,8 +77,8 @@ def _commission(arguments: argparse.Namespace) -> int:
     interrupts.watch(signal.SIGTERM, signal.SIGHUP)
     with connected(arguments.node) as controller:
         try:
-            if kept is not None:
-                return _undo(arguments, controller, kept)
+            if arguments.undo:
+                return _undo(arguments, controller)
             return _run(arguments, controller)
         except Fault as fault:
             print(f"valve-control: {fault}", file=sys.stderr)
@@ -111,9 +109,20 @@ def _check(arguments: argparse.Namespace) -> None:
         outputs.check([arguments.json])
 
 
-def _undo(arguments: argparse.Namespace, controller: "Controller", kept: "Backup") -> int:
+def _backup(arguments: argparse.Namespace) -> "Backup":
+    """What --folder has of the parameters from before. Raises ParameterError if it has nothing."""
+    from valve_control.commissioning import backup
+
+    kept = backup.read(Path(arguments.folder))
+    if kept is None:
+        raise ParameterError(f"there is no commissioning in {arguments.folder}; --folder names another one")
+    return kept
+
+
+def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
     from valve_control.commissioning import backup, sequence
 
+    kept = _backup(arguments)
     if kept.node != controller.name:
         raise ParameterError(
             f"{arguments.folder} has the parameters of {kept.node}, not of {controller.name}; give --node or "
