@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 
+from valve_control.cli import streams
 from valve_control.cli.common import Parser, ended
 
 
@@ -18,5 +19,7 @@ def run(
 ) -> int:
     """Parse ``argv`` (default: this process's), do ``work``, and return the exit status."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if argv is None:
+        streams.prepare()
     arguments = parser.parse_args(sys.argv[1:] if argv is None else argv)
     return ended(parser.prog, parser.prog, lambda: work(arguments))

@@ -41,6 +41,8 @@ def test_tuned_laws_beside_the_oracle(tuned, tmp_path):
         (["--valves", "0"], "--valves is 0; it must lie between 1 and 100000"),
         (["--seed", "-1"], "--seed is -1; it must be 0 or more"),
         (["--limit", "0.123"], "no gains are tuned for the narrow box at c_u <= 0.123"),
+        (["--limit", "nan"], "--limit is nan; it must be above 0, and finite"),
+        (["--limit", "-1"], "--limit is -1; it must be above 0, and finite"),
         (["--gains", "nowhere"], "nowhere has none"),
         (["--box", "huge"], "invalid choice"),
         (["--figure", "t.pdf"], ".png or .svg"),
