@@ -21,6 +21,7 @@ FILES = sorted((ROOT / "launch").glob("*.launch.xml"))
 AXIS, ARM = "axis.launch.xml", "arm.launch.xml"  # of machines, not of a valve
 VALVES = [path for path in FILES if path.name not in (AXIS, ARM)]
 VARIABLE = re.compile(r"\$\(var (\w+)\)")
+OF_THE_USER = re.compile(r"\$\(var \w+_file\)")  # a file of the user's, or one of the node's own once more
 
 
 CALL = re.compile(r"valve_control\.parameters\.launching\.(\w+)\(")
@@ -52,21 +53,21 @@ def test_launch_file_names_only_what_exists(path):
     declared = arguments(root)
     own = {"controller", "valve", "rate"} if path in VALVES else {"message", "upper_level"}
     own |= {"machine"} if path.name == AXIS else set()
-    assert own | {"namespace", "record", "dashboard", "port"} <= set(declared)
+    assert own | {"namespace", "record", "dashboard", "port", "params_file"} <= set(declared)
     for arg in root.findall("arg"):
         assert arg.get("default") is not None and arg.get("description"), arg.get("name")
     text = path.read_text(encoding="utf-8")
     derived = {let.get("name") for let in root.findall("let")}
-    assert set(VARIABLE.findall(text)) == set(declared) | derived
-    assert (CALL.findall(text) or path not in VALVES) and all(
-        hasattr(launching, name) for name in CALL.findall(text)
-    )
+    assert {*VARIABLE.findall(text), "checked"} == set(declared) | derived
+    assert CALL.findall(text) and all(hasattr(launching, name) for name in CALL.findall(text))
     executables = re.search(r"NODES = \[(.*?)\]", (ROOT / "setup.py").read_text(), re.DOTALL).group(1)
     for node in root.iter("node"):
         assert node.get("pkg") == "valve_control" and f'"{node.get("exec")}"' in executables
         for param in node.findall("param"):
             if param.get("from") is None:
                 lookup(ROS_NODES[node.get("exec")], param.get("name"))
+                continue
+            if OF_THE_USER.fullmatch(param.get("from")):
                 continue
             folder, name = param.get("from").split("valve_control)/")[1].rsplit("/", 1)
             names = [name]
@@ -114,7 +115,8 @@ def started(group, space=""):
     name = "" if pushed is None else VARIABLE.sub("", pushed.get("namespace"))
     inside = f"{space}/{name}" if name else space
     for node in group.findall("node"):
-        paths = [p.get("from").split("valve_control)/")[1] for p in node.findall("param") if p.get("from")]
+        named = [p.get("from", "") for p in node.findall("param")]
+        paths = [name.split("valve_control)/")[1] for name in named if name and not OF_THE_USER.match(name)]
         yield f"{inside}/{node.get('exec')}", node.get("exec"), [ROOT / path for path in paths]
     for inner in group.findall("group"):
         yield from started(inner, inside)
@@ -191,6 +193,119 @@ def test_numbers_of_a_launch_become_those_of_the_nodes():
     assert launching.duration("60") == 60.0
 
 
+GIVEN = {
+    "namespace": "", "simulate": "true", "record": "false", "bag": "valve_bag", "dashboard": "false",
+    "port": "8080", "params_file": "",
+}  # fmt: skip
+EVERY_FILE = [
+    ("record:=yes", "record is 'yes'; it must be true or false"),
+    ("dashboard:=on", "dashboard is 'on'; it must be true or false"),
+    ("simulate:=maybe", "simulate is 'maybe'; it must be true or false"),
+    ("port:=80x", "port is '80x'; it must be a number"),
+    ("port:=8080.5", "port is '8080.5'; it must be a whole number"),
+    ("port:=70000", "port is 70000; it must lie between"),
+    ("namespace:=1st", "namespace is '1st'; it must be of letters, digits and _"),
+    ("namespace:=boom/", "namespace is 'boom/'"),
+    ("recrod:=true", "has no argument 'recrod'; did you mean 'record'?"),
+    ("xyzzy:=1", "has no argument 'xyzzy'; it has "),
+    ("params_file:=nosuch.yaml", "parameter file nosuch.yaml cannot be read: No such file"),
+]
+
+
+@pytest.mark.parametrize(("argument", "words"), EVERY_FILE)
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_wrong_arguments_of_every_file_are_one_sentence(path, argument, words, monkeypatch):
+    name, value = argument.split(":=")
+    monkeypatch.setattr("sys.argv", ["ros2", "launch", "valve_control", path.name, argument])
+    with pytest.raises(ParameterError) as error:
+        launching.checked(path.name, **{**GIVEN, name: value})
+    assert words in str(error.value) and "\n" not in str(error.value)
+
+
+def test_the_arguments_of_a_file_that_is_included_are_those_of_another(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["ros2", "launch", "machine", "machine.launch.xml", "crane:=big"])
+    assert launching.checked("valve.launch.xml", **GIVEN) == "valve.launch.xml"
+
+
+def test_a_recording_that_exists_ends_the_launch_before_anything_runs(tmp_path):
+    for record in ("true", "1", "True"):
+        with pytest.raises(ParameterError, match="exists already; name a new folder with bag:=NAME"):
+            launching.checked("axis.launch.xml", **{**GIVEN, "record": record, "bag": str(tmp_path)})
+    launching.checked("axis.launch.xml", **{**GIVEN, "bag": str(tmp_path)})
+
+
+@pytest.fixture
+def own(tmp_path):
+    """Writes a file of parameters, and returns its path."""
+
+    def write(text):
+        path = tmp_path / "mine.yaml"
+        path.write_text(text)
+        return str(path)
+
+    return write
+
+
+def test_a_file_of_the_user_reaches_the_nodes_that_it_is_for(own):
+    mine = own("/**/controller: {ros__parameters: {controller: pid, sample_period: 0.002}}")
+    assert (launching.file_option(mine), launching.file_value(mine)) == ("--params-file", mine)
+    assert launching.parameters_of(mine, "arm.yaml", "manifold", "controller") == mine
+    valve = str(ROOT / "config" / "d3fxe.yaml")
+    assert launching.parameters_of(mine, "d3fxe.yaml", "valve_simulator") == valve
+    assert (launching.file_option(""), launching.file_value("")) == ("-r", "__node:=controller")
+
+
+def test_controller_and_valve_have_one_period_also_if_the_file_names_it_for_one(own):
+    mine = own("/controller: {ros__parameters: {sample_period: 0.002}}")
+    assert launching.sample_period("1000.0", mine) == 0.002
+    two = own(
+        "/controller: {ros__parameters: {sample_period: 0.002}}\n"
+        "/valve_simulator: {ros__parameters: {sample_period: 0.001}}"
+    )
+    with pytest.raises(ParameterError, match=r"several sample periods, '0\.001' or '0\.002' s"):
+        launching.sample_period("1000.0", two)
+
+
+@pytest.mark.parametrize(
+    ("setting", "text", "words"),
+    [
+        (
+            {"controller": "oarc"},
+            "controller: {ros__parameters: {controller: pid}}",
+            "controller is 'oarc', ",
+        ),
+        ({"rate": "500"}, "controller: {ros__parameters: {sample_period: 0.004}}", "rate is '500', and"),
+        ({"duration": "5"}, "command_source: {ros__parameters: {duration: 7.0}}", "duration is '5', and"),
+        ({}, "controller: {ros__parameters: {controler: pid}}", "did you mean 'controller'?"),
+        ({}, "controller: {ros__parameters: {u_max: 1000.0}}", "u_max is 1000 V; it must lie between"),
+        ({}, "axis_simulator: {ros__parameters: {seed: 1}}", "has nothing for the nodes of cascade.launch"),
+    ],
+)
+def test_a_file_of_the_user_that_contradicts_or_is_wrong_is_refused(own, setting, text, words, monkeypatch):
+    file = "cascade.launch.xml"
+    monkeypatch.setattr("sys.argv", ["launched.py", f"launch/{file}"])
+    given = {"controller": "arc", "rate": "1000.0", "scenario": "point_to_point", "duration": "60.0"}
+    with pytest.raises(ParameterError) as error:
+        launching.checked(file, **{**GIVEN, **given, **setting, "params_file": own(text)})
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in (ROOT / "config" / "tuned").glob("*.yaml")))
+def test_what_tune_wrote_can_be_launched(name):
+    path = ROOT / "config" / "tuned" / name
+    given = {**GIVEN, "controller": "arc", "rate": "1000.0", "params_file": str(path)}
+    launching.checked("valve.launch.xml", **given)
+    assert launching.file_value(str(path)) == str(path)
+
+
+def test_a_file_of_the_user_says_what_arguments_leave_at_their_defaults(own):
+    mine = own(
+        "controller: {ros__parameters: {controller: pid}}\ncommand_source: {ros__parameters: {duration: 7.0}}"
+    )
+    given = {"controller": "arc", "rate": "1000.0", "scenario": "sine", "duration": "7", "params_file": mine}
+    launching.checked("cascade.launch.xml", **{**GIVEN, **given})
+
+
 @pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="needs ros2 launch")
 @pytest.mark.parametrize(
     ("argument", "words"),
@@ -204,6 +319,19 @@ def test_numbers_of_a_launch_become_those_of_the_nodes():
 )
 @pytest.mark.parametrize("path", VALVES, ids=lambda path: path.name)
 def test_wrong_argument_ends_the_launch(path, argument, words):
+    ends(path, argument, words)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="needs ros2 launch")
+@pytest.mark.parametrize(("argument", "words"), [EVERY_FILE[i] for i in (0, 3, 8)])
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_what_a_launch_evaluates_late_leaves_no_node_behind(path, argument, words):
+    """A condition that cannot be evaluated once ended a launch without ending the nodes before it."""
+    ends(path, argument, [words])
+
+
+def ends(path, argument, words):
+    """Launch a file with a wrong argument: one sentence of these words, and nothing was started."""
     done = subprocess.run(launch(path, argument), capture_output=True, text=True, timeout=60)
     said = (done.stdout + done.stderr).splitlines()
     assert done.returncode == 1

@@ -73,6 +73,7 @@ def test_colcon_builds_an_ament_package_whose_nodes_run(tmp_path):
         "axis_simulator",
         "axis_controller",
         "demo",
+        "valve-control",
     ):
         assert (prefix / "lib/valve_control" / node).exists()
     site = next(prefix.glob("lib/python3*/site-packages"))

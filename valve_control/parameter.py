@@ -91,7 +91,7 @@ class Parameter(NamedTuple):
         if not math.isfinite(number):
             raise ParameterError(f"{name} is {number}; it must be finite")
         if not self.low <= number <= self.high:
-            unit = "" if self.unit == "-" else f" {self.unit}"
+            unit = "" if self.unit in ("", "-") else f" {self.unit}"
             raise ParameterError(
                 f"{name} is {number:g}{unit}; it must lie between {self.low:g} and {self.high:g}{unit}"
             )

@@ -1,16 +1,156 @@
 """Checks the arguments of launch files and turns them into ROS arguments; called by the files in launch/."""
 
+import difflib
 import math
+import re
+import sys
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from valve_control.laws.registry import LAWS, REFUSED
-from valve_control.parameter import ParameterError, lookup, one_of
+from valve_control.parameter import ParameterError, Value, lookup, one_of
 from valve_control.parameters import files
+from valve_control.parameters.axis import ROS_NODES
 from valve_control.parameters.table import NODES
 
+SWITCHES = ("simulate", "record", "dashboard")
+# Arguments that set a parameter of the same name, which a file of the user's may set too.
+NAMED = ("controller", "scenario", "duration", "message", "upper_level", "sample_period")
+NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", re.ASCII)
 
-def sample_period(rate: str) -> float:
-    """Sample period [s] of a ``rate`` [Hz]. Raises ParameterError."""
+
+def checked(file: str, **values: str) -> str:
+    """Check the arguments of the launch file ``file`` before it starts anything; returns its name.
+
+    ``values``: arguments by name. Launch evaluates a condition when it comes to the node that has it, and
+    what it started before that would run on without it. Raises ParameterError.
+    """
+    declared = _declared(file)
+    given = _command_line(file)
+    _refuse_unknown(file, given or [], declared)
+    for name in SWITCHES:
+        if values[name].strip().lower() not in ("true", "1", "false", "0"):
+            raise ParameterError(f"{name} is '{values[name]}'; it must be true or false")
+    port = _number("port", values["port"])
+    if not port.is_integer():
+        raise ParameterError(f"port is '{values['port']}'; it must be a whole number")
+    lookup(ROS_NODES["dashboard"], "port").check(int(port))
+    if NAMESPACE.fullmatch(values["namespace"]) is None:
+        raise ParameterError(
+            f"namespace is '{values['namespace']}'; it must be of letters, digits and _, such as crane/boom"
+        )
+    if values["record"].strip().lower() in ("true", "1") and Path(values["bag"]).expanduser().exists():
+        raise ParameterError(f"bag is '{values['bag']}', which exists already; name a new one with bag:=NAME")
+    if given is not None:  # of a file that is included another part may be for nodes of the one around it
+        _refuse_useless(file, values["params_file"])
+    _refuse_contradictions(values["params_file"], values, declared)
+    return file
+
+
+def _declared(file: str) -> dict[str, str]:
+    """Default of each argument of a launch file of this package."""
+    return {argument.get("name", ""): argument.get("default", "") for argument in _root(file).findall("arg")}
+
+
+def _root(file: str) -> ET.Element:
+    return ET.parse(files.config_folder().parent / "launch" / file).getroot()
+
+
+def _takers(file: str) -> set[str]:
+    """Nodes that a launch file gives the user's file of parameters to."""
+    root = _root(file)
+    nodes = {node.get("exec", "") for node in root.iter("node")} - {"recorder", "dashboard"}
+    for include in root.iter("include"):
+        nodes |= _takers(include.get("file", "").rsplit("/", 1)[-1])
+    return nodes | ({"controller"} if "manifold" in nodes else set())
+
+
+def _refuse_useless(file: str, path: str) -> None:
+    """Raise ParameterError for a file of parameters that has nothing for the nodes that ``file`` launches."""
+    takers = _takers(file)
+    if path and not any(_load(path)[node] for node in takers):
+        raise ParameterError(f"{path} has nothing for the nodes of {file}, {', '.join(sorted(takers))}")
+
+
+def _command_line(file: str) -> list[str] | None:
+    """Names of the arguments of the command line that launches ``file``, None if another file includes it."""
+    words = iter(sys.argv)
+    if not any(Path(word).name == file for word in words):
+        return None
+    return [word.partition(":=")[0] for word in words if ":=" in word]
+
+
+def _refuse_unknown(file: str, given: Iterable[str], declared: Mapping[str, str]) -> None:
+    """Raise ParameterError for an argument that ``file`` does not have; a launch keeps it without a word."""
+    for name in given:
+        if name not in declared:
+            near = difflib.get_close_matches(name, declared, n=2)
+            hint = f"did you mean {one_of(near)}?" if near else f"it has {', '.join(declared)}"
+            raise ParameterError(f"{file} has no argument '{name}'; {hint}")
+
+
+def _refuse_contradictions(path: str, values: Mapping[str, str], declared: Mapping[str, str]) -> None:
+    """Raise ParameterError if a file sets what an argument, other than its default, sets otherwise."""
+    for section in _load(path).values():
+        for name, value in section.items():
+            argument = "rate" if name == "sample_period" else name
+            if name not in NAMED or argument not in values:
+                continue
+            text = values[argument]
+            wanted = sample_period(text) if argument == "rate" else _like(value, text)
+            if text != declared[argument] and wanted != value:
+                raise ParameterError(
+                    f"{argument} is '{text}', and {path} sets {name} to {value}; leave one of them out"
+                )
+
+
+def _like(value: Value, text: str) -> Value:
+    return float(text) if isinstance(value, float) else text
+
+
+def _load(path: str) -> dict[str, dict[str, Value]]:
+    """Checked values of the file of parameters by node; none without a file. Raises ParameterError."""
+    return files.load(path, nodes=ROS_NODES) if path else {}
+
+
+def parameters_of(params_file: str, otherwise: str, *nodes: str) -> str:
+    """Path of ``params_file`` if it has anything for ``nodes``, else of ``otherwise``, a file in config/.
+
+    A node that gets a file of its own twice takes no harm; launch files have no parameter that is left out.
+    Raises ParameterError.
+    """
+    return _given(params_file, nodes) or str(files.config_folder() / otherwise)
+
+
+def file_option(params_file: str) -> str:
+    """ROS option that makes the controller take ``params_file``, or one without effect.
+
+    Raises ParameterError.
+    """
+    return "--params-file" if _given(params_file, ["controller"]) else "-r"
+
+
+def file_value(params_file: str) -> str:
+    """Return the word that belongs to ``file_option``. Raises ParameterError."""
+    return _given(params_file, ["controller"]) or "__node:=controller"
+
+
+def _given(params_file: str, nodes: Iterable[str]) -> str:
+    """Path of ``params_file``, "" if it has nothing for ``nodes``."""
+    values = _load(params_file)
+    return str(Path(params_file).expanduser().absolute()) if any(values.get(node) for node in nodes) else ""
+
+
+def sample_period(rate: str, params_file: str = "") -> float:
+    """Sample period [s] of a ``rate`` [Hz], or the one of the file of parameters. Raises ParameterError."""
+    periods = {values["sample_period"] for values in _load(params_file).values() if "sample_period" in values}
+    if len(periods) > 1:
+        listed = one_of(map(str, sorted(periods)))
+        raise ParameterError(f"{params_file} sets several sample periods, {listed} s")
+    for period in periods:
+        assert isinstance(period, float)
+        return period
     parameter = lookup(NODES["controller"], "sample_period")
     low, high = 1.0 / parameter.high, 1.0 / parameter.low
     hertz = _number("rate", rate)
