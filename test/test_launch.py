@@ -229,7 +229,7 @@ def test_the_arguments_of_a_file_that_is_included_are_those_of_another(monkeypat
 
 def test_a_recording_that_exists_ends_the_launch_before_anything_runs(tmp_path):
     for record in ("true", "1", "True"):
-        with pytest.raises(ParameterError, match="exists already; name a new folder with bag:=NAME"):
+        with pytest.raises(ParameterError, match="exists already; name a new one with bag:=NAME"):
             launching.checked("axis.launch.xml", **{**GIVEN, "record": record, "bag": str(tmp_path)})
     launching.checked("axis.launch.xml", **{**GIVEN, "bag": str(tmp_path)})
 
