@@ -1,6 +1,7 @@
 import os
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import domains
 import pytest
@@ -30,6 +31,14 @@ def config():
     return ROOT / "config"
 
 
+class Ran(NamedTuple):
+    """A command's exit status, standard output and standard error."""
+
+    status: int
+    out: str
+    err: str
+
+
 @pytest.fixture
 def run(capsys, monkeypatch, tmp_path):
     """A command of `valve-control` in this process and in ``tmp_path``: its status, output and errors."""
@@ -40,8 +49,7 @@ def run(capsys, monkeypatch, tmp_path):
             status = main([str(a) for a in arguments])
         except SystemExit as error:
             status = error.code
-        out, err = capsys.readouterr()
-        return status, out, err
+        return Ran(status, *capsys.readouterr())
 
     return call
 

@@ -1,4 +1,4 @@
-"""The command as a user or another program runs it: a process, its output, its exit status."""
+"""The command as a user or another program runs it: its output, its exit status."""
 
 import json
 import subprocess
@@ -8,23 +8,15 @@ import numpy as np
 import pytest
 
 
-def run(*arguments, cwd=None):
-    return subprocess.run(
-        [sys.executable, "-m", "valve_control.cli", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        cwd=cwd,
-        check=False,
-    )
-
-
-def test_contract_of_simulate(config, simulate):
-    done = run(
+def test_contract_of_simulate_as_a_process(config):
+    words = [
         "simulate", "--controller", "arc", "--valve", "fourth_order", "--scenario", "point_to_point",
         "--sample-period", "0.001", "--duration", "6.0", "--seed", "1", "--set", "arc.k1=120.0",
         "--params-file", config / "arc.yaml", "--json", "-",
-    )  # fmt: skip
+    ]  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "valve_control.cli", *words], capture_output=True, timeout=120
+    )
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert result["controller"] == "arc"
@@ -34,10 +26,10 @@ def test_contract_of_simulate(config, simulate):
     assert 0.0 < result["indices"]["e_rms"] < result["indices"]["e_M"] < 0.2
 
 
-def test_seed_and_settings_reach_the_run():
+def test_seed_and_settings_reach_the_run(run):
     def e_rms(*arguments):
         done = run("simulate", "--duration", "1.0", "--set", "lvdt.noise=0.01", "--json", "-", *arguments)
-        return json.loads(done.stdout)["indices"]["e_rms"]
+        return json.loads(done.out)["indices"]["e_rms"]
 
     assert e_rms("--seed", "3") == e_rms("--seed", "3")
     assert e_rms("--seed", "3") != e_rms("--seed", "4")
@@ -45,7 +37,7 @@ def test_seed_and_settings_reach_the_run():
     assert e_rms("--set", "friction.coulomb=1.0") != e_rms()
 
 
-def test_command_from_csv_and_npy_and_all_outputs(tmp_path):
+def test_command_from_csv_and_npy_and_all_outputs(run, tmp_path):
     command = np.sin(np.arange(1500) * 0.01)
     np.savetxt(tmp_path / "c.csv", command)
     np.save(tmp_path / "c.npy", command)
@@ -54,9 +46,9 @@ def test_command_from_csv_and_npy_and_all_outputs(tmp_path):
         "simulate", "--command", tmp_path / "c.csv", "--json", files["json"], "--csv", files["csv"],
         "--npz", files["npz"], "--figure", files["png"],
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert done.status == 0, done.err
     for path in files.values():
-        assert f"wrote {path}" in done.stdout
+        assert f"wrote {path}" in done.out
     with np.load(files["npz"]) as traces:
         assert np.allclose(traces["command"], command)
         header = files["csv"].read_text().splitlines()[0].split(",")
@@ -65,25 +57,25 @@ def test_command_from_csv_and_npy_and_all_outputs(tmp_path):
         assert np.allclose(table[:, header.index("voltage")], traces["voltage"])
     assert files["png"].read_bytes()[:4] == b"\x89PNG"
     from_npy = run("simulate", "--command", tmp_path / "c.npy", "--json", "-")
-    assert json.loads(from_npy.stdout) == json.loads(files["json"].read_text())
+    assert json.loads(from_npy.out) == json.loads(files["json"].read_text())
 
 
-def test_no_term_of_a_law_hides_a_signal(tmp_path):
+def test_no_term_of_a_law_hides_a_signal(run, tmp_path):
     """A bias of the LVDT moves the true position by as much, and the estimate not at all."""
     path = tmp_path / "traces.npz"
     done = run("simulate", "--controller", "dcarc", "--scenario", "constant", "--duration", "1",
                "--set", "lvdt.bias=0.5", "--npz", path)  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert done.status == 0, done.err
     with np.load(path) as traces:
         assert abs(traces["position"][-1] + 0.5) < 0.01
         assert abs(traces["dcarc.position"][-1]) < 0.01
 
 
-def test_commands_come_offline_as_a_node_would_get_them():
+def test_commands_come_offline_as_a_node_would_get_them(run):
     def e_rms(*options):
         done = run("simulate", "--scenario", "sine", "--duration", "2", "--json", "-", *options)
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)["true_error"]["e_rms"]
+        assert done.status == 0, done.err
+        return json.loads(done.out)["true_error"]["e_rms"]
 
     usual = e_rms()
     linear = ("--set", "command.interpolation=linear")
@@ -91,9 +83,9 @@ def test_commands_come_offline_as_a_node_would_get_them():
     assert usual < e_rms(*linear) < e_rms("--command-period", "0.01", *linear)
 
 
-def test_compare_lists_every_controller(tmp_path):
+def test_compare_lists_every_controller(run, tmp_path):
     done = run("compare", "--duration", "1.0", "--json", tmp_path / "c.json")
-    assert done.returncode == 0, done.stderr
+    assert done.status == 0, done.err
     result = json.loads((tmp_path / "c.json").read_text())
     assert [r["controller"] for r in result["runs"]] == [
         "arc",
@@ -104,13 +96,13 @@ def test_compare_lists_every_controller(tmp_path):
         "open_loop",
     ]
     assert result["paper"]["arc"]["c_u"] == 0.416
-    assert done.stdout.count("paper") == 3
+    assert done.out.count("paper") == 3
 
 
-def test_warning_when_period_and_weight_do_not_fit():
+def test_warning_when_period_and_weight_do_not_fit(run):
     done = run("simulate", "--controller", "oarc", "--set", "oarc.z2_weight=1.0", "--json", "-")
-    assert done.returncode == 0
-    assert "oarc.z2_weight" in done.stderr and "oarc.z2_weight" in json.loads(done.stdout)["warning"]
+    assert done.status == 0
+    assert "oarc.z2_weight" in done.err and "oarc.z2_weight" in json.loads(done.out)["warning"]
 
 
 @pytest.mark.parametrize(
@@ -149,7 +141,7 @@ def test_warning_when_period_and_weight_do_not_fit():
         (["--set", "pid.break_frequency=0.5"], ["pid.break_frequency", "negative"]),
     ],
 )
-def test_bad_input_is_one_sentence(tmp_path, arguments, words):
+def test_bad_input_is_one_sentence(run, tmp_path, arguments, words):
     (tmp_path / "words.csv").write_text("one\ntwo\n")
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "nan.csv").write_text("1.0\nnan\n")
@@ -158,17 +150,17 @@ def test_bad_input_is_one_sentence(tmp_path, arguments, words):
     (tmp_path / "bad.yaml").write_text("a: [1, 2\n")
     (tmp_path / "flat.yaml").write_text("controller: {arc: 1}\n")
     (tmp_path / "wrong.yaml").write_text("controller:\n  ros__parameters:\n    arc: {k1: 120}\n")
-    done = run("simulate", *arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    lines = done.stderr.strip().splitlines()
-    assert len(lines) == 1, done.stderr
+    done = run("simulate", *arguments)
+    assert done.status == 2
+    assert done.out == ""
+    lines = done.err.strip().splitlines()
+    assert len(lines) == 1, done.err
     for word in words:
         assert word in lines[0]
 
 
-def test_help_shows_examples_and_defaults():
+def test_help_shows_examples_and_defaults(run):
     done = run("--help")
-    assert done.returncode == 0 and "examples:" in done.stdout
-    assert "--params-file" in run("simulate", "--help").stdout
-    assert "arc.epsilon" in run("parameters", "arc").stdout
+    assert done.status == 0 and "examples:" in done.out
+    assert "--params-file" in run("simulate", "--help").out
+    assert "arc.epsilon" in run("parameters", "arc").out

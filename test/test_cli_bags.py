@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,16 +11,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent / "recordings"))
 from made import Run, write
 
-from valve_control.cli import main
-
 REAL = Path(__file__).parent / "data" / "bags"
-
-
-def command(*arguments, cwd=None):
-    return subprocess.run(
-        [sys.executable, "-m", "valve_control.cli", *map(str, arguments)],
-        capture_output=True, text=True, timeout=120, cwd=cwd, check=False,
-    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -42,16 +32,16 @@ def bags(tmp_path_factory):
     return folder
 
 
-def test_analyze_writes_everything_it_says(bags, tmp_path):
+def test_analyze_writes_everything_it_says(run, bags, tmp_path):
     files = {k: tmp_path / f"out.{k}" for k in ("json", "csv", "html")}
-    done = command(
+    done = run(
         "analyze", bags / "arc", "--json", files["json"], "--csv", files["csv"], "--html", files["html"],
         "--expect", "e_rms<0.1", "--expect", "timing.spool_position.lost==0",
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert done.status == 0, done.err
     for path in files.values():
-        assert f"wrote {path}" in done.stdout
-    assert "after change 1: arc.k1 = 100.0" in done.stdout and done.stdout.count("met: ") == 2
+        assert f"wrote {path}" in done.out
+    assert "after change 1: arc.k1 = 100.0" in done.out and done.out.count("met: ") == 2
     about = json.loads(files["json"].read_text())
     assert about["valves"]["valve"]["controller"] == "arc"
     assert [e["met"] for e in about["expectations"]] == [True, True]
@@ -64,52 +54,52 @@ def test_analyze_writes_everything_it_says(bags, tmp_path):
     assert "Plotly.newPlot" in text and "b0dn" in text and "bound of V2" in text
 
 
-def test_json_on_standard_output_alone(bags):
-    done = command("analyze", bags / "both", "--json", "-")
-    assert done.returncode == 0, done.stderr
-    assert set(json.loads(done.stdout)["valves"]) == {"boom", "arm"}
+def test_json_on_standard_output_alone(run, bags):
+    done = run("analyze", bags / "both", "--json", "-")
+    assert done.status == 0, done.err
+    assert set(json.loads(done.out)["valves"]) == {"boom", "arm"}
 
 
-def test_an_expectation_that_is_not_met_is_the_exit_status(bags):
-    done = command("analyze", bags / "arc", "--expect", "e_rms<1e-6")
-    assert done.returncode == 1 and "NOT MET: e_rms<1e-6" in done.stdout
+def test_an_expectation_that_is_not_met_is_the_exit_status(run, bags):
+    done = run("analyze", bags / "arc", "--expect", "e_rms<1e-6")
+    assert done.status == 1 and "NOT MET: e_rms<1e-6" in done.out
 
 
-def test_replay_in_shadow_is_the_recording(bags, tmp_path):
-    done = command("replay", bags / "arc", "--json", tmp_path / "s.json", "--html", tmp_path / "s.html",
+def test_replay_in_shadow_is_the_recording(run, bags, tmp_path):
+    done = run("replay", bags / "arc", "--json", tmp_path / "s.json", "--html", tmp_path / "s.html",
                    "--csv", tmp_path / "s.csv")  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "bit for bit" in done.stdout
+    assert done.status == 0, done.err
+    assert "bit for bit" in done.out
     about = json.loads((tmp_path / "s.json").read_text())
     assert about["bit_equal"] is True and about["samples"] == 2000 and about["mode"] == "shadow"
     table = np.genfromtxt(tmp_path / "s.csv", delimiter=",", names=True)
     assert np.array_equal(table["recorded_voltage_V"], table["shadow_voltage_V"])
-    other = command("replay", bags / "arc", "--controller", "pid", "--json", "-")
-    assert json.loads(other.stdout)["bit_equal"] is False
+    other = run("replay", bags / "arc", "--controller", "pid", "--json", "-")
+    assert json.loads(other.out)["bit_equal"] is False
 
 
-def test_replay_as_what_if(bags, tmp_path):
-    done = command("replay", bags / "oarc", "--mode", "what-if", "--set", "oarc.ks1=200.0", "--json", "-",
+def test_replay_as_what_if(run, bags, tmp_path):
+    done = run("replay", bags / "oarc", "--mode", "what-if", "--set", "oarc.ks1=200.0", "--json", "-",
                    "--html", tmp_path / "w.html")  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    about = json.loads(done.stdout)
+    assert done.status == 0, done.err
+    about = json.loads(done.out)
     assert about["controller"] == "oarc" and about["measurement_distance_rms_V"] < 0.05
     assert about["simulated"]["e_rms"] == pytest.approx(about["recorded"]["e_rms"], rel=0.5)
     assert (tmp_path / "w.html").stat().st_size > 1e6
 
 
-def test_compare_bags(bags, tmp_path):
-    done = command("compare", bags / "arc", bags / "oarc", bags / "both", "--json", tmp_path / "c.json",
+def test_compare_bags(run, bags, tmp_path):
+    done = run("compare", bags / "arc", bags / "oarc", bags / "both", "--json", tmp_path / "c.json",
                    "--html", tmp_path / "c.html", "--figure", tmp_path / "c.png")  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert done.status == 0, done.err
     runs = json.loads((tmp_path / "c.json").read_text())["runs"]
     assert [r["name"] for r in runs] == ["arc", "oarc", "both/arm", "both/boom"]
-    for run in runs:
-        assert run["name"] in done.stdout
+    for one in runs:
+        assert one["name"] in done.out
     assert (tmp_path / "c.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_compare_lays_the_motions_over_each_other(tmp_path):
+def test_compare_lays_the_motions_over_each_other(run, tmp_path):
     """The same sine after 0.2 s and after 1.1 s of rest; during the second, the LVDT is lost for a while."""
     for name, rest, lost in (("early", 200, 0), ("late", 1100, 60)):
         made = Run()
@@ -118,58 +108,58 @@ def test_compare_lays_the_motions_over_each_other(tmp_path):
         for i in range(1500):
             made.sample(1.5 * float(np.sin(2.0 * np.pi * 2.0 * i * 1e-3)), lost=700 <= i < 700 + lost)
         write(tmp_path / name, made.messages)
-    done = command("compare", tmp_path / "early", tmp_path / "late", "--json", tmp_path / "c.json",
+    done = run("compare", tmp_path / "early", tmp_path / "late", "--json", tmp_path / "c.json",
                    "--html", tmp_path / "c.html", "--figure", tmp_path / "c.png")  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert done.status == 0, done.err
     early, late = json.loads((tmp_path / "c.json").read_text())["runs"]
     assert early["shift_s"] == 0.0 and early["overlaid_by"] is None
     assert late["shift_s"] == pytest.approx(-0.9, abs=1.1e-3) and late["overlaid_by"] == "command"
-    assert "late: moved by -0.9" in done.stdout
+    assert "late: moved by -0.9" in done.out
     assert early["modes"]["safe"]["intervals"] == 0 and late["modes"]["safe"]["intervals"] == 1
-    assert "safe 0.0" in done.stdout and "only ok" in done.stdout
+    assert "safe 0.0" in done.out and "only ok" in done.out
     assert late["indices_only_ok"]["e_rms"] != late["indices"]["e_rms"]
     page = (tmp_path / "c.html").read_text()
     assert "late: moved by -0.9" in page and '"yref":"y2 domain"' in page
 
 
-def test_recover_says_what_it_did(bags, tmp_path):
+def test_recover_says_what_it_did(run, bags, tmp_path):
     shutil.copytree(bags / "arc", tmp_path / "bag")
-    done = command("bag", "recover", tmp_path / "bag")
-    assert done.returncode == 0 and "nothing was done" in done.stdout
+    done = run("bag", "recover", tmp_path / "bag")
+    assert done.status == 0 and "nothing was done" in done.out
     file = next((tmp_path / "bag").glob("*.mcap"))
     file.write_bytes(file.read_bytes()[:-700])
     (tmp_path / "bag" / "metadata.yaml").unlink()
-    torn = command("analyze", tmp_path / "bag")
-    assert torn.returncode == 0 and "unfinished" in torn.stdout and "bag recover" in torn.stdout
-    done = command("bag", "recover", tmp_path / "bag", "--json", tmp_path / "r.json")
-    assert done.returncode == 0 and "is whole again" in done.stdout, done.stderr
+    torn = run("analyze", tmp_path / "bag")
+    assert torn.status == 0 and "unfinished" in torn.out and "bag recover" in torn.out
+    done = run("bag", "recover", tmp_path / "bag", "--json", tmp_path / "r.json")
+    assert done.status == 0 and "is whole again" in done.out, done.err
     assert json.loads((tmp_path / "r.json").read_text())["done"] is True
-    repaired = command("analyze", tmp_path / "bag")
-    assert repaired.returncode == 0 and "unfinished" not in repaired.stdout
+    repaired = run("analyze", tmp_path / "bag")
+    assert repaired.status == 0 and "unfinished" not in repaired.out
 
 
-def test_recover_says_what_was_lost(bags, tmp_path):
+def test_recover_says_what_was_lost(run, bags, tmp_path):
     shutil.copytree(bags / "arc", tmp_path / "bag")
     (file,) = (tmp_path / "bag").glob("*.mcap")
     data = file.read_bytes()
     file.write_bytes(data[:50_000] + data[90_000:])
-    done = command("bag", "recover", tmp_path / "bag", "--json", tmp_path / "r.json")
-    assert done.returncode == 0 and "can be read again" in done.stdout, done.stdout + done.stderr
+    done = run("bag", "recover", tmp_path / "bag", "--json", tmp_path / "r.json")
+    assert done.status == 0 and "can be read again" in done.out, done.out + done.err
     about = json.loads((tmp_path / "r.json").read_text())
-    assert about["lost"] > 0 and f"{about['lost']} messages lost" in done.stdout
-    assert f"kept as {file.name}.damaged" in done.stdout
+    assert about["lost"] > 0 and f"{about['lost']} messages lost" in done.out
+    assert f"kept as {file.name}.damaged" in done.out
     file.write_bytes(b"")
-    done = command("bag", "recover", tmp_path / "bag")
-    assert done.returncode == 1 and "not one byte in it" in done.stdout
-    assert "holds no message; nothing could be recovered" in done.stdout and "whole" not in done.stdout
+    done = run("bag", "recover", tmp_path / "bag")
+    assert done.status == 1 and "not one byte in it" in done.out
+    assert "holds no message; nothing could be recovered" in done.out and "whole" not in done.out
 
 
-def test_a_real_bag_with_a_mapped_field(tmp_path):
-    done = command("analyze", REAL / "jazzy_mcap_drone_yaw",
+def test_a_real_bag_with_a_mapped_field(run, tmp_path):
+    done = run("analyze", REAL / "jazzy_mcap_drone_yaw",
                    "--map", "spool_position=/cf_logpos.position.x*2",
                    "--map", "valve_voltage=/cf_controll.orientation.w", "--json", "-")  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    valve = json.loads(done.stdout)["valves"]["valve"]
+    assert done.status == 0, done.err
+    valve = json.loads(done.out)["valves"]["valve"]
     assert valve["timing"]["spool_position"]["messages"] == 88
     assert valve["sources"]["spool_position"] == "/cf_logpos.position.x*2"
     assert valve["indices"]["e_rms"] is None and valve["indices"]["u_rms"] is not None
@@ -202,14 +192,9 @@ def test_a_real_bag_with_a_mapped_field(tmp_path):
         (["bag", "recover", REAL / "README.md"], ["README.md"]),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_sentence(bags, tmp_path, monkeypatch, capsys, arguments, words):
-    monkeypatch.chdir(tmp_path)
+def test_bad_input_is_one_sentence(run, bags, arguments, words):
     names = {name: bags / name for name in ("arc", "oarc", "both")}
-    try:
-        status = main([str(a).format(**names) for a in arguments])
-    except SystemExit as left:
-        status = left.code
-    out, err = capsys.readouterr()
+    status, out, err = run(*(str(a).format(**names) for a in arguments))
     assert status == 2 and out == "", out + err
     lines = err.strip().splitlines()
     assert len(lines) == 1, err

@@ -1,38 +1,30 @@
 """`valve-control calibrate` as a user runs it."""
 
 import json
-import subprocess
-import sys
 
 import pytest
+from said import sentences
 
 TINY = ("--set", "duration=2.0", "--set", "cycle=2.0", "--set", "start=0.0", "--noise-seeds", "2")
 FIXED = ("offset", "cycle", "amplitude", "disturbance.offset", "lvdt.delay", "flow_force")
 
 
-def run(*arguments, cwd=None):
-    return subprocess.run(
-        [sys.executable, "-m", "valve_control.cli", *map(str, arguments)],
-        capture_output=True, text=True, timeout=240, check=False, cwd=cwd,
-    )  # fmt: skip
-
-
-def test_calibrated_file_gives_what_was_promised(tmp_path):
+def test_calibrated_file_gives_what_was_promised(run, tmp_path):
     """Its output, taken by `compare`, has the indices of the fit."""
     (tmp_path / "t.csv").write_text("controller,e_rms,u_rms\npid,0.05,2.0\narc,0.03,2.1\n")
     fixed = [word for name in FIXED for word in ("--fix", name)]
     done = run(
         "calibrate", "t.csv", *TINY, *fixed, "--evaluations", 60, "--population", 8, "--output", "v.yaml",
-        "--json", "v.json", "--trials", "--processes", 2, cwd=tmp_path,
+        "--json", "v.json", "--trials", "--processes", 2,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "wrote v.yaml" in done.stdout and "wrote v.json" in done.stdout
+    assert done.status == 0, done.err
+    assert "wrote v.yaml" in done.out and "wrote v.json" in done.out
     result = json.loads((tmp_path / "v.json").read_text())
     assert result["noise_seeds"] == [1, 2] and result["evaluations"] >= 60
     assert not any(name in result["values"] for name in FIXED)
     assert "oarc.z2_weight" not in result["values"]
-    again = run("compare", "--params-file", "v.yaml", "--json", "-", cwd=tmp_path)
-    runs = {r["controller"]: r["indices"] for r in json.loads(again.stdout)["runs"]}
+    again = run("compare", "--params-file", "v.yaml", "--json", "-")
+    runs = {r["controller"]: r["indices"] for r in json.loads(again.out)["runs"]}
     for name, e_rms, u_rms in (("pid", 0.05, 2.0), ("arc", 0.03, 2.1)):
         ratios = result["first_seed"]["ratios"][name]
         assert runs[name]["e_rms"] / e_rms == pytest.approx(ratios["e_rms"], rel=1e-12)
@@ -55,13 +47,13 @@ def test_calibrated_file_gives_what_was_promised(tmp_path):
         (["paper", "--json", "-", "--output", "-"], "only --json takes -"),
     ],
 )
-def test_bad_input_is_one_sentence(tmp_path, arguments, said):
-    done = run("calibrate", *arguments, cwd=tmp_path)
-    assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1
+def test_bad_input_is_one_sentence(run, tmp_path, arguments, said):
+    done = run("calibrate", *arguments)
+    assert done.status == 2 and said in done.err and len(sentences(done.err)) == 1
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ranges_are_listed():
+def test_ranges_are_listed(run):
     done = run("calibrate", "paper", "--ranges", "--set", "scenario=sine")
-    assert done.returncode == 0 and "friction.presliding" in done.stdout
-    assert "\ncycle" not in done.stdout
+    assert done.status == 0 and "friction.presliding" in done.out
+    assert "\ncycle" not in done.out

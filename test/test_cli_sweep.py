@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from said import sentences
 
 from valve_control.cli import main
 
@@ -199,7 +200,7 @@ def check(place, capsys, lines):
         except Exception as error:  # what a user would see as a traceback
             status = f"{type(error).__name__}: {error}"
         out, err = capsys.readouterr()
-        told = [row for row in err.splitlines() if row.strip() and not row.startswith("note: ")]
+        told = [row for row in sentences(err) if row.strip() and not row.startswith("note: ")]
         if status not in (1, 2) or len(told) != 1 or "Traceback" in err or out:
             wrong.append((" ".join(words)[:120], status, err[-300:], out[:100]))
         now = everything(place)

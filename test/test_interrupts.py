@@ -10,6 +10,7 @@ import sys
 import time
 
 import pytest
+import sizes
 
 # What a user types, with a word on standard error when the command has begun.
 BEGUN = (
@@ -132,9 +133,18 @@ def test_a_pool_has_all_its_processes_before_signals_come_through(tmp_path):
     assert done.stdout == "3 True\n"
 
 
-# The campaign's hundred in parts, for several workers.
+PARTS = 4  # of the campaign, for several workers
+
+
 @pytest.mark.parametrize(
-    ("count", "part"), [(6, 0), *(pytest.param(25, part, marks=pytest.mark.campaign) for part in range(4))]
+    ("count", "part"),
+    [
+        (6, 0),
+        *(
+            pytest.param(sizes.INTERRUPTED_RUNS // PARTS, part, marks=pytest.mark.campaign)
+            for part in range(PARTS)
+        ),
+    ],
 )
 def test_any_moment_of_a_run(tmp_path, count, part):
     moments = random.Random(100 * part + count)
@@ -158,7 +168,7 @@ def test_any_moment_of_a_run(tmp_path, count, part):
     ],
     ids=lambda a: a[0] if isinstance(a, tuple) else "",
 )
-@pytest.mark.parametrize("count", [1, pytest.param(20, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("count", [1, pytest.param(sizes.INTERRUPTED_COMMANDS, marks=pytest.mark.campaign)])
 def test_any_moment_of_other_commands(tmp_path, arguments, longest, count):
     moments = random.Random(count)
     stati = []

@@ -4,8 +4,8 @@ import json
 import os
 import subprocess
 import sys
-import textwrap
 from pathlib import Path
+from string import ascii_lowercase
 
 import pytest
 
@@ -114,12 +114,13 @@ LAW = Law("mine", "broken", sys.modules[__name__], (), build, reshapes=lambda p:
 """
 
 
-def package(folder, text, name="mine", target="my_law:LAW"):
-    (folder / "my_law.py").write_text(textwrap.dedent(text))
-    information = folder / "my_package-1.0.dist-info"
+def package(folder, text, letter="a"):
+    """Package ``package_a`` with the law ``minea`` in the module ``law_a``."""
+    (folder / f"law_{letter}.py").write_text(text.replace('"mine"', f'"mine{letter}"'))
+    information = folder / f"package_{letter}-1.0.dist-info"
     information.mkdir()
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
-    (information / "entry_points.txt").write_text(f"[valve_control.laws]\n{name} = {target}\n")
+    (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: package_{letter}\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text(f"[valve_control.laws]\nmine{letter} = law_{letter}:LAW\n")
 
 
 BROKEN = [
@@ -127,30 +128,39 @@ BROKEN = [
     ('Law("mine"', 'Law("My law"', "its name is 'My law'; it must be one word in lower case"),
     ("import sys\n", "import sys\nimport not_there\n", "it cannot be imported: ModuleNotFoundError"),
     ("command, measurement, offset)", "command)", "must take (params, state, command, measurement, offset)"),
-    ("def hold(", "def held(", "my_law has no function hold(params, state, command"),
-    ("class Terms", "class Others", "my_law has no NamedTuple Terms"),
-    ("    u_max: float\n", "", "my_law.Params has no field u_max"),
-    ("last: float", "last: list", "my_law.State.last must be a float or a NamedTuple of floats"),
+    ("def hold(", "def held(", "{law} has no function hold(params, state, command"),
+    ("class Terms", "class Others", "{law} has no NamedTuple Terms"),
+    ("    u_max: float\n", "", "{law}.Params has no field u_max"),
+    ("last: float", "last: list", "{law}.State.last must be a float or a NamedTuple of floats"),
     ("State(voltage), Terms", "Terms", "its step must return (voltage, state, terms)"),
     ("command + offset", "command + float('nan')", "it must be a finite float"),
     ("command + offset", "1.0 / (command - command)", "its first step fails: ZeroDivisionError"),
 ]
 
 
-@pytest.mark.parametrize(("old", "new", "reason"), BROKEN, ids=[reason[:30] for _, _, reason in BROKEN])
-def test_a_broken_law_is_named_in_one_sentence_and_the_rest_works(tmp_path, old, new, reason):
-    text = LAW.replace(old, new)
-    assert text != LAW
-    package(tmp_path, text)
-    done = run(tmp_path, "simulate", "--controller", "pid", "--duration", "0.1", "--json", "-")
+@pytest.fixture(scope="module")
+def beside_broken_laws(tmp_path_factory):
+    """A run of PID in one process with all the broken packages."""
+    folder = tmp_path_factory.mktemp("broken")
+    for letter, (old, new, _) in zip(ascii_lowercase, BROKEN, strict=False):
+        assert old in LAW
+        package(folder, LAW.replace(old, new), letter)
+    return run(folder, "simulate", "--controller", "pid", "--duration", "0.1", "--json", "-")
+
+
+@pytest.mark.parametrize("number", range(len(BROKEN)), ids=[reason[:30] for _, _, reason in BROKEN])
+def test_a_broken_law_is_named_in_one_sentence_and_the_rest_works(beside_broken_laws, number):
+    done = beside_broken_laws
+    letter, reason = ascii_lowercase[number], BROKEN[number][2]
     assert done.returncode == 0 and json.loads(done.stdout)["controller"] == "pid"
-    (line,) = [line for line in done.stderr.splitlines() if "left out" in line]
-    assert line.startswith("valve-control: the law 'mine' of the package my_package is left out: "), line
-    assert reason in line and "Traceback" not in done.stderr
+    start = f"valve-control: the law 'mine{letter}' of the package package_{letter} is left out: "
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith(start)]
+    assert reason.format(law=f"law_{letter}") in line and "Traceback" not in done.stderr
+    assert done.stderr.count("left out") == len(BROKEN)
 
 
 def test_a_law_that_does_not_compile_is_named_with_its_package(tmp_path):
     package(tmp_path, LAW.replace("voltage = command + offset", "voltage = eval('command') + offset"))
-    done = run(tmp_path, "simulate", "--controller", "mine", "--duration", "0.1")
+    done = run(tmp_path, "simulate", "--controller", "minea", "--duration", "0.1")
     assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert "the law 'mine' of the package my_package does not compile: " in done.stderr
+    assert "the law 'minea' of the package package_a does not compile: " in done.stderr

@@ -19,6 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
+import sizes
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Message
@@ -34,7 +35,6 @@ from valve_control.bags.recover import recover
 from valve_control.bags.writer import BagWriter
 from valve_control.cli import main
 
-DAMAGES = 200
 PARTS = 4  # tests that share the damages
 SAMPLES = 700
 
@@ -399,8 +399,8 @@ def closing_bag(path):
 @pytest.mark.parametrize("part", range(PARTS))
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_harmed_bags(made, tmp_path, capsys, storage, part):
-    """200 damages of each storage, half of them before each of the bags was finished."""
-    count = DAMAGES // PARTS
+    """Damages of each storage, half of them before each of the bags was finished."""
+    count = sizes.DAMAGES // PARTS
     failed = []
     begun = time.monotonic()
     for k in range(part * count, (part + 1) * count):

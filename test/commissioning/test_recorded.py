@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from said import sentences
 
 from valve_control.commissioning import recorded
 from valve_control.identification.experiment import Experiment
@@ -119,7 +120,7 @@ def test_tune_from_a_bag(run, tmp_path, moved):
     assert 0.0 < about["simulated_with"]["pid"]["e_rms"] < 0.5
     assert files.load("t.yaml")["controller"]["controller"] == "pid"
     status, out, err = run("tune", "--bag", "operation", "--scenario", "sine")
-    assert status == 2 and "takes no --scenario" in err and len(err.strip().splitlines()) == 1
+    assert status == 2 and "takes no --scenario" in err and len(sentences(err)) == 1
 
 
 def test_tune_from_a_bag_at_rest(run, tmp_path):
@@ -128,4 +129,4 @@ def test_tune_from_a_bag_at_rest(run, tmp_path):
         made.sample(0.0)
     write(tmp_path / "still", made.messages)
     status, _, err = run("tune", "--bag", "still")
-    assert status == 2 and "has no excitation" in err and len(err.strip().splitlines()) == 1
+    assert status == 2 and "has no excitation" in err and len(sentences(err)) == 1

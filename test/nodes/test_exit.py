@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+import sizes
 from bench import PROGRAMS
 
 from valve_control.nodes import NODES
@@ -116,7 +117,7 @@ def runs_in(process, folder):
     [
         ("controller", 3),
         ("demo", 3),
-        *(pytest.param(name, 20, marks=pytest.mark.campaign) for name in PROGRAMS),
+        *(pytest.param(name, sizes.INTERRUPTED_IMPORTS, marks=pytest.mark.campaign) for name in PROGRAMS),
     ],
 )
 def test_ctrl_c_during_the_imports_is_quiet(name, count, tmp_path):

@@ -4,6 +4,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+import sizes
 from bench import run_tool, spin_until
 from std_msgs.msg import Float64
 
@@ -85,11 +86,11 @@ def test_nothing_stands_still_while_others_join_and_are_killed(tmp_path):
     failures = []
     while len(failures) < 3:
         try:
-            _, joined, worked = run_tool("joiners", tmp_path, "--kills", "200")
+            _, joined, worked = run_tool("joiners", tmp_path, "--kills", str(sizes.JOINERS))
         except AssertionError as failure:
             failures.append(str(failure))
             continue
-        assert joined["kills"] == worked["kills"] == 200
+        assert joined["kills"] == worked["kills"] == sizes.JOINERS
         standstills = [entry["longest_standstill_s"] for entry in joined.values() if isinstance(entry, dict)]
         assert len(standstills) == 6 and max(standstills) <= 0.02
         return

@@ -2,8 +2,6 @@
 
 import json
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -26,23 +24,16 @@ def settings_of_third_order():
     return [part for name, value in THIRD_ORDER.items() for part in ("--set", f"{name}={value}")]
 
 
-def valve_control(*arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "valve_control.cli", *map(str, arguments)],
-        capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("file", "controller", "frequency"),
     [("arc", "arc", 66.0), ("oarc", "oarc", 47.0), ("pid_plain", "pid", 57.0)],
 )
-def test_simulate_says_saturation_and_limit_cycle(config, file, controller, frequency):
+def test_simulate_says_saturation_and_limit_cycle(run, config, file, controller, frequency):
     arguments = [
         "simulate", "--params-file", config / f"{file}.yaml", *settings_of_third_order(),
         "--scenario", "step", "--set", "amplitude=0.3", "--duration", "3.0",
     ]  # fmt: skip
-    result = json.loads(valve_control(*arguments, "--json", "-").stdout)
+    result = json.loads(run(*arguments, "--json", "-").out)
     assert result["controller"] == controller
     assert 0.3 < result["saturated"] < 1.0
     cycle = result["limit_cycle"]
@@ -50,25 +41,19 @@ def test_simulate_says_saturation_and_limit_cycle(config, file, controller, freq
     assert cycle["amplitude"] == pytest.approx(10.0, abs=0.2)
     assert cycle["start"] < 0.5 and cycle["end"] > 2.9
     assert f"{controller} with these gains is unstable on this valve" in result["warning"]
-    done = valve_control(*arguments)
-    assert "unstable on this valve" in done.stderr
-    line = next(line for line in done.stdout.splitlines() if line.startswith(f"{controller}: saturated in"))
+    done = run(*arguments)
+    assert "unstable on this valve" in done.err
+    line = next(line for line in done.out.splitlines() if line.startswith(f"{controller}: saturated in"))
     assert "% of the samples, limit cycle at" in line and "Hz with 10 V from" in line
 
 
-def test_compare_and_study_say_it_too(config, tmp_path):
-    done = valve_control(
-        "compare", *settings_of_third_order(), "--duration", "3.0", "--json", tmp_path / "c.json"
-    )
-    assert (
-        "arc: saturated in" in done.stdout and "arc with these gains is unstable on this valve" in done.stderr
-    )
+def test_compare_and_study_say_it_too(run, config, tmp_path):
+    done = run("compare", *settings_of_third_order(), "--duration", "3.0", "--json", tmp_path / "c.json")
+    assert "arc: saturated in" in done.out and "arc with these gains is unstable on this valve" in done.err
     runs = {run["controller"]: run for run in json.loads((tmp_path / "c.json").read_text())["runs"]}
     assert runs["arc"]["limit_cycle"] is not None and runs["open_loop"]["limit_cycle"] is None
-    done = valve_control(
-        "study", "--controller", "oarc", "--valves", "10000", "--replay", "4485", "--json", "-"
-    )
-    result = json.loads(done.stdout)
+    done = run("study", "--controller", "oarc", "--valves", "10000", "--replay", "4485", "--json", "-")
+    result = json.loads(done.out)
     assert result["limit_cycle"]["amplitude"] > 5.0 and result["saturated"] > 0.3
     assert "on this valve" in result["warning"]
 

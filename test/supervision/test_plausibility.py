@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import sizes
 from test_supervisor import FADE, LAWS, PERIOD, Loop
 
 from valve_control.compiling import compile_function
@@ -269,7 +270,7 @@ def recordings(law, scenario, first, count):
 
 @pytest.mark.parametrize("scenario", ["point_to_point", "sine"])
 @pytest.mark.parametrize("law", registry.LAWS)
-@pytest.mark.parametrize("count", [256, pytest.param(10_000, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("count", [256, pytest.param(sizes.VALVES, marks=pytest.mark.campaign)])
 def test_no_valve_of_the_study_s_box_is_taken_for_a_wrong_lvdt(law, scenario, count):
     """Gains, speeds, friction, flow forces, drift, noise, delays and periods; unstable loops too."""
     watch = compile_function(first_alarm)
