@@ -120,7 +120,12 @@ def add_commands(commands: Any) -> None:
     parameters.set_defaults(run=_parameters, json=None)
 
 
-def settings_of(arguments: argparse.Namespace) -> dict[str, Values]:
+def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Values]:
+    """Checked values by node from the options and files.
+
+    ``law``: for a comparison, without what other laws' files have for the controller; the notes are then
+    told already. Raises ParameterError.
+    """
     from valve_control.parameters import files
 
     array = {} if arguments.command is None else {"scenario": "array", "command_file": arguments.command}
@@ -139,8 +144,8 @@ def settings_of(arguments: argparse.Namespace) -> dict[str, Values]:
     for options in direct.values():
         options["sample_period"] = arguments.sample_period
     notes: list[str] = []
-    changes = files.given(arguments.params_file, direct, arguments.set, notes)
-    tell_notes(notes)
+    changes = files.given(arguments.params_file, direct, arguments.set, notes, law=law)
+    tell_notes([] if law else notes)
     return {node: updated(table, defaults(table), changes[node]) for node, table in NODES.items()}
 
 
@@ -282,24 +287,44 @@ def _compare(arguments: argparse.Namespace) -> None:
     check_outputs(arguments, figures=[arguments.figure])
     settings = settings_of(arguments)
     command = _command(arguments, settings["command_source"])
-    delivered = delivery_of(arguments, settings["controller"])
+    _tell_owners(arguments.params_file)
     runs = []
     for controller in CONTROLLERS:
-        values = updated(NODES["controller"], settings["controller"], {"controller": controller})
+        own = settings_of(arguments, controller)["controller"]
+        values = updated(NODES["controller"], own, {"controller": controller})
+        delivered = delivery_of(arguments, values)
         run = offline.simulate(values, settings["valve_simulator"], command, delivered=delivered)
         if run.warning:
             print(f"warning: {run.warning}", file=sys.stderr)
         runs.append(run)
+    paper = PAPER_TABLE_1 if _of_the_paper(settings) else {}
     if arguments.json != "-":
         print(HEADER)
         for run in runs:
             print(index_row(run.controller, run.indices))
             _say_cycle(run)
-            if run.controller in PAPER_TABLE_1:
-                print(index_row("  paper", PAPER_TABLE_1[run.controller]))
+            if run.controller in paper:
+                print(index_row("  paper", paper[run.controller]))
     _figure(arguments, runs, str(settings["command_source"]["scenario"]))
-    paper = {name: values._asdict() for name, values in PAPER_TABLE_1.items()}
-    write_json(arguments, {"runs": [_result(run, settings) for run in runs], "paper": paper})
+    printed = {name: values._asdict() for name, values in paper.items()}
+    write_json(arguments, {"runs": [_result(run, settings) for run in runs], "paper": printed})
+
+
+def _of_the_paper(settings: Mapping[str, Values]) -> bool:
+    """Whether valve and motion are of the kind that the paper's Table 1 was measured with."""
+    model, scenario = settings["valve_simulator"]["valve"], settings["command_source"]["scenario"]
+    return model != "custom" and scenario == "point_to_point"
+
+
+def _tell_owners(paths: Sequence[str]) -> None:
+    """Say which files hold for one law, and have values that others could have taken too."""
+    from valve_control.parameters import files
+
+    loaded = [files.load(path)["controller"] for path in paths]
+    for path, values, law in zip(paths, loaded, files.of_laws(loaded), strict=True):
+        shared = [name for name in values if name != "controller" and not name.startswith(f"{law}.")]
+        if law and set(shared) - files.OF_ALL:
+            tell_notes([f"{path} names {law} as its controller; the other laws are run without it"])
 
 
 def _parameters(arguments: argparse.Namespace) -> None:

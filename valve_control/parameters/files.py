@@ -10,8 +10,10 @@ from typing import Any, NamedTuple
 import yaml
 
 from valve_control import inputs, outputs
-from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, lookup
+from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, lookup, word
 from valve_control.parameters.table import NODES, is_of_ros
+
+OF_ALL = {"sample_period", "u_max", "command_limit"}  # of the machine: a file of one law has them for all
 
 
 def config_folder() -> Path:
@@ -206,15 +208,21 @@ def given(
     settings: Sequence[str],
     notes: list[str] | None = None,
     nodes: Mapping[str, Table] = NODES,
+    law: str = "",
 ) -> dict[str, dict[str, Any]]:
     """Values by node from parameter files, options of their own (``direct``) and --set; later ones win.
 
-    ``nodes``: which there are, with their parameters; ``notes`` gets what is to be told of the files.
+    ``nodes``: which there are, with their parameters; ``notes`` gets what is to be told of the files;
+    ``law``: the controller's values are for this law, so that files of other laws are left out.
     Raises ParameterError.
     """
     changes: dict[str, dict[str, Any]] = {node: {} for node in nodes}
-    for path in paths:
-        for node, values in load(path, notes, nodes).items():
+    loaded = [load(path, notes, nodes) for path in paths]
+    owners = of_laws([values.get("controller", {}) for values in loaded])
+    for by_node, owner in zip(loaded, owners, strict=True):
+        for node, values in by_node.items():
+            if node == "controller" and law and owner not in ("", law):
+                values = {name: values[name] for name in OF_ALL & values.keys()}
             changes[node].update(values)
     for node, options in direct.items():
         changes[node].update({name: value for name, value in options.items() if value is not None})
@@ -231,6 +239,26 @@ def given(
                 )
             changes[node][name] = value
     return changes
+
+
+def of_laws(files: Sequence[Values]) -> list[str]:
+    """Law to which each file's values of the controller belong; "": to all laws.
+
+    A file belongs to the law that it names as ``controller``. It belongs to all laws if it has parameters of
+    others too and no other file names another law.
+    """
+    named = [word(values, "controller") if "controller" in values else "" for values in files]
+    several = len(set(filter(None, named))) > 1
+    return [
+        name if several or not any(_law_of(p) not in ("", name) for p in values) else ""
+        for name, values in zip(named, files, strict=True)
+    ]
+
+
+def _law_of(name: str) -> str:
+    """Law whose parameter ``name`` is; "": of all laws."""
+    head = name.partition(".")[0]
+    return head if head in lookup(NODES["controller"], "controller").choices else ""
 
 
 def parse_setting(text: str, nodes: Mapping[str, Table] = NODES) -> tuple[str, dict[str, Value]]:
