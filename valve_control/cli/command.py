@@ -14,6 +14,7 @@ from valve_control.cli import (
     commission,
     export,
     identification,
+    margins,
     moved,
     recordings,
     simulate,
@@ -36,6 +37,7 @@ EXAMPLES = """examples:
   valve-control axis --params-file config/axis/bench.yaml --controller pid --figure axis.png
   valve-control export --controller oarc --params-file config/d3fxe.yaml --output oarc_in_c
   valve-control tune --controller dcarc --max-chatter 0.25 --output tuned.yaml
+  valve-control margins --controller dcarc --params-file tuned.yaml --box
   valve-control commission --max-voltage 4 --travel 2
   valve-control analyze my_bag --html report.html --expect 'e_rms<0.02'
   valve-control analyze my_bag --map spool_position=/joint_states.position[0]*250
@@ -48,7 +50,7 @@ EXAMPLES = """examples:
 
 GROUPS = {
     "your valve": ("identify", "compensator", "calibrate", "parameters"),
-    "simulate": ("simulate", "compare", "study", "tune", "axis"),
+    "simulate": ("simulate", "compare", "study", "tune", "margins", "axis"),
     "the machine": ("commission", "export"),
     "recordings": ("analyze", "replay", "bag"),
 }
@@ -80,6 +82,7 @@ class Commands:
             calibration,
             study,
             tune,
+            margins,
             commission,
             export,
             axis,

@@ -30,11 +30,19 @@ LONG = 5_000_000  # samples from which on a run shows its progress
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
 
+def valve_options() -> Parser:
+    """Parser with the options that say which valve and gains, for what has no motion and no noise."""
+    options = Parser(add_help=False)
+    options.set_defaults(scenario=None, command=None, duration=None, seed=None)
+    _valve_options(options.add_argument_group("which valve and gains"))
+    return options
+
+
 def setup_options(several: bool = False) -> Parser:
     """Parser with the options that say what is simulated; ``several``: with any number of commands."""
     options = Parser(add_help=False)
     group = options.add_argument_group("what is simulated")
-    group.add_argument("--valve", choices=VALVES, help="linear valve model (default: fourth_order)")
+    _valve_options(group)
     group.add_argument("--scenario", choices=SCENARIOS[:-1], help="command shape (default: point_to_point)")
     group.add_argument(
         "--command",
@@ -43,9 +51,14 @@ def setup_options(several: bool = False) -> Parser:
         help="command from a CSV or NPY array, one number per sample period"
         + ("; again for more" if several else ""),
     )
-    group.add_argument("--sample-period", type=float, metavar="S", help="sample period [s] (0.001)")
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (6.0, or the whole array)")
     group.add_argument("--seed", type=int, metavar="N", help="seed of the LVDT noise (1)")
+    return options
+
+
+def _valve_options(group: Any) -> None:
+    group.add_argument("--valve", choices=VALVES, help="linear valve model (default: fourth_order)")
+    group.add_argument("--sample-period", type=float, metavar="S", help="sample period [s] (0.001)")
     group.add_argument(
         "--set",
         action="append",
@@ -60,7 +73,6 @@ def setup_options(several: bool = False) -> Parser:
         metavar="FILE",
         help="ROS 2 parameter file; again for more, later ones win; --set wins over files",
     )
-    return options
 
 
 def delivery_options() -> Parser:

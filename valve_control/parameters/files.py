@@ -219,11 +219,10 @@ def given(
     changes: dict[str, dict[str, Any]] = {node: {} for node in nodes}
     loaded = [load(path, notes, nodes) for path in paths]
     owners = of_laws([values.get("controller", {}) for values in loaded])
-    for by_node, owner in zip(loaded, owners, strict=True):
-        for node, values in by_node.items():
-            if node == "controller" and law and owner not in ("", law):
-                values = {name: values[name] for name in OF_ALL & values.keys()}
-            changes[node].update(values)
+    for file, owner in zip(loaded, owners, strict=True):
+        for node, values in file.items():
+            others = node == "controller" and law and owner not in ("", law)
+            changes[node].update({name: v for name, v in values.items() if not others or name in OF_ALL})
     for node, options in direct.items():
         changes[node].update({name: value for name, value in options.items() if value is not None})
     told: dict[str, str] = {}
@@ -250,8 +249,8 @@ def of_laws(files: Sequence[Values]) -> list[str]:
     named = [word(values, "controller") if "controller" in values else "" for values in files]
     several = len(set(filter(None, named))) > 1
     return [
-        name if several or not any(_law_of(p) not in ("", name) for p in values) else ""
-        for name, values in zip(named, files, strict=True)
+        law if several or not any(_law_of(name) not in ("", law) for name in values) else ""
+        for law, values in zip(named, files, strict=True)
     ]
 
 

@@ -9,13 +9,20 @@ import cmath
 import math
 from typing import Any
 
+import numpy as np
+
 from valve_control.laws.law import Law
+from valve_control.laws.signals import Start
 from valve_control.parameters import linear_loop
 from valve_control.plant import valve
 from valve_control.plant.models import TransferFunction
 
 GAIN_MARGIN = 1.25  # of b0; the real valve's b0 lies that far from θ(0), and so does (2)
 MOST_DELAY = 50.0  # periods of dead time; more is left to the run
+FARTHEST = 40  # dB  by which a gain is changed to find one with which an unstable loop is stable
+PROBED, SETTLED = 0.01, 0.5  # V, s  command with which a law without feedback is tried, and how long
+OFF = 0.5  # -  error of its position over the command from which on it is told
+STABLE = 1.0 + 1e-6  # largest modulus of a pole, with room for rounding
 
 
 FREE = valve.Disturbance(
@@ -39,9 +46,12 @@ def spectral_radius(law: Law, params: Any, theta: tuple[float, ...]) -> float:
 
     ``theta``: a1 [1/s], a0 [1/s²] and b0 [1/s²] of that model.
     """
+    return abs(dominant_pole(law, params, _believed(params, theta)))
+
+
+def _believed(params: Any, theta: tuple[float, ...]) -> valve.Params:
     model = TransferFunction((theta[2],), (1.0, theta[0], theta[1]))
-    plant = valve.design(model, params.period, params.u_max, 1.0, FREE, IDEAL)
-    return abs(dominant_pole(law, params, plant))
+    return valve.design(model, params.period, params.u_max, 1.0, FREE, IDEAL)
 
 
 def dominant_pole(law: Law, params: Any, plant: valve.Params) -> complex:
@@ -61,21 +71,69 @@ def warning(law: Law, params: Any) -> str:
     )
     if radius < 1.0:
         return ""
-    return (
+    told = (
         f"{law.name} with these gains is unstable, or within 2 dB of it, at a sample period of "
-        f"{params.period:g} s (largest pole of the sampled loop: {radius:.3f}); {law.remedy}"
+        f"{params.period:g} s (largest pole of the sampled loop: {radius:.3f})"
     )
+    if spectral_radius(law, params, theta) < 1.0:
+        return f"{told}; {law.remedy}"
+    return f"{told}; {_advice(law, params, _believed(params, theta), law.remedy)}"
 
 
 def valve_warning(law: Law, params: Any, plant: valve.Params) -> str:
     """One sentence if the sampled loop around this very valve is unstable, else ""."""
-    if not law.feedback or plant.lvdt.delay > MOST_DELAY:
+    if not law.feedback:
+        return _static_warning(law, params, plant)
+    if plant.lvdt.delay > MOST_DELAY:
         return ""
     pole = dominant_pole(law, params, plant)
-    if abs(pole) <= 1.0 + 1e-6:
+    if abs(pole) <= STABLE:
         return ""
     frequency = abs(cmath.phase(pole)) / (2.0 * math.pi * params.period)
     return (
         f"{law.name} with these gains is unstable on this valve (largest pole of the sampled loop: "
-        f"{abs(pole):.3f}, at {frequency:.3g} Hz); lower the gains, or give the law this valve's parameters"
+        f"{abs(pole):.3f}, at {frequency:.3g} Hz); {_advice(law, params, plant, 'lower the gains')}, or give "
+        "the law this valve's parameters"
     )
+
+
+def _static_warning(law: Law, params: Any, plant: valve.Params) -> str:
+    """One sentence if a law without feedback brings ``plant`` to another position than the command."""
+    state = law.module.initial(params, Start(0.0, 0.0, 0.0, 0.0, 0.0))
+    voltage = 0.0
+    for _ in range(math.ceil(SETTLED / plant.period)):
+        voltage, state, _ = law.module.step(params, state, PROBED, 0.0, 0.0)
+    (a,), (b,) = linear_loop.linear_valves([plant])[:2]
+    there = float(np.linalg.lstsq(np.eye(4) - a, b, rcond=None)[0][0]) * voltage / PROBED
+    if abs(there - 1.0) <= OFF:
+        return ""
+    return (
+        f"{law.name} has no feedback: on this valve the spool comes to rest at {there:.3g} times the "
+        "command; give the law this valve's parameters"
+    )
+
+
+def stable_gains(law: Law, params: Any, plant: valve.Params) -> tuple[int | None, int | None]:
+    """By how many dB the loop's gain has to fall, or to rise, until the unstable loop is stable; None: never.
+
+    The loop is cut at the voltage, as for its margins (tuning/margins.py).
+    """
+    linear = linear_loop.linear_law(law, params, frozen=True)
+    steps = np.arange(1, FARTHEST + 1)
+    valves = linear_loop.linear_valves([plant] * (2 * FARTHEST))
+    factors = 10.0 ** (np.concatenate([-steps, steps]) / 20.0)
+    poles = np.abs(
+        linear_loop.dominant_poles(linear, valves._replace(b=valves.b * factors[:, None]))
+    ).reshape(2, -1)
+    down, up = (int(steps[np.argmax(row)]) if np.any(row) else None for row in poles <= STABLE)
+    return down, up
+
+
+def _advice(law: Law, params: Any, plant: valve.Params, lower: str) -> str:
+    """Which way the gains have to go until the loop around ``plant`` is stable; ``lower``: down."""
+    down, up = stable_gains(law, params, plant)
+    if down is not None and (up is None or down <= up):
+        return f"it is stable with {down} dB less gain in the loop: {lower}"
+    if up is not None:
+        return f"it is stable with {up} dB more gain in the loop: raise the gains"
+    return "no gain in the loop makes it stable: choose gains for another model"

@@ -1,0 +1,79 @@
+"""`margins`, and the sentences about unstable loops: they say the way in which the loop becomes stable."""
+
+import json
+
+import numpy as np
+import pytest
+
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import build, stability
+from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.plant.models import FOURTH_ORDER
+from valve_control.simulation.robustness import faster
+
+SHARP = {"pid.form": "plain", "pid.kp": 10.0, "pid.ki": 940.0, "pid.kd": 0.07}
+SLOW = {"pid.form": "plain", "pid.kp": 1.0, "pid.ki": 300.0, "pid.kd": 0.0}
+
+
+def plant(gain, speed):
+    model = faster(FOURTH_ORDER, gain, speed)
+    own = {"valve": "custom", "numerator": list(model.numerator), "denominator": list(model.denominator)}
+    return build.valve_params(updated(VALVE, defaults(VALVE), own))
+
+
+@pytest.mark.parametrize(
+    ("gains", "speed", "way"),
+    [(SHARP, 0.5, "raise the gains"), ({}, 0.2, "lower the gains"), (SLOW, 0.3, "lower the gains")],
+)
+def test_an_unstable_loop_is_stable_when_its_gain_goes_the_way_that_is_said(gains, speed, way):
+    law = LAWS["pid"]
+    params = law.build(updated(CONTROLLER, defaults(CONTROLLER), gains))
+    text = stability.valve_warning(law, params, plant(0.5, speed))
+    assert way in text and "unstable on this valve" in text
+    down, up = stability.stable_gains(law, params, plant(0.5, speed))
+    change = up if way.startswith("raise") else -down
+    assert f"stable with {abs(change)} dB" in text
+    for decibel, stable in ((change, True), (change - change // abs(change), False)):
+        there = plant(0.5 * 10.0 ** (decibel / 20.0), speed)
+        assert (stability.valve_warning(law, params, there) == "") == stable
+
+
+@pytest.mark.parametrize("law", ["open_loop", "compensator"])
+def test_a_law_without_feedback_warns_on_a_valve_of_another_gain(run, law):
+    usual = ("simulate", "--controller", law, "--duration", "0.2")
+    assert run(*usual)[2] == ""
+    assert "no feedback" in run(*usual, "--set", "gain_scale=6.0")[2]
+
+
+def test_margins_shrink_by_what_the_valve_takes_of_them(run):
+    def told(*options):
+        status, out, err = run("margins", "--controller", "arc", "--json", "-", *options)
+        assert status == 0, err
+        return json.loads(out)["margins"], err
+
+    usual = told()[0]["this valve"]
+    louder = told("--set", "gain_scale=1.25")[0]["this valve"]
+    assert louder["gain_db"] == pytest.approx(usual["gain_db"] - 20.0 * np.log10(1.25), abs=0.05)
+    later = told("--set", "lvdt.delay=0.001")[0]["this valve"]
+    assert later["delay_s"] == pytest.approx(usual["delay_s"] - 0.001, abs=5e-5)
+    over, _ = told("--box", "--fix", "lvdt.noise")
+    worst = over["worst of 48 valves of the box"]
+    assert worst["gain_db"] < usual["gain_db"] and worst["delay_s"] < usual["delay_s"]
+    broken, err = told("--set", "gain_scale=30.0")
+    assert broken["this valve"]["gain_db"] == 0.0 and "lower the gains" in err
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["--controller", "open_loop"], "no feedback"),
+        (["--fix", "gain"], "--box"),
+        (["--box", "--fix", "gains"], "no such quantity"),
+        (["--box", "--set", "lvdt.delay=0.001"], "--fix lvdt.delay"),
+        (["--set", "lvdt.delay=0.5"], "dead time"),
+    ],
+)
+def test_margins_that_cannot_be_told(run, options, word):
+    status, out, err = run("margins", *options)
+    assert status == 2 and out == "" and word in err and len(err.splitlines()) == 1

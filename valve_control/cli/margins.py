@@ -1,0 +1,99 @@
+"""Defines the sub-command `margins`: how far given gains are from instability on a given valve."""
+
+import argparse
+import math
+import sys
+from typing import TYPE_CHECKING, Any
+
+from valve_control.cli.common import check_outputs, write_json
+from valve_control.cli.simulate import CONTROLLERS, settings_of, valve_options
+from valve_control.cli.study import box_of
+from valve_control.parameter import ParameterError, word
+
+if TYPE_CHECKING:
+    from valve_control.tuning.margins import Margins
+
+SEED = 1  # of the valves within the box
+
+
+def add_commands(commands: Any) -> None:
+    """Add margins to the command's sub-commands."""
+    margins = commands.add_parser(
+        "margins",
+        parents=[valve_options()],
+        help="gain, phase and delay margin of given gains on a given valve or box",
+        description="Margins of the sampled loop of one law around one valve, cut at the voltage: by how "
+        "much its gain may rise and fall, phase margin, dead time that may be added, peaks of sensitivity "
+        "and closed loop, and the largest swing about rest that friction sustains. With --box also the "
+        "worst of each over the box of valves that `study` and `tune` take.",
+    )
+    margins.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
+    margins.add_argument("--box", action="store_true", help="also over the box of valves around this one")
+    margins.add_argument(
+        "--fix",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="with --box: quantity that stays as it is; again for more",
+    )
+    margins.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
+    margins.set_defaults(run=_margins)
+
+
+def _margins(arguments: argparse.Namespace) -> None:
+    from valve_control.laws.registry import LAWS
+    from valve_control.parameters import build, stability
+    from valve_control.simulation import offline
+    from valve_control.tuning import box as boxes
+    from valve_control.tuning import margins
+
+    check_outputs(arguments)
+    if arguments.fix and not arguments.box:
+        raise ParameterError("--fix keeps a quantity of the box; give --box too")
+    settings = settings_of(arguments)
+    offline.check_agreement(settings["controller"], settings["valve_simulator"])
+    law = LAWS[word(settings["controller"], "controller")]
+    if not law.feedback:
+        raise ParameterError(f"{law.name} has no feedback, so there is no loop that could have margins")
+    params, plant = build.law_params(settings["controller"]), build.valve_params(settings["valve_simulator"])
+    if plant.lvdt.delay > stability.MOST_DELAY:
+        raise ParameterError(
+            f"the dead time of the LVDT is {plant.lvdt.delay:g} sample periods; margins are told up to "
+            f"{stability.MOST_DELAY:g}"
+        )
+    found = {"this valve": margins.margins(law, params, margins.prepared([plant]))}
+    if arguments.box:
+        plants = boxes.bounding(boxes.study_of(settings, box_of(arguments), 1, SEED))
+        over = margins.margins(law, params, margins.prepared(plants))
+        found[f"worst of {len(plants)} valves of the box"] = margins.worst(over)
+    if arguments.json != "-":
+        _print(law.name, found)
+    for warning in filter(
+        None, (stability.warning(law, params), stability.valve_warning(law, params, plant))
+    ):
+        print(f"warning: {warning}", file=sys.stderr)
+    rows = {name: margins.as_dict(one) for name, one in found.items()}
+    write_json(arguments, {"controller": law.name, "margins": rows})
+
+
+def _print(law: str, found: "dict[str, Margins]") -> None:
+    def text(value: float, scale: float, unit: str) -> str:
+        return "without end" if math.isinf(value) else f"{scale * value + 0.0:.3g} {unit:4}"
+
+    lines = {
+        "gain may rise by": ("gain_db", "dB", 1.0),
+        "gain may fall by": ("reduction_db", "dB", 1.0),
+        "phase margin": ("phase_deg", "deg", 1.0),
+        "delay margin": ("delay_s", "ms", 1e3),
+        "sensitivity peak": ("sensitivity_db", "dB", 1.0),
+        "closed-loop peak": ("response_db", "dB", 1.0),
+        "swing from friction": ("swing_v", "V", 1.0),
+        "largest pole": ("radius", "", 1.0),
+    }
+    print(f"{law:28}" + "".join(f"{name:>34}" for name in found))
+    for label, (name, unit, scale) in lines.items():
+        values = [text(float(getattr(one, name)[0]), scale, unit) for one in found.values()]
+        print(f"{label:28}" + "".join(f"{value:>34}" for value in values).rstrip())
+    for valve, one in found.items():
+        if float(one.radius[0]) >= 1.0:
+            print(f"{valve}: the loop is unstable, so no margin is left")
