@@ -36,7 +36,9 @@ def test_the_contract(run, tmp_path):
     assert "bool oarc_set_lvdt_limit(oarc_watch_params_t *p, double value);" in header
     assert "OARC_LVDT_DISAGREES" in header
     rows = (place / "check.csv").read_text().splitlines()
-    assert {row.split(",")[0] for row in rows[1:]} == {"sample", "command", "gone", "silence", "reset"}
+    assert {row.split(",")[0] for row in rows[1:]} == {
+        *("sample", "command", "point", "unpoint", "gone", "silence", "reset"),
+    }
     done = check(place, f"CFLAGS={sources.FLAGS} {folder.WARNINGS} {' '.join(SANITIZERS)}")
     assert done.returncode == 0 and f"{len(rows) - 1} rows equal to the last bit" in done.stdout, done.stderr
     # The comparison can fail: one bit of the tachometer is enough.
@@ -46,13 +48,20 @@ def test_the_contract(run, tmp_path):
     assert done.returncode != 0 and "rows differ" in done.stdout
 
 
+@compiles
+def test_commands_that_are_joined(run):
+    words = ("--controller", "pid", "--watch", "--set", "command.interpolation=linear", "--output", "made")
+    assert run("export", *words)[0] == 0
+    done = check("made")
+    assert done.returncode == 0 and "rows equal to the last bit" in done.stdout, done.stdout + done.stderr
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
         (["--plant", "valve"], "leave out --plant"),
         (["--fmu", "2"], "an FMU has the law alone"),
         (["--float"], "the watch counts time"),
-        (["--set", "command.interpolation=linear"], "set command.interpolation to hold"),
     ],
 )
 def test_what_the_watch_cannot_be_part_of_is_refused(run, tmp_path, words, reason):
@@ -77,6 +86,7 @@ def test_random_faults_under_other_parameters_in_c(tmp_path, name):
             lvdt__hold_off=0.1,
             command_timeout=0.2,
             command_limit=5.0,
+            command__interpolation=["hold", "extrapolate"][seed],
         )
         faults = [
             samples.Fault(float(random.uniform(0.02, 7.0)), int(10 ** random.uniform(0.0, 2.3)), str(what))

@@ -19,7 +19,7 @@ from valve_control.nodes.harness.processes import process
 from valve_control.parameter import defaults, updated
 from valve_control.parameters import build
 from valve_control.parameters.table import COMMAND
-from valve_control.supervision.supervisor import BOTH
+from valve_control.supervision.watch import BOTH
 
 NUMBERS = st.lists(st.floats(-1e6, 1e6), max_size=4)
 

@@ -23,4 +23,4 @@ def test_the_decay_is_that_of_the_differential_equation(tau, period, value, rate
 
 
 def test_at_rest_nothing_changes():
-    assert bumpless_transfer.step(bumpless_transfer.design(0.05, 0.001), NOTHING) is NOTHING
+    assert bumpless_transfer.step(bumpless_transfer.design(0.05, 0.001), NOTHING) == NOTHING

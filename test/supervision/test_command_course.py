@@ -146,7 +146,7 @@ def test_a_change_of_interpolation_is_in_force_at_once_and_holds_the_command():
     supervisor.apply(settings(controller="open_loop"), build.law_params(values))
     held = supervisor.command_in_force
     supervisor.sample(0.008, 8)
-    assert supervisor.command_in_force == held and supervisor.state.course is None
+    assert supervisor.command_in_force == held and supervisor.memory.course is None
 
 
 def test_lost_readings_leave_the_course_where_it_belongs():

@@ -1,8 +1,6 @@
 """A supervisor that recalls what another one remembered goes on like that one, bit for bit."""
 
 import json
-import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from valve_control.parameters.table import CONTROLLER
 from valve_control.supervision.state_snapshot import account, restore, snapshot
 from valve_control.supervision.supervisor import Supervisor
 
-DATA = Path(__file__).parents[1] / "data"
 LAWS = tuple(registry.LAWS)
 SETTINGS = {
     "reshaping__lead": 0.006,
@@ -88,38 +85,6 @@ def test_the_memory_of_another_law_or_version_is_refused():
     changed = json.loads(snapshot(other)) | {"law": "arc"}
     changed["state"]["law"] = ["arc", [1.0]]
     assert not restore(supervisor, json.dumps(changed))
-
-
-@pytest.mark.parametrize("number", range(5))
-def test_a_snapshot_of_version_0_1_goes_on_bit_for_bit(number):
-    """Written in the middle of a gap, a takeover, a doubt, on the way back to neutral, and at 0 V."""
-    recorded = json.loads((DATA / "state_snapshots_0.1.json").read_text())[number]
-    told = account(recorded["snapshot"])
-    supervisor = made(**told.values)
-    assert restore(supervisor, recorded["snapshot"])
-    now, then = json.loads(snapshot(supervisor, told.run, told.row)), json.loads(told.text)
-    now["values"] = {name: now["values"][name] for name in then["values"]}  # without those that came since
-    assert now == then
-    voltages = []
-    for command, reading, sequence in recorded["samples"]:
-        if command is not None:
-            supervisor.command(command)
-        voltages.append(supervisor.sample(math.nan if reading is None else reading, sequence, 0.001))
-    assert voltages == recorded["voltages"]
-
-
-def test_a_snapshot_with_a_lead_by_the_rate_alone_goes_on_bit_for_bit():
-    """As it was written before the acceleration had a part in the lead."""
-    moves = [(i, ("sample", 1e-3 * math.sin(i))) for i in range(1, 60)]
-    moves = [m for i, s in moves for m in ((i, ("command", 0.02 * i + 1e-4 * i * i)), (i, s))]
-    first, second = (made(reshaping__lead=0.006) for _ in range(2))
-    drive(first, moves[:60])
-    told = json.loads(snapshot(first))
-    assert told["state"]["lead"][4] > 0.0
-    told["state"]["lead"] = told["state"]["lead"][:4]
-    del told["values"]["reshaping.lead_accel"]
-    assert restore(second, json.dumps(told))
-    assert drive(first, moves[60:]) == drive(second, moves[60:])
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from valve_control.parameters import build
 from valve_control.parameters.table import COMMAND, CONTROLLER, VALVE
 from valve_control.plant import valve
 from valve_control.simulation import offline
-from valve_control.supervision.cache_warming import CacheWarming
 from valve_control.supervision.record import Mode
 from valve_control.supervision.supervisor import Supervisor
 
@@ -520,7 +519,7 @@ def test_saturation_is_said():
 
 def test_law_that_leaves_the_finite_numbers_is_switched_off_and_begins_anew():
     loop = Loop("arc").run(100)
-    loop.supervisor._state = loop.supervisor._state._replace(reference=reshaping.State(1e308, 1e308))
+    loop.supervisor.memory.law = loop.supervisor.memory.law._replace(reference=reshaping.State(1e308, 1e308))
     assert loop.step() == 0.0
     assert "law_not_finite" in loop.supervisor.conditions
     loop.run(2500)
@@ -682,34 +681,10 @@ def test_voltage_is_given_once_and_is_the_one_returned(law, readings, lost):
     assert giving.conditions == plain.conditions and giving.counts == plain.counts
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_cache_warming_leaves_no_trace(law):
-    """The voltages with cache warming before each reading are those without, through a fault too."""
-
-    def voltages(warmed):
-        loop = Loop(law)
-        warming = CacheWarming()
-        warming.apply(loop.values, build.law_params(loop.values))
-        found = []
-        for k in range(600):
-            loop.supervisor.command(loop.command())
-            if warmed:
-                warming.warm(loop.supervisor)
-            reading = math.nan if 200 <= k < 240 else loop.reading()
-            found.append(loop.supervisor.sample(reading, k + 1, PERIOD))
-            loop.s = valve.step(loop.p, loop.s, found[-1])
-            loop.k += 1
-        return found
-
-    with_warming = voltages(True)
-    assert with_warming == voltages(False)
-    assert 0.0 in with_warming[220:] and any(with_warming[-50:])
-
-
 def test_the_voltage_of_a_law_that_leaves_the_finite_numbers_is_given_once():
     """Neither the law's voltage nor the one before, but 0 V."""
     loop = Loop("arc").run(100)
-    loop.supervisor._state = loop.supervisor._state._replace(reference=reshaping.State(1e308, 1e308))
+    loop.supervisor.memory.law = loop.supervisor.memory.law._replace(reference=reshaping.State(1e308, 1e308))
     before = loop.supervisor.voltage
     found = []
     assert loop.supervisor.sample(loop.reading(), None, PERIOD, found.append) == 0.0 != before
@@ -722,11 +697,11 @@ def test_a_change_of_the_lead_and_a_way_with_lead_through_faults_are_bumpless(la
     step = usual.largest_step(100)
     loop = Loop(law, reshaping__lead=0.005).run(600)
     loop.run(150, spoil=lambda reading: math.nan)
-    assert loop.supervisor.mode is Mode.SAFE and loop.supervisor.state.lead is None
+    assert loop.supervisor.mode is Mode.SAFE and loop.supervisor.memory.lead is None
     begin = len(loop.voltages)
     loop.run(2000)
     assert loop.supervisor.mode is Mode.OK, loop.supervisor.reason
     assert loop.largest_step(begin) <= 1.5 * max(step, usual.largest_step(0)) + FADE
     values = updated(CONTROLLER, loop.values, {"sample_period": 0.0005})
     loop.supervisor.apply(values, build.law_params(values))
-    assert loop.supervisor.state.lead is None
+    assert loop.supervisor.memory.lead is None

@@ -15,7 +15,8 @@ from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER
 from valve_control.supervision import trajectory
 from valve_control.supervision.record import Mode
-from valve_control.supervision.supervisor import BOTH, Supervisor
+from valve_control.supervision.supervisor import Supervisor
+from valve_control.supervision.watch import BOTH
 from valve_control.supervision.trajectory import Motion
 
 RESHAPING_LAWS = ("arc", "oarc", "pid")
@@ -117,10 +118,10 @@ def test_a_point_that_cannot_be_used_is_refused_in_one_sentence_and_the_last_one
     supervisor = made(controller="open_loop")
     supervisor.trajectory(Motion(0.05, 0.0, 0.0))
     supervisor.sample(0.0, 1)
-    before = supervisor.state.trajectory
+    before = supervisor.memory.trajectory
     send(supervisor)
     supervisor.sample(0.001, 2)
-    assert supervisor.state.trajectory == before and supervisor.command_in_force == 0.05
+    assert supervisor.memory.trajectory == before and supervisor.command_in_force == 0.05
     assert text in supervisor.reason and supervisor.reason.count(".") <= 1
     assert supervisor.mode is Mode.DEGRADED and supervisor.counts["command_refused"] == 1
     for k in range(3, 1100):
@@ -138,7 +139,7 @@ def test_a_time_that_was_set_back_is_taken_once_the_trajectory_is_silent():
         if accepted:
             break
         supervisor.sample(0.001 * (k % 3), k)
-    assert supervisor.state.trajectory.point.position == 0.02
+    assert supervisor.memory.trajectory.point.position == 0.02
 
 
 def test_both_at_once_the_trajectory_commands_and_it_is_said():
@@ -175,7 +176,7 @@ def test_positions_beyond_the_limit_are_limited_and_stand_there():
     supervisor = made(controller="open_loop", command_limit=2.0)
     supervisor.trajectory(Motion(2.5, 40.0, 0.0))
     assert supervisor.counts["command_limited"] == 1
-    assert trajectory.motion(supervisor.state.trajectory, 0.001, 2.0) == Motion(2.0, 0.0, 0.0)
+    assert trajectory.motion(supervisor.memory.trajectory, 0.001, 2.0) == Motion(2.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("law", RESHAPING_LAWS)

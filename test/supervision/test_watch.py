@@ -1,4 +1,4 @@
-"""The supervisor's watch as pure steps: voltages and states are the supervisor's own, bit for bit."""
+"""The machine as it is exported: voltages and memory are those of the node's supervisor, bit for bit."""
 
 import math
 import types
@@ -9,9 +9,11 @@ import pytest
 from valve_control.export import samples, unit
 from valve_control.export.kinds import Kind
 from valve_control.laws.registry import LAWS
-from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameter import defaults, updated
 from valve_control.parameters.table import CONTROLLER
 from valve_control.supervision import watch
+from valve_control.supervision.record import Memory
+from valve_control.supervision.trajectory import Motion
 
 KINDS = sorted({fault.what for fault in samples.FAULTS})
 WORDS = dict.fromkeys(
@@ -38,24 +40,27 @@ def compare(chosen, count, seed, faults=samples.FAULTS):
     """Step the watch through a run of the supervisor; returns the reasons for which the voltage was off."""
     module, p = chosen.module, chosen.params
     kind = Kind("record", module.State)
-    s, off = module.at_rest(), set()
+    m, off = Memory(), set()
     for event, given, supervisor, voltage in samples.faulty(chosen, count, seed, faults):
         found = 0.0
-        if event == "command":
-            s = module.commanded(p, s, *given)
+        if event in ("command", "after"):
+            module.command(p, m, *given, *[0.0] * (2 - len(given)))
+        elif event == "point":
+            found = module.trajectory(p, m, Motion(*given[:3]), given[3])
+        elif event == "unpoint":
+            module.trajectory_gone(m)
         elif event == "gone":
-            s = module.left(s)
+            module.command_gone(m)
         elif event == "reset":
-            s = module.reset(p, s)
+            module.reset(p, m)
         elif event == "silence":
-            s = module.silent(p, s, *given)
-            found = s.voltage
+            found = module.silence(p, m, *given, False)
         else:
-            found, s = module.sample(p, s, given[0], int(given[1]))
-        assert found == voltage, (event, supervisor.state.now)
-        wanted = unit.numbers(kind, samples.remembered(supervisor), WORDS)
-        assert unit.numbers(kind, s, WORDS) == wanted, (event, supervisor.state.now)
-        off.add(s.trust.blocked)
+            found = module.sample(p, m, given[0], int(given[1]), 0.0, False)
+        assert found == voltage, (event, m.now)
+        wanted = unit.numbers(kind, unit.in_c(module, supervisor.memory), WORDS)
+        assert unit.numbers(kind, unit.in_c(module, m), WORDS) == wanted, (event, m.now)
+        off.add(m.trust.blocked)
     return off
 
 
@@ -69,6 +74,7 @@ OTHERS = [
     {"controller": "dcarc", "reshaping__lead": 0.005, "reshaping__lead_accel": 1.0},
     {"controller": "pid", "pid__form": "plain", "lvdt__hold_samples": 0, "command_timeout": 0.0},
     {"controller": "arc", "lvdt__disturbance": 0.0, "lvdt__frozen_samples": 0, "lvdt__recovery_samples": 1},
+    {"controller": "oarc", "command__interpolation": "extrapolate", "reshaping__lead": 0.005},
     {"controller": "compensator", "lockstep": True, "transfer_time": 0.5, "u_max": 3.0},
 ]
 
@@ -97,11 +103,6 @@ def test_a_law_that_leaves_the_finite_numbers_is_switched_off(monkeypatch):
     monkeypatch.setitem(LAWS, "pid", pid._replace(module=module))
     chosen = watched(controller="pid", pid__form="plain")
     assert "law_not_finite" in compare(chosen, 2500, 2)
-
-
-def test_commands_that_are_joined_are_refused():
-    with pytest.raises(ParameterError, match=r"set command\.interpolation to hold"):
-        watched(command__interpolation="linear")
 
 
 def test_the_template_itself_does_not_run():

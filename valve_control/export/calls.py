@@ -157,10 +157,14 @@ class Calls(Values):
         """A call of ``function``."""
         made = self._program.translate(function, [term.kind for term in terms])
         codes = []
+        # What lies in a memory that the function may change is handed over as a copy.
+        memories = tuple(f"{t.code}->" for t, k in zip(terms, made.arguments, strict=True) if k.is_memory)
         for term, kind in zip(terms, made.arguments, strict=True):
             term = self._as(term, kind, node)
+            if kind.is_memory and not term.pointer:
+                raise self.refused(node, f"{function.__name__} gets a memory that is none of the caller's")
             if kind.is_struct:
-                if not (term.has_address or term.pointer):
+                if not (term.has_address or term.pointer) or (memories and term.code.startswith(memories)):
                     term = self._temporary(term, node)
                 codes.append(term.code if term.pointer else f"&{term.inside(ATOM)}")
             else:

@@ -165,6 +165,13 @@ _LAW_CALLS = """        if (row->event[0] == 'i') {
 
 _WATCH_CALLS = """        if (strncmp(row->event, "command", sizeof row->event) == 0)
             @NAME@_watch_command(&@NAME@_exported, &state, row->given[0]);
+        else if (strncmp(row->event, "after", sizeof row->event) == 0)
+            @NAME@_watch_command_after(&@NAME@_exported, &state, row->given[0], row->given[1]);
+        else if (strncmp(row->event, "point", sizeof row->event) == 0)
+            found = @NAME@_watch_trajectory(&@NAME@_exported, &state, row->given[0], row->given[1],
+                                            row->given[2], row->given[3]);
+        else if (strncmp(row->event, "unpoint", sizeof row->event) == 0)
+            @NAME@_watch_trajectory_gone(&state);
         else if (strncmp(row->event, "gone", sizeof row->event) == 0)
             @NAME@_watch_command_gone(&state);
         else if (strncmp(row->event, "reset", sizeof row->event) == 0)
@@ -313,7 +320,7 @@ def readme(unit: Unit, made: Sources, rows: int, largest: float, single: bool) -
     )
     if unit.inner is not None:
         order = (
-            f"`{name}_watch_init` once, `{name}_watch_command` with each command, "
+            f"`{name}_watch_init` once, `{name}_watch_command` (or `_trajectory`) with each command, "
             f"`{name}_watch_sample` each sample."
         )
     if unit.inner is not None:

@@ -70,6 +70,11 @@ class Kind(NamedTuple):
         return self.what in ("record", "tuple", "optional", "array")
 
     @property
+    def is_memory(self) -> bool:
+        """Whether functions change it in place: a record that is marked with ``changes``."""
+        return bool(getattr(self.record, "changes", False))
+
+    @property
     def is_number(self) -> bool:
         """Whether one can calculate with it."""
         return self.what in ("real", "integer", "boolean")
@@ -135,7 +140,7 @@ def comments(lines: str) -> dict[int, str]:
 def field_texts(record: Any) -> dict[str, str]:
     """Unit and meaning of a record's fields: the comments beside them."""
     try:
-        source = textwrap.dedent(inspect.getsource(record))
+        source = textwrap.dedent(inspect.getsource(getattr(record, "template", record)))
     except (OSError, TypeError):
         return {}
     said = comments(source)

@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from valve_control.export.kinds import Kind
-from valve_control.export.unit import Unit, leaves, numbers
+from valve_control.export.unit import Unit, in_c, leaves, numbers
 from valve_control.laws.signals import Start
 from valve_control.parameter import defaults, updated
 from valve_control.parameters import build
 from valve_control.parameters.table import VALVE
 from valve_control.plant import valve
-from valve_control.supervision import watch
 from valve_control.supervision.supervisor import Supervisor
+from valve_control.supervision.trajectory import Motion
 
 COLUMNS = ("event", "a", "b", "c", "d", "e", "result", "state")
 COUNT = 3000  # samples
@@ -44,7 +44,8 @@ class Row(NamedTuple):
 
     init: reading, voltage, reference, its rate, velocity; step or hold of a law: command, reading, and offset
     or the voltage that is held; step of a plant: voltage, noises. Under the watch: sample with reading and
-    samples that were left out before it; command; gone; reset; silence with its time.
+    samples that were left out before it; command; after, a command with the time since the one before; point
+    of a trajectory with that time, and unpoint, its end; gone; reset; silence with its time.
     """
 
     event: str
@@ -93,6 +94,14 @@ def command(k: int, period: float) -> float:
     t = k * period
     height = 7.0 if int(t / 0.25) % 2 else -3.0
     return height if int(t / 1.0) % 2 == 0 else 1.5 * math.sin(2.0 * math.pi * 6.0 * t)
+
+
+def swing(t: float) -> Motion:
+    """Point of a trajectory at the time ``t`` [s]."""
+    rate = 2.0 * math.pi * 3.0
+    return Motion(
+        2.0 * math.sin(rate * t), 2.0 * rate * math.cos(rate * t), -2.0 * rate**2 * math.sin(rate * t)
+    )
 
 
 def _law(unit: Unit, count: int, seed: int) -> Iterator[Row]:
@@ -155,6 +164,9 @@ FAULTS = (
     Fault(0.40, 30, "missing"),
     Fault(0.75, 1, "gap"),  # longer than what is bridged
     Fault(1.10, 40, "jump"),
+    Fault(1.50, 300, "trajectory"),
+    Fault(1.90, 200, "trajectory"),
+    Fault(2.05, 1, "no_trajectory"),
     Fault(2.30, 60, "beyond"),
     Fault(2.70, 200, "frozen"),
     Fault(3.10, 1, "silence"),
@@ -168,16 +180,6 @@ FAULTS = (
     Fault(7.00, 1, "reset"),
     Fault(8.00, 2, "reset"),
 )  # fmt: skip
-
-
-def remembered(s: Supervisor) -> watch.State:
-    """State of ``s`` as the watch has it."""
-    state, shared = s.state, set(watch.State._fields)
-    found = {name: value for name, value in state._asdict().items() if name in shared}
-    if math.isnan(state.measurement):
-        found["measurement"] = 0.0
-    jumped = state.said.expiry.get("lvdt_jump_bridged", watch.NEVER)
-    return watch.State(**found, jumped_until=jumped)
 
 
 def faulty(
@@ -199,9 +201,21 @@ def faulty(
         wanted = 0.4 * command(k, plant.period) if t < 1.0 else command(k, plant.period)
         if "not_finite_command" in now or "large_command" in now:
             wanted = math.nan if "not_finite_command" in now else 1e6
-        if k > 10 and "no_command" not in now and k % 3 == 0:
+        spoken = k > 10 and k % 3 == 0
+        if spoken and "no_command" not in now and supervisor.joins:
+            supervisor.command(wanted, 3.0 * plant.period)
+            yield "after", (wanted, 3.0 * plant.period), supervisor, 0.0
+        elif spoken and "no_command" not in now:
             supervisor.command(wanted)
             yield "command", (wanted,), supervisor, 0.0
+        if spoken and "trajectory" in now:
+            backwards = -1.0 if k % 100 == 0 else 1.0
+            given = (*swing(t), backwards * 3.0 * plant.period)
+            taken = supervisor.trajectory(Motion(*given[:3]), given[3])
+            yield "point", given, supervisor, float(taken)
+        if "no_trajectory" in now:
+            supervisor.trajectory_gone()
+            yield "unpoint", (), supervisor, 0.0
         if "gone" in now:
             supervisor.command_gone()
             yield "gone", (), supervisor, 0.0
@@ -229,7 +243,7 @@ def under_watch(
     """Rows of a run of the supervisor, in which much goes wrong."""
     kind = Kind("record", unit.module.State)
     for event, given, supervisor, voltage in faulty(unit, count, seed, faults):
-        yield Row(event, given, voltage, numbers(kind, remembered(supervisor), words))
+        yield Row(event, given, voltage, numbers(kind, in_c(unit.module, supervisor.memory), words))
 
 
 def as_csv(rows: Sequence[Row]) -> str:

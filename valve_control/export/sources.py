@@ -5,12 +5,13 @@ from typing import Any, NamedTuple
 
 from valve_control import __version__
 from valve_control.export import design, kinds, settable
-from valve_control.export.emission import WIDTH
-from valve_control.export.kinds import INTEGER, REAL, Kind, comment, identifier
+from valve_control.export.emission import WIDTH, wrapped
+from valve_control.export.kinds import BOOLEAN, INTEGER, REAL, Kind, comment, identifier
 from valve_control.export.settable import Found, Setter
 from valve_control.export.subset import Program, SubsetError
-from valve_control.export.unit import Unit, leaves, places
+from valve_control.export.unit import Unit, begun, leaves, places
 from valve_control.laws.signals import Start
+from valve_control.supervision.trajectory import Motion
 
 FLAGS = "-std=c99 -O2 -ffp-contract=off"  # no fast-math, no fused operations: the bits of Python
 
@@ -234,7 +235,8 @@ def _begun(
             ]
             memory += item.size
         else:
-            lines.append(f"    {here} = {program.constant(item, inner)};")
+            cast = f"({program.type_name(inner)})" if inner.what == "optional" else ""
+            lines += wrapped(f"{here} = {cast}{program.constant(item, inner)};", "    ")
     return memory
 
 
@@ -250,42 +252,60 @@ def _watch(unit: Unit, program: Program, public: list[Kind], names: list[str]) -
         return [], []
     module, real = unit.module, program.real
     (params, state), (params_t, state_t) = public, names
-    init, command, gone, silence, reset, sample = (
-        program.unique(f"{unit.name}_watch_{word}")
-        for word in ("init", "command", "command_gone", "silence", "reset", "sample")
+    words = ("init", "command", "command_after", "command_gone", "trajectory", "trajectory_gone")
+    init, command, after, gone, trajectory, trajectory_gone, silence, reset, sample = (
+        program.unique(f"{unit.name}_watch_{word}") for word in (*words, "silence", "reset", "sample")
     )
-    at_rest = program.translate(module.at_rest, [])
-    commanded = program.translate(module.commanded, [params, state, REAL])
-    left = program.translate(module.left, [state])
-    silent = program.translate(module.silent, [params, state, REAL])
-    begun = program.translate(module.reset, [params, state])
-    sampled = program.translate(module.sample, [params, state, REAL, INTEGER])
-    both = f"const {params_t} *p, {state_t} *s"
+    point = Kind("record", Motion)
+    begin: list[str] = []
+    _begun(program, unit.name, state, begun(module), "s->", begin, 0)
+    commanded = program.translate(module.command, [params, state, REAL, REAL])
+    left = program.translate(module.command_gone, [state])
+    pointed = program.translate(module.trajectory, [params, state, point, REAL])
+    ended = program.translate(module.trajectory_gone, [state])
+    silent = program.translate(module.silence, [params, state, REAL, BOOLEAN])
+    again = program.translate(module.reset, [params, state])
+    sampled = program.translate(module.sample, [params, state, REAL, INTEGER, REAL, BOOLEAN])
+    both, zero = f"const {params_t} *p, {state_t} *s", program.number(0.0)
     pieces = [
-        (
-            "After switching on: 0 V, until the first reading.",
-            f"void {init}({state_t} *s)",
-            f"    *s = {at_rest.name}();",
-        ),
+        ("After switching on: 0 V, until the first reading.", f"void {init}({state_t} *s)", "\n".join(begin)),
         (
             "A command [V] for the next sample, limited; one that is not finite is refused.",
             f"void {command}({both}, {real} value)",
-            f"    *s = {commanded.name}(p, s, value);",
+            f"    {commanded.name}(p, s, value, {zero});",
+        ),
+        (
+            "As before, sent ``interval`` [s] after the command before: commands that are joined need it.",
+            f"void {after}({both}, {real} value, {real} interval)",
+            f"    {commanded.name}(p, s, value, interval);",
         ),
         (
             "The upper level has left: its command counts as silent at once.",
             f"void {gone}({state_t} *s)",
-            f"    *s = {left.name}(s);",
+            f"    {left.name}(s);",
+        ),
+        (
+            "A point [V, V/s, V/s^2] of a trajectory, whose time is ``interval`` [s] after that of the one\n"
+            " * before, 0 if that is not known. It has precedence over commands. False: it is refused.",
+            f"bool {trajectory}({both}, {real} position, {real} velocity,\n"
+            f"    {real} acceleration, {real} interval)",
+            f"    const {program.type_name(point)} point = {{position, velocity, acceleration}};\n"
+            f"    return {pointed.name}(p, s, &point, interval);",
+        ),
+        (
+            "The sender of the trajectory has left: commands are taken again.",
+            f"void {trajectory_gone}({state_t} *s)",
+            f"    {ended.name}(s);",
         ),
         (
             "No sample for ``elapsed`` [s], longer than lvdt.hold_samples: 0 V.",
             f"{real} {silence}({both}, {real} elapsed)",
-            f"    *s = {silent.name}(p, s, elapsed);\n    return s->voltage;",
+            f"    return {silent.name}(p, s, elapsed, false);",
         ),
         (
             "The law begins again where the spool is, without a bump; doubts about the LVDT are dropped.",
             f"void {reset}({both})",
-            f"    *s = {begun.name}(p, s);",
+            f"    {again.name}(p, s);",
         ),
         (
             "One sample: takes in a reading [V], NAN where there is none, before which ``lost`` samples\n"
@@ -293,8 +313,7 @@ def _watch(unit: Unit, program: Program, public: list[Kind], names: list[str]) -
             " * until readings can be believed again. s->trust.blocked: why it is off; s->trust.bridged:\n"
             " * samples that are bridged now.",
             f"{real} {sample}({both}, {real} reading, int64_t lost)",
-            f"    const {program.type_name(sampled.returns)} made = {sampled.name}(p, s, reading, lost);\n"
-            "    *s = made.item1;\n    return made.item0;",
+            f"    return {sampled.name}(p, s, reading, lost, {zero}, false);",
         ),
     ]
     return (

@@ -42,7 +42,10 @@ class Body(Expressions):
         given = []
         for argument, kind in zip(self._parsed.args.args, wanted, strict=True):
             own = self._local(argument.arg)
-            if not kind.is_struct:
+            if kind.is_memory:
+                given.append(self._type(argument, kind, f"*{own}"))
+                self._scope[argument.arg] = Term(own, kind, has_address=True, pointer=True)
+            elif not kind.is_struct:
                 given.append(self._type(argument, kind, own))
                 self._scope[argument.arg] = Term(own, kind, has_address=True)
             elif argument.arg in self._stored:
@@ -90,11 +93,16 @@ class Body(Expressions):
             self._scope[name] = Term(self._local(name), kind, has_address=True)
             self._declared[name] = kind
         said = self._said.get(node.end_lineno or node.lineno, "") if not isinstance(node, ast.If) else ""
+        self._check_order(node)
+        if self._is_left_out(node):
+            return False
         if isinstance(node, ast.Return):
             self._return(node, said)
             return True
         if isinstance(node, ast.If):
             return self._if(node)
+        if isinstance(node, ast.Try):
+            return self._try(node)
         if isinstance(node, ast.For):
             self._for(node)
             return False
@@ -105,8 +113,8 @@ class Body(Expressions):
         elif isinstance(node, ast.AnnAssign) and node.value is not None:
             self._annotated(node, said)
         elif isinstance(node, ast.AugAssign):
-            left = ast.copy_location(ast.Name(getattr(node.target, "id", ""), ast.Load()), node)
-            if not isinstance(node.target, ast.Name):
+            left = ast.parse(ast.unparse(node.target), mode="eval").body
+            if not isinstance(node.target, (ast.Name, ast.Attribute)):
                 raise self.refused(node, "an assignment to something else than a variable")
             value = ast.copy_location(ast.BinOp(left, node.op, node.value), node)
             self._assign(node.target, value, said)
@@ -146,6 +154,48 @@ class Body(Expressions):
         ended = self._nested(rest) and ended
         self._line("}")
         return ended
+
+    def _try(self, node: ast.Try) -> bool:
+        """What is tried: C raises no error of arithmetic, and goes on with what it computes instead."""
+        caught = [self._resolved(e) for h in node.handlers for e in getattr(h.type, "elts", [h.type])]
+        if node.orelse or node.finalbody or not {*caught} <= {ArithmeticError, ValueError}:
+            raise self.refused(node, "a try block for other errors than ArithmeticError and ValueError")
+        return self._block(node.body)
+
+    # What changes a memory, and when
+
+    def _check_order(self, node: ast.stmt) -> None:
+        """Refuse a call that may change a memory where C leaves open when it happens, or leaves it out."""
+        whole: ast.AST | None = getattr(node, "test" if isinstance(node, ast.If) else "value", None)
+        if isinstance(node, ast.AugAssign):
+            whole = None
+        if isinstance(whole, ast.UnaryOp) and isinstance(whole.op, ast.Not):
+            whole = whole.operand
+        parts = [node.test] if isinstance(node, ast.If) else [node]
+        if isinstance(node, (ast.For, ast.Try)):
+            parts = [node.iter] if isinstance(node, ast.For) else []
+        for part in parts:
+            for call in ast.walk(part):
+                if call is not whole and isinstance(call, ast.Call) and self._takes_memory(call):
+                    text = f"{ast.unparse(call.func)} may change its memory inside another expression"
+                    raise self.refused(call, text)
+
+    def _takes_memory(self, node: ast.Call) -> bool:
+        given = [*node.args, *(keyword.value for keyword in node.keywords)]
+        terms = [self._scope.get(part.id) for part in given if isinstance(part, ast.Name)]
+        return any(term is not None and term.kind.is_memory for term in terms)
+
+    def _is_left_out(self, node: ast.stmt) -> bool:
+        """Whether C leaves ``node`` out: calls of functions that are marked, alone or under conditions."""
+        if isinstance(node, ast.If):
+            pure = not any(isinstance(n, ast.Call) and self._takes_memory(n) for n in ast.walk(node.test))
+            return pure and all(map(self._is_left_out, [*node.body, *node.orelse]))
+        if not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)):
+            return False
+        if not getattr(self._resolved(node.value.func), "node_only", False):
+            return False
+        self._check_order(node)
+        return True
 
     def _for(self, node: ast.For) -> None:
         """A loop over a range of integers, whose variable nothing else gives a value."""
@@ -210,6 +260,8 @@ class Body(Expressions):
             self._unpack(target, value, said)
             return
         wanted = self._declared.get(target.id) if isinstance(target, ast.Name) else REAL
+        if isinstance(target, ast.Attribute):
+            wanted = self._slot(target).kind
         self._store(target, self._expression(value, wanted), said)
 
     def _unpack(self, target: ast.Tuple, value: ast.expr, said: str) -> None:
@@ -222,7 +274,7 @@ class Body(Expressions):
                 self._expression(v, self._declared.get(getattr(t, "id", "")))
                 for t, v in zip(target.elts, value.elts, strict=True)
             ]
-            if names & set(used):
+            if names & set(used) or any(isinstance(t, ast.Attribute) for t in target.elts):
                 terms = [self._temporary(term, value) for term in terms]
         else:
             whole = self._expression(value)
@@ -242,6 +294,10 @@ class Body(Expressions):
         if isinstance(target, ast.Subscript):
             self._line(f"{self._entry(target).code} = {self._as(term, REAL, target).value};", said)
             return
+        if isinstance(target, ast.Attribute):
+            slot = self._slot(target)
+            self._line(f"{slot.code} = {self._as(term, slot.kind, target).value};", said)
+            return
         if not isinstance(target, ast.Name):
             raise self.refused(target, "an assignment to something else than a variable")
         name = target.id
@@ -252,6 +308,13 @@ class Body(Expressions):
         begin = "" if name in self._scope else f"{self._program.type_name(kind)} "
         self._scope[name] = Term(self._local(name), kind, has_address=True)
         self._line(f"{begin}{self._local(name)} = {term.value};", said)
+
+    def _slot(self, target: ast.Attribute) -> Term:
+        """The slot of a memory that gets a value."""
+        base = self._scope.get(target.value.id) if isinstance(target.value, ast.Name) else None
+        if base is None or not base.kind.is_memory:
+            raise self.refused(target, "an assignment to something else than a variable or a memory's slot")
+        return self._attribute(target)
 
     # Where variables are declared, and of which kind
 
@@ -270,6 +333,8 @@ class Body(Expressions):
                     parts = [statement.test]
                 elif isinstance(statement, ast.For):
                     parts = [statement.iter]
+                elif isinstance(statement, ast.Try):
+                    parts = []
                 for part in parts:
                     for node in ast.walk(part):
                         if isinstance(node, ast.Name) and node.id in self._stored:
@@ -279,7 +344,7 @@ class Body(Expressions):
                 if isinstance(statement, ast.If):
                     walk(statement.body, here, 0)
                     walk(statement.orelse, here, 1)
-                elif isinstance(statement, ast.For):
+                elif isinstance(statement, (ast.For, ast.Try)):
                     walk(statement.body, here, 0)
 
         walk(self._parsed.body, (), 0)

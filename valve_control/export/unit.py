@@ -1,5 +1,6 @@
 """What is handed over: a law, alone or under the watch, or a plant, with its parameters."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, VALVE
 from valve_control.plant import machine, valve
 from valve_control.supervision import watch
+from valve_control.supervision.record import Memory
 
 PLANTS = ("valve", "axis")
 WATCHED = (
@@ -141,6 +143,17 @@ def hydraulic_axis(axis_values: Values, valve_values: Values) -> Unit:
             Port(name, f"reading of the {text}", unit) for name, text, unit in (*sensors, *pressures)
         ),
     )
+
+
+def in_c(module: Any, memory: Memory) -> Any:
+    """``memory`` as C has it: of ``module``, which is bound to one law; numbers that are NaN are 0 there."""
+    values = (getattr(memory, name) for name in module.State._fields)
+    return module.State(*(0.0 if isinstance(v, float) and math.isnan(v) else v for v in values))
+
+
+def begun(module: Any) -> Any:
+    """What C remembers after switching on."""
+    return in_c(module, Memory())
 
 
 @cache

@@ -8,9 +8,7 @@ Both are made good by an offset that leaves its first value with slope 0, or wit
 import math
 from typing import Any, NamedTuple
 
-from valve_control.laws.law import Law
 from valve_control.laws.projection import clip
-from valve_control.laws.signals import Start
 
 
 class Params(NamedTuple):
@@ -48,8 +46,6 @@ def design(time: float, period: float) -> Params:
 
 def step(p: Params, s: State) -> State:
     """State one period later."""
-    if s.voltage is ZERO and s.command is ZERO:
-        return s
     return State(decayed(p, s.voltage), decayed(p, s.command), s.taking_over)
 
 
@@ -66,32 +62,11 @@ def begun(s: State, offset: float) -> State:
     return State(Offset(offset, 0.0), s.command, False)
 
 
-def taken_over(
-    law: Law,
-    params: Any,
-    former: Any,
-    s: State,
-    start: Start,
-    base: float,
-    same_reference: bool,
-    following: bool,
-) -> tuple[Any, State]:
-    """State in which ``law`` begins at ``start``, and the offset on the command ``base`` [V] that this needs.
-
-    ``former``: state of the law before, whose estimates and, with ``same_reference``, whose reference go on;
-    ``following``: the spool has been following the command until now.
-    """
-    offset = s.command
-    if same_reference:
-        reference, rate = former.reference
-        start = start._replace(reference=reference, reference_rate=rate)
-    else:
-        # A spool that follows has the rate of the command; one from elsewhere has to lose its own.
-        rate = 0.0 if following else start.velocity
-        offset = Offset(law.steady_command(params, start) - base, rate)
+def resumed(params: Any, former: Any) -> Any:
+    """Parameters with which a law starts from the estimates of the ``former`` state, of whichever law."""
     estimates = getattr(former, "theta", None)
     kind: Any = type(getattr(params, "theta_initial", None))
-    if estimates is not None and isinstance(estimates, kind):
-        theta = kind(*map(clip, estimates, params.theta_min, params.theta_max))
-        params = params._replace(theta_initial=theta)
-    return law.module.initial(params, start), State(s.voltage, offset, True)
+    if estimates is None or not isinstance(estimates, kind):
+        return params
+    theta = kind(*map(clip, estimates, params.theta_min, params.theta_max))
+    return params._replace(theta_initial=theta)

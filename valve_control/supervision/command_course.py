@@ -60,7 +60,8 @@ def taken(p: Params, s: State | None, command: float, interval: float, arrival: 
     goal = command
     if p.extrapolate:
         # The smaller of two slopes: a step is not gone beyond.
-        sure = 0.0 if slope * s.slope <= 0.0 else min(slope, s.slope, key=abs)
+        smaller = s.slope if abs(s.slope) < abs(slope) else slope
+        sure = 0.0 if slope * s.slope <= 0.0 else smaller
         goal = saturate(command + sure * (end - due), p.limit)
     begun, final = beside(rate(s, arrival), slope), beside(slope, s.slope)
     return State(value(s, arrival), arrival, goal, end, command, due, slope, begun, final)

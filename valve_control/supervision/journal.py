@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.parameter import Values
-from valve_control.supervision.law_in_force import unused
 from valve_control.supervision.state_snapshot import snapshot
-from valve_control.supervision.supervisor import Supervisor
+from valve_control.supervision.supervisor import Supervisor, unused
 from valve_control.supervision.trajectory import Motion
 
 COLUMNS = ("time", "event", "command", "reading", "number", "elapsed", "voltage")

@@ -322,7 +322,6 @@ def verdict(p: Params, s: State, d: Doubt) -> tuple[str, Doubt]:
     return "", d
 
 
-def finding(p: Params, s: State, d: Doubt) -> tuple[str, Doubt]:
-    """As ``verdict``, in words."""
-    name, doubt = verdict(p, s, d)
-    return f"gain about {ratio(p, s.shown, d):.1g}" if name == "gain" else TEXTS[name], doubt
+def words(name: str, p: Params, s: State, d: Doubt) -> str:
+    """The ``name`` that ``verdict`` gave, in words."""
+    return f"gain about {ratio(p, s.shown, d):.1g}" if name == "gain" else TEXTS[name]

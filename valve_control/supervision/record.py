@@ -1,16 +1,16 @@
-"""Holds all that a supervisor remembers between two samples as one record, with the values read from it."""
+"""Holds all that a supervisor remembers between two samples, and reports conditions in it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any, TypeVar
 
-from valve_control.laws import command_lead, velocity
-from valve_control.laws.law import Law
-from valve_control.laws.projection import clip
+from valve_control.laws import command_lead
+from valve_control.laws import velocity as tachometer
 from valve_control.laws.registry import LAWS
-from valve_control.parameter import ParameterError, Values, one_of
+from valve_control.parameter import ParameterError, one_of
 from valve_control.supervision import (
     bumpless_transfer,
     command_course,
@@ -21,11 +21,18 @@ from valve_control.supervision import (
     oscillation,
     plausibility,
     rate,
-    trajectory,
 )
+from valve_control.supervision import trajectory as points
 
-Conditions = conditions.State
 HEAD = ("sample", "mode", "command", "measurement", "voltage", "offset")
+NEVER = -1.0  # s
+AT_REST = tachometer.State(0.0, 0.0)
+NO_MOTION = points.Motion(0.0, 0.0, 0.0)
+F = TypeVar("F", bound=Callable[..., Any])
+COUNTS = (
+    "lvdt_lost", "lvdt_refused", "command_refused", "command_limited", "saturated", "assumption_violations",
+    "law_not_finite", "safe_stops",
+)  # fmt: skip
 
 
 def named_terms(names: Sequence[str]) -> tuple[str, ...]:
@@ -39,12 +46,6 @@ def named_terms(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-COUNTS = (
-    "lvdt_lost", "lvdt_refused", "command_refused", "command_limited", "saturated", "assumption_violations",
-    "law_not_finite", "safe_stops",
-)  # fmt: skip
-
-
 class Mode(IntEnum):
     """Whether the law has the valve."""
 
@@ -53,183 +54,93 @@ class Mode(IntEnum):
     SAFE = 2
 
 
-class State(NamedTuple):
-    """Everything that is remembered between two samples, beside parameters and counters."""
+@dataclass(slots=True)
+class Memory:
+    """All that is remembered between two samples, beside parameters; a snapshot keeps it up to ``said``."""
 
-    samples: int
-    now: float  # s
-    voltage: float  # V
-    sequence: int | None  # number of the last reading
-    judged: lvdt.State  # the readings one by one
-    pace: rate.State  # their period
-    trust: lvdt_watch.State  # in the LVDT
-    measurement: float  # V  last believable reading, NaN before the first
-    velocity: velocity.State
-    evidence: plausibility.State | None  # whether readings answer the voltage
-    command: command_watch.State
-    used: float | None  # V  the command at the sample before, without offset
-    effective: float  # V  the same, as the law got it, NaN before the first
-    transfer: bumpless_transfer.State
-    course: command_course.State | None  # of commands that are joined
-    trajectory: trajectory.State | None  # instead of commands
-    lead: command_lead.State | None  # of the command, None without it or without the law
-    law: Any  # state of the law, None while it does not have the valve
-    former: Any  # state of the law that had the valve last, None if that is of no use
-    kept: tuple[str, tuple[float, ...] | None]  # law and its estimates before the start
-    saturated_for: float  # s
-    cycle: oscillation.State
-    said: Conditions
-
-
-def at_rest(samples: int, kept: tuple[str, tuple[float, ...] | None]) -> State:
-    """State after switching on."""
-    return State(
-        samples, 0.0, 0.0, None, lvdt.NOTHING, rate.UNKNOWN, lvdt_watch.NOTHING, math.nan,
-        velocity.State(0.0, 0.0), None, command_watch.NOTHING, None, math.nan, bumpless_transfer.NOTHING,
-        None, None, None, None, None, kept, 0.0, oscillation.NOTHING, conditions.NOTHING,
-    )  # fmt: skip
+    samples: int = 0
+    now: float = 0.0  # s  since init
+    voltage: float = 0.0  # V
+    sequence: int | None = None  # number of the last reading
+    judged: lvdt.State = lvdt.NOTHING  # the readings one by one
+    pace: rate.State = rate.UNKNOWN  # their period
+    trust: lvdt_watch.State = lvdt_watch.NOTHING  # in the LVDT
+    measurement: float = math.nan  # V  last believable reading, none before the first
+    velocity: tachometer.State = AT_REST
+    evidence: plausibility.State | None = None  # whether readings answer the voltage
+    command: command_watch.State = command_watch.NOTHING
+    used: float | None = None  # V  the command at the sample before, without offset
+    effective: float = math.nan  # V  the same, as the law got it, none before the first
+    transfer: bumpless_transfer.State = bumpless_transfer.NOTHING
+    course: command_course.State | None = None  # of commands that are joined
+    trajectory: points.State | None = None  # instead of commands
+    lead: command_lead.State | None = None  # of the command, none without it or without the law
+    law: Any | None = None  # state of the law, none while it does not have the valve
+    former: Any | None = None  # state of the law when it had the valve last, none if that is of no use
+    kept: tuple[str, tuple[float, ...] | None] = ("", None)  # law and its estimates before the start
+    saturated_for: float = 0.0  # s
+    cycle: oscillation.State = oscillation.NOTHING
+    said: conditions.State = conditions.NOTHING
+    motion: points.Motion = NO_MOTION  # wanted at this sample
+    fading: bool = True  # whether an offset of ``transfer`` may be other than 0
+    jumped_until: float = NEVER  # s  until when a jump that was bridged counts, -1: there is none
+    name: str = ""  # of the law
+    changed: bool = False  # set with each change of the reported conditions, cleared by the reader
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTS, 0))
 
 
-class Record:
-    """What a supervisor remembers, field by field, since only some of it changes with each sample."""
+_NAMES = tuple(one.name for one in fields(Memory))
+KEPT = _NAMES[: _NAMES.index("said") + 1]  # by a snapshot
 
-    def __init__(self) -> None:
-        self.name = ""  # of the law
-        self.values: Values = {}  # in use
-        self.changed = False  # set with each change of the reported conditions, cleared by the reader
-        self.counts = dict.fromkeys(COUNTS, 0)
-        self._descriptor: Law | None = None
-        self._law: Any = None  # its module
-        self._params: Any = None
-        self._terms: tuple[float, ...] = ()  # of the law at the last sample
-        self._watched: tuple[int, str] | None = None  # of them, and what is said if the next is below it
-        self.state = at_rest(0, ("", None))
 
-    @property
-    def state(self) -> State:
-        """All that is remembered, as one record, from which another supervisor goes on bit for bit."""
-        return State(
-            self.samples, self._now, self.voltage, self._sequence, self._judged, self._pace, self._trust,
-            self._measurement, self._velocity, self._evidence, self._command, self._used, self._effective,
-            self._transfer, self._course, self._trajectory, self._lead, self._state, self._former, self._kept,
-            self._saturated_for, self._cycle, self._said,
-        )  # fmt: skip
+def node_only(function: F) -> F:
+    """Mark ``function`` as one whose calls exported C leaves out: it changes nothing that others read."""
+    function.node_only = True  # type: ignore[attr-defined]
+    return function
 
-    @state.setter
-    def state(self, state: State) -> None:
-        (
-            self.samples, self._now, self.voltage, self._sequence, self._judged, self._pace, self._trust,
-            self._measurement, self._velocity, self._evidence, self._command, self._used, self._effective,
-            self._transfer, self._course, self._trajectory, self._lead, self._state, self._former, self._kept,
-            self._saturated_for, self._cycle, self._said,
-        ) = state  # fmt: skip
 
-    @property
-    def conditions(self) -> dict[str, str]:
-        """All reported conditions: sentences by name."""
-        return self._said.texts
+def tell(m: Memory, said: conditions.State) -> None:
+    """Report what is ``said``, and nothing else."""
+    if said.texts is not m.said.texts:
+        m.changed = True
+    m.said = said
 
-    @property
-    def mode(self) -> Mode:
-        """Present mode."""
-        if self._trust.blocked or "lvdt_missing" in self.conditions:
-            return Mode.SAFE
-        return Mode.DEGRADED if self.conditions else Mode.OK
 
-    @property
-    def reason(self) -> str:
-        """All reported conditions in one line."""
-        return "; ".join(self.conditions.values()) or "controlling"
+@node_only
+def report(m: Memory, name: str, text: str) -> None:
+    """Report ``text`` under ``name``, unless something is reported there already."""
+    tell(m, conditions.report(m.said, name, text))
 
-    @property
-    def command_in_force(self) -> float | None:
-        """Command [V] in force, None before the first."""
-        return self._command.value
 
-    @property
-    def joins(self) -> bool:
-        """Whether the time between two commands counts."""
-        return self.values["command.interpolation"] != "hold"
+@node_only
+def clear(m: Memory, name: str) -> None:
+    """Report nothing under ``name`` any more."""
+    if name in m.said.texts:
+        tell(m, conditions.clear(m.said, name))
 
-    @property
-    def has_trajectory(self) -> bool:
-        """Whether the command is a trajectory's."""
-        return self._trajectory is not None
 
-    @property
-    def command_left(self) -> bool:
-        """Whether the upper level has left, and no command has come since."""
-        return self._command.gone_since is not None
+@node_only
+def latch(m: Memory, name: str, text: str) -> None:
+    """Report an event of this moment for a while."""
+    tell(m, conditions.latch(m.said, name, text, m.now))
 
-    @property
-    def measurement(self) -> float:
-        """The last believable reading [V], NaN before the first."""
-        return self._measurement
 
-    @property
-    def bridged(self) -> int:
-        """Number of consecutive readings that could not be believed and are being bridged."""
-        return 0 if self._trust.blocked else self._trust.bridged
+@node_only
+def expire(m: Memory) -> None:
+    """Report those events no more that are over."""
+    if m.said.expiry:
+        tell(m, conditions.step(m.said, m.now))
 
-    @property
-    def begun(self) -> bool:
-        """Whether a believable reading has come since the start."""
-        return "lvdt_missing" not in self.conditions
 
-    @property
-    def theta(self) -> tuple[float, ...] | None:
-        """Present estimates of a law that adapts, else None."""
-        state = self._state if self._state is not None else self._former
-        if state is None or "theta" not in state._fields or "theta_min" not in self._params._fields:
-            return None
-        return tuple(map(clip, state.theta, self._params.theta_min, self._params.theta_max))
+@node_only
+def count(m: Memory, name: str) -> None:
+    """Count one more event."""
+    m.counts[name] += 1
 
-    @property
-    def assumed(self) -> dict[str, float]:
-        """What the law's assumptions bound, and that bound, at the last sample; {} if they bound nothing."""
-        if self._watched is None or not self._terms:
-            return {}
-        at = self._watched[0]
-        fields = self._law.Terms._fields
-        return {fields[i]: self._terms[i] for i in (at, at + 1)}
 
-    def labels(self) -> tuple[str, ...]:
-        """Names of the numbers of ``telemetry``."""
-        return (*HEAD, *self._law.Terms._fields)
-
-    def telemetry(self) -> list[float]:
-        """Numbers of this sample; the law's terms are NaN while it does not have the valve."""
-        terms = self._terms or (math.nan,) * len(self._law.Terms._fields)
-        return [
-            float(self.samples),
-            float(self.mode),
-            self._effective,
-            self._measurement,
-            self.voltage,
-            self._transfer.voltage.value,
-            *terms,
-        ]
-
-    def present_values(self) -> Values:
-        """The parameters in use, with the present estimates as the initial ones of the running law."""
-        values = dict(self.values)
-        theta = self.theta or (self._kept[1] if self._kept[0] == self.name else None)
-        if theta is not None:
-            values[f"{self.name}.theta_initial"] = list(theta)
-        return values
-
-    # What is reported
-
-    def _tell(self, said: Conditions) -> None:
-        if said.texts is not self._said.texts:
-            self.changed = True
-        self._said = said
-
-    def _report(self, name: str, text: str) -> None:
-        self._tell(conditions.report(self._said, name, text))
-
-    def _clear(self, name: str) -> None:
-        self._tell(conditions.clear(self._said, name))
-
-    def _latch(self, name: str, text: str) -> None:
-        self._tell(conditions.latch(self._said, name, text, self._now))
+@node_only
+def forget_voltage(m: Memory) -> None:
+    """Drop what the voltages until now have shown of saturation and limit cycles."""
+    m.cycle = oscillation.NOTHING  # switching on and off is no limit cycle of law and valve
+    m.saturated_for = 0.0
+    clear(m, "saturation")

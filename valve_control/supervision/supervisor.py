@@ -7,81 +7,124 @@ degraded  the law has the valve, but something is reported: a silent or refused 
           long saturation, a limit cycle, a broken assumption, a second publisher;
 safe      0 V, the spring centres the spool: the LVDT cannot be believed, or the law left the finite numbers.
 
-It is put together from parts in the form of a law, pure functions on a state: the watches over the LVDT
-(lvdt_watch.py), the command (command_watch.py) and the law (law_watch.py), the takeover between laws
-(bumpless_transfer.py), and what is reported (conditions.py). All that it remembers is one record (record.py);
-law_in_force.py steps the law.
+The steps are in watch.py, pure functions on one memory (record.py), from which exported C is made too. Here
+is what only a node has: other laws and parameters, the period of the readings, counters and telemetry.
 
 Time is counted in samples, so that a run is repeatable; only the silence of the LVDT, during which no sample
 comes, has to be told from outside (``silence``).
 """
 
 import math
+import types
 from collections.abc import Callable
 from typing import Any
 
-from valve_control.laws import velocity
-from valve_control.parameter import Values, number
+from valve_control.laws.law import Law
+from valve_control.laws.projection import clip
+from valve_control.laws.registry import LAWS
+from valve_control.parameter import Values, number, word
 from valve_control.plant.amplifier import saturate
-from valve_control.supervision import (
-    bumpless_transfer,
-    command_course,
-    command_watch,
-    conditions,
-    lvdt,
-    lvdt_watch,
-    oscillation,
-    plausibility,
-    rate,
-    trajectory,
+from valve_control.supervision import command_watch, law_watch, rate, trajectory, watch
+from valve_control.supervision.record import (
+    HEAD,
+    Memory,
+    Mode,
+    clear,
+    count,
+    latch,
+    report,
+    tell,
 )
-from valve_control.supervision.law_in_force import LawInForce, unused
-from valve_control.supervision.record import at_rest
-
-BOTH = "spool_command is ignored while spool_trajectory commands"
-PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
 
 
-class Supervisor(LawInForce):
+def unused(voltage: float) -> None:
+    """Placeholder for a receiver of the voltage, where nobody needs it before the sample ends."""
+
+
+class Supervisor:
     """Controls one valve: takes readings and commands, returns voltages, and reports conditions."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self.answered = True  # whether the readings are those of a valve that gets these voltages
-        self._watch_lvdt: lvdt_watch.Params  # from apply on
+        self.name = ""  # of the law
+        self.values: Values = {}  # in use
+        self.memory = Memory()
+        self._answered = True
+        self._form: tuple[Any, ...] = ()  # after whose change the law's state means something else
+        self._descriptor: Law | None = None
+        self._watched: tuple[int, str] | None = None  # of the terms, and what is said if the next is below it
+        self._terms: tuple[float, ...] = ()  # of the law at the last sample
+        self._give: Callable[[float], None] = unused
+        self._params: watch.Params  # these three from apply on
+        self._watch_law: law_watch.Params
+        self._steps: types.SimpleNamespace
         self.start()
 
     # Life
 
     def start(self) -> None:
         """Begin at rest with 0 V, as after switching on; parameters and counters are kept."""
-        theta = self.theta
-        self.state = at_rest(self.samples, self._kept if theta is None else (self.name, theta))
-        self._terms = ()
-        self._report("lvdt_missing", "no LVDT reading yet")
+        before, theta = self.memory, self.theta
+        kept = before.kept if theta is None else (self.name, theta)
+        self.memory = Memory(samples=before.samples, kept=kept, name=self.name, counts=before.counts)
+        report(self.memory, "lvdt_missing", "no LVDT reading yet")
 
     def apply(self, values: Values, params: Any) -> None:
         """Take checked ``values`` and the law's ``params`` built from them into use, between two samples."""
-        watch = lvdt_watch.design(values, params)
-        self._limited = params
-        if watch.comparison is not None:
-            limit = lvdt_watch.PROBATION * number(values, "lvdt.disturbance")
-            self._limited = params._replace(u_max=min(number(values, "u_max"), limit))
-        if self._form and watch.comparison != self._watch_lvdt.comparison:
-            self._evidence = None
-        if self._form and watch.period != self._watch_lvdt.period:
-            self._pace = rate.UNKNOWN
-            self._clear("lvdt_rate")
-        self._watch_lvdt = watch
-        self._use(values, params)
+        m, made = self.memory, watch.design(values, params, self._answered)
+        former = self._params if self._form else None
+        self.values, self._params = values, made
+        self._watch_law = law_watch.design(values)
+        if former is not None and made.lvdt.comparison != former.lvdt.comparison:
+            m.evidence = None
+        if former is not None and made.lvdt.period != former.lvdt.period:
+            m.pace = rate.UNKNOWN
+            clear(m, "lvdt_rate")
+        if (
+            former is None
+            or former.lead is None
+            or made.lead is None
+            or former.lead.period != made.lead.period
+        ):
+            m.lead = None
+        if made.joining is None:
+            m.course = None
+        m.voltage = saturate(m.voltage, self._watch_law.u_max)
+        m.command = command_watch.limited(made.command, m.command)
+        self._use_law(values, params, None if former is None else former.law)
+
+    def _use_law(self, values: Values, params: Any, former: Any) -> None:
+        """Let another law, or another form of it, take over from the one with the params ``former``."""
+        m, name = self.memory, word(values, "controller")
+        form = (name, number(values, "sample_period"), *(values[key] for key in LAWS[name].form))
+        estimates = getattr(params, "theta_initial", None)
+        anew = form[0] == self.name and estimates != getattr(former, "theta_initial", None)
+        if anew and m.law is None:
+            m.former = None
+        if form == self._form and not anew:
+            return
+        before, law = self._descriptor, LAWS[name]
+        same_reference = before is not None and before.reshapes(former)
+        if law is not before:
+            places = {**watch.places_of(law), "hand_out": self._hand_out, "observe": self._observe}
+            self._steps = watch.bind(places)
+        self._descriptor = law
+        self._form = form
+        self.name = m.name = name
+        self._watched = law_watch.watched(law.module.Terms._fields)
+        self._terms = ()
+        if m.law is None:
+            return
+        begun = m.law._replace(theta=estimates) if anew else m.law
+        if same_reference and law.reshapes(params):
+            self._steps.go_on(self._params, m, begun)
+        else:
+            self._steps.take_over(self._params, m, begun, True)
 
     def reset(self) -> None:
         """Set estimates and filters to their start, without a bump; doubts about the LVDT are dropped."""
-        self._end_doubt()
-        self._former = None
-        self._kept = ("", None)
-        if self._state is not None:
-            self._take_over(None, following=True)
+        self.memory.kept = ("", None)
+        if self._form:
+            self._steps.reset(self._params, self.memory)
 
     # Inputs
 
@@ -90,19 +133,7 @@ class Supervisor(LawInForce):
 
         ``interval`` [s]: by which it was sent after the one before, if that is known.
         """
-        if not math.isfinite(value):
-            self._command = command_watch.taken(self._watch_command, self._command, value, self._now)
-            self._refuse_command(f"command {value} refused, the last one holds")
-            return
-        if self._follows_trajectory():
-            self._latch("command_both", BOTH)
-            return
-        self._trajectory = None
-        if self._joining is not None:
-            arrival = self._now + self._joining.period
-            limited = saturate(value, self._joining.limit)
-            self._course = command_course.taken(self._joining, self._course, limited, interval, arrival)
-        self._renew(value)
+        watch.command(self._params, self.memory, value, interval)
 
     def trajectory(self, point: trajectory.Motion, interval: float = 0.0) -> bool:
         """Take in a point of a trajectory from the upper level; whether it can be used.
@@ -110,56 +141,27 @@ class Supervisor(LawInForce):
         ``interval`` [s]: by which its time stamp is after that of the one before, 0 if that is not known.
         A trajectory has precedence over commands for as long as it is not silent.
         """
-        follows = self._follows_trajectory()
-        fault = trajectory.fault(point, -interval if follows else 0.0)
-        if fault:
-            self._refuse_command(fault)
-            return False
-        arrival = self._now + self._watch_command.period
-        before = self._trajectory if follows else None
-        self._trajectory = trajectory.taken(before, point, interval, arrival, self._watch_command.period)
-        self._course = None
-        self._renew(point.position)
-        return True
+        return watch.trajectory(self._params, self.memory, point, interval)
 
     def trajectory_refused(self, positions: int, velocities: int, accelerations: int) -> None:
         """A point of a trajectory came with so many entries."""
-        self._refuse_command(trajectory.refusal(positions, velocities, accelerations))
+        count(self.memory, "command_refused")
+        latch(self.memory, "command_refused", trajectory.refusal(positions, velocities, accelerations))
 
     def trajectory_gone(self) -> None:
         """Who sent the trajectory has left, others have not: commands are taken again."""
-        self._trajectory = None
+        watch.trajectory_gone(self.memory)
 
     def command_gone(self) -> None:
         """Report that the upper level has left: its command counts as silent at once."""
-        self._command = command_watch.left(self._command, self._now)
-
-    def _follows_trajectory(self) -> bool:
-        """Whether there is a trajectory that is not silent."""
-        if self._trajectory is None or self.command_left:
-            return False
-        patience = self._watch_command.timeout or PATIENCE
-        return self._now <= self._trajectory.arrival + patience
-
-    def _renew(self, value: float) -> None:
-        """The upper level has spoken: its command [V] counts from the next sample on."""
-        taken = self._command = command_watch.taken(self._watch_command, self._command, value, self._now)
-        if "command_missing" in self._said.texts:
-            self._clear("command_missing")
-        if taken.value != value:
-            self.counts["command_limited"] += 1
-            self._latch("command_limited", f"command {value:g} V limited to {taken.value:g} V")
-
-    def _refuse_command(self, text: str) -> None:
-        self.counts["command_refused"] += 1
-        self._latch("command_refused", text)
+        watch.command_gone(self.memory)
 
     def observe(self, name: str, text: str) -> None:
         """Report ``text`` under ``name``, a condition seen from outside; "" ends it."""
         if text != self.conditions.get(name, ""):
-            self._clear(name)
+            clear(self.memory, name)
             if text:
-                self._report(name, text)
+                report(self.memory, name, text)
 
     def silence(self, elapsed: float, stalled: bool = False) -> float:
         """Report that no reading was answered for too long; returns the voltage [V].
@@ -167,17 +169,8 @@ class Supervisor(LawInForce):
         ``elapsed`` [s]: since the last reading or the last call; ``stalled``: readings have come, but this
         process stood still.
         """
-        self._now += elapsed
-        self._pace = rate.interrupted(self._pace)
-        self._trust = self._trust._replace(sound=0)
-        if not self._trust.blocked and self._state is not None:
-            limit = f"for more than {self._watch_lvdt.hold_samples} samples"
-            leapt = self._leapt()
-            if stalled:
-                self._switch_off("stalled", f"the controller's process stood still {limit}", leapt)
-            else:
-                self._switch_off("lvdt_silent", f"{lvdt.TEXTS['silent']} {limit}", leapt)
-        return self.voltage
+        self.memory.pace = rate.interrupted(self.memory.pace)
+        return watch.silence(self._params, self.memory, elapsed, stalled)
 
     def sample(
         self,
@@ -192,136 +185,180 @@ class Supervisor(LawInForce):
         the one before, if it is known: the spool may have moved that long. ``give`` gets the voltage too,
         once, as soon as it is certain: before what only the next sample needs. It must not raise.
         """
+        assert self._form, "apply comes first"
+        m, p = self.memory, self._params
         self._give = give
-        voltage = self._judge(reading, sequence, elapsed)
+        lost, last, m.sequence = 0, m.sequence, sequence
+        if sequence is not None and last is not None and sequence > last + 1:
+            lost = 0 if "lvdt_publishers" in m.said.texts else sequence - last - 1
+            m.counts["lvdt_lost"] += lost
+        m.samples += 1
+        pace = rate.step(p.lvdt.pace, m.pace, elapsed, 1 + lost)
+        changed, m.pace = pace.level != m.pace.level, pace
+        if changed:
+            clear(m, "lvdt_rate")
+            if pace.level == 1:
+                report(m, "lvdt_rate", rate.text(p.lvdt.pace, pace))
+        voltage: float = self._steps.sample(p, m, reading, lost, elapsed, pace.level == 2)
         self._hand_out(voltage)
         return voltage
 
-    # The way from reading to voltage
+    def _hand_out(self, voltage: float) -> None:
+        give, self._give = self._give, unused
+        give(voltage)
 
-    def _judge(self, reading: float, sequence: int | None, elapsed: float) -> float:
-        """Believe the reading and control, or bridge it, or keep the voltage off."""
-        assert self._form, "apply comes first"
-        p, trust, last = self._watch_lvdt, self._trust, self._sequence
-        lost, self._sequence = 0, sequence
-        if sequence is not None and last is not None and sequence > last + 1:
-            lost = 0 if "lvdt_publishers" in self.conditions else sequence - last - 1
-            self.counts["lvdt_lost"] += lost
-        self.samples += 1
-        # A longer gap is a silence, whose time is told there.
-        self._now += (1 + min(lost, p.hold_samples)) * p.period
-        if self._said.expiry:
-            self._tell(conditions.step(self._said, self._now))
-        pace = rate.step(p.pace, self._pace, elapsed, 1 + lost)
-        changed, self._pace = pace.level != self._pace.level, pace
-        if changed:
-            self._clear("lvdt_rate")
-            if pace.level == 1:
-                self._report("lvdt_rate", rate.text(p.pace, pace))
-        blocked = trust.blocked != ""
-        fault, self._judged = lvdt.step(p.judge, self._judged, reading, lost, self.voltage, blocked, elapsed)
-        if fault:
-            self._refuse(p, fault, lost)
-            return self.voltage
-        gap = lost + trust.bridged
-        if gap:
-            self._bridge(p, gap, reading)
-        if pace.level == 2 and not self._trust.blocked:
-            self._switch_off("lvdt_period", rate.text(p.pace, pace))
-        applied = self.voltage
-        if self._trust.blocked and not self._recovered(p, reading, gap > 0 or pace.level == 2):
-            self._evidence = lvdt_watch.weighed(p.comparison, self._evidence, reading, applied, 1 + gap)
-            return applied
-        if self._state is None:
-            self._begin(reading)
-        if not self._control(reading):
-            self._leave_the_finite()
-        voltage = self.voltage
-        self._measurement = reading
-        self._velocity = velocity.step(p.tachometer, self._velocity, reading)
-        self._evidence = lvdt_watch.weighed(p.comparison, self._evidence, reading, applied, 1 + gap)
-        if self._evidence is not None and self._evidence.held == 0.0:
-            self._confront(p, self._evidence)
-        return voltage
-
-    def _refuse(self, p: lvdt_watch.Params, fault: str, lost: int) -> None:
-        """Bridge a reading that cannot be believed, or switch off if there have been too many."""
-        self.counts["lvdt_refused"] += 1
-        self._trust = lvdt_watch.refused(self._trust, lost)
-        if self._trust.blocked:
-            return
-        if fault == "frozen" or self._trust.bridged > p.hold_samples:
-            self._switch_off(f"lvdt_{fault}", lvdt.TEXTS[fault])
-        else:
-            self._latch(f"lvdt_{fault}_bridged", f"{lvdt.TEXTS[fault]}: bridged")
-
-    def _bridge(self, p: lvdt_watch.Params, gap: int, reading: float) -> None:
-        """Step the law over ``gap`` samples before a sound reading, or switch off."""
-        leapt = self._leapt()
-        self._trust = self._trust._replace(bridged=0)
-        if self._trust.blocked or self._state is None:
-            return
-        if gap > p.hold_samples:
-            self._switch_off("lvdt_silent", f"{gap} LVDT readings lost in a row", leapt)
-            return
-        self._latch("lvdt_bridged", "LVDT readings lost: bridged")
-        if not self._step_over(gap, reading, p.tachometer):
-            self._leave_the_finite()
-
-    def _leapt(self) -> bool:
-        """Whether readings that are being bridged leapt: after a gap they would be taken for motion."""
-        return self._trust.bridged > 0 and "lvdt_jump_bridged" in self.conditions
-
-    def _confront(self, p: lvdt_watch.Params, evidence: plausibility.State) -> None:
-        """Report what readings and voltage have shown together with this block."""
-        if p.comparison is None or self._trust.blocked or not self.answered:
-            return
-        found, doubt = plausibility.finding(p.comparison, evidence, self._trust.doubt)
-        if found:
-            self._switch_off("lvdt_disagrees", f"{lvdt.TEXTS['disagrees']}: {found}")
-        elif doubt is not self._trust.doubt:
-            self._end_doubt()
-
-    def _end_doubt(self) -> None:
-        self._trust = self._trust._replace(doubt=plausibility.TRUST)
-        self._clear("lvdt_doubted")
-
-    # Off and on again
-
-    def _leave_the_finite(self) -> None:
-        self.counts["law_not_finite"] += 1
-        self._switch_off("law_not_finite", f"{self.name} left the finite numbers")
-        self._former = None
-
-    def _switch_off(self, name: str, text: str, leapt: bool = False) -> None:
-        doubt = self._trust.doubt
-        self._trust = lvdt_watch.switched_off(
-            self._watch_lvdt, self._trust, self._evidence, name, self._now, self.answered, leapt
+    def _observe(self, m: Memory, terms: Any, voltage: float) -> None:
+        """Watch a step of the law for what is only reported."""
+        self._terms = terms
+        p = self._watch_law
+        m.saturated_for, m.cycle, said = law_watch.step(
+            p, m.saturated_for, m.cycle, m.said, m.now, voltage, m.effective
         )
-        if self._trust.doubt is not doubt:
-            self._clear("lvdt_doubted")
-        self._report(name, text)
-        self.counts["safe_stops"] += 1
-        self.voltage = 0.0
-        self._former, self._state = self._state, None
-        self._terms = ()
-        self._transfer = bumpless_transfer.NOTHING
-        self._lead = None
-        self._cycle = oscillation.NOTHING  # switching on and off is no limit cycle of law and valve
-        self._saturated_for = 0.0
-        self._clear("saturation")
+        if said is not m.said:
+            tell(m, said)
+        if abs(voltage) >= p.u_max:
+            m.counts["saturated"] += 1
+        if self._watched is not None:
+            at, text = self._watched
+            if terms[at] > terms[at + 1]:
+                m.counts["assumption_violations"] += 1
+                latch(m, "assumptions", text)
 
-    def _recovered(self, p: lvdt_watch.Params, reading: float, anew: bool) -> bool:
-        """Whether enough sound readings have come and the spool is at rest; the law is then back in force."""
-        name = self._trust.blocked
-        motion = lvdt_watch.Motion(self._measurement, self._velocity, self._evidence)
-        self._trust, motion = lvdt_watch.recovered(p, self._trust, motion, reading, anew, self._now)
-        self._measurement, self._velocity, self._evidence = motion
-        if self._trust.blocked:
-            return False
-        self._clear(name)
-        if self._trust.doubt.times > 0.0:
-            self._report("lvdt_doubted", lvdt.TEXTS["doubted"])
-        self._welcome(reading)
-        self._take_over(self._former)
-        return True
+    # What it says
+
+    @property
+    def answered(self) -> bool:
+        """Whether the readings are those of a valve that gets these voltages."""
+        return self._answered
+
+    @answered.setter
+    def answered(self, answered: bool) -> None:
+        self._answered = answered
+        if self._form:
+            self._params = self._params._replace(answered=answered)
+
+    @property
+    def voltage(self) -> float:
+        """Voltage [V] in force."""
+        return self.memory.voltage
+
+    @property
+    def samples(self) -> int:
+        """Readings that have come."""
+        return self.memory.samples
+
+    @property
+    def changed(self) -> bool:
+        """Whether the reported conditions have changed; cleared by the reader."""
+        return self.memory.changed
+
+    @changed.setter
+    def changed(self, changed: bool) -> None:
+        self.memory.changed = changed
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Events since the process began, by name."""
+        return self.memory.counts
+
+    @property
+    def conditions(self) -> dict[str, str]:
+        """All reported conditions: sentences by name."""
+        return self.memory.said.texts
+
+    @property
+    def mode(self) -> Mode:
+        """Present mode."""
+        if self.memory.trust.blocked or "lvdt_missing" in self.conditions:
+            return Mode.SAFE
+        return Mode.DEGRADED if self.conditions else Mode.OK
+
+    @property
+    def reason(self) -> str:
+        """All reported conditions in one line."""
+        return "; ".join(self.conditions.values()) or "controlling"
+
+    @property
+    def command_in_force(self) -> float | None:
+        """Command [V] in force, None before the first."""
+        return self.memory.command.value
+
+    @property
+    def joins(self) -> bool:
+        """Whether the time between two commands counts."""
+        return self.values["command.interpolation"] != "hold"
+
+    @property
+    def has_trajectory(self) -> bool:
+        """Whether the command is a trajectory's."""
+        return self.memory.trajectory is not None
+
+    @property
+    def command_left(self) -> bool:
+        """Whether the upper level has left, and no command has come since."""
+        return self.memory.command.gone_since is not None
+
+    @property
+    def measurement(self) -> float:
+        """The last believable reading [V], NaN before the first."""
+        return self.memory.measurement
+
+    @property
+    def bridged(self) -> int:
+        """Number of consecutive readings that could not be believed and are being bridged."""
+        return 0 if self.memory.trust.blocked else self.memory.trust.bridged
+
+    @property
+    def begun(self) -> bool:
+        """Whether a believable reading has come since the start."""
+        return "lvdt_missing" not in self.conditions
+
+    @property
+    def theta(self) -> tuple[float, ...] | None:
+        """Present estimates of a law that adapts, else None."""
+        m = self.memory
+        state: Any = m.law if m.law is not None else m.former
+        if state is None or "theta" not in state._fields or "theta_min" not in self._params.law._fields:
+            return None
+        return tuple(map(clip, state.theta, self._params.law.theta_min, self._params.law.theta_max))
+
+    @property
+    def terms(self) -> tuple[float, ...]:
+        """Terms of the law at the last sample, () while it does not have the valve."""
+        return self._terms if self.memory.law is not None else ()
+
+    @property
+    def assumed(self) -> dict[str, float]:
+        """What the law's assumptions bound, and that bound, at the last sample; {} if they bound nothing."""
+        terms = self.terms
+        if self._watched is None or not terms:
+            return {}
+        at, fields = self._watched[0], self.labels()[len(HEAD) :]
+        return {fields[i]: terms[i] for i in (at, at + 1)}
+
+    def labels(self) -> tuple[str, ...]:
+        """Names of the numbers of ``telemetry``."""
+        assert self._descriptor is not None, "apply comes first"
+        return (*HEAD, *self._descriptor.module.Terms._fields)
+
+    def telemetry(self) -> list[float]:
+        """Numbers of this sample; the law's terms are NaN while it does not have the valve."""
+        m = self.memory
+        terms = self.terms or (math.nan,) * (len(self.labels()) - len(HEAD))
+        return [
+            float(m.samples),
+            float(self.mode),
+            m.effective,
+            m.measurement,
+            m.voltage,
+            m.transfer.voltage.value,
+            *terms,
+        ]
+
+    def present_values(self) -> Values:
+        """The parameters in use, with the present estimates as the initial ones of the running law."""
+        values, kept = dict(self.values), self.memory.kept
+        theta = self.theta or (kept[1] if kept[0] == self.name else None)
+        if theta is not None:
+            values[f"{self.name}.theta_initial"] = list(theta)
+        return values

@@ -44,6 +44,11 @@ def refusal(positions: int, velocities: int, accelerations: int) -> str:
     )
 
 
+def usable(point: Motion, backwards: float) -> bool:
+    """Whether a point can be used; ``backwards`` as of ``fault``, which says why not."""
+    return all(map(math.isfinite, point)) and not backwards > 0.0
+
+
 def fault(point: Motion, backwards: float) -> str:
     """One sentence about a point that cannot be used, "" if it can.
 

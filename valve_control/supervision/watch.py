@@ -1,33 +1,52 @@
-"""One law under the supervisor's watch over LVDT and command, as pure steps that can be exported to C.
+"""Steps one valve from reading to voltage: the supervisor's machine, for nodes, replay and exported C.
 
-What supervisor.py does with one law of fixed parameters, without what only a node has: other laws,
-trajectories and commands that are joined, the period of the readings, and the reports. ``sample`` gives the
-voltages and states of the supervisor to the last bit (test/supervision/test_watch.py): the parts are the
-same functions. ``bound`` puts the functions of a law in the places that are kept for them.
+All functions work on one ``Memory``, which they change, and on ``Params``, which they do not. ``bind`` puts
+the functions of a law, and of who runs the machine, in the places that are kept for them. The translator of
+export/ makes C of the same functions; it leaves out the calls of those that are marked as ``node_only``.
 """
 
 import collections
 import math
 import sys
 import types
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, get_type_hints
 
-from valve_control.laws import command_lead, velocity
+from valve_control.laws import command_lead, reshaping, velocity
 from valve_control.laws.law import Law
 from valve_control.laws.projection import Theta, clip
 from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
-from valve_control.parameter import ParameterError, Values, number, word
+from valve_control.parameter import Values, number, word
+from valve_control.plant.amplifier import saturate
 from valve_control.supervision import (
     bumpless_transfer,
+    command_course,
     command_watch,
     conditions,
     lvdt,
     lvdt_watch,
     plausibility,
+    rate,
+)
+from valve_control.supervision import trajectory as points
+from valve_control.supervision.record import (
+    NEVER,
+    Memory,
+    clear,
+    count,
+    expire,
+    forget_voltage,
+    latch,
+    node_only,
+    report,
 )
 
-NEVER = -1.0  # s
+BOTH = "spool_command is ignored while spool_trajectory commands"
+PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
+TOLD = (
+    *("samples", "sequence", "pace", "kept", "saturated_for", "cycle", "said", "name", "changed", "counts"),
+)  # of the memory, what C leaves out
 
 
 class Params(NamedTuple):
@@ -38,27 +57,31 @@ class Params(NamedTuple):
     lvdt: lvdt_watch.Params
     lead: command_lead.Params | None  # of the command
     transfer: bumpless_transfer.Params
+    joining: command_course.Params | None  # of commands
+    reshapes: bool  # whether the law follows a reshaped reference
     probation: float  # V  limit of the voltage while readings are doubted
     lockstep: bool  # whether the law starts as offline, wherever spool and command are
+    answered: bool  # whether the readings are those of a valve that gets these voltages
 
 
-class State(NamedTuple):
-    """All that is remembered between two samples."""
+def design(values: Values, law: Any, answered: bool = True) -> Params:
+    """Params from the controller's values and the Params of its ``law``. Raises ParameterError."""
+    reshaped = LAWS[word(values, "controller")].reshapes(law)
+    return Params(
+        law,
+        command_watch.design(values),
+        lvdt_watch.design(values, law),
+        command_lead.build(values, reshaped),
+        bumpless_transfer.design(number(values, "transfer_time"), number(values, "sample_period")),
+        command_course.design(values),
+        reshaped and hasattr(law, "reshaping"),
+        lvdt_watch.PROBATION * number(values, "lvdt.disturbance"),
+        bool(values["lockstep"]),
+        answered,
+    )
 
-    now: float  # s  since init
-    voltage: float  # V
-    judged: lvdt.State  # the readings one by one
-    trust: lvdt_watch.State  # in the LVDT
-    measurement: float  # V  last believable reading
-    velocity: velocity.State
-    evidence: plausibility.State | None  # whether readings answer the voltage
-    command: command_watch.State
-    used: float | None  # V  the command at the sample before, without offset
-    transfer: bumpless_transfer.State
-    lead: command_lead.State | None
-    law: Any  # state of the law, none while it does not have the valve
-    former: Any  # state of the law when it had the valve last, none if that is of no use
-    jumped_until: float  # s  until when a jump that was bridged counts, -1: there is none
+
+# Places
 
 
 def law_initial(p: Any, start: Start) -> Any:
@@ -82,8 +105,23 @@ def law_steady_command(p: Any, start: Start) -> float:
 
 
 def law_resumed(p: Any, former: Any) -> Any:
-    """Place of ``as_designed`` or ``with_estimates``."""
+    """Place of ``as_designed``, ``with_estimates`` or ``bumpless_transfer.resumed``."""
     raise NotImplementedError
+
+
+def law_commanded(p: Any, motion: points.Motion) -> float:
+    """Place of ``by_motion`` or ``by_position``."""
+    raise NotImplementedError
+
+
+@node_only
+def hand_out(voltage: float) -> None:
+    """Place of what is done with the voltage [V] as soon as it is certain."""
+
+
+@node_only
+def observe(m: Memory, terms: Any, voltage: float) -> None:
+    """Place of what is done with a law's step afterwards."""
 
 
 def as_designed(p: Any, former: Any) -> Any:
@@ -96,109 +134,159 @@ def with_estimates(p: Any, former: Any) -> Any:
     return p._replace(theta_initial=Theta(*map(clip, former.theta, p.theta_min, p.theta_max)))
 
 
-def design(values: Values, law: Any) -> Params:
-    """Params from the controller's values and the Params of its ``law``. Raises ParameterError."""
-    if values["command.interpolation"] != "hold":
-        raise ParameterError(
-            "the watch takes one command a sample and joins none; set command.interpolation to hold"
-        )
-    period = number(values, "sample_period")
-    return Params(
-        law,
-        command_watch.design(values),
-        lvdt_watch.design(values, law),
-        command_lead.build(values, LAWS[word(values, "controller")].reshapes(law)),
-        bumpless_transfer.design(number(values, "transfer_time"), period),
-        lvdt_watch.PROBATION * number(values, "lvdt.disturbance"),
-        bool(values["lockstep"]),
-    )
+def by_motion(p: Any, motion: points.Motion) -> float:
+    """Command [V] with which a law that reshapes follows ``motion``."""
+    return reshaping.command_of(p.reshaping, motion.position, motion.velocity, motion.acceleration)
 
 
-def at_rest() -> State:
-    """State after switching on: 0 V, no reading and no command yet."""
-    return State(
-        0.0,
-        0.0,
-        lvdt.NOTHING,
-        lvdt_watch.NOTHING,
-        0.0,
-        velocity.State(0.0, 0.0),
-        None,
-        command_watch.NOTHING,
-        None,
-        bumpless_transfer.NOTHING,
-        None,
-        None,
-        None,
-        NEVER,
-    )
+def by_position(p: Any, motion: points.Motion) -> float:
+    """Command [V] of a law that does not reshape."""
+    return motion.position
 
 
-def commanded(p: Params, s: State, value: float) -> State:
-    """State after a command ``value`` [V], which is limited, or refused if it is not finite."""
-    return s._replace(command=command_watch.taken(p.command, s.command, value, s.now))
+# Inputs
 
 
-def left(s: State) -> State:
-    """State after the upper level has left: its command counts as silent at once."""
-    return s._replace(command=command_watch.left(s.command, s.now))
+def command(p: Params, m: Memory, value: float, interval: float) -> None:
+    """Take in a command ``value`` [V], sent ``interval`` [s] after the one before, 0 if that is not known.
+
+    It is limited; one that is not finite is refused, and any while a trajectory commands.
+    """
+    if not math.isfinite(value):
+        m.command = command_watch.taken(p.command, m.command, value, m.now)
+        count(m, "command_refused")
+        latch(m, "command_refused", f"command {value} refused, the last one holds")
+        return
+    if follows_trajectory(p, m):
+        latch(m, "command_both", BOTH)
+        return
+    m.trajectory = None
+    if p.joining is not None:
+        arrival = m.now + p.joining.period
+        limited = saturate(value, p.joining.limit)
+        m.course = command_course.taken(p.joining, m.course, limited, interval, arrival)
+    renew(p, m, value)
 
 
-def silent(p: Params, s: State, elapsed: float) -> State:
-    """State after a time ``elapsed`` [s] since the last reading that is too long to be bridged: 0 V."""
-    s = s._replace(now=s.now + elapsed, trust=s.trust._replace(sound=0))
-    if s.trust.blocked != "" or s.law is None:
-        return s
-    return _switched_off(p, s, "lvdt_silent", _leapt(s))
+def trajectory(p: Params, m: Memory, point: points.Motion, interval: float) -> bool:
+    """Take in a ``point`` of a trajectory; whether it can be used.
+
+    ``interval`` [s]: by which its time stamp is after that of the one before, 0 if that is not known.
+    """
+    follows = follows_trajectory(p, m)
+    backwards = -interval if follows else 0.0
+    if not points.usable(point, backwards):
+        count(m, "command_refused")
+        latch(m, "command_refused", points.fault(point, backwards))
+        return False
+    before = m.trajectory if follows else None
+    arrival = m.now + p.command.period
+    m.trajectory = points.taken(before, point, interval, arrival, p.command.period)
+    m.course = None
+    renew(p, m, point.position)
+    return True
 
 
-def reset(p: Params, s: State) -> State:
-    """State with estimates and filters at their start, without a bump; doubts about the LVDT are dropped."""
-    s = s._replace(trust=s.trust._replace(doubt=plausibility.TRUST), former=None)
-    return s if s.law is None else _taken_over(p, s, False, True)
+def trajectory_gone(m: Memory) -> None:
+    """Take commands again: the sender of the trajectory has left."""
+    m.trajectory = None
 
 
-def sample(p: Params, s: State, reading: float, lost: int) -> tuple[float, State]:
+def command_gone(m: Memory) -> None:
+    """Count the command as silent at once: the upper level has left."""
+    m.command = command_watch.left(m.command, m.now)
+
+
+def follows_trajectory(p: Params, m: Memory) -> bool:
+    """Whether there is a trajectory that is not silent."""
+    if m.trajectory is None or m.command.gone_since is not None:
+        return False
+    patience = PATIENCE if p.command.timeout == 0.0 else p.command.timeout
+    return m.now <= m.trajectory.arrival + patience
+
+
+def renew(p: Params, m: Memory, value: float) -> None:
+    """The upper level has spoken: its command ``value`` [V] counts from the next sample on."""
+    m.command = command_watch.taken(p.command, m.command, value, m.now)
+    clear(m, "command_missing")
+    if m.command.value != value:
+        count(m, "command_limited")
+        latch(m, "command_limited", f"command {value:g} V limited to {m.command.value:g} V")
+
+
+def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
+    """Switch off after ``elapsed`` [s] without a reading, too long to be bridged; returns the voltage [V].
+
+    ``stalled``: readings have come, but this process stood still.
+    """
+    m.now += elapsed
+    m.trust = m.trust._replace(sound=0)
+    if m.trust.blocked == "" and m.law is not None:
+        leapt = has_leapt(m)
+        if stalled:
+            switch_off(p, m, "stalled", leapt)
+            report(
+                m,
+                "stalled",
+                f"the controller's process stood still for more than {p.lvdt.hold_samples} samples",
+            )
+        else:
+            switch_off(p, m, "lvdt_silent", leapt)
+            report(m, "lvdt_silent", f"{lvdt.TEXTS['silent']} for more than {p.lvdt.hold_samples} samples")
+    return m.voltage
+
+
+def reset(p: Params, m: Memory) -> None:
+    """Set estimates and filters to their start, without a bump, and drop doubts about the LVDT."""
+    end_doubt(m)
+    m.former = None
+    if m.law is not None:
+        take_over(p, m, None, True)
+
+
+def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpaced: bool) -> float:
     """Voltage [V] until the next reading, after this one [V], before which ``lost`` ones did not come.
 
-    A reading that is not finite counts as one that cannot be believed: it is bridged like one.
+    A reading that is not finite is bridged as one that cannot be believed. ``elapsed`` [s]: real time since
+    the one before, 0 if it is not known; ``unpaced``: readings come at a wrong period.
     """
-    s = s._replace(now=s.now + (1 + min(lost, p.lvdt.hold_samples)) * p.lvdt.period)
-    if s.now > s.jumped_until:
-        s = s._replace(jumped_until=NEVER)
-    blocked = s.trust.blocked != ""
-    fault, judged = lvdt.step(p.lvdt.judge, s.judged, reading, lost, s.voltage, blocked, 0.0)
-    s = s._replace(judged=judged)
+    m.now += (1 + min(lost, p.lvdt.hold_samples)) * p.lvdt.period
+    expire(m)
+    if m.now > m.jumped_until:
+        m.jumped_until = NEVER
+    blocked = m.trust.blocked != ""
+    fault, m.judged = lvdt.step(p.lvdt.judge, m.judged, reading, lost, m.voltage, blocked, elapsed)
     if fault != lvdt.SOUND:
-        s = _refused(p, s, fault, lost)
-        return s.voltage, s
-    gap = lost + s.trust.bridged
+        refuse(p, m, fault, lost)
+        return m.voltage
+    gap = lost + m.trust.bridged
     if gap > 0:
-        s = _bridged(p, s, gap, reading)
-    applied = s.voltage
-    if s.trust.blocked != "":
-        s = _recovered(p, s, reading, gap > 0)
-        if s.trust.blocked != "":
-            evidence = lvdt_watch.weighed(p.lvdt.comparison, s.evidence, reading, applied, 1 + gap)
-            return applied, s._replace(evidence=evidence)
-    if s.law is None:
-        s = _begun(p, s, reading)
-    s = _controlled(p, s, reading)
-    voltage = s.voltage
-    s = s._replace(
-        measurement=reading,
-        velocity=velocity.step(p.lvdt.tachometer, s.velocity, reading),
-        evidence=lvdt_watch.weighed(p.lvdt.comparison, s.evidence, reading, applied, 1 + gap),
-    )
-    return voltage, _confronted(p, s)
+        bridge(p, m, gap, reading)
+    if unpaced and m.trust.blocked == "":
+        switch_off(p, m, "lvdt_period", False)
+        report(m, "lvdt_period", rate.text(p.lvdt.pace, m.pace))
+    applied = m.voltage
+    if m.trust.blocked != "":
+        back = recover(p, m, reading, gap > 0 or unpaced)
+        if not back:
+            m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
+            return applied
+    if m.law is None:
+        begin(p, m, reading)
+    if not advance(p, m, 0, reading):
+        leave_the_finite(p, m)
+    voltage = m.voltage
+    m.measurement = reading
+    m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, reading)
+    m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
+    confront(p, m)
+    return voltage
 
 
-def _leapt(s: State) -> bool:
-    """Whether readings that are being bridged leapt: after a gap they would be taken for motion."""
-    return s.trust.bridged > 0 and s.jumped_until >= 0.0
+# Readings that cannot be believed, or do not come
 
 
-def _named(fault: str) -> str:
+def condition_of(fault: str) -> str:
     """Name of the condition of a reading's ``fault``."""
     if fault == "not_finite":
         return "lvdt_not_finite"
@@ -209,180 +297,335 @@ def _named(fault: str) -> str:
     return "lvdt_frozen"
 
 
-def _refused(p: Params, s: State, fault: str, lost: int) -> State:
-    """State after a reading that cannot be believed: bridged, or off if there have been too many."""
-    s = s._replace(trust=lvdt_watch.refused(s.trust, lost))
-    if s.trust.blocked != "":
-        return s
-    if fault == "frozen" or s.trust.bridged > p.lvdt.hold_samples:
-        return _switched_off(p, s, _named(fault), False)
+def refuse(p: Params, m: Memory, fault: str, lost: int) -> None:
+    """Bridge a reading that cannot be believed, or switch off if there have been too many."""
+    count(m, "lvdt_refused")
+    m.trust = lvdt_watch.refused(m.trust, lost)
+    if m.trust.blocked != "":
+        return
+    if fault == "frozen" or m.trust.bridged > p.lvdt.hold_samples:
+        switch_off(p, m, condition_of(fault), False)
+        report(m, condition_of(fault), lvdt.TEXTS[fault])
+        return
     if fault == "jump":
-        return s._replace(jumped_until=s.now + conditions.LATCH)
-    return s
+        m.jumped_until = m.now + conditions.LATCH
+    latch(m, f"{condition_of(fault)}_bridged", f"{lvdt.TEXTS[fault]}: bridged")
 
 
-def _bridged(p: Params, s: State, gap: int, reading: float) -> State:
-    """State with the law stepped over ``gap`` samples before a sound reading, or off."""
-    leapt = _leapt(s)
-    s = s._replace(trust=s.trust._replace(bridged=0))
-    if s.trust.blocked != "" or s.law is None:
-        return s
+def bridge(p: Params, m: Memory, gap: int, reading: float) -> None:
+    """Step the law over ``gap`` samples before a sound ``reading`` [V], or switch off."""
+    leapt = has_leapt(m)
+    m.trust = m.trust._replace(bridged=0)
+    if m.trust.blocked != "" or m.law is None:
+        return
     if gap > p.lvdt.hold_samples:
-        return _switched_off(p, s, "lvdt_silent", leapt)
-    slope = (reading - s.measurement) / (gap + 1)
-    newest, used = s.command.value, s.used
-    for i in range(1, gap + 1):
-        between = s.measurement + i * slope
-        if newest is not None and used is not None and s.command.homing is None:
-            s = s._replace(command=s.command._replace(value=used + i * (newest - used) / (gap + 1)))
-        s = _taken_in(p, s._replace(velocity=velocity.step(p.lvdt.tachometer, s.velocity, between)))
-        command, s = _target(p, s)
-        s = s._replace(
-            law=law_hold(p.law, s.law, command, between, s.voltage), transfer=_decayed(p, s.transfer)
-        )
-    return s._replace(command=s.command._replace(value=newest))
+        switch_off(p, m, "lvdt_silent", leapt)
+        report(m, "lvdt_silent", f"{gap} LVDT readings lost in a row")
+        return
+    latch(m, "lvdt_bridged", "LVDT readings lost: bridged")
+    newest = m.command.value
+    finite = advance(p, m, gap, reading)
+    m.command = m.command._replace(value=newest)
+    if not finite:
+        leave_the_finite(p, m)
 
 
-def _decayed(p: Params, s: bumpless_transfer.State) -> bumpless_transfer.State:
-    """Both offsets one period later."""
-    return s._replace(
-        voltage=bumpless_transfer.decayed(p.transfer, s.voltage),
-        command=bumpless_transfer.decayed(p.transfer, s.command),
-    )
+def has_leapt(m: Memory) -> bool:
+    """Whether readings that are being bridged leapt: after a gap they would be taken for motion."""
+    return m.trust.bridged > 0 and m.jumped_until >= 0.0
 
 
-def _confronted(p: Params, s: State) -> State:
-    """State after a block of readings has been compared with the voltage."""
-    if p.lvdt.comparison is None or s.evidence is None or s.trust.blocked != "":
-        return s
-    if s.evidence.held != 0.0:
-        return s
-    found, doubt = plausibility.verdict(p.lvdt.comparison, s.evidence, s.trust.doubt)
+def confront(p: Params, m: Memory) -> None:
+    """Switch off if readings and voltage have shown together that the readings are wrong."""
+    if p.lvdt.comparison is None or m.evidence is None or m.trust.blocked != "" or not p.answered:
+        return
+    if m.evidence.held != 0.0:
+        return
+    found, doubt = plausibility.verdict(p.lvdt.comparison, m.evidence, m.trust.doubt)
     if found != "":
-        return _switched_off(p, s, "lvdt_disagrees", False)
-    return s._replace(trust=s.trust._replace(doubt=doubt))
+        report(
+            m,
+            "lvdt_disagrees",
+            f"{lvdt.TEXTS['disagrees']}: "
+            f"{plausibility.words(found, p.lvdt.comparison, m.evidence, m.trust.doubt)}",
+        )
+        switch_off(p, m, "lvdt_disagrees", False)
+    elif doubt.times != m.trust.doubt.times:
+        end_doubt(m)
 
 
-def _switched_off(p: Params, s: State, name: str, leapt: bool) -> State:
-    """State with 0 V because of ``name``."""
-    return s._replace(
-        trust=lvdt_watch.switched_off(p.lvdt, s.trust, s.evidence, name, s.now, True, leapt),
-        voltage=0.0,
-        former=s.law,
-        law=None,
-        transfer=bumpless_transfer.NOTHING,
-        lead=None,
-    )
+def end_doubt(m: Memory) -> None:
+    """Trust the LVDT again."""
+    m.trust = m.trust._replace(doubt=plausibility.TRUST)
+    clear(m, "lvdt_doubted")
 
 
-def _recovered(p: Params, s: State, reading: float, anew: bool) -> State:
-    """State after a sound reading while the voltage is off; the law is back in force after enough of them."""
-    before = lvdt_watch.Motion(s.measurement, s.velocity, s.evidence)
-    trust, motion = lvdt_watch.recovered(p.lvdt, s.trust, before, reading, anew, s.now)
-    s = s._replace(
-        trust=trust, measurement=motion.measurement, velocity=motion.velocity, evidence=motion.evidence
-    )
+# Off and on again
+
+
+def leave_the_finite(p: Params, m: Memory) -> None:
+    """Switch off: the law has produced NaN or infinity, or raised an error."""
+    count(m, "law_not_finite")
+    switch_off(p, m, "law_not_finite", False)
+    report(m, "law_not_finite", f"{m.name} left the finite numbers")
+    m.former = None
+
+
+def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
+    """Give 0 V because of ``name``; ``leapt``: readings had leapt."""
+    trust = lvdt_watch.switched_off(p.lvdt, m.trust, m.evidence, name, m.now, p.answered, leapt)
+    if trust.doubt.times != m.trust.doubt.times:
+        clear(m, "lvdt_doubted")
+    m.trust = trust
+    count(m, "safe_stops")
+    m.voltage = 0.0
+    m.former = m.law
+    m.law = None
+    m.transfer = bumpless_transfer.NOTHING
+    m.fading = False
+    m.lead = None
+    forget_voltage(m)
+
+
+def recover(p: Params, m: Memory, reading: float, anew: bool) -> bool:
+    """Whether the law has the valve again: enough sound readings have come, and the spool is at rest."""
+    before = lvdt_watch.Motion(m.measurement, m.velocity, m.evidence)
+    trust, motion = lvdt_watch.recovered(p.lvdt, m.trust, before, reading, anew, m.now)
+    if trust.blocked == "":
+        clear(m, m.trust.blocked)
+    m.trust = trust
+    m.measurement = motion.measurement
+    m.velocity = motion.velocity
+    m.evidence = motion.evidence
     if trust.blocked != "":
-        return s
-    s = s._replace(command=command_watch.welcomed(p.command, s.command, reading, s.now))
-    return _taken_over(p, s, s.former is not None, False)
+        return False
+    if trust.doubt.times > 0.0:
+        report(m, "lvdt_doubted", lvdt.TEXTS["doubted"])
+    welcome(p, m, reading)
+    take_over(p, m, m.former, False)
+    return True
 
 
-def _begun(p: Params, s: State, reading: float) -> State:
-    """State at the first believable reading: as offline at rest, else without a bump."""
-    s = s._replace(
-        measurement=reading,
-        velocity=velocity.State(reading, 0.0),
-        command=command_watch.welcomed(p.command, s.command, reading, s.now),
-    )
-    wanted = 0.0 if s.command.value is None else s.command.value
+def welcome(p: Params, m: Memory, reading: float) -> None:
+    """Let the law hold the valve at ``reading`` [V] until a command comes."""
+    clear(m, "lvdt_missing")
+    m.command = command_watch.welcomed(p.command, m.command, reading, m.now)
+    if m.command.homing is not None:
+        report(m, "command_silent", command_watch.SILENT)
+    if m.command.value is None:
+        report(m, "command_missing", "no command yet")
+
+
+def begin(p: Params, m: Memory, reading: float) -> None:
+    """Start the law: as offline if all is at rest, without a bump if spool or command are elsewhere."""
+    m.measurement = reading
+    m.velocity = velocity.State(reading, 0.0)
+    welcome(p, m, reading)
+    wanted = 0.0 if m.command.value is None else m.command.value
     if p.lockstep or max(abs(reading), abs(wanted)) <= p.lvdt.judge.tolerance:
-        return s._replace(law=law_initial(p.law, Start(reading, s.voltage, reading, 0.0, 0.0)))
-    return _taken_over(p, s, False, False)
+        m.law = law_initial(p.law, Start(reading, m.voltage, reading, 0.0, 0.0))
+    else:
+        take_over(p, m, None, False)
 
 
-def _taken_over(p: Params, s: State, again: bool, following: bool) -> State:
-    """State in which the law begins where the spool is.
+def take_over(p: Params, m: Memory, former: Any | None, following: bool) -> None:
+    """Start the law where the spool is, with the estimates of its ``former`` state.
 
-    ``again``: with the estimates that it had; ``following``: the spool has been following the command.
+    ``following``: the spool has been following the command until now.
     """
-    y, v = s.measurement, s.velocity.velocity
-    start = Start(y, s.voltage, y, v, v)
-    base, s = _target(p, s)
-    base -= s.transfer.command.value
+    follow(p, m, m.now)
+    y, v = m.measurement, m.velocity.velocity
+    start = Start(y, m.voltage, y, v, v)
+    base = target(p, m)  # which may end a way home and begin an offset
+    base -= m.transfer.command.value
+    # A spool that follows has the rate of the command; one from elsewhere has to lose its own.
     offset = bumpless_transfer.Offset(law_steady_command(p.law, start) - base, 0.0 if following else v)
-    law = law_resumed(p.law, s.former) if again else p.law
-    return s._replace(
-        law=law_initial(law, start), transfer=bumpless_transfer.State(s.transfer.voltage, offset, True)
-    )
+    law = p.law if former is None else law_resumed(p.law, former)
+    m.law = law_initial(law, start)
+    m.transfer = bumpless_transfer.State(m.transfer.voltage, offset, True)
+    m.fading = True
 
 
-def _taken_in(p: Params, s: State) -> State:
-    """State with the lead of this sample's command."""
-    value = s.command.value
-    if p.lead is None or value is None:
-        return s
-    before = command_lead.initial(value) if s.lead is None else s.lead
-    return s._replace(lead=command_lead.step(p.lead, before, value))
+def go_on(p: Params, m: Memory, former: Any) -> None:
+    """Start the law where the spool is, with reference and estimates of the ``former`` state of another."""
+    follow(p, m, m.now)
+    y, v = m.measurement, m.velocity.velocity
+    reference, slope = former.reference
+    start = Start(y, m.voltage, reference, slope, v)
+    target(p, m)
+    m.law = law_initial(law_resumed(p.law, former), start)
+    m.transfer = m.transfer._replace(taking_over=True)
+    m.fading = True
 
 
-def _target(p: Params, s: State) -> tuple[float, State]:
-    """Command [V] of this sample, with its lead and its offset."""
-    command, following, offset = command_watch.step(p.command, s.command, s.transfer.command, s.now)
-    s = s._replace(command=following, transfer=s.transfer._replace(command=offset))
-    value = following.value
-    if value is None or following.homing is not None or p.lead is None or s.lead is None:
-        return command, s
-    return command_lead.led(p.lead, s.lead, value) + offset.value, s
+# The law
 
 
-def _controlled(p: Params, s: State, reading: float) -> State:
-    """State after one step of the law; off if it leaves the finite numbers."""
+def advance(p: Params, m: Memory, gap: int, reading: float) -> bool:
+    """Step the law over ``gap`` samples before ``reading`` [V], or without a gap over this sample.
+
+    False if it left the finite numbers, or raised an error: C goes on with what it computes instead.
+    """
+    try:
+        if gap > 0:
+            hold(p, m, gap, reading)
+            return True
+        return control(p, m, reading)
+    except (ArithmeticError, ValueError):
+        return False
+
+
+def hold(p: Params, m: Memory, gap: int, reading: float) -> None:
+    """Step the law over ``gap`` samples without a reading, on a straight line to ``reading`` [V]."""
+    slope = (reading - m.measurement) / (gap + 1)
+    newest, used = m.command.value, m.used
+    for i in range(1, gap + 1):
+        between = m.measurement + i * slope
+        now = m.now - (gap + 1 - i) * p.lvdt.period
+        if m.course is not None or m.trajectory is not None:
+            follow(p, m, now)
+        elif newest is not None and used is not None and m.command.homing is None:
+            m.command = m.command._replace(value=used + i * (newest - used) / (gap + 1))
+        m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, between)
+        take_in(p, m, now)
+        wanted = target(p, m)
+        m.law = law_hold(p.law, m.law, wanted, between, m.voltage)
+        fade(p, m)
+
+
+def control(p: Params, m: Memory, reading: float) -> bool:
+    """Compute one step of the law and hand out its voltage; False, and none, if it is not finite."""
     law = p.law
-    if s.trust.doubt.times != 0.0:
+    if m.trust.doubt.times != 0.0 and p.lvdt.comparison is not None:
         law = law._replace(u_max=min(law.u_max, p.probation))
-    command, s = _target(p, _taken_in(p, s))
-    s = s._replace(used=s.command.value)
-    if s.transfer.taking_over:
-        _, _, first = law_step(law, s.law, command, reading, 0.0)
-        s = s._replace(transfer=bumpless_transfer.begun(s.transfer, s.voltage - first.unsaturated_voltage))
-    voltage, after, terms = law_step(law, s.law, command, reading, s.transfer.voltage.value)
+    follow(p, m, m.now)
+    take_in(p, m, m.now)
+    wanted = target(p, m)
+    m.effective = wanted
+    m.used = m.command.value
+    if m.transfer.taking_over:
+        _, _, first = law_step(law, m.law, wanted, reading, 0.0)
+        m.transfer = bumpless_transfer.begun(m.transfer, m.voltage - first.unsaturated_voltage)
+        m.fading = True
+    voltage, after, terms = law_step(law, m.law, wanted, reading, m.transfer.voltage.value)
     if not (math.isfinite(voltage) and all(map(math.isfinite, terms))):
-        return _switched_off(p, s, "law_not_finite", False)._replace(former=None)
-    return s._replace(voltage=voltage, law=after, transfer=_decayed(p, s.transfer))
+        return False
+    m.voltage = voltage
+    hand_out(voltage)
+    m.law = after
+    observe(m, terms, voltage)
+    fade(p, m)
+    return True
 
 
-def bound(law: Law) -> types.SimpleNamespace:
-    """Params, State and the functions of this file for ``law``, whose functions are in their places."""
-    module = law.module
-    hints = get_type_hints(module.Params)
-    adapts = law.adapts and "theta_initial" in hints
-    params = _record(Params, {"law": module.Params})
-    state = _record(State, {"law": module.State | None, "former": module.State | None})
-    scope: dict[str, Any] = {
-        **vars(sys.modules[__name__]),
-        "Params": params,
-        "State": state,
-        "law_initial": module.initial,
-        "law_step": module.step,
-        "law_hold": module.hold,
-        "law_steady_command": law.steady_command,
-        "Theta": hints["theta_initial"] if adapts else Theta,
-        "law_resumed": with_estimates if adapts else as_designed,
-    }
-    others = {Params: params, State: state, tuple[float, State]: tuple[float, state]}  # type: ignore[valid-type]
+def fade(p: Params, m: Memory) -> None:
+    """Let both offsets of a takeover decay by one period."""
+    if m.fading:
+        m.transfer = bumpless_transfer.step(p.transfer, m.transfer)
+        voltage, command = m.transfer.voltage, m.transfer.command
+        m.fading = voltage.value != 0.0 or voltage.rate != 0.0 or command.value != 0.0 or command.rate != 0.0
+
+
+def follow(p: Params, m: Memory, now: float) -> None:
+    """The command in force is that of trajectory or course at ``now`` [s], if there is one."""
+    if m.trajectory is not None:
+        m.motion = points.motion(m.trajectory, now, p.command.limit)
+        m.command = m.command._replace(value=m.motion.position)
+    elif m.course is not None and p.joining is not None:
+        m.command = m.command._replace(value=saturate(command_course.value(m.course, now), p.joining.limit))
+
+
+def take_in(p: Params, m: Memory, now: float) -> None:
+    """The command of the sample at ``now`` [s], from which its lead follows."""
+    value = m.command.value
+    if m.trajectory is not None:
+        m.lead = None
+    elif p.lead is not None and value is not None:
+        before = command_lead.initial(value) if m.lead is None else m.lead
+        if m.course is None:
+            m.lead = command_lead.step(p.lead, before, value)
+        else:
+            slope = command_course.rate(m.course, now)
+            m.lead = command_lead.known(p.lead, before, value, slope, 0.0)
+
+
+def target(p: Params, m: Memory) -> float:
+    """Command [V] of this sample, with its lead or its derivatives, and with its offset."""
+    homing = m.command.homing is not None
+    wanted, m.command, offset = command_watch.step(p.command, m.command, m.transfer.command, m.now)
+    if homing != (m.command.homing is not None):
+        if homing:
+            m.transfer = m.transfer._replace(command=offset)
+            m.fading = True
+            clear(m, "command_silent")
+        else:
+            report(m, "command_silent", command_watch.SILENT)
+    value = m.command.value
+    if value is None or m.command.homing is not None:
+        return wanted
+    if m.trajectory is not None and p.reshapes:
+        return law_commanded(p.law, m.motion) + m.transfer.command.value
+    if p.lead is None or m.lead is None:
+        return wanted
+    return command_lead.led(p.lead, m.lead, value) + m.transfer.command.value
+
+
+# What stands in the places
+
+
+def bind(places: Mapping[str, Any], kinds: Mapping[Any, Any] | None = None) -> types.SimpleNamespace:
+    """The functions of this file with others in their ``places``, and with other ``kinds`` of arguments."""
+    scope: dict[str, Any] = {**vars(sys.modules[__name__]), **places}
     own = {n: f for n, f in scope.items() if isinstance(f, types.FunctionType) and f.__module__ == __name__}
     for name, function in own.items():
-        again = types.FunctionType(function.__code__, scope, function.__name__, function.__defaults__)
-        kinds = function.__annotations__
-        again.__annotations__ = {argument: others.get(kind, kind) for argument, kind in kinds.items()}
+        # The interpreter adapts code to the scope in which it runs: each scope has its own.
+        code = function.__code__.replace()
+        again = types.FunctionType(code, scope, function.__name__, function.__defaults__)
+        again.__dict__.update(function.__dict__)
+        again.__annotations__ = {
+            argument: (kinds or {}).get(kind, kind) for argument, kind in function.__annotations__.items()
+        }
         scope[name] = again
     return types.SimpleNamespace(**scope)
 
 
-def _record(template: Any, given: dict[str, Any]) -> Any:
-    """The NamedTuple ``template`` with other types of some fields."""
-    made: Any = collections.namedtuple(template.__name__, template._fields)  # type: ignore[misc]
-    made.__annotations__ = {**get_type_hints(template), **given}
-    made.__module__, made.__doc__ = template.__module__, template.__doc__
+def places_of(law: Law) -> dict[str, Callable[..., Any]]:
+    """The functions of ``law`` by the names of their places."""
+    module = law.module
+    moved = by_motion if "reshaping" in module.Params._fields else by_position
+    return {
+        "law_initial": module.initial,
+        "law_step": module.step,
+        "law_hold": module.hold,
+        "law_steady_command": law.steady_command,
+        "law_resumed": bumpless_transfer.resumed,
+        "law_commanded": moved,
+    }
+
+
+def bound(law: Law) -> types.SimpleNamespace:
+    """Params, State and the functions of this file for ``law`` alone, as they are exported to C."""
+    module = law.module
+    hints = get_type_hints(module.Params)
+    adapts = law.adapts and "theta_initial" in hints
+    params = _record(Params, {"law": module.Params})
+    state = module.State | None
+    memory = _record(Memory, {"law": state, "former": state}, TOLD)
+    memory.__name__, memory.changes = "State", True
+    others = {
+        "Params": params,
+        "State": memory,
+        "Theta": hints["theta_initial"] if adapts else Theta,
+        "law_resumed": with_estimates if adapts else as_designed,
+    }
+    return bind({**places_of(law), **others}, {Params: params, Memory: memory, Any | None: state})
+
+
+def _record(template: Any, given: dict[str, Any], without: tuple[str, ...] = ()) -> Any:
+    """A NamedTuple with the fields of ``template``, other types of some, and ``without`` others."""
+    hints = {n: h for n, h in {**get_type_hints(template), **given}.items() if n not in without}
+    made: Any = collections.namedtuple(template.__name__, list(hints))  # type: ignore[misc]
+    made.__annotations__ = hints
+    made.__module__, made.__doc__ = __name__, template.__doc__
+    setattr(made, "template", template)  # noqa: B010  # with the comments of the fields
     return made
