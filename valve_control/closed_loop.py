@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.compiling import compile_function
+from valve_control.compiling import bind, compile_function
 from valve_control.plant import valve
 
 Array = npt.NDArray[np.float64]
@@ -114,9 +114,8 @@ def build(
         ready = {name: compile_function(f) for name, f in outer.items()}
         one = compile_function(sample, {name: compile_function(f) for name, f in inner.items()})
         return compile_function(run_loop, {"sample": one, **ready}, nogil)
-    plain = types.FunctionType(sample.__code__, {**sample.__globals__, **inner}, sample.__name__)
-    scope = {**run_loop.__globals__, **outer, "sample": plain}
-    return types.FunctionType(run_loop.__code__, scope, run_loop.__name__)
+    bound: Callable[..., Any] = bind({"sample": sample, "run_loop": run_loop}, {**inner, **outer})["run_loop"]
+    return bound
 
 
 def command_given(params: float, state: float, given: float) -> tuple[float, float]:

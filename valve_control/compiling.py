@@ -76,6 +76,24 @@ def compile_function(
     return _compile(function, tuple(sorted((replace or {}).items(), key=lambda item: item[0])), nogil)
 
 
+def bind(functions: Mapping[str, Callable[..., Any]], places: Mapping[str, Any]) -> dict[str, Any]:
+    """``functions`` of one module, by name, in plain Python, with others in the ``places`` of its globals.
+
+    They call each other; ``places`` are returned with them.
+    """
+    scope: dict[str, Any] = dict(next(iter(functions.values())).__globals__)
+    scope.update(places)
+    made: dict[str, Any] = dict(places)
+    for name, function in functions.items():
+        # The interpreter adapts code to the scope in which it runs: each scope has its own.
+        code = function.__code__.replace()
+        made[name] = types.FunctionType(code, scope, function.__name__, function.__defaults__)
+        made[name].__dict__.update(function.__dict__)
+        made[name].__annotations__ = dict(function.__annotations__)
+    scope.update(made)
+    return made
+
+
 @functools.cache
 def _compile(
     function: Callable[..., Any], replace: tuple[tuple[str, Callable[..., Any]], ...], nogil: bool

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from valve_control import closed_loop
 from valve_control.axis import cascade
-from valve_control.compiling import compile_function
+from valve_control.compiling import bind, compile_function
 from valve_control.laws import command_lead, reshaping
 from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
@@ -137,8 +137,7 @@ def _loop(law: types.ModuleType, level: types.ModuleType, compiled: bool) -> Cal
     if compiled:
         both = compile_function(cascade.step, {name: compile_function(f) for name, f in steps.items()})
     else:
-        scope = {**cascade.step.__globals__, **steps}
-        both = types.FunctionType(cascade.step.__code__, scope, cascade.step.__name__)
+        both = bind({"step": cascade.step}, steps)["step"]
     return closed_loop.build({**cascade.FUNCTIONS, "law_step": both}, compiled, nogil=True)
 
 

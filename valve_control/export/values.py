@@ -124,7 +124,8 @@ class Values:
         if a == b:
             return a
         if NOTHING in (a, b):
-            return kinds.optional(b if a is NOTHING else a)
+            given = b if a is NOTHING else a
+            return given if given.what == "optional" else kinds.optional(given)
         if a.is_number and b.is_number:
             return REAL if REAL in (a, b) else INTEGER
         for one, other in ((a, b), (b, a)):

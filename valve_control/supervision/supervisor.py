@@ -41,6 +41,11 @@ def unused(voltage: float) -> None:
     """Placeholder for a receiver of the voltage, where nobody needs it before the sample ends."""
 
 
+def are_finite(voltage: float, terms: tuple[float, ...]) -> bool:
+    """Whether ``voltage`` [V] and each of ``terms`` are finite: a finite sum has finite parts."""
+    return math.isfinite(voltage + sum(terms)) or watch.are_finite(voltage, terms)
+
+
 class Supervisor:
     """Controls one valve: takes readings and commands, returns voltages, and reports conditions."""
 
@@ -57,6 +62,7 @@ class Supervisor:
         self._params: watch.Params  # these three from apply on
         self._watch_law: law_watch.Params
         self._steps: types.SimpleNamespace
+        self._sample: Callable[..., float]
         self.start()
 
     # Life
@@ -105,8 +111,9 @@ class Supervisor:
         before, law = self._descriptor, LAWS[name]
         same_reference = before is not None and before.reshapes(former)
         if law is not before:
-            places = {**watch.places_of(law), "hand_out": self._hand_out, "observe": self._observe}
-            self._steps = watch.bind(places)
+            own = {"hand_out": self._hand_out, "observe": self._observe, "are_finite": are_finite}
+            self._steps = watch.with_places({**watch.places_of(law), **own})
+            self._sample = self._steps.sample
         self._descriptor = law
         self._form = form
         self.name = m.name = name
@@ -199,7 +206,7 @@ class Supervisor:
             clear(m, "lvdt_rate")
             if pace.level == 1:
                 report(m, "lvdt_rate", rate.text(p.lvdt.pace, pace))
-        voltage: float = self._steps.sample(p, m, reading, lost, elapsed, pace.level == 2)
+        voltage = self._sample(p, m, reading, lost, elapsed, pace.level == 2)
         self._hand_out(voltage)
         return voltage
 

@@ -1,17 +1,18 @@
 """Steps one valve from reading to voltage: the supervisor's machine, for nodes, replay and exported C.
 
-All functions work on one ``Memory``, which they change, and on ``Params``, which they do not. ``bind`` puts
-the functions of a law, and of who runs the machine, in the places that are kept for them. The translator of
-export/ makes C of the same functions; it leaves out the calls of those that are marked as ``node_only``.
+All functions work on one ``Memory``, which they change, and on ``Params``, which they do not.
+``with_places`` puts the functions of a law, and of who runs the machine, in the places that are kept for
+them. The translator of export/ makes C of the same functions; it leaves out the calls of those that are marked
+as ``node_only``.
 """
 
 import collections
 import math
-import sys
 import types
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, get_type_hints
 
+from valve_control.compiling import bind
 from valve_control.laws import command_lead, reshaping, velocity
 from valve_control.laws.law import Law
 from valve_control.laws.projection import Theta, clip
@@ -122,6 +123,11 @@ def hand_out(voltage: float) -> None:
 @node_only
 def observe(m: Memory, terms: Any, voltage: float) -> None:
     """Place of what is done with a law's step afterwards."""
+
+
+def are_finite(voltage: float, terms: Any) -> bool:
+    """Whether a law's ``voltage`` [V] and each of its ``terms`` are finite; place of a quicker way, too."""
+    return math.isfinite(voltage) and all(map(math.isfinite, terms))
 
 
 def as_designed(p: Any, former: Any) -> Any:
@@ -279,7 +285,8 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     m.measurement = reading
     m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, reading)
     m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
-    confront(p, m)
+    if m.evidence is not None and m.evidence.held == 0.0:
+        confront(p, m)
     return voltage
 
 
@@ -338,8 +345,6 @@ def has_leapt(m: Memory) -> bool:
 def confront(p: Params, m: Memory) -> None:
     """Switch off if readings and voltage have shown together that the readings are wrong."""
     if p.lvdt.comparison is None or m.evidence is None or m.trust.blocked != "" or not p.answered:
-        return
-    if m.evidence.held != 0.0:
         return
     found, doubt = plausibility.verdict(p.lvdt.comparison, m.evidence, m.trust.doubt)
     if found != "":
@@ -490,7 +495,8 @@ def hold(p: Params, m: Memory, gap: int, reading: float) -> None:
         take_in(p, m, now)
         wanted = target(p, m)
         m.law = law_hold(p.law, m.law, wanted, between, m.voltage)
-        fade(p, m)
+        if m.fading:
+            fade(p, m)
 
 
 def control(p: Params, m: Memory, reading: float) -> bool:
@@ -508,22 +514,22 @@ def control(p: Params, m: Memory, reading: float) -> bool:
         m.transfer = bumpless_transfer.begun(m.transfer, m.voltage - first.unsaturated_voltage)
         m.fading = True
     voltage, after, terms = law_step(law, m.law, wanted, reading, m.transfer.voltage.value)
-    if not (math.isfinite(voltage) and all(map(math.isfinite, terms))):
+    if not are_finite(voltage, terms):
         return False
     m.voltage = voltage
     hand_out(voltage)
     m.law = after
     observe(m, terms, voltage)
-    fade(p, m)
+    if m.fading:
+        fade(p, m)
     return True
 
 
 def fade(p: Params, m: Memory) -> None:
     """Let both offsets of a takeover decay by one period."""
-    if m.fading:
-        m.transfer = bumpless_transfer.step(p.transfer, m.transfer)
-        voltage, command = m.transfer.voltage, m.transfer.command
-        m.fading = voltage.value != 0.0 or voltage.rate != 0.0 or command.value != 0.0 or command.rate != 0.0
+    m.transfer = bumpless_transfer.step(p.transfer, m.transfer)
+    voltage, command = m.transfer.voltage, m.transfer.command
+    m.fading = voltage.value != 0.0 or voltage.rate != 0.0 or command.value != 0.0 or command.rate != 0.0
 
 
 def follow(p: Params, m: Memory, now: float) -> None:
@@ -573,20 +579,11 @@ def target(p: Params, m: Memory) -> float:
 # What stands in the places
 
 
-def bind(places: Mapping[str, Any], kinds: Mapping[Any, Any] | None = None) -> types.SimpleNamespace:
-    """The functions of this file with others in their ``places``, and with other ``kinds`` of arguments."""
-    scope: dict[str, Any] = {**vars(sys.modules[__name__]), **places}
-    own = {n: f for n, f in scope.items() if isinstance(f, types.FunctionType) and f.__module__ == __name__}
-    for name, function in own.items():
-        # The interpreter adapts code to the scope in which it runs: each scope has its own.
-        code = function.__code__.replace()
-        again = types.FunctionType(code, scope, function.__name__, function.__defaults__)
-        again.__dict__.update(function.__dict__)
-        again.__annotations__ = {
-            argument: (kinds or {}).get(kind, kind) for argument, kind in function.__annotations__.items()
-        }
-        scope[name] = again
-    return types.SimpleNamespace(**scope)
+def with_places(places: Mapping[str, Any]) -> types.SimpleNamespace:
+    """The functions of this file with others in their ``places``."""
+    own = {n: f for n, f in {**globals(), **places}.items() if getattr(f, "__module__", "") == __name__}
+    functions = {n: f for n, f in own.items() if isinstance(f, types.FunctionType)}
+    return types.SimpleNamespace(**bind(functions, places))
 
 
 def places_of(law: Law) -> dict[str, Callable[..., Any]]:
@@ -618,7 +615,13 @@ def bound(law: Law) -> types.SimpleNamespace:
         "Theta": hints["theta_initial"] if adapts else Theta,
         "law_resumed": with_estimates if adapts else as_designed,
     }
-    return bind({**places_of(law), **others}, {Params: params, Memory: memory, Any | None: state})
+    made = with_places({**places_of(law), **others})
+    kinds = {Params: params, Memory: memory, Any | None: state}
+    for function in vars(made).values():
+        if getattr(function, "__module__", "") == __name__ and isinstance(function, types.FunctionType):
+            own = function.__annotations__
+            own.update({argument: kinds.get(kind, kind) for argument, kind in own.items()})
+    return made
 
 
 def _record(template: Any, given: dict[str, Any], without: tuple[str, ...] = ()) -> Any:
