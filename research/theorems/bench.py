@@ -3,7 +3,6 @@
 import cmath
 import math
 import multiprocessing
-import types
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from typing import Any, NamedTuple, TypeVar
@@ -13,7 +12,7 @@ import numpy.typing as npt
 import scipy.integrate
 
 from valve_control import closed_loop, interrupts
-from valve_control.compiling import compile_function
+from valve_control.compiling import bind, compile_function
 from valve_control.laws import reshaping, velocity
 from valve_control.laws.projection import Theta
 
@@ -161,8 +160,8 @@ def loop_with(
     """``loop`` with its globals named in ``functions`` replaced, compiled or in plain Python."""
     if compiled:
         return compile_function(loop, {name: compile_function(f) for name, f in functions.items()})
-    assert isinstance(loop, types.FunctionType)
-    return types.FunctionType(loop.__code__, {**loop.__globals__, **functions}, loop.__name__)
+    bound: Callable[..., Any] = bind({"": loop}, functions)[""]
+    return bound
 
 
 def loop_on_motion(

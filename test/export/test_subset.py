@@ -5,6 +5,7 @@ import math
 import shutil
 import sys
 import types
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from valve_control.export import compiler
-from valve_control.export.kinds import REAL
+from valve_control.export.kinds import REAL, Kind
 from valve_control.export.subset import Program, SubsetError
 from valve_control.export.terms import LIBRARY
 
@@ -129,13 +130,19 @@ def held(s: Held, reading: float) -> Held:
     return Held(reading if reading != last else None, count, "")
 
 
+def maybe(a: float, b: float) -> float:
+    s = held(Held(None if a < 0.0 else 0.5, 3, ""), a)
+    last = s.last if b > 0.0 else None
+    return -1.0 if last is None else last
+
+
 def remembers(a: float, b: float) -> float:
     s = held(held(Held(None if a < 0.0 else 0.5, 3, ""), a), b)
     kept = 0.25 if s.last is None else s.last
     return kept + s.count * 10.0 + (100.0 if s.fault == "jump" else 0.0)
 
 
-TRANSLATED = (peculiar, looped, named, mapped, least, most, rest_of, whole, power, integers, remembers)
+TRANSLATED = (peculiar, looped, named, mapped, least, most, rest_of, whole, power, integers, remembers, maybe)
 LIBRARIES = [name for name in LIBRARY if name != "atan2"]
 
 
@@ -257,3 +264,107 @@ def test_arguments_without_annotations_have_the_kinds_of_the_call(tmp_path):
     program.translate(module.step, [REAL, REAL])
     text = "\n".join(program.functions)
     assert "bare_law_twice(double a, int64_t n)" in text and "bare_law_twice2(double a, double n)" in text
+
+
+class Kept(NamedTuple):
+    first: float
+    second: float
+    pair: Pair
+
+
+Kept.changes = True  # a memory, which functions change in place
+
+
+@dataclass
+class Slots:
+    first: float
+    second: float
+    pair: Pair
+
+
+def told(m: Kept, text: str) -> None:
+    raise AssertionError("C leaves it out")
+
+
+told.node_only = True
+
+
+def added(m: Kept, by: float) -> float:
+    m.first += by
+    return m.first
+
+
+def risen(m: Kept, by: float) -> bool:
+    m.first += by
+    return by > 0.0
+
+
+def turned(m: Kept, before: Pair) -> None:
+    m.pair = m.pair._replace(first=before.second)
+    m.pair = m.pair._replace(second=before.first)
+
+
+def changed(m: Kept, a: float) -> float:
+    m.first, m.second = m.second, m.first
+    last = added(m, a)
+    turned(m, m.pair)
+    try:
+        if not risen(m, last):
+            m.second = -1.0
+    except (ArithmeticError, ValueError):
+        m.second = 0.0
+    m.second += m.first if a > 0.0 else m.pair.first
+    if a > 1e9:
+        told(m, f"{a}")
+    return m.second
+
+
+@given(st.tuples(*[st.floats(-1e3, 1e3)] * 4), st.floats(-1e3, 1e3))
+def test_a_memory_is_changed_in_place(in_place, numbers, a):
+    m, given = Slots(*numbers[:2], Pair(*numbers[2:])), (ctypes.c_double * 4)(*numbers)
+    assert bits(in_place(given, a)) == bits(changed(m, a))
+    assert [bits(x) for x in given] == [bits(x) for x in (m.first, m.second, *m.pair)]
+
+
+@pytest.fixture(scope="module")
+def in_place(tmp_path_factory):
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler")
+    folder = tmp_path_factory.mktemp("memory")
+    program = Program("test", HERE)
+    made = program.translate(changed, [Kind("record", Kept), REAL])
+    text = ["#include <stdbool.h>", "#include <stdint.h>", *program.types.values(), *program.functions]
+    call = f"{made.name}((test_kept_t *)memory, a)"
+    text.append(f"double out(double *memory, double a) {{ return {call}; }}")
+    assert "told" not in "".join(text) and "1e9" not in "".join(text).replace("1000000000.0", "1e9")
+    (folder / "memory.c").write_text("\n".join(text))
+    compiler.build([folder / "memory.c"], folder / "memory.so", ["-fPIC", "-shared"])
+    function = ctypes.CDLL(str(folder / "memory.so")).out
+    function.argtypes, function.restype = [ctypes.POINTER(ctypes.c_double), ctypes.c_double], ctypes.c_double
+    return function
+
+
+INSIDE = "added may change its memory inside another expression"
+ORDERS = {
+    "told(m, added(m, a))": INSIDE,
+    "a = 1.0 + added(m, a)": INSIDE,
+    "m.first += added(m, a)": INSIDE,
+    "m.first, m.second = added(m, a), m.first": INSIDE,
+    "if a > 0.0 and added(m, a) > 0.0:\n        a = 1.0": INSIDE,
+    "if a > 0.0:\n        told(m, added(m, a))": INSIDE,
+    "m.pair.first = a": "something else than a variable or a memory's slot",
+    "m.third = a": "m.third, which is no field",
+    "try:\n        a = 1.0\n    except KeyError:\n        a = 2.0": "a try block for other errors",
+}
+
+
+@pytest.mark.parametrize(("code", "reason"), ORDERS.items(), ids=[text[:20] for text in ORDERS])
+def test_a_change_of_a_memory_whose_order_c_leaves_open_is_refused(tmp_path, code, reason):
+    path = tmp_path / "a_memory.py"
+    path.write_text(f"def step(m: Kept, a: float) -> float:\n    {code}\n    return a\n")
+    module = types.ModuleType("a_memory")
+    vars(module).update(Kept=Kept, added=added, told=told)
+    exec(compile(path.read_text(), path, "exec"), vars(module))
+    with pytest.raises(SubsetError) as error:
+        Program("test", module).translate(module.step, [Kind("record", Kept), REAL])
+    assert reason in str(error.value)

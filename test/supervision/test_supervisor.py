@@ -1,6 +1,7 @@
 """The supervisor around a simulated valve, sample by sample: each fault, its reaction, the way back."""
 
 import math
+import types
 
 import numpy as np
 import pytest
@@ -524,6 +525,41 @@ def test_law_that_leaves_the_finite_numbers_is_switched_off_and_begins_anew():
     assert "law_not_finite" in loop.supervisor.conditions
     loop.run(2500)
     assert loop.supervisor.mode is Mode.OK
+
+
+def with_step(monkeypatch, step):
+    """ARC in place of itself with ``step(inner, p, s, command, measurement, offset)``."""
+    arc = registry.LAWS["arc"]
+    parts = {part: getattr(arc.module, part) for part in ("Params", "State", "Terms", "initial", "hold")}
+
+    def own(p, s, command, measurement, offset):
+        return step(arc.module.step, p, s, command, measurement, offset)
+
+    module = types.SimpleNamespace(**parts, step=own, __name__=arc.module.__name__)
+    monkeypatch.setitem(registry.LAWS, "arc", arc._replace(module=module))
+
+
+def test_finite_terms_whose_sum_overflows_are_finite(monkeypatch):
+    def large(inner, p, s, command, measurement, offset):
+        voltage, s, terms = inner(p, s, command, measurement, offset)
+        return voltage, s, terms._replace(z1=1.5e308, unsaturated_voltage=1.5e308)
+
+    with_step(monkeypatch, large)
+    loop = Loop("arc").run(50)
+    assert loop.supervisor.counts["law_not_finite"] == 0 and loop.supervisor.memory.law is not None
+
+
+@pytest.mark.parametrize("error", [OverflowError, ZeroDivisionError, ValueError])
+def test_an_error_of_arithmetic_in_a_law_is_one_that_leaves_the_finite_numbers(monkeypatch, error):
+    def failing(inner, p, s, command, measurement, offset):
+        if loop.k == 40:
+            raise error("math domain error")
+        return inner(p, s, command, measurement, offset)
+
+    with_step(monkeypatch, failing)
+    loop = Loop("arc")
+    loop.run(40)
+    assert loop.step() == 0.0 and "law_not_finite" in loop.supervisor.conditions
 
 
 def test_each_change_is_flagged_once():

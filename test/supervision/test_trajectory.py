@@ -16,8 +16,8 @@ from valve_control.parameters.table import CONTROLLER
 from valve_control.supervision import trajectory
 from valve_control.supervision.record import Mode
 from valve_control.supervision.supervisor import Supervisor
-from valve_control.supervision.watch import BOTH
 from valve_control.supervision.trajectory import Motion
+from valve_control.supervision.watch import BOTH
 
 RESHAPING_LAWS = ("arc", "oarc", "pid")
 STROKE = scenarios.Shape("point_to_point", 1.5, 0.0, 0.1, 1.0, 1.0, 40.0, 2000.0, 0.4, 1.0)
