@@ -15,6 +15,7 @@ from valve_control.parameters import build
 from valve_control.parameters.table import COMMAND, CONTROLLER, VALVE
 from valve_control.plant import valve
 from valve_control.simulation import offline
+from valve_control.supervision.cache_warming import CacheWarming
 from valve_control.supervision.record import Mode
 from valve_control.supervision.supervisor import Supervisor
 
@@ -715,6 +716,30 @@ def test_voltage_is_given_once_and_is_the_one_returned(law, readings, lost):
         assert voltage == plain.sample(reading, number, PERIOD)
     assert giving.telemetry() == pytest.approx(plain.telemetry(), nan_ok=True, abs=0.0)
     assert giving.conditions == plain.conditions and giving.counts == plain.counts
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_cache_warming_leaves_no_trace(law):
+    """The voltages with cache warming before each reading are those without, through a fault too."""
+
+    def voltages(warmed):
+        loop = Loop(law)
+        warming = CacheWarming()
+        warming.apply(loop.values, build.law_params(loop.values))
+        found = []
+        for k in range(600):
+            loop.supervisor.command(loop.command())
+            if warmed:
+                warming.warm(loop.supervisor)
+            reading = math.nan if 200 <= k < 240 else loop.reading()
+            found.append(loop.supervisor.sample(reading, k + 1, PERIOD))
+            loop.s = valve.step(loop.p, loop.s, found[-1])
+            loop.k += 1
+        return found
+
+    with_warming = voltages(True)
+    assert with_warming == voltages(False)
+    assert 0.0 in with_warming[220:] and any(with_warming[-50:])
 
 
 def test_the_voltage_of_a_law_that_leaves_the_finite_numbers_is_given_once():

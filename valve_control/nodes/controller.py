@@ -38,6 +38,7 @@ from valve_control.nodes.pairing import Pairing
 from valve_control.parameter import ParameterError, Values, word
 from valve_control.parameters import arguments, build, files, stability
 from valve_control.parameters.table import CONTROLLER
+from valve_control.supervision.cache_warming import CacheWarming
 from valve_control.supervision.journal import OBSERVED, Journal
 from valve_control.supervision.record import Mode, named_terms
 from valve_control.supervision.supervisor import Supervisor
@@ -60,6 +61,7 @@ LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 COMMANDING = ("spool_command", "spool_trajectory")
 WINDOW = 1000  # samples of the timing statistics
 NEVER = math.inf
+WARMING = 0.65  # of a period after a reading
 
 
 class Built(NamedTuple):
@@ -73,18 +75,21 @@ class Built(NamedTuple):
 class Controller(Managed):
     """Reads `spool_position`, `spool_command`, `spool_trajectory`, publishes `valve_voltage` and `~/state`.
 
+    ``warms``: whether it warms the CPU's caches before each reading; of use to a process with one valve.
     ``alone``: whether the process has no other node.
     """
 
-    def __init__(self, alone: bool = True, **options: Any) -> None:
+    def __init__(self, warms: bool = True, alone: bool = True, **options: Any) -> None:
         super().__init__("controller", **options)
         self._supervisor = Supervisor()
         self._journal = Journal(self._supervisor)
+        self._warming = CacheWarming() if warms else None
         self._said: tuple[Mode, str] | None = None
         self._readings: NumberSubscription | None = None
         self._lockstep = False
         self._watch_at = NEVER
         self._catching_up = False
+        self._warm_at = NEVER
         self._seen = 0.0  # s, last reading or silence
         self._pairing: Pairing | None = None  # in lockstep
         self._waiting: tuple[float, dict[str, Any]] | None = None  # lockstep: a reading without its command
@@ -141,7 +146,7 @@ class Controller(Managed):
         # Half a period more than the last reading that may still come in time.
         self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
         if self._lockstep:
-            self._watch_at = NEVER
+            self._watch_at = self._warm_at = NEVER
         labels = self._supervisor.labels()
         if [entry.label for entry in self._state_message.layout.dim] != list(labels):
             self._state_message.layout = MultiArrayLayout(
@@ -155,6 +160,8 @@ class Controller(Managed):
             realtime.obtain(wanted, self.get_logger().warning)
         self._unchecked = True
         self._publish_journal()
+        if self._warming is not None:
+            self._warming.apply(values, params)
 
     # Life
 
@@ -219,6 +226,9 @@ class Controller(Managed):
         self._said = None
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._lockstep else self._seen + REMIND
+        self._warm_at = NEVER
+        if self._warming is not None:
+            self._warming.start()
         self._catching_up = False
         rate = 1.0 / self._period
         for sentence in REFUSED:
@@ -249,11 +259,11 @@ class Controller(Managed):
         return (self._commands, self._trajectories) if self._met else ()
 
     def due(self) -> float:
-        """Next time [s] to act without a message: LVDT silent too long, lockstep check."""
-        return min(self._watch_at, self._look_at) if self.working else NEVER
+        """Next time [s] to act without a message: LVDT silent too long, caches to warm, lockstep check."""
+        return min(self._watch_at, self._warm_at, self._look_at) if self.working else NEVER
 
     def work(self) -> bool:
-        """Answer each waiting reading; without a reading in time, switch off."""
+        """Answer each waiting reading, or warm caches for the next; without a reading in time, switch off."""
         if not self.working or self._readings is None:
             return False
         if self._lockstep:
@@ -263,7 +273,10 @@ class Controller(Managed):
             self._answer(reading, info)
             worked = True
         now = time.monotonic()
+        if self._warm_at <= now < self._watch_at and not worked:
+            self._warm_caches()
         if now >= self._watch_at and not worked:
+            self._warm_at = NEVER
             self._catching_up = now - self._watch_at > STALL
             self._take_commands()
             voltage = self._journal.silence(self._elapsed(now), self._catching_up)
@@ -309,9 +322,18 @@ class Controller(Managed):
         if ended - began > self._period:
             self._overruns += 1
         if not self._lockstep:
+            if self._warming is not None:
+                self._warm_at = began + WARMING * self._period
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
             self._telemetry.append(self._supervisor.telemetry())
+
+    def _warm_caches(self) -> None:
+        """Take waiting commands, and run a step so that its code is in the caches for the next reading."""
+        assert self._warming is not None
+        self._warm_at = NEVER
+        self._take_commands()
+        self._warming.warm(self._supervisor)
 
     def _publish_journal(self) -> None:
         """Publish the journal's waiting rows, and now and then a snapshot of the controller's state."""

@@ -54,10 +54,12 @@ class Manifold(Worker):
         valves = names(self._values)
         hosted = {f"{space}/{name}/{kind}": NODES[kind] for name in valves}
         admit(self, {self.get_fully_qualified_name(): MANIFOLD, **hosted})
+        # What one valve's samples bring into the caches serves the others too.
+        own = {"warms": len(valves) == 1} if kind == "controller" else {}
         for name in valves:
             # Remapping of the manifold's own name and namespace is not meant for the nodes in it.
             remap = ["--ros-args", "-r", f"__ns:={space}/{name}", "-r", f"__node:={kind}"]
-            made.append(KINDS[kind](alone=False, cli_args=remap))
+            made.append(KINDS[kind](alone=False, cli_args=remap, **own))
         self.get_logger().info(f"{len(made)} x {kind}: {', '.join(valves)}")
         return made
 

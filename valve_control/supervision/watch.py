@@ -2,8 +2,8 @@
 
 All functions work on one ``Memory``, which they change, and on ``Params``, which they do not.
 ``with_places`` puts the functions of a law, and of who runs the machine, in the places that are kept for
-them. The translator of export/ makes C of the same functions; it leaves out the calls of those that are marked
-as ``node_only``.
+them. The translator of export/ makes C of the same functions; it leaves out the calls of those that are
+marked as ``node_only``.
 """
 
 import collections
