@@ -1,6 +1,7 @@
 """``python -m benchmarks``: all benchmarks; exit status 1 if a wanted ratio is missed."""
 
 import argparse
+import signal
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
@@ -8,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import axes, bags, batch, handover, latency, start
-from valve_control import outputs
+from valve_control import interrupts, outputs
 
 PARTS = ("batch", "axes", "start", "loop", "bags", "export")
 
@@ -30,6 +31,20 @@ def main() -> int:
     options.add_argument("--only", choices=PARTS, action="append", help="one part; again for more")
     options.add_argument("--out", default="out", metavar="FOLDER", help="output folder (out)")
     arguments = options.parse_args()
+    interrupts.watch(signal.SIGINT, signal.SIGTERM)
+    try:
+        status = _measured(arguments)
+    except BaseException:
+        if not interrupts.come():
+            raise
+    interrupts.ignore()
+    if not interrupts.come():
+        return status
+    print("\nstopped; no node is left running", file=sys.stderr)
+    return interrupts.STATUS
+
+
+def _measured(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
     out.mkdir(parents=True, exist_ok=True)
     results: dict[str, Any] = {"machine": batch.machine()}
@@ -50,6 +65,8 @@ def main() -> int:
             try:
                 found = measure()
             except (RuntimeError, ValueError, OSError) as error:
+                if interrupts.come():
+                    raise
                 missed.append(f"{part}: {error}")
                 continue
             figures = found.pop("figures")

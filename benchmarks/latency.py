@@ -23,6 +23,7 @@ import rclpy
 from rcl_interfaces.srv import GetParameters
 from rclpy._rclpy_pybind11 import WaitSet
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 from tqdm import tqdm
 
@@ -410,7 +411,7 @@ def run(folder: Path) -> dict[str, Any]:
     use_own_profile(os.environ)
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     with transports_of_everybody():
-        rclpy.init()
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # the benchmarks handle signals
     try:
         latencies = against_echo(folder)
         print(latency_table(latencies))
