@@ -19,6 +19,7 @@ from valve_control.bags.bag import Bag
 from valve_control.bags.cdr import Decoder
 from valve_control.bags.errors import BagError
 from valve_control.bags.messages import Topic
+from valve_control.bags.metadata import Counted
 from valve_control.bags.recover import recover
 from valve_control.recordings.mapping import find_valves
 
@@ -403,6 +404,33 @@ def test_metadata_that_does_not_fit_is_made_anew_and_the_old_one_kept(tmp_path, 
         ["bag_1.mcap"] if wrong == "a file less" else []
     )
     assert not recover(bag).done
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("metadata_fits", [True, False])
+def test_a_copy_of_a_file_does_not_double_the_messages(tmp_path, metadata_fits, storage):
+    bag = tmp_path / "bag"
+    expected = split(bag, count=3, storage=storage)
+    (original,) = bag.glob("bag_1.*")
+    shutil.copy(original, original.with_stem("a copy"))
+    if not metadata_fits:
+        file = bag / metadata.NAME
+        file.write_text(file.read_text().replace("message_count: 300", "message_count: 299"))
+    result = recover(bag)
+    assert result.done != metadata_fits and result.messages == 300
+    assert [file.name for file in result.files if file.foreign] == [f"a copy{original.suffix}"]
+    assert np.array_equal(times(bag), expected) and not recover(bag).done
+
+
+def test_what_a_killed_recorder_wrote_after_its_last_list_is_taken_in(tmp_path):
+    """Recorders that write metadata.yaml with each file leave the last one out of it."""
+    bag = tmp_path / "bag"
+    expected = split(bag, count=4)
+    told = metadata.read(bag)
+    metadata.write(bag, metadata.of_files("mcap", [Counted(told.topics[0].topic, 300)], told.files[:3]))
+    result = recover(bag)
+    assert result.messages == 400 and [file.name for file in result.files if file.unlisted] == ["bag_3.mcap"]
+    assert np.array_equal(times(bag), expected)
 
 
 def test_a_file_that_is_missing_is_counted_as_lost(tmp_path):

@@ -266,7 +266,7 @@ class Bag:
                 self._complain(
                     self._advised(
                         f"{path.name} lies in the folder, but metadata.yaml does not list it: it is not read "
-                        "(valve-control bag recover takes it in)"
+                        "(valve-control bag recover takes it in, unless it is a copy of a listed one)"
                     )
                 )
         return [path for path in paths if path.exists()], ""

@@ -52,6 +52,7 @@ class RecoveredFile(NamedTuple):
     gone: bool = False  # nothing of a bag was in it, and the bag goes on without it
     missing: bool = False  # metadata.yaml names it, and it is not there
     unlisted: bool = False  # it is there, and metadata.yaml did not name it
+    foreign: bool = False  # likewise, and its times are those of files that it names: it is left out
 
 
 class Recovered(NamedTuple):
@@ -211,7 +212,16 @@ def _recovered(path: Path, storage: str, files: Sequence[Path], keep: bool) -> R
     for name in listed:
         if name not in {entry.name for entry in done} and path.is_dir():
             done.append(RecoveredFile(name, 0, False, lost=_told_count(told, path / name), missing=True))
+    foreign = {
+        one.file.path
+        for one in inventories
+        if listed and one.file.path not in listed and _is_beside(one, inventories, listed)
+    }
+    inventories = [one for one in inventories if one.file.path not in foreign]
+    done = [entry._replace(messages=0, foreign=True) if entry.name in foreign else entry for entry in done]
     made = _made(storage, in_order(inventories, [inventory.head for inventory in inventories]))
+    order = {name: at for at, name in enumerate(made.relative_file_paths)}
+    done.sort(key=lambda entry: order.get(entry.name, len(order)))
     fits = not path.is_dir() or _fits(told, made)
     kept = ""
     if not fits:
@@ -223,6 +233,20 @@ def _recovered(path: Path, storage: str, files: Sequence[Path], keep: bool) -> R
             done = [entry._replace(repaired=True) if entry.name == file.name else entry for entry in done]
         kept = _write_metadata(path, told, made, keep)
     return Recovered(path, tuple(done), not fits or any(file.repaired for file in done), kept)
+
+
+def _is_beside(one: _Inventory, others: Sequence[_Inventory], listed: Sequence[str]) -> bool:
+    """Whether the file has the times of one that is listed, for more than half of the shorter one."""
+    return any(
+        2 * (min(_end(one.file), _end(other.file)) - max(one.file.starting_time, other.file.starting_time))
+        > min(one.file.duration, other.file.duration)
+        for other in others
+        if other.file.path in listed and other.file.message_count and one.file.message_count
+    )
+
+
+def _end(file: File) -> int:
+    return file.starting_time + file.duration
 
 
 def _files(path: Path) -> tuple[str, list[Path]]:

@@ -399,11 +399,13 @@ def _recover(arguments: argparse.Namespace) -> int:
             "files": [_file_as_dict(file) for file in result.files],
         },
     )
+    for file in result.files:
+        if result.done or file.foreign:
+            count = "" if file.missing or file.foreign else f"{file.messages} messages, "
+            say(arguments, f"{file.name}: {count}{_done_to(file)}")
     if not result.done:
         say(arguments, f"{result.bag} is whole ({result.messages} messages), nothing was done")
         return 0
-    for file in result.files:
-        say(arguments, f"{file.name}: {file.messages} messages, {_done_to(file)}")
     if result.messages == 0:
         say(arguments, f"{result.bag} holds no message; nothing could be recovered")
         return 1
@@ -424,8 +426,10 @@ def _file_as_dict(file: "RecoveredFile") -> dict[str, Any]:
 def _done_to(file: "RecoveredFile") -> str:
     """What was done to a file, in words."""
     if file.missing:
-        held = f", which has {file.lost} messages in it" if file.lost is not None else ""
-        return f"metadata.yaml names it{held}, and it is missing; the bag goes on without it"
+        held = f" {file.lost} messages in" if file.lost is not None else ""
+        return f"missing, and metadata.yaml names{held} it; the bag goes on without it"
+    if file.foreign:
+        return "left out; metadata.yaml does not list it, and it has the times of files that are listed"
     kept = f"; the damaged file is kept as {file.kept}" if file.kept else ""
     kept += "; metadata.yaml did not list it" if file.unlisted else ""
     if not file.repaired:

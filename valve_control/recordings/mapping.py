@@ -120,8 +120,7 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
         if mapped.setdefault((valve, part), text) != text:
             before = mapped[valve, part]
             raise BagError(f"--map {text}: {part} of {valve} is mapped already, by --map {before}")
-        bag.topic(source.topic)
-        wrong = _wrong_field(bag, source)
+        wrong = "" if bag.topic(source.topic).unreadable else _wrong_field(bag, source)
         if wrong:
             raise BagError(wrong)
         sources.setdefault(valve, {})[part] = source
