@@ -83,6 +83,18 @@ def test_commands_come_offline_as_a_node_would_get_them(run):
     assert usual < e_rms(*linear) < e_rms("--command-period", "0.01", *linear)
 
 
+@pytest.mark.parametrize(("form", "low", "high"), [("paper", 0.4, 1.0), ("braking", 0.0, 0.2)])
+def test_overshoot_of_steps_is_told_and_braking_in_time_takes_it_away(run, config, form, low, high):
+    done = run(
+        "simulate", "--scenario", "step", "--duration", "2",
+        "--params-file", config / "d3fxe_experiment.yaml",
+        "--params-file", config / "tuned" / "d3fxe_experiment_dcarc.yaml", "--set", f"reshaping.form={form}",
+        "--set", "start=0.5", "--json", "-",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    assert low < json.loads(done.out)["steps"]["overshoot"] < high
+
+
 def test_compare_lists_every_controller(run, tmp_path):
     done = run("compare", "--duration", "1.0", "--json", tmp_path / "c.json")
     assert done.status == 0, done.err

@@ -64,7 +64,7 @@ def random_params(law, random):
 
 def shared(law):
     common = {"u_max", "reshaping.natural_frequency", "reshaping.damping", "reshaping.max_rate",
-              "reshaping.max_accel"}  # fmt: skip
+              "reshaping.max_accel", "reshaping.form"}  # fmt: skip
     return common | {p.name for p in law.parameters}
 
 

@@ -72,3 +72,78 @@ def test_what_a_tuner_may_choose_comes_to_rest_at_the_limit_of_the_acceleration(
 def test_a_lead_of_one_and_a_third_periods_swings_for_ever():
     assert last_outside(1200.0, 0.8, 0.3) > 2.99
     assert last_outside(800.0, 0.8, 0.3) < 0.05
+
+
+def braking(period, **changes):
+    """Parameters of the braking form from changes of the defaults."""
+    named = {f"reshaping.{name}": value for name, value in changes.items()}
+    own = {"sample_period": period, "reshaping.form": "braking", **named}
+    return reshaping.build(updated(CONTROLLER, defaults(CONTROLLER), own))
+
+
+@given(
+    logarithms=st.tuples(
+        st.floats(-4.0, -1.7),
+        st.floats(0.0, 5.0),
+        st.floats(-1.0, 1.0),
+        st.floats(-1.0, 5.0),
+        st.floats(0.0, 7.0),
+    ),
+    steps=st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=3),
+)
+@settings(max_examples=60, deadline=None)
+def test_the_braking_form_never_overshoots_a_step_and_keeps_its_limits(logarithms, steps):
+    """Whatever frequency, damping, limits and sample period; each step begins at rest."""
+    period, frequency, damping, rate, accel = (10.0**x for x in logarithms)
+    p = braking(period, natural_frequency=frequency, damping=damping, max_rate=rate, max_accel=accel)
+    at = 0.0
+    for wanted in steps:
+        s, way = reshaping.State(at, 0.0), math.copysign(1.0, wanted - at)
+        for _ in range(400):
+            change = reshaping.acceleration(p, s, wanted)
+            s = reshaping.advance(p, s, change)
+            assert abs(change) <= p.max_accel * (1.0 + 1e-9)
+            assert abs(s.rate) <= p.max_rate * (1.0 + 1e-9)
+            assert (s.reference - wanted) * way <= 1e-12
+        at = s.reference
+
+
+def test_the_papers_form_overshoots_where_the_braking_one_does_not():
+    """792 rad/s and 12000 V/s²: the reference goes to 1.7 V for a step of 1 V."""
+    reached = {}
+    for form in ("paper", "braking"):
+        own = {"reshaping.form": form, "reshaping.natural_frequency": 792.0}
+        p = reshaping.build(updated(CONTROLLER, defaults(CONTROLLER), own))
+        s, track = reshaping.State(0.0, 0.0), []
+        for _ in range(300):
+            s = reshaping.advance(p, s, reshaping.acceleration(p, s, 1.0))
+            track.append(s.reference)
+        reached[form] = max(track)
+        late = np.flatnonzero(np.abs(np.array(track) - 1.0) > 0.02)[-1]
+        assert form == "paper" or late < 25
+    assert reached["paper"] > 1.7 and reached["braking"] <= 1.0 + 1e-12
+
+
+def test_without_cut_the_braking_form_is_8_with_its_damping():
+    """So a motion within the limits is followed alike, lag 2·ξ_n/ω_n included."""
+    p = braking(PERIOD, damping=1.2, max_rate=1e5, max_accel=1e7)
+    s = t = reshaping.State(0.0, 0.0)
+    plain = p._replace(braking=0.0)
+    for k in range(400):
+        command = math.sin(0.05 * k)
+        s = reshaping.advance(p, s, reshaping.acceleration(p, s, command))
+        t = reshaping.advance(plain, t, reshaping.acceleration(plain, t, command))
+        assert s == t
+
+
+@given(st.floats(5.0, 200.0), st.floats(-11000.0, 11000.0), st.floats(100.0, 900.0))
+def test_a_command_that_is_known_ahead_gives_its_own_acceleration(rate, accel, frequency):
+    """`command_of` and `steady_command` invert the braking form as they do the paper's."""
+    p = braking(PERIOD, natural_frequency=frequency)
+    for sign in (1.0, -1.0):
+        v, a = sign * rate, sign * accel
+        euler = reshaping.State(0.3, v + 0.5 * PERIOD * a)
+        command = reshaping.command_of(p, 0.3, v, a)
+        assert math.isclose(reshaping.acceleration(p, euler, command), a, rel_tol=1e-6, abs_tol=1e-3)
+        steady = reshaping.steady_command(p, 0.3, v)
+        assert abs(reshaping.acceleration(p, reshaping.State(0.3, v), steady)) < 1e-3

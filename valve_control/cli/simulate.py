@@ -3,6 +3,7 @@
 import argparse
 import difflib
 import io
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -203,6 +204,9 @@ def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:
         "seed": settings["valve_simulator"]["seed"],
         "indices": run.indices._asdict(),
         "true_error": run.true_error,
+        "steps": None
+        if run.steps is None
+        else {"overshoot": run.steps[0], "settling_s": run.steps[1] if math.isfinite(run.steps[1]) else None},
         "theta": run.theta,
         **limit_cycle.as_dict(run.saturated, run.limit_cycle),
         "warning": run.warning or None,
@@ -220,6 +224,7 @@ def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], title: str) ->
 
 
 def _simulate(arguments: argparse.Namespace) -> None:
+    from valve_control.analysis.steps import in_words
     from valve_control.simulation import offline
 
     check_outputs(arguments, [arguments.csv, arguments.npz], [arguments.figure])
@@ -242,6 +247,8 @@ def _simulate(arguments: argparse.Namespace) -> None:
         print(HEADER)
         print(index_row(run.controller, run.indices))
         print(f"true position: e_M {run.true_error['e_M']:.4f} V, e_rms {run.true_error['e_rms']:.4f} V")
+        if run.steps is not None:
+            print(f"steps: {in_words(*run.steps)}")
         _say_cycle(run)
         if run.theta is not None:
             print("estimates at the end: " + ", ".join(f"{v:.4g}" for v in run.theta))

@@ -100,6 +100,13 @@ def add_commands(commands: Any) -> None:
         "--saturation", type=float, default=0.02, metavar="X", help="mean share of the samples (0.02)"
     )
     limits.add_argument(
+        "--overshoot",
+        type=float,
+        default=5.0,
+        metavar="%",
+        help="of steps of the command, on half of the valves (5 percent; 0: not asked for)",
+    )
+    limits.add_argument(
         "--pause",
         type=float,
         default=0.01,
@@ -315,6 +322,7 @@ def _check(arguments: argparse.Namespace) -> None:
         ("phase_margin", 120.0),
         ("delay_margin", 1.0),
         ("saturation", 1.0),
+        ("overshoot", 1000.0),
         ("pause", pauses.LONGEST),
     ):
         value = getattr(arguments, name)
@@ -376,6 +384,7 @@ def _limits(arguments: argparse.Namespace) -> "Limits":
         arguments.swing,
         arguments.saturation,
         arguments.pause,
+        0.01 * arguments.overshoot,
     )
 
 
@@ -439,7 +448,8 @@ def _problems(
             )
         settings = {**settings, "controller": values}
     model = build.valve_model(settings["valve_simulator"])
-    settings = {**settings, "controller": _with_limits(settings["controller"], model)}
+    controller = _with_limits(_braking(settings["controller"], arguments), model)
+    settings = {**settings, "controller": controller}
     seed = _seed(arguments)
     study = box.study_of(settings, quantities, arguments.valves, seed)
     other = box.study_of(settings, quantities, arguments.unseen, seed + box.UNSEEN_SEED)
@@ -456,6 +466,18 @@ def _problems(
         delivery=None if arguments.preview else delivery_of(arguments, settings["controller"]),
     )
     return seen, seen._replace(plants=box.drawn(other), box=box.bounding(other), seed=seed + box.UNSEEN_SEED)
+
+
+def _braking(values: Values, arguments: argparse.Namespace) -> Values:
+    """The controller's ``values`` with a reference that brakes in time, unless a form was given."""
+    from valve_control.parameter import updated
+    from valve_control.parameters import files
+    from valve_control.parameters.table import CONTROLLER
+
+    given = files.given(arguments.params_file, {}, arguments.set)["controller"]
+    if "reshaping.form" in given or values["reshaping.form"] == "braking":
+        return values
+    return updated(CONTROLLER, values, {"reshaping.form": "braking"})
 
 
 def _with_limits(values: Values, model: "TransferFunction") -> Values:
@@ -647,7 +669,7 @@ def _print(found: dict[str, "Tuned"]) -> None:
         return
     print(
         f"{'law':12}{'e_rms [V]':>12}{'95 % [V]':>12}{'c_u':>8}"
-        f"{'gain [dB]':>11}{'phase [deg]':>13}{'delay [ms]':>12}"
+        f"{'gain [dB]':>11}{'phase [deg]':>13}{'delay [ms]':>12}{'overshoot':>11}{'settled':>10}"
     )
     for name, one in found.items():
         reached = verification.as_dict(one.chosen.verified)
@@ -656,6 +678,7 @@ def _print(found: dict[str, "Tuned"]) -> None:
         print(
             f"{name:12}{''.join(numbers)}{reached['c_u'] or math.nan:8.3f}{worst.gain_db[0]:11.3g}"
             f"{worst.phase_deg[0]:13.3g}{1e3 * worst.delay_s[0]:12.3g}"
+            f"{100.0 * one.chosen.verified.overshoot:9.2g} %{1e3 * one.chosen.verified.settling:7.3g} ms"
             + ("" if one.chosen.holds else "  not accepted")
         )
     valves = verification.as_dict(next(iter(found.values())).chosen.verified)["valves"]

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.laws import reshaping
 from valve_control.laws.projection import clip
 from valve_control.parameter import Values, number
 from valve_control.plant.amplifier import saturate
@@ -68,7 +69,7 @@ def build(values: Values, reshaped: bool) -> Params | None:
 
 def _bend_of_reshaping(values: Values, period: float) -> float:
     """What (8), sampled by (11), lacks of a pure delay of 2·xi_n/omega_n, to second order [s²]."""
-    wn, damping = number(values, "reshaping.natural_frequency"), number(values, "reshaping.damping")
+    wn, damping = reshaping.filter_of(values)
     return (1.0 - 2.0 * damping * damping) / (wn * wn) + damping * period / wn
 
 

@@ -119,6 +119,9 @@ def unreshaped(p: reshaping.Params, wanted: Array) -> Array:
     """Command [V] whose reshaped reference (8)-(11) is ``wanted``, which has two samples more."""
     rate = np.diff(wanted) / p.period
     accel = np.diff(rate) / p.period
+    if p.braking > 0.0:
+        rows = zip(wanted[:-2].tolist(), rate[:-1].tolist(), accel.tolist(), strict=True)
+        return np.array([reshaping.command_of(p, x, v - 0.5 * p.period * a, a) for x, v, a in rows])
     made: Array = (
         wanted[:-2] + 2.0 * p.damping / p.natural_frequency * rate[:-1] + accel / p.natural_frequency**2
     )

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control import closed_loop
+from valve_control.analysis import steps
 from valve_control.analysis.indices import Indices, indices, rms
 from valve_control.analysis.limit_cycle import LimitCycle, limit_cycle
 from valve_control.compiling import explained
@@ -46,6 +47,7 @@ class Run(NamedTuple):
     saturated: float  # -  share of the samples at the limit of the voltage
     limit_cycle: LimitCycle | None
     warning: str  # "" if none
+    steps: tuple[float, float] | None = None  # overshoot [-], settling time [s] of the worst; None: no steps
 
     @property
     def time(self) -> Array:
@@ -131,6 +133,8 @@ def simulate(
         warnings_found.append(_probe(law, law_params, valve_params, least, compiled))
     warnings_found.append(_cut(law, law_params, terms, build.valve_model(valve_values)))
     true_error = position - command
+    rest = position[:1]  # from which a command may begin with a step
+    answer = steps.answer(np.concatenate([rest, command]), np.concatenate([rest, position]), period)
     return Run(
         controller=name,
         period=period,
@@ -145,6 +149,7 @@ def simulate(
         saturated=float(np.mean(np.abs(voltage) >= valve_params.u_max)),
         limit_cycle=limit_cycle(voltage, command, period, least, compiled),
         warning="; ".join(filter(None, warnings_found)),
+        steps=None if answer is None else (float(answer.overshoot), float(answer.settling)),
     )
 
 

@@ -34,7 +34,7 @@ from valve_control.laws.free import Free, present
 from valve_control.laws.law import Law
 from valve_control.laws.reshaping import LEAD_ACCEL
 from valve_control.parameter import ParameterError
-from valve_control.tuning import limit_cycles, margins, pauses, trial
+from valve_control.tuning import limit_cycles, margins, overshoot, pauses, trial
 from valve_control.tuning.trial import AHEAD, Gains, Outcome, Problem, Workers
 
 Array = npt.NDArray[np.float64]
@@ -194,13 +194,23 @@ class _Trials:
     def _restless(self, points: Sequence[Point]) -> list[float]:
         """Share of the harder valves on which the loops of ``points`` do not come to rest.
 
-        1.0 where the reference does not come back after a pause of the command.
+        1.0 where the reference does not come back after a pause of the command; and 1.0 and the overshoot of
+        steps where that is larger than the limit.
         """
         new = [p for p in points if p.shares not in self._rested]
         strayed = [p for p in new if not pauses.borne(self._law, self._problem, p.gains)]
         self._rested.update((p.shares, 1.0) for p in strayed)
         self.missed += len(strayed)
         new = [p for p in new if p.shares not in self._rested]
+        most = BACK_OFF * self._problem.limits.overshoot
+        if most > 0.0 and new:
+            answers = overshoot.answers(self._law, self._problem, [p.gains for p in new], self._workers)
+            beyond = {
+                p.shares: 1.0 + share for p, (share, _) in zip(new, answers, strict=True) if share > most
+            }
+            self._rested.update(beyond)
+            self.missed += len(beyond)
+            new = [p for p in new if p.shares not in beyond]
         if new:
             shares = limit_cycles.restless_shares(
                 self._law, self._problem, [point.gains for point in new], self._workers

@@ -46,6 +46,7 @@ class Limits(NamedTuple):
     swing: float  # V  at most; amplitude of swings about rest that friction sustains, by the loop
     saturated: float  # at most; share of the samples at the limit of the voltage
     pause_s: float = 0.0  # s  of the command, after which the reference comes back; pauses.shortest is longer
+    overshoot: float = 0.0  # -  of steps, at most, median of the valves; 0.0: not asked for
 
 
 USUAL = Limits(

@@ -9,12 +9,13 @@ import numpy.typing as npt
 from valve_control.laws.law import Law
 from valve_control.parameter import number
 from valve_control.simulation.delivery import Delivery
-from valve_control.tuning import limit_cycles, margins, pauses, trial
+from valve_control.tuning import limit_cycles, margins, overshoot, pauses, trial
 from valve_control.tuning.trial import Gains, Motion, Outcome, Problem, Workers
 
 Array = npt.NDArray[np.float64]
 SLOWER = 1.1  # times as long: a motion of the search, turned over, as one that it did not see
 UNEVEN = 0.7  # sample periods, by which commands that nobody said how they come are early or late
+OVERSHOT = 1.2  # times the limit of the overshoot, which valves that were not seen may have
 SLACK = 1.05  # times the limit of the chatter, which valves that were not seen may have
 
 
@@ -27,6 +28,8 @@ class Verified(NamedTuple):
     restless: npt.NDArray[np.int64]  # numbers of valves that do not rest after a step or a motion
     pause_s: float | None  # pauses.shortest
     reasons: list[str]  # why the gains are not accepted, as sentences; []: they are
+    overshoot: float = 0.0  # -  of steps, median of the valves; and
+    settling: float = 0.0  # s  of them
     uneven_chatter: float | None = None  # mean c_u where commands come UNEVEN; None: not looked at
 
 
@@ -84,12 +87,17 @@ def verified(
             reasons.append(f"on {what} the amplifier saturates in {100.0 * share:.2g} % of the samples")
     if chatter is not None and not seen.chatter <= SLACK * chatter:
         reasons.append(f"c_u is {seen.chatter:.3f} on valves that were not seen, above {chatter:g}")
+    ((overshot, settling),) = overshoot.answers(law, problem, [gains], workers)
+    if 0.0 < OVERSHOT * problem.limits.overshoot < overshot:
+        reasons.append(
+            f"steps are overshot by {100.0 * overshot:.2g} %, above {100.0 * problem.limits.overshoot:g} %"
+        )
     uneven = None
     if not problem.preview and problem.delivery is None:
         period = number(problem.values, "sample_period")
         late = problem._replace(delivery=Delivery(period, UNEVEN * period, problem.seed))
         uneven = trial.run(law, late, [gains], workers)[0].chatter
-    return Verified(seen, unseen, found, restless, pause, reasons, uneven)
+    return Verified(seen, unseen, found, restless, pause, reasons, overshot, settling, uneven)
 
 
 def _margins_missed(limits: trial.Limits, worst: dict[str, float | None]) -> list[str]:
@@ -140,6 +148,8 @@ def as_dict(v: Verified) -> dict[str, Any]:
             "c_u": v.unseen.chatter if np.isfinite(v.unseen.chatter) else None,
         },
         "valves": v.seen.e_rms.shape[1],
+        "overshoot": v.overshoot if np.isfinite(v.overshoot) else None,
+        "settling_s": v.settling if np.isfinite(v.settling) else None,
         "uneven_c_u": v.uneven_chatter if v.uneven_chatter and np.isfinite(v.uneven_chatter) else None,
         "restless": len(v.restless),
         "pause_s": v.pause_s if v.pause_s is not None and np.isfinite(v.pause_s) else None,

@@ -1,0 +1,56 @@
+"""Measures how a position answers steps of its command: overshoot and settling time."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+BAND = 0.02  # of the height of a step, within which the position has settled
+SMALL = 0.1  # of the largest step of a command
+LEAST = 0.05  # s  that a command stands after a step, at least
+
+
+class Answer(NamedTuple):
+    """How N positions answer the steps of one command, the worst step of each."""
+
+    overshoot: Array  # -  of the height of the step, beyond its end
+    settling: Array  # s  until the position stays within BAND; inf: it does not
+
+
+def places(command: Array, period: float) -> list[tuple[int, int]]:
+    """First sample of each step of ``command`` (n) [V], and that of the next one.
+
+    [] for one that moves otherwise. A step of less than SMALL of the largest one is none to judge.
+    """
+    heights = np.diff(command)
+    changes = np.flatnonzero(heights) + 1
+    ends = [*changes[1:].tolist(), len(command)]
+    if not len(changes) or min(np.array(ends) - changes) * period < LEAST:
+        return []
+    large = np.abs(heights) >= SMALL * np.max(np.abs(heights))
+    return [(first, end) for first, end in zip(changes.tolist(), ends, strict=True) if large[first - 1]]
+
+
+def answer(command: Array, position: Array, period: float) -> Answer | None:
+    """How ``position`` (…×n) [V] answers the steps of ``command`` (n) [V]; None for one without steps."""
+    found = places(command, period)
+    if not found:
+        return None
+    overshoot = np.zeros(position.shape[:-1])
+    settling = np.zeros(position.shape[:-1])
+    for first, end in found:
+        height = command[first] - command[first - 1]
+        beyond = (position[..., first:end] - command[first]) / height
+        overshoot = np.maximum(overshoot, np.max(beyond, axis=-1))
+        outside = np.abs(beyond) > BAND
+        last = (end - first) - np.argmax(outside[..., ::-1], axis=-1)
+        time = np.where(np.any(outside, axis=-1), last * period, 0.0)
+        settling = np.maximum(settling, np.where(outside[..., -1], np.inf, time))
+    return Answer(overshoot, settling)
+
+
+def in_words(overshoot: float, settling: float) -> str:
+    """One line of the worst step."""
+    rest = f"{1e3 * settling:.3g} ms" if np.isfinite(settling) else "not while the command stands"
+    return f"overshoot {100.0 * overshoot:.2g} %, settled to {100.0 * BAND:g} %: {rest}"
