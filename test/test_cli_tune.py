@@ -25,7 +25,7 @@ SMALL += ["--valves", "3", "--unseen", "4", "--budget", "60", "--seed", "2", "--
 
 
 def test_what_has_to_hold_is_what_commission_asks_for_too():
-    """But for the overshoot of steps, which commission, with the paper's form of the reference, leaves open."""
+    """But for the overshoot, which commission leaves open, as its reference has the paper's form."""
     limits = tune._limits(command.parser().parse_args(["tune"]))
     assert limits.overshoot == 0.05 and limits._replace(overshoot=0.0) == trial.USUAL
 
