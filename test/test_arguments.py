@@ -3,7 +3,7 @@
 import pytest
 
 from valve_control.parameter import ParameterError
-from valve_control.parameters.arguments import addressed, check, help_text, matches, refuse_stray
+from valve_control.parameters.arguments import addressed, check, help_text, matches, refuse_stray, written
 from valve_control.parameters.table import COMMAND, CONTROLLER, MANIFOLD, VALVE
 
 ONE = {"/controller": CONTROLLER}
@@ -164,3 +164,17 @@ def test_values_for_a_node_are_those_of_its_sections_the_last_one_counting(tmp_p
     assert addressed(str(path), "/arm/controller", CONTROLLER)["u_max"] == 6.0
     with pytest.raises(ParameterError, match="nothing for"):
         addressed(str(path), "/valve_simulator/x", MANIFOLD)
+
+
+@pytest.mark.parametrize(
+    ("setting", "text"),
+    [
+        ("realtime.cpus:=2", "2"),
+        ("controller:realtime.cpus:=123E5", "123E5"),
+        ("/**:realtime.cpus:=007", "007"),
+        ("valve_simulator:realtime.cpus:=2", None),
+        ("u_max:=2.0", None),
+    ],
+)
+def test_the_text_of_a_value_is_kept_as_it_was_written(setting, text):
+    assert written(["--ros-args", "-p", setting], "/controller", "realtime.cpus") == text

@@ -84,7 +84,8 @@ class Parameter(NamedTuple):
 
     def _wrong_type(self, value: object) -> str:
         doubles = self.type_name.endswith(("double", "doubles"))
-        hint = " (write 120.0, not 120)" if doubles else ""
+        quotes = isinstance(self.default, str) and not isinstance(value, list)
+        hint = " (write 120.0, not 120)" if doubles else " (write it in quotes)" if quotes else ""
         return f"{self.name} is {value!r}; it must be a {self.type_name}{hint}"
 
     def _check_range(self, number: float, name: str) -> None:

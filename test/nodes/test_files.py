@@ -5,10 +5,12 @@ import subprocess
 import sys
 
 import pytest
+from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 
 from valve_control.cli import main
-from valve_control.parameter import defaults
-from valve_control.parameters import files
+from valve_control.nodes.adapter import plain
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import build, files
 from valve_control.parameters.table import CONTROLLER
 
 QUICK = ["--set", "steps=12", "--set", "cycles=4", "--set", "frequency=1.0", "--set", "step_time=0.8"]
@@ -100,6 +102,74 @@ def test_numbers_stay_numbers_and_words_stay_words(tmp_path, node):
             assert got["controller"]["save_file"] == word
             assert got["controller"]["realtime.cpus"] == "0"
             assert got["controller"]["arc.gamma"] == [0.0, 1e-05, 1e12, 2.0]
+
+
+def by_param_load(path):
+    """Parameters as `ros2 param load` sends them, one by one, by rclpy's own reader."""
+    for name, message in parameter_dict_from_yaml_file(str(path), use_wildcard=True).items():
+        yield name, plain(parameter_value_to_python(message.value))
+
+
+def loaded(path):
+    """Values of a controller with its defaults after `ros2 param load`. Raises ParameterError."""
+    values = defaults(CONTROLLER)
+    for name, value in by_param_load(path):
+        values = updated(CONTROLLER, values, {name: value})
+        build.law_params(values)
+    return values
+
+
+def same(one, other):
+    entries = (
+        zip(one, other, strict=True) if isinstance(one, list) and isinstance(other, list) else [(one, other)]
+    )
+    return all(type(a) is type(b) and a == b for a, b in entries)
+
+
+CUSTOM = {
+    "model": "custom",
+    "numerator": [1206.0, 229256.0, 46882988.0],
+    "denominator": [1.0, 163.0, 47859.0, 1969807.0, 56553725.0],
+}
+
+
+@pytest.mark.parametrize("law", ["dcarc", "compensator"])
+def test_models_are_written_in_an_order_in_which_param_load_can_load_them(tmp_path, law):
+    values = {f"{law}.{name}": value for name, value in CUSTOM.items()}
+    path = tmp_path / "model.yaml"
+    files.save(path, "/controller", values)
+    assert "cannot load" not in path.read_text()
+    assert loaded(path) == {**defaults(CONTROLLER), **values}
+
+
+@pytest.mark.parametrize(
+    ("values", "word"),
+    [
+        ({"arc.epsilon": 1e-05}, "arc.epsilon"),
+        ({"arc.gamma": [1.0, 1e16, 2.0, 3.0]}, "arc.gamma"),
+        ({"realtime.cpus": "2"}, "realtime.cpus"),
+        ({"save_file": "yes"}, "save_file"),
+        ({"save_file": "'x'"}, "save_file"),
+        ({"save_file": "a: b"}, "save_file"),
+        ({"arc.epsilon": 1.5e-05, "arc.k1": 1e15, "save_file": "", "realtime.cpus": "2,3"}, None),
+        ({"controller": "pid", "state_topics": [""], "realtime.lock_memory": False}, None),
+    ],
+)
+def test_a_file_says_so_if_param_load_would_change_a_type(tmp_path, values, word):
+    """1.0e-05 is a word to it: it reads the text 1e-05 that Python makes of the number."""
+    path = tmp_path / "p.yaml"
+    files.save(path, "/controller", values)
+    said = f"# ros2 param load cannot load this file: it changes {word}."
+    assert path.read_text().startswith(said) == (word is not None)
+    taken = all(same(values[name], value) for name, value in by_param_load(path))
+    assert taken == (word is None)
+
+
+def test_a_file_of_several_nodes_says_that_param_load_cannot_load_it():
+    text = files.as_yaml({"/**/controller": {"u_max": 5.0}, "/**/valve_simulator": {"u_max": 5.0}})
+    assert text.startswith(
+        "# ros2 param load cannot load this file: it gives a node the sections of all nodes."
+    )
 
 
 def test_numbers_of_every_size_are_doubles_for_rcl(tmp_path):

@@ -154,6 +154,9 @@ def test_parameters_that_do_not_exist_are_named(ros, tmp_path):
         ),
         ("valve_simulator", ["--ros-args", "--params-file", "gone.yaml"], ["gone.yaml cannot be read"]),
         ("controller", ["--ros-args", "--params-file", "."], ["cannot be read", "folder"]),
+        ("recorder", ["--ros-args", "-p", "bag:=123E5", "-p", "topics:=['(']"], ["no regular expression"]),
+        ("controller", ["--ros-args", "-p", "realtime.cpus:=777"], ["realtime.cpus names CPU 777"]),
+        ("controller", ["--ros-args", "-p", "controller:=2"], ["controller is '2'; it must be 'arc'"]),
         ("recorder", ["--ros-args", "-p", "compresion:=zstd"], ["'compresion'; did you mean 'compression'?"]),
         ("command_source", ["scenario:=sine"], ["--ros-args -p"]),
         (

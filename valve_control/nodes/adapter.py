@@ -22,6 +22,7 @@ from rclpy.exceptions import (
 )
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectoryPoint
 
@@ -33,6 +34,8 @@ from valve_control.parameters.build import as_text
 
 TELL = 0.5  # s between two lines of the log that tell changes of parameters, at the least
 PROCESS = 12  # bytes of an endpoint's address in DDS that all endpoints of a process have in common
+UNNUMBERED = 2**64 - 1  # in rmw's message info, of a middleware that numbers no messages, such as Cyclone DDS
+UNKNOWN = "this middleware numbers no messages: losses are unknown"
 HEAD = 4  # bytes before a message's body
 ENCODED = 12  # bytes of a Float64: four of head, of which the second is odd for little endian
 SAMPLES = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -81,6 +84,35 @@ def admit(node: Node, nodes: Mapping[str, Table]) -> None:
         node.get_logger().warning(warning)
 
 
+def _declared(node: Node, parameter: Parameter) -> Value:
+    """Declare a parameter on ``node``; returns its value. Raises ParameterError.
+
+    A word of the command line that looks like a number, such as `-p realtime.cpus:=2`, stays the word.
+    """
+    describing = descriptor(parameter)
+    try:
+        got = node.declare_parameter(parameter.name, parameter.default, describing)
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        given = override(node, parameter.name)
+        value = plain(getattr(given, "value", given))
+        word = arguments.written(sys.argv[1:], node.get_fully_qualified_name(), parameter.name)
+        if not isinstance(parameter.default, str) or word is None or not _same(word, value):
+            parameter.check(value)
+            raise ParameterError(f"{parameter.name} is {value!r}: {error}") from error
+        got = node.declare_parameter(parameter.name, word, describing, ignore_override=True)
+    return plain(got.value)  # type: ignore[no-any-return]
+
+
+def _same(word: str, value: Value) -> bool:
+    """Whether ``value`` is that which rcl makes of ``word``, and not that of a file that counts instead."""
+    if isinstance(value, bool):
+        return word.lower() in (("true", "yes", "on", "y") if value else ("false", "no", "off", "n"))
+    try:
+        return isinstance(value, (int, float)) and (float(word) == value or int(word, 0) == value)
+    except ValueError:
+        return False
+
+
 class ParameterSet:
     """The table's parameters on a node: each change is checked as a whole, then applied as a whole.
 
@@ -105,14 +137,7 @@ class ParameterSet:
         self._apply = apply
         declared: dict[str, Value] = {}
         for parameter in table:
-            try:
-                got = node.declare_parameter(parameter.name, parameter.default, descriptor(parameter))
-            except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-                given = override(node, parameter.name)
-                value = getattr(given, "value", given)
-                parameter.check(plain(value))
-                raise ParameterError(f"{parameter.name} is {value!r}: {error}") from error
-            declared[parameter.name] = plain(got.value)
+            declared[parameter.name] = _declared(node, parameter)
         self.values = updated(table, {}, declared)
         self._prepared: tuple[Values, Any] | None = None
         self._untold: set[str] = set()  # names whose new values are not in the log yet
@@ -168,6 +193,21 @@ class ParameterSet:
             text = ", ".join(f"{name} = {as_text(self.values[name])}" for name in sorted(self._untold))
             self._untold.clear()
             self._node.get_logger().info(f"now {text}")
+
+
+def number_of(info: Mapping[str, Any]) -> int:
+    """Number that its publisher gave a message, 0 if the middleware numbers none."""
+    number = info["publication_sequence_number"]
+    return 0 if number == UNNUMBERED else number  # type: ignore[no-any-return]
+
+
+def needs_numbers(what: str) -> str:
+    """One sentence: why ``what`` does not work here."""
+    middleware = get_rmw_implementation_identifier()
+    return (
+        f"{what} needs a middleware that numbers messages, and {middleware} does not; "
+        "set RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
+    )
 
 
 class PolledSubscription:

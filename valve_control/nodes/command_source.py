@@ -11,7 +11,14 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from valve_control.nodes.adapter import SAMPLES, NumberSubscription, ParameterSet, encoded, encoded_point
+from valve_control.nodes.adapter import (
+    SAMPLES,
+    NumberSubscription,
+    ParameterSet,
+    encoded,
+    encoded_point,
+    number_of,
+)
 from valve_control.nodes.loop import Worker, run
 from valve_control.parameter import ParameterError, Values, number, word
 from valve_control.parameters import build
@@ -46,6 +53,7 @@ class CommandSource(Worker):
         self._epoch = 0.0  # s  of the first command of this motion
         self._last_time = 0.0  # s  of the last command
         self._sent = 0
+        self._arrived = 0  # number of the last message of the trigger, their count where they have none
         self._ahead = False  # lockstep: whether the command of the next reading is sent
         ParameterSet(self, COMMAND, self._build, self._apply)
 
@@ -141,7 +149,8 @@ class CommandSource(Worker):
             if self._trigger == "lockstep":
                 self._publish(self._sent)
             else:
-                self._send(float(info["publication_sequence_number"]))
+                self._arrived = number_of(info) or self._arrived + 1
+                self._send(float(self._arrived))
             worked = True
         return worked
 

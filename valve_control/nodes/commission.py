@@ -19,7 +19,14 @@ from std_msgs.msg import Float64
 
 from valve_control.commissioning.bench import Course, Fault, Limits, Record, Seen, Told
 from valve_control.commissioning.watch import Watch
-from valve_control.nodes.adapter import EVERYTHING, SAMPLES, NumberSubscription, PolledSubscription, encoded
+from valve_control.nodes.adapter import (
+    EVERYTHING,
+    SAMPLES,
+    NumberSubscription,
+    PolledSubscription,
+    encoded,
+    number_of,
+)
 from valve_control.nodes.rclpy_internals import WaitSet
 from valve_control.parameter import ParameterError, Value, Values
 from valve_control.parameters.table import CONTROLLER
@@ -274,10 +281,7 @@ class Controller:
 
     @staticmethod
     def _taken(subscription: NumberSubscription) -> list[Sample]:
-        return [
-            (info["publication_sequence_number"], info["source_timestamp"], value)
-            for value, info in subscription.take()
-        ]
+        return [(number_of(info), info["source_timestamp"], value) for value, info in subscription.take()]
 
 
 def _paired(

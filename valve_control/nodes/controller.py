@@ -23,6 +23,7 @@ from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     NEWEST,
     SAMPLES,
+    UNKNOWN,
     NumberSubscription,
     ParameterSet,
     Point,
@@ -31,9 +32,11 @@ from valve_control.nodes.adapter import (
     acquainted,
     diagnostics,
     encoded,
+    needs_numbers,
+    number_of,
 )
 from valve_control.nodes.lifecycle import Managed
-from valve_control.nodes.loop import run
+from valve_control.nodes.loop import Failure, run
 from valve_control.nodes.pairing import Pairing
 from valve_control.parameter import ParameterError, Values, word
 from valve_control.parameters import arguments, build, files, stability
@@ -112,6 +115,7 @@ class Controller(Managed):
         self._published = 0  # ns, when the last voltage was
         self._overruns = 0
         self._unchecked = False
+        self._unnumbered = False  # whether the middleware has numbered no reading
         self._realtime: realtime.Request | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         ParameterSet(self, CONTROLLER, self._build, self._apply, alone)
@@ -302,7 +306,10 @@ class Controller(Managed):
 
     def _answer(self, reading: float, info: dict[str, Any]) -> None:
         began = time.monotonic()
-        number = info["publication_sequence_number"]
+        number = number_of(info)
+        if number == 0 and not self._unnumbered:
+            self._unnumbered = True
+            self.get_logger().warning(UNKNOWN)
         if not self._lockstep:
             self._take_commands()
         # What was sent while this process stood still comes in a burst afterwards and is stale.
@@ -399,7 +406,10 @@ class Controller(Managed):
             self._waiting, self._waits_since = taken, now
         if self._waiting is None:
             return False
-        if not self._complete(self._waiting[1]["publication_sequence_number"], now):
+        number = number_of(self._waiting[1])
+        if number == 0:
+            raise Failure(needs_numbers("lockstep"))
+        if not self._complete(number, now):
             self._look_at = now + LOOK
             return False
         taken, self._waiting = self._waiting, None

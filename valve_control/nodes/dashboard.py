@@ -32,6 +32,7 @@ from valve_control.nodes.adapter import (
     ParameterSet,
     PointSubscription,
     PolledSubscription,
+    number_of,
     plain,
 )
 from valve_control.nodes.loop import Failure, Worker, run
@@ -308,7 +309,7 @@ class Watched:
         taken = []
         last = self._last.get(name, 0)
         for value, info in self._numbers[name].take():
-            sequence = info["publication_sequence_number"]
+            sequence = number_of(info)
             # Numbers that jump far are those of another publisher.
             if 1 < sequence - last < 1000 and last:
                 self.valve.missing += sequence - last - 1

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
+from valve_control.nodes.adapter import number_of
+
 Numbered = tuple[Any, dict[str, Any]]  # command or point of a trajectory, message info
 
 
@@ -45,7 +47,7 @@ class Pairing:
                 taken = self._take()
                 if taken is None:
                     return False
-                self._held = (taken[1]["publication_sequence_number"], taken[0])
+                self._held = (number_of(taken[1]), taken[0])
                 if self._held[0] <= self._command:
                     self._ahead = None
                 self._command = self._held[0]

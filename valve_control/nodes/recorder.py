@@ -19,7 +19,15 @@ from valve_control import parameter
 from valve_control.bags.errors import BagError
 from valve_control.bags.metadata import Qos, Span
 from valve_control.bags.writer import BagWriter, check
-from valve_control.nodes.adapter import EVERYTHING, SAMPLES, ParameterSet, PolledSubscription, diagnostics
+from valve_control.nodes.adapter import (
+    EVERYTHING,
+    SAMPLES,
+    UNKNOWN,
+    ParameterSet,
+    PolledSubscription,
+    diagnostics,
+    number_of,
+)
 from valve_control.nodes.definitions import Definition, Definitions, message_class
 from valve_control.nodes.loop import Failure, Worker, run
 from valve_control.nodes.parameter_capture import EVENTS, ParameterCapture
@@ -147,6 +155,7 @@ class Recorded:
         self._qos: tuple[ReliabilityPolicy, DurabilityPolicy] | None = None
         self.subscription: PolledSubscription | None = None
         self.lost = 0
+        self.numbered = True  # whether its messages have numbers
 
     def adapt(self, profiles: Sequence[QoSProfile]) -> list[tuple[Any, dict[str, Any]]]:
         """Subscribe with a QoS that matches all publishers; returns what waited on the old subscription."""
@@ -171,7 +180,8 @@ class Recorded:
         return rest
 
     def count(self, number: int) -> None:
-        """Count the numbers that are missing before ``number``."""
+        """Count the numbers that are missing before ``number``; 0 is none."""
+        self.numbered = number > 0
         if self._number is not None and number > self._number:
             self._missing += number - self._number - 1
         self._number = number
@@ -201,6 +211,7 @@ class Recorder(Worker):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         self._definitions = Definitions()
         self._failed = False
+        self._unnumbered = False  # whether there is a topic whose messages have no numbers
         if reason := self._short_of_room(use.folder.absolute().parent):
             raise Failure(reason)
         try:
@@ -275,8 +286,11 @@ class Recorder(Worker):
         return bool(taken)
 
     def _write(self, topic: Recorded, received: int, data: bytes, info: dict[str, Any]) -> None:
-        number = info["publication_sequence_number"]
+        number = number_of(info)
         topic.count(number)
+        if not (topic.numbered or self._unnumbered):
+            self._unnumbered = True
+            self.get_logger().warning(UNKNOWN)
         if topic.name == EVENTS:
             self._captured.observe(data)
         self._writer.write(topic.name, received, info["source_timestamp"] or received, number, data)
@@ -433,8 +447,8 @@ class Recorder(Worker):
         if self._failed:
             self._diagnostics.wait_for_all_acked(Duration(seconds=LAST_WORD))
 
-    def _lost(self) -> int:
-        return sum(topic.lost for topic in self._topics.values())
+    def _lost(self) -> str:
+        return "unknown" if self._unnumbered else str(sum(topic.lost for topic in self._topics.values()))
 
     def finish(self) -> None:
         """Write waiting messages, and finish the bag."""
@@ -451,7 +465,9 @@ class Recorder(Worker):
             error = wrong
         counts = self._writer.counts
         for name, topic in sorted(self._topics.items()):
-            self.get_logger().info(f"{name}: {counts[name]} messages, {topic.lost} lost")
+            self.get_logger().info(
+                f"{name}: {counts[name]} messages, {topic.lost if topic.numbered else 'unknown'} lost"
+            )
         for name in self._captured.unanswered():
             self.get_logger().warning(
                 f"the bag lacks the parameters of {name}, which did not answer; it has their changes"

@@ -53,6 +53,16 @@ def given(arguments: Sequence[str]) -> Given:
     return found
 
 
+def written(arguments: Sequence[str], node: str, name: str) -> str | None:
+    """Text of the last value that a command line gives a parameter of ``node`` (full name), None: none."""
+    texts = [
+        setting.text.partition(":=")[2]
+        for setting in given(arguments).settings
+        if setting.name == name and (not setting.node or matches(setting.node, node))
+    ]
+    return texts[-1] if texts else None
+
+
 def help_text(node: str, text: str, arguments: Sequence[str]) -> str:
     """Answer of ``node`` to ``arguments`` that ask for help, "": they do not; ``text``: what it does."""
     if not {"-h", "--help"} & set(given(arguments).stray):

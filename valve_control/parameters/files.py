@@ -61,19 +61,67 @@ def save(path: Path, node: str, values: Values) -> None:
 
 
 def as_yaml(sections: Mapping[str, Values], comments: Sequence[str] = ()) -> str:
-    """Text of a ROS 2 parameter file; ``sections``: values by full name of a node, or by a pattern."""
+    """Text of a ROS 2 parameter file; ``sections``: values by full name of a node, or by a pattern.
+
+    Its head says so if the file is one that `ros2 param load` cannot load.
+    """
     trees: dict[str, Any] = {}
     for node, values in sections.items():
         tree: dict[str, Any] = {}
-        for name, value in values.items():
+        for name in _one_by_one(values):
+            value = values[name]
             *groups, last = name.split(".")
             branch = tree
             for group in groups:
                 branch = branch.setdefault(group, {})
             branch[last] = _written(value)
         trees[node] = {"ros__parameters": tree}
+    comments = [*comments, *_not_by_param_load(sections)]
     head = "".join(f"# {line}\n" for comment in comments for line in comment.splitlines())
     return head + yaml.dump(trees, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110)
+
+
+def _one_by_one(values: Values) -> list[str]:
+    """Names in an order in which a node with its defaults can take them one after the other.
+
+    A model is complete before it is chosen, and never has more zeros than its poles allow.
+    """
+    ranks = {"denominator": 0, "numerator": 1}
+    groups = list(dict.fromkeys(name.rpartition(".")[0] for name in values))
+
+    def place(name: str) -> tuple[int, int]:
+        group, _, last = name.rpartition(".")
+        return groups.index(group), ranks.get(last, 2)
+
+    return sorted(values, key=place)
+
+
+def _not_by_param_load(sections: Mapping[str, Values]) -> list[str]:
+    """Comment on a file that `ros2 param load` cannot load, and why; none for others."""
+    words = [name for values in sections.values() for name, value in values.items() if _turns(value)]
+    if len(sections) > 1:
+        reason = "it gives a node the sections of all nodes"
+    elif words:
+        reason = f"it changes {', '.join(words)}"
+    else:
+        return []
+    return [f"ros2 param load cannot load this file: {reason}. Use --params-file or ~/load_parameters."]
+
+
+def _turns(value: Value) -> bool:
+    """Whether `ros2 param load` makes something else of ``value``: it reads each value of a file twice.
+
+    The second time as the text that Python has for it. That is 1e-05 for 1.0e-05, which YAML 1.1 takes for a
+    word, and 2 for "2", a number.
+    """
+    try:
+        again = yaml.safe_load(str(value))
+    except yaml.YAMLError:
+        return True
+    again = "" if again is None else again
+    if isinstance(value, list) and isinstance(again, list):
+        return again != value or [type(entry) for entry in again] != [type(entry) for entry in value]
+    return again != value or type(again) is not type(value)
 
 
 class _Dumper(yaml.SafeDumper):

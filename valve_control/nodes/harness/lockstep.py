@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control import outputs
+from valve_control.nodes.adapter import needs_numbers
 from valve_control.nodes.harness.processes import (
     Listener,
     bar,
@@ -98,6 +99,8 @@ def run_lockstep(
             look = moved + MEMORY_EVERY / 2.0
             while done < wanted:
                 listener.fetch()
+                if voltages and voltages[-1] == 0:
+                    raise RuntimeError(needs_numbers("lockstep"))
                 now = time.monotonic()
                 before, done = done, min(voltages[-1] if voltages else 0, wanted)
                 if done > before:

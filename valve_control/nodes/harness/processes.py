@@ -21,7 +21,11 @@ from rclpy.utilities import remove_ros_args
 from tqdm import tqdm
 
 from valve_control import interrupts
-from valve_control.nodes.adapter import EVERYTHING, NumberSubscription
+from valve_control.nodes.adapter import (
+    EVERYTHING,
+    NumberSubscription,
+    number_of,
+)
 from valve_control.nodes.transport import RANGE, use_own_profile
 from valve_control.parameter import ParameterError, Values, defaults, updated
 from valve_control.parameters import build, files
@@ -107,7 +111,7 @@ class Listener(Node):
             for number, info in subscription.take():
                 self.values[topic].append(number)
                 self.stamps[topic].append(info["source_timestamp"])
-                self.sequence[topic].append(info["publication_sequence_number"])
+                self.sequence[topic].append(number_of(info))
 
     def arrays(self, topic: str) -> tuple[Array, Array]:
         """Values [V] and source times [s] of ``topic``."""
