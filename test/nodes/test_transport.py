@@ -10,9 +10,38 @@ from std_msgs.msg import Float64
 
 from research.campaigns.joiners import crowd
 from valve_control.nodes.harness.processes import process
-from valve_control.nodes.transport import ANYWHERE, THIS_HOST, leave_own_profile, use_own_profile
+from valve_control.nodes.transport import (
+    ANYWHERE,
+    THIS_HOST,
+    check_log_folder,
+    leave_own_profile,
+    use_own_profile,
+)
+from valve_control.parameter import ParameterError
 
 PROFILE, RANGE = "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+
+@pytest.mark.parametrize(
+    ("environment", "words"),
+    [
+        ({}, "below HOME, which is not set; set HOME or ROS_LOG_DIR"),
+        ({"HOME": "/proc/nosuch"}, "/proc/nosuch/.ros/log, cannot be made: No such file"),
+        ({"HOME": "/proc/nosuch", "ROS_HOME": "/proc/none"}, "/proc/none/log, cannot be made"),
+        ({"ROS_LOG_DIR": "/dev/null/log"}, "/dev/null/log, cannot be made: Not a directory; set ROS_LOG_DIR"),
+    ],
+)
+def test_logs_without_a_folder_are_one_sentence(environment, words):
+    with pytest.raises(ParameterError) as error:
+        check_log_folder(environment)
+    assert words in str(error.value)
+
+
+def test_the_folder_of_the_logs_is_that_of_ros(tmp_path):
+    check_log_folder({"HOME": str(tmp_path / "home")})
+    check_log_folder({"ROS_LOG_DIR": str(tmp_path / "logs")})
+    made = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*"))
+    assert made == ["home", "home/.ros", "home/.ros/log", "logs"]
 
 
 def test_the_profile_follows_the_range_of_discovery():

@@ -1,5 +1,6 @@
 """Reaches a running controller for `valve-control commission`, and looks at every message meanwhile."""
 
+import os
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -28,6 +29,7 @@ from valve_control.nodes.adapter import (
     number_of,
 )
 from valve_control.nodes.rclpy_internals import WaitSet
+from valve_control.nodes.transport import check_log_folder
 from valve_control.parameter import ParameterError, Value, Values
 from valve_control.parameters.table import CONTROLLER
 
@@ -312,6 +314,7 @@ def connected(name: str) -> Iterator[Controller]:
 
     Raises ParameterError if there is none.
     """
+    check_log_folder(os.environ)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("commissioner")
     try:

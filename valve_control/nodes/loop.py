@@ -22,6 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from valve_control.nodes.adapter import PolledSubscription
 from valve_control.nodes.rclpy_internals import WaitSet
 from valve_control.nodes.services import Reception
+from valve_control.nodes.transport import check_log_folder
 from valve_control.parameter import ParameterError
 from valve_control.parameters.arguments import help_text, refuse_stray, refuse_unreadable
 
@@ -90,6 +91,7 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
         print(f"{node}: {error}", file=sys.stderr)
         return 2
     try:
+        check_log_folder(os.environ)
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy has no public type for bad --ros-args
         print(f"{sys.argv[0]}: {first_line(error)}", file=sys.stderr)

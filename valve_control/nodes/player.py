@@ -1,5 +1,6 @@
 """Plays a bag to running nodes: publishes the recorded topics at their times, or in lockstep."""
 
+import os
 import signal
 import sys
 import time
@@ -17,6 +18,7 @@ from valve_control.bags.bag import Bag
 from valve_control.bags.errors import BagError
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
 from valve_control.nodes.definitions import message_class
+from valve_control.nodes.transport import check_log_folder
 from valve_control.recordings.mapping import find_valves
 from valve_control.recordings.recording import Valve, align, chosen, load
 
@@ -55,6 +57,7 @@ def play(
     if not 0.001 <= rate <= 1000.0:
         raise BagError(f"--rate is {rate:g}; it must lie between 0.001 and 1000")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    check_log_folder(os.environ)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("player")
     try:

@@ -1,7 +1,9 @@
-"""Chooses how Fast DDS carries the messages of this package's processes, unless the user has chosen."""
+"""Sees to what the middleware needs of a process: how Fast DDS carries its messages, and where it may log."""
 
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping
 from pathlib import Path
+
+from valve_control.parameter import ParameterError
 
 ANYWHERE = str(Path(__file__).with_name("fast_dds.xml"))
 THIS_HOST = str(
@@ -29,6 +31,21 @@ def use_own_profile(environment: MutableMapping[str, str]) -> None:
         environment[VARIABLE] = THIS_HOST
     elif THIS_HOST not in choices or environment.get(RANGE) != "SYSTEM_DEFAULT":
         environment[VARIABLE] = ANYWHERE
+
+
+def check_log_folder(environment: Mapping[str, str]) -> None:
+    """Raise ParameterError if there is no folder for the logs of ROS, before rcl says so without its name."""
+    home, ros_home = environment.get("HOME"), environment.get("ROS_HOME")
+    below = ros_home or (f"{home}/.ros" if home else "")
+    folder = environment.get("ROS_LOG_DIR") or (f"{below}/log" if below else "")
+    if not folder:
+        raise ParameterError("ROS writes its logs below HOME, which is not set; set HOME or ROS_LOG_DIR")
+    try:
+        Path(folder).expanduser().mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        text = f"the folder of ROS's logs, {folder}, cannot be made: {reason}; set ROS_LOG_DIR"
+        raise ParameterError(text) from error
 
 
 def leave_own_profile(environment: MutableMapping[str, str]) -> None:

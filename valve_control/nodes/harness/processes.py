@@ -26,7 +26,7 @@ from valve_control.nodes.adapter import (
     NumberSubscription,
     number_of,
 )
-from valve_control.nodes.transport import RANGE, use_own_profile
+from valve_control.nodes.transport import RANGE, check_log_folder, use_own_profile
 from valve_control.parameter import ParameterError, Values, defaults, updated
 from valve_control.parameters import build, files
 from valve_control.parameters.arguments import matches
@@ -173,6 +173,7 @@ def run_tool(name: str, folder: Path, work: Callable[[], int]) -> int:
 
     interrupts.watch(signal.SIGINT, signal.SIGTERM)
     try:
+        check_log_folder(os.environ)
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         status = work()
     except BaseException as error:
