@@ -481,3 +481,18 @@ def test_definitions_come_from_the_installed_packages():
     got = Definitions().get("nav_msgs/msg/Goals")
     assert "geometry_msgs/PoseStamped[] goals" in got.text and "MSG: geometry_msgs/Quaternion" in got.text
     assert got.type_hash.startswith("RIHS01_")
+
+
+def test_a_command_under_another_name_is_said_to_be_missing(ros, tmp_path):
+    """Recorded without it, a bag had no command, and the recorder said that nothing was lost."""
+    lever = ros.create_publisher(Float64, "/crane/lever", 10)
+    log = tmp_path / "recorder.log"
+    with (
+        process("controller", ["-r", "spool_command:=/crane/lever"], tmp_path / "controller.log"),
+        recorder(tmp_path / "bag", log),
+    ):
+        spin_until(
+            ros, lambda: lever.publish(Float64()) or "takes /crane/lever" in log.read_text(), "the warning"
+        )
+    said = "/controller takes /crane/lever, which is not recorded: name it in topics"
+    assert log.read_text().count(said) == 1

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, NoReturn
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
+from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from valve_control import parameter
@@ -49,6 +50,8 @@ CASCADE: Mapping[str, str] = {
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     "/clock": "rosgraph_msgs/msg/Clock",
 }
+CONTROLLER = re.compile(r".*/controller/(state|journal)")  # topics that a valve's controller publishes
+SIGNALS = ("std_msgs/msg/Float64", "trajectory_msgs/msg/JointTrajectoryPoint")  # what it takes
 POLL = 0.01  # s between two looks at what has come
 LOOK = 0.2  # s between two looks at the graph
 LINGER = 0.2  # s to take the last words of nodes that are stopped together with the recorder
@@ -207,6 +210,7 @@ class Recorder(Worker):
         self._topics: dict[str, Recorded] = {}
         self._left_out: set[str] = set()
         self._strangers: dict[str, dict[bytes, str]] = {}  # topic → publisher of another type → what is said
+        self._overlooked: dict[str, str] = {}  # what a controller takes and no pattern names → what is said
         self._gone: list[str] = []  # finished files that are no longer there
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         self._definitions = Definitions()
@@ -346,7 +350,28 @@ class Recorder(Worker):
             topic.look({bytes(info.endpoint_gid) for info in infos})
             for data, info in topic.adapt([info.qos_profile for info in infos]) if infos else ():
                 self._write(topic, info["received_timestamp"] or time.time_ns(), data, info)
+            if CONTROLLER.fullmatch(name) and not self._settings.chosen:
+                for info in infos:
+                    self._look_at_controller(info.node_name, info.node_namespace)
         self._captured.look()
+
+    def _look_at_controller(self, name: str, namespace: str) -> None:
+        """Warn of signals that a controller takes under other names than those that are recorded."""
+        try:
+            taken = self.get_subscriber_names_and_types_by_node(name, namespace)
+        except NodeNameNonExistentError:  # it has just gone
+            return
+        for topic, types in taken:
+            named = any(pattern.fullmatch(topic) for pattern in self._settings.patterns)
+            if named or topic in self._overlooked or not set(types) & {*SIGNALS}:
+                continue
+            if self.count_publishers(topic):
+                text = (
+                    f"{namespace.rstrip('/')}/{name} takes {topic}, which is not recorded: name it in topics"
+                )
+                self._overlooked[topic] = text
+                self.get_logger().warning(text)
+                self._publish_status()
 
     def _meet(self, name: str) -> None:
         """Record a topic, with the type that this package's nodes use, else with the most frequent one.
@@ -428,6 +453,7 @@ class Recorder(Worker):
         self._status_at = time.monotonic() + STATUS_PERIOD
         level, text = DiagnosticStatus.OK, "recording"
         said = [text for strangers in self._strangers.values() for text in strangers.values()]
+        said += self._overlooked.values()
         if said:
             level, text = DiagnosticStatus.WARN, "; ".join(sorted(said))
         if self._gone:
