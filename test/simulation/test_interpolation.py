@@ -1,0 +1,37 @@
+"""Commands of an upper level of 100 Hz: where joining them helps, and where it does not."""
+
+import numpy as np
+import pytest
+
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import build, files
+from valve_control.parameters.table import NODES
+from valve_control.simulation import offline
+from valve_control.simulation.delivery import Delivery
+
+SETTLED = 1000  # samples
+
+
+def values(node, path=None, **changes):
+    base = {**defaults(NODES[node]), **(files.load(str(path))[node] if path else {})}
+    return updated(NODES[node], base, changes)
+
+
+def error(config, kind, frequency):
+    """True rms error [mV] on a sine of 1 V, with the commands at 100 Hz."""
+    law = values("controller", config / "dcarc.yaml", **{"command.interpolation": kind})
+    shape = {"scenario": "sine", "frequency": frequency, "amplitude": 1.0, "duration": 3.0, "start": 0.0}
+    command = build.commands(values("command_source", **shape))
+    simulated = values("valve_simulator", config / "d3fxe.yaml")
+    run = offline.simulate(law, simulated, command, delivered=Delivery(0.01))
+    return 1e3 * float(np.sqrt(np.mean((run.position - command)[SETTLED:] ** 2)))
+
+
+@pytest.mark.parametrize(
+    ("frequency", "hold", "linear", "extrapolate"),
+    [(1.0, 44.0, 72.0, 26.0), (3.0, 139.0, 214.0, 96.0), (10.0, 447.0, 665.0, 594.0)],
+)
+def test_errors_at_100_hz_are_those_of_the_table(config, frequency, hold, linear, extrapolate):
+    """Of docs/cascade.md."""
+    found = [error(config, kind, frequency) for kind in ("hold", "linear", "extrapolate")]
+    assert found == pytest.approx([hold, linear, extrapolate], rel=0.02)
