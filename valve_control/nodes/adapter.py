@@ -198,7 +198,7 @@ class ParameterSet:
 def number_of(info: Mapping[str, Any]) -> int:
     """Number that its publisher gave a message, 0 if the middleware numbers none."""
     number = info["publication_sequence_number"]
-    return 0 if number == UNNUMBERED else number  # type: ignore[no-any-return]
+    return 0 if number == UNNUMBERED else number
 
 
 def needs_numbers(what: str) -> str:
