@@ -10,6 +10,7 @@ from contextlib import ExitStack
 import domains
 import numpy as np
 import pytest
+import sizes
 from bench import call, controller, run_tool, set_parameters, spin_until
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -19,11 +20,10 @@ from valve_control.nodes.adapter import SAMPLES
 from valve_control.nodes.harness.lockstep import CONFIG, run_lockstep
 from valve_control.nodes.harness.processes import process
 
-STARTS = 10  # of each
 SHORT = "0.3"  # s of valve time, in which the command has begun to move
 
 
-@pytest.mark.parametrize("seconds", [5, pytest.param(20, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("seconds", [2, pytest.param(sizes.LOCKSTEP, marks=pytest.mark.campaign)])
 def test_the_motion_equals_offline_for_every_controller(tmp_path, seconds):
     entries = run_tool("lockstep", tmp_path, "--duration", str(seconds))
     assert [e["controller"] for e in entries] == ["arc", "oarc", "dcarc", "pid", "compensator", "open_loop"]
@@ -149,7 +149,7 @@ def test_many_starts_beside_a_loaded_machine(tmp_path):
         for law, domain in zip(("arc", "oarc", "compensator", "open_loop"), domains.FOUR, strict=True):
             (tmp_path / law).mkdir()
             log = stack.enter_context((tmp_path / f"{law}.txt").open("wb"))
-            arguments = ["--only", law, "--starts", str(STARTS), "--duration", SHORT]
+            arguments = ["--only", law, "--starts", str(sizes.STARTS), "--duration", SHORT]
             tools.append(
                 subprocess.Popen(
                     [
