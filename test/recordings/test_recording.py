@@ -138,7 +138,7 @@ def test_a_recorder_whose_clock_is_set_back_keeps_one_part_of_all_signals(run, t
     result, notes = said(tmp_path / "bag")
     text = " ".join(notes)
     for topic in ("/spool_command", "/spool_position", "/valve_voltage"):
-        assert f"time of recording goes backwards on {topic} 1 time(s); only part 1" in text
+        assert f"time goes backwards on {topic} 1 time(s); only part 1" in text
     signals = result.valves["valve"].signals
     assert 1190 <= len(signals.time) <= 1200
     assert np.array_equal(signals.measurement, run.readings[: len(signals.time)])

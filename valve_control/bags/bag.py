@@ -28,6 +28,7 @@ ZSTD = (".zstd", ".zst")
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 ADVICE = re.compile(r" \(valve-control bag recover [^)]*\)")  # does not help where rosbag2 compressed
 MANY = 500_000  # messages that are kept of a sparse topic
+FAR = 3600.0  # s between two stamps of one recording from which on they belong to different stretches of time
 
 
 class Series(NamedTuple):
@@ -40,6 +41,32 @@ class Series(NamedTuple):
     raw: list[bytes]  # the messages themselves, if they were asked for
     undecodable: int  # messages left out
     error: str  # why the first of them
+
+    def pick(self, chosen: npt.NDArray[Any]) -> "Series":
+        """The messages chosen by a mask or by indices."""
+        where = np.arange(len(self.log_time))[chosen].tolist() if self.raw else []
+        return self._replace(
+            log_time=self.log_time[chosen],
+            publish_time=self.publish_time[chosen],
+            sequence=self.sequence[chosen],
+            values={name: numbers[chosen] for name, numbers in self.values.items()},
+            raw=[self.raw[i] for i in where],
+        )
+
+
+def edges(time: Integers) -> Floats:
+    """First stamps [ns] of the stretches of ``time``, hours apart, but for the first stretch."""
+    ordered = np.sort(time).astype(np.float64)
+    return np.asarray(ordered[1:][np.diff(ordered) > FAR * 1e9], dtype=np.float64)
+
+
+def stretch(time: Integers) -> tuple[int, int]:
+    """First and last of ``time`` [ns] in that of its stretches, hours apart, with the most messages."""
+    ordered = np.sort(time)
+    starts = np.searchsorted(ordered.astype(np.float64), edges(time))
+    bounds = [0, *starts.tolist(), len(ordered)]
+    longest = len(bounds) - 2 - int(np.argmax(np.diff(bounds)[::-1]))
+    return int(ordered[bounds[longest]]), int(ordered[bounds[longest + 1] - 1])
 
 
 def times(block: Block | None) -> Integers:
@@ -112,10 +139,10 @@ class Bag:
 
     @property
     def begin(self) -> int:
-        """Log time [ns] of the first message, 0 if there are none."""
+        """Log time [ns] of the first message, 0 if there are none; not of one hours from all near it."""
         # A piece may hold nothing: messages of channels that a damaged file does not describe.
         firsts = (next((b for b in file.blocks() if len(b.topic)), None) for file in self._files)
-        return min((int(block.log_time.min()) for block in firsts if block is not None), default=0)
+        return min((stretch(block.log_time)[0] for block in firsts if block is not None), default=0)
 
     def close(self) -> None:
         """Close the files; nothing can be read afterwards."""

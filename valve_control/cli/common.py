@@ -83,6 +83,16 @@ def check_search(seed: int, valves: int, unseen: int, budget: int) -> None:
         raise ParameterError(f"--budget is {budget}; it must be at least 1")
 
 
+def clock_option(group: Any) -> None:
+    """Add --clock."""
+    group.add_argument(
+        "--clock",
+        choices=("log", "publish"),
+        help="whose times count: log_time (of recording) or publish_time (of sending; the default where it "
+        "is fit for all signals)",
+    )
+
+
 def cluster_option(group: Any) -> None:
     """Add --cluster."""
     group.add_argument(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control.bags.errors import BagError
 from valve_control.cli import compensator
-from valve_control.cli.common import Progress, check_outputs, say, tell_notes
+from valve_control.cli.common import Progress, check_outputs, clock_option, say, tell_notes
 from valve_control.cli.simulate import SCENARIOS, setup_options
 from valve_control.identification import WEIGHTINGS
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
 FRICTION_ROUNDS = 2  # the friction needs the model, and the model the friction
-BAG_ONLY = ("map", "of", "start", "end")
+BAG_ONLY = ("map", "of", "start", "end", "clock")
 
 
 def add_commands(commands: Any) -> None:
@@ -66,6 +66,7 @@ def add_commands(commands: Any) -> None:
         "--from", dest="start", type=float, metavar="S", help="begin this long after its beginning"
     )
     group.add_argument("--to", dest="end", type=float, metavar="S", help="end this long after its beginning")
+    clock_option(group)
     group = identify.add_argument_group("how it is measured and fitted")
     group.add_argument(
         "--settle", type=float, default=0.4, metavar="S", help="transient left out of a step (0.4)"
@@ -248,7 +249,9 @@ def _recorded(arguments: argparse.Namespace) -> "Experiment":
             )
     if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
         raise ParameterError(f"--to {arguments.end:g} lies not after --from {arguments.start:g}")
-    loaded = recording.load(arguments.bag, arguments.map, arguments.start, arguments.end)
+    loaded = recording.load(
+        arguments.bag, arguments.map, arguments.start, arguments.end, clock=arguments.clock
+    )
     if not loaded.valves:
         raise BagError(f"{arguments.bag} has no topic of a valve")
     valve = recording.chosen(arguments.bag, loaded.valves, arguments.of)

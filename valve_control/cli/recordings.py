@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from valve_control import outputs
 from valve_control.analysis.tables import HEADER, index_row
 from valve_control.bags.errors import BagError
-from valve_control.cli.common import Parser, check_outputs, say, tell_notes, write_json
+from valve_control.cli.common import Parser, check_outputs, clock_option, say, tell_notes, write_json
 from valve_control.parameter import ParameterError, lookup
 from valve_control.parameters.table import NODES
 
@@ -43,6 +43,7 @@ def _bag_options() -> Parser:
     group.add_argument(
         "--to", dest="end", type=float, metavar="S", help="end this long after the bag's beginning [s]"
     )
+    clock_option(group)
     output = options.add_argument_group("what comes out")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     output.add_argument(
@@ -148,7 +149,7 @@ def _load(arguments: argparse.Namespace, path: str, journals: bool = False) -> "
     start, end = getattr(arguments, "start", None), getattr(arguments, "end", None)
     if start is not None and end is not None and end <= start:
         raise ParameterError(f"--to {end:g} lies not after --from {start:g}")
-    return recording.load(path, arguments.map, start, end, _told, journals)
+    return recording.load(path, arguments.map, start, end, _told, journals, arguments.clock)
 
 
 def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveAnalysis":
@@ -336,6 +337,7 @@ def _replay_live(arguments: argparse.Namespace) -> int:
         start=arguments.start,
         end=arguments.end,
         of=arguments.of,
+        clock=arguments.clock,
     )
     text = f"published {result.published} messages in {result.elapsed:.2f} s"
     if arguments.lockstep:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from valve_control import outputs
 from valve_control.analysis.tables import HEADER, index_row
 from valve_control.cli import moved
-from valve_control.cli.common import Parser, check_outputs, say, tell_notes, write_json
+from valve_control.cli.common import Parser, check_outputs, clock_option, say, tell_notes, write_json
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
 from valve_control.parameters.axis import AXIS_NODES
 from valve_control.parameters.table import NODES
@@ -126,6 +126,7 @@ def add_commands(commands: Any) -> None:
     compare.add_argument(
         "--map", action="append", default=[], metavar="PART=/TOPIC.FIELD", help="bags: as for analyze"
     )
+    clock_option(compare)
     compare.add_argument("--tuned", action=moved.Option)
     compare.set_defaults(run=_compare)
     parameters = commands.add_parser("parameters", help="list parameters with unit, range and meaning")
@@ -301,8 +302,8 @@ def _compare(arguments: argparse.Namespace) -> None:
             )
         compare_bags(arguments)
         return
-    if arguments.html or arguments.map:
-        raise ParameterError("compare takes --html and --map with bags only")
+    if arguments.html or arguments.map or arguments.clock:
+        raise ParameterError("compare takes --html, --map and --clock with bags only")
     check_outputs(arguments, figures=[arguments.figure])
     settings = settings_of(arguments)
     command = _command(arguments, settings["command_source"])

@@ -16,6 +16,7 @@ from valve_control.cli.common import (
     check_outputs,
     check_processes,
     check_search,
+    clock_option,
     cluster_option,
     say,
     workers,
@@ -77,6 +78,7 @@ def add_commands(commands: Any) -> None:
         "--from", dest="start", type=float, metavar="S", help="begin this long after its start"
     )
     group.add_argument("--to", dest="end", type=float, metavar="S", help="end this long after its start")
+    clock_option(group)
     group = tune.add_argument_group("what is wanted")
     group.add_argument("--max-chatter", type=float, metavar="C_U", help="limit of the mean chatter")
     group.add_argument("--max-error", type=float, metavar="V", help="limit of the error, at least chatter")
@@ -527,7 +529,9 @@ def _recorded(arguments: argparse.Namespace, settings: dict[str, Values]) -> _Re
             raise ParameterError(f"tune --bag takes no --{name.replace('_', '-')}; the bag has its own")
     if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
         raise ParameterError(f"--to {arguments.end:g} lies not after --from {arguments.start:g}")
-    loaded = recording.load(arguments.bag, arguments.map, arguments.start, arguments.end)
+    loaded = recording.load(
+        arguments.bag, arguments.map, arguments.start, arguments.end, clock=arguments.clock
+    )
     if not loaded.valves:
         raise BagError(f"{arguments.bag} has no topic of a valve")
     valve = recording.chosen(arguments.bag, loaded.valves, arguments.of)

@@ -25,7 +25,7 @@ def recorded(recording: Recording, valve: Valve) -> Experiment:
                 f"{valve.name} has no {part}, which identification needs; --map says what plays its part"
             )
     aligned = align(valve)
-    notes = []
+    notes = [f"times are {recording.clock.name}", *recording.problems, *valve.doubts]
     count = len(aligned.time)
     sequence = valve.signals["spool_position"].sequence[-count:]
     index = np.arange(count)

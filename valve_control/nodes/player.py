@@ -19,6 +19,7 @@ from valve_control.bags.errors import BagError
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
 from valve_control.nodes.definitions import message_class
 from valve_control.nodes.transport import check_log_folder
+from valve_control.recordings.clocks import decide, without_strays
 from valve_control.recordings.mapping import find_valves
 from valve_control.recordings.recording import Valve, align, chosen, load
 
@@ -49,6 +50,7 @@ def play(
     end: float | None = None,
     of: str | None = None,
     quiet: bool = False,
+    clock: str | None = None,
 ) -> Played:
     """Publish a bag's topics at ``rate`` times the recorded speed, or in lockstep with valve ``of``.
 
@@ -62,8 +64,10 @@ def play(
     node = rclpy.create_node("player")
     try:
         if lockstep:
-            return _in_lockstep(node, chosen(path, load(path, maps, start, end).valves, of), quiet)
-        return _timed(node, path, maps, topics, rate, start, end, quiet)
+            return _in_lockstep(
+                node, chosen(path, load(path, maps, start, end, clock=clock).valves, of), quiet
+            )
+        return _timed(node, path, maps, topics, rate, start, end, quiet, clock)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
@@ -84,7 +88,7 @@ def _meet(publishers: dict[str, Any]) -> None:
 
 def _timed(
     node: Node, path: str, maps: Sequence[str], topics: Sequence[str] | None, rate: float,
-    start: float | None, end: float | None, quiet: bool,
+    start: float | None, end: float | None, quiet: bool, clock: str | None,
 ) -> Played:  # fmt: skip
     bag = Bag(path)
     if topics is None:
@@ -101,6 +105,12 @@ def _timed(
         start=None if start is None else begin + round(start * 1e9),
         end=None if end is None else begin + round(end * 1e9),
     )
+    notes: list[str] = []
+    series = without_strays(series, notes)
+    ruling = decide(series, [topics], clock, path)
+    series = ruling.read(series)
+    for note in (*notes, *ruling.notes):
+        node.get_logger().warning(note)
     try:
         publishers = {
             name: node.create_publisher(message_class(bag.topic(name).type), name, SAMPLES) for name in topics

@@ -88,7 +88,7 @@ def _analyze_valve(valve: Valve) -> ValveAnalysis:
     recorded_after = {
         part: spread(seconds(s.log_time, s.time))._asdict()
         for part, s in valve.signals.items()
-        if s.has_source_time and len(s.time)
+        if valve.clock.source and len(s.time)
     }
     name = controller_name(valve)
     parts: list[Part] = []
@@ -261,7 +261,7 @@ def guarantee_use(state: State | None) -> float | None:
 def about_bag(result: Analysis) -> dict[str, Any]:
     """File, recorder and length of the bag, for JSON."""
     bag = result.recording.bag
-    stamps = [s.log_time for v in result.recording.valves.values() for s in v.signals.values() if len(s.time)]
+    stamps = [s.time for v in result.recording.valves.values() for s in v.signals.values() if len(s.time)]
     begin, end = min(int(s.min()) for s in stamps), max(int(s.max()) for s in stamps)
     return {
         "path": str(bag.path),
@@ -273,6 +273,7 @@ def about_bag(result: Analysis) -> dict[str, Any]:
         "distribution": bag.distribution or None,
         "start": datetime.datetime.fromtimestamp(begin * 1e-9, datetime.UTC).isoformat(),
         "duration_s": (end - begin) * 1e-9,
+        "clock": result.recording.clock.name,
         "topics": {name: topic.type for name, topic in sorted(bag.topics.items())},
     }
 

@@ -31,8 +31,7 @@ class Mode(IntEnum):
 class Word(NamedTuple):
     """What one diagnostics message of a controller says."""
 
-    publish_time: int  # ns
-    log_time: int  # ns
+    time: int  # ns
     mode: Mode
     reasons: tuple[str, ...]
 
@@ -61,8 +60,7 @@ def words(series: Sequence[Series], problems: list[str]) -> dict[str, list[Word]
     said: dict[str, list[Word]] = {}
     unreadable = 0
     for messages in series:
-        times = zip(messages.publish_time.tolist(), messages.log_time.tolist(), messages.raw, strict=True)
-        for publish, log, raw in times:
+        for time, raw in zip(messages.publish_time.tolist(), messages.raw, strict=True):
             # Every controller tells its mode; the words of other nodes are many.
             if b"mode\0" not in raw:
                 continue
@@ -77,7 +75,7 @@ def words(series: Sequence[Series], problems: list[str]) -> dict[str, list[Word]
                 if mode is not None:
                     name = f"/{status.name.lstrip('/')}"
                     reasons = () if mode is Mode.OK else tuple(status.message.split("; "))
-                    said.setdefault(name, []).append(Word(publish, log, mode, reasons))
+                    said.setdefault(name, []).append(Word(time, mode, reasons))
     if unreadable:
         problems.append(f"{unreadable} messages of /diagnostics could not be decoded and are left out")
     return said
@@ -100,14 +98,14 @@ def of_controller(said: Mapping[str, list[Word]], namespace: str, state: str) ->
 
 
 def history(
-    told: Sequence[Word], state_time: Integers, state_mode: Floats, begin: int, end: int, source_time: bool
+    told: Sequence[Word], state_time: Integers, state_mode: Floats, begin: int, end: int
 ) -> list[Interval]:
     """Modes from ``begin`` to ``end`` [ns] without a gap; [] if nothing is known.
 
-    ``state_mode`` is that of ~/state at ``state_time``; ``source_time`` whether times are those of sending.
+    ``state_mode`` is that of ~/state at ``state_time``.
     """
-    told = sorted(told, key=lambda word: word[0 if source_time else 1])
-    said = np.array([word[0 if source_time else 1] for word in told], dtype=np.int64)
+    told = sorted(told, key=lambda word: word.time)
+    said = np.array([word.time for word in told], dtype=np.int64)
     known = np.isin(state_mode, (Mode.OK, Mode.DEGRADED, Mode.SAFE))
     if len(said):
         newest = said[np.maximum(np.searchsorted(said, state_time, side="right") - 1, 0)]

@@ -44,23 +44,21 @@ def pace(valve: Valve) -> Pace:
     readings = valve.timed.get("spool_position")
     if valve.lockstep or readings is None:
         return Pace(np.nan, wanted, [])
-    # One publisher's clock is enough, whatever those of the others are.
-    sent, sequence = readings.sent, readings.sequence
-    stamped = bool(np.any(sent != readings.log_time))
-    edges = [0, *np.searchsorted(readings.time, [time for time, _ in changes]).tolist(), len(readings.time)]
+    time, sequence = readings.time, readings.sequence
+    edges = [0, *np.searchsorted(time, [moment for moment, _ in changes]).tolist(), len(time)]
     periods = [wanted, *(period for _, period in changes)]
     others = []
     for begin, end, period in zip(edges[:-1], edges[1:], periods, strict=True):
         if period is None:
             continue
         part = slice(begin, end)
-        for found in deviating(sent[part], sequence[part], period, parts=stamped):
-            first, last = readings.time[begin + found.start], readings.time[begin + found.end - 1]
+        for found in deviating(time[part], sequence[part], period, parts=valve.clock.source):
+            first, last = time[begin + found.start], time[begin + found.end - 1]
             whole = found.end - found.start == end - begin
             others.append(OtherRate(int(first), int(last), found.period, period, whole))
     first_part = slice(0, edges[1]) if edges[1] else slice(None)
     return Pace(
-        true_period(sent[first_part], sequence[first_part]),
+        true_period(time[first_part], sequence[first_part]),
         wanted,
         others,
     )

@@ -13,6 +13,7 @@ from valve_control.bags.cdr import UNDECODABLE, Decoder, jazzy
 from valve_control.bags.errors import BagError
 from valve_control.recordings import modes, parameters
 from valve_control.recordings.cleaning import Samples, clean, seconds
+from valve_control.recordings.clocks import Clock, decide, without_strays
 from valve_control.recordings.mapping import STATE_TYPE, ValveTopics, find_valves
 from valve_control.supervision.journal import Block, block
 from valve_control.supervision.state_snapshot import Account, account
@@ -72,6 +73,8 @@ class Valve(NamedTuple):
     simulator: parameters.Node | None
     modes: list[modes.Interval]  # without a gap; [] if they are not known
     problems: list[str]
+    doubts: list[str]  # those of them that are about the signals' messages
+    clock: Clock  # of all times
 
     @property
     def lockstep(self) -> bool:
@@ -94,6 +97,7 @@ class Recording(NamedTuple):
     valves: dict[str, Valve]
     nodes: dict[str, parameters.Node]
     problems: list[str]
+    clock: Clock  # of all times
 
 
 def load(
@@ -103,12 +107,14 @@ def load(
     end: float | None = None,
     told: Callable[[Bag], Callable[[int], None]] | None = None,
     journals: bool = False,
+    clock: str | None = None,
 ) -> Recording:
     """Load a bag, or its part from ``start`` to ``end`` [s] after its beginning.
 
     ``told`` takes the opened bag and returns a function that is called with the number of bytes read since
-    its last call; ``journals``: load the controllers' journals too, which only a shadow replay needs. Raises
-    BagError if nothing can be analysed.
+    its last call; ``journals``: load the controllers' journals too, which only a shadow replay needs;
+    ``clock``: log or publish, whose times are taken for all (default: publish, if it is fit for all signals).
+    Raises BagError if nothing can be analysed.
     """
     bag = Bag(path)
     topics = find_valves(bag, maps)
@@ -130,27 +136,48 @@ def load(
     raw &= {name for name, topic in bag.topics.items() if not topic.unreadable}
     begin = bag.begin
     first = begin if start is None else begin + nanoseconds(start, "--from")
-    since = 0 if start is None else first
     last = None if end is None else begin + nanoseconds(end, "--to")
     hears = told(bag) if told else None
+    groups = [[source.topic for source in valve.sources.values()] for valve in topics.values()]
     if start is None:
         series = bag.read(wanted, raw=raw, sparse=states, end=last, told=hears)
     else:
         # What is known of the nodes counts from the bag's beginning, whatever part is asked for.
         series = bag.read(wanted, sparse=states, start=first, end=last, told=hears)
         series |= bag.read({}, raw=raw, end=last)
+    found: list[str] = []
+    series = without_strays(series, found)
+    ruling = decide(series, groups, clock, path)
+    if ruling.source and ruling.apart and (start is not None or end is not None):
+        # The part that was read is one of times of recording.
+        found.clear()
+        series = without_strays(bag.read(wanted, raw=raw, sparse=states), found)
+        sent = [series[name].publish_time for group in groups for name in group]
+        begin = min(int(time.min()) for time in sent if len(time))
+        first = begin + nanoseconds(start or 0.0, "--from")
+        last = None if end is None else begin + nanoseconds(end, "--to")
+        series = {
+            name: one.pick(
+                ((name in raw) | (one.publish_time >= first))
+                & (one.publish_time < (np.inf if last is None else last))
+            )
+            for name, one in series.items()
+        }
+    series = ruling.read(series)
+    bag.problems += [*found, *ruling.notes]
+    since = 0 if start is None else first
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
     if start is not None:
         nodes = {name: node.from_time(first) for name, node in nodes.items()}
     said = modes.words([series[name] for name in diagnostics], bag.problems)
     valves = {
-        name: _valve(valve, series, labels.get(valve.state, []), nodes, said, since)
+        name: _valve(valve, series, labels.get(valve.state, []), nodes, said, since, ruling)
         for name, valve in topics.items()
     }
     if not any(len(s.time) for valve in valves.values() for s in valve.signals.values()):
         part = "" if start is None and end is None else " in this part of its time"
         raise BagError(f"{path} has no message on any topic of a valve{part}, so there is nothing to analyse")
-    return Recording(bag, valves, nodes, bag.problems)
+    return Recording(bag, valves, nodes, bag.problems, ruling)
 
 
 def chosen(path: Path | str, valves: Mapping[str, V], of: str | None) -> V:
@@ -210,9 +237,11 @@ def _valve(
     nodes: dict[str, parameters.Node],
     said: dict[str, list[modes.Word]],
     since: int,
+    clock: Clock,
 ) -> Valve:
     problems: list[str] = []
     cleaned = clean(topics.sources, series, problems)
+    doubts = list(problems)
     signals = cleaned.usable
     kinds: dict[str, Any] = {}
     for node in nodes.values():
@@ -222,7 +251,7 @@ def _valve(
     if topics.state and len(series[topics.state].log_time):
         got = series[topics.state]
         named = {label: got.values[f"data[{label}]"] for label in STATE_FIELDS}
-        state = State(got.publish_time if _by_source(signals) else got.log_time, labels, named)
+        state = State(got.publish_time, labels, named)
     for part in ("spool_command", "spool_position", "valve_voltage"):
         if part not in signals:
             problems.append(f"{topics.name} has no {part}; what needs it is left out")
@@ -251,12 +280,9 @@ def _valve(
         simulator=kinds.get("valve_simulator"),
         modes=_modes(topics, said, state, cleaned.timed, since),
         problems=problems,
+        doubts=doubts,
+        clock=clock,
     )
-
-
-def _by_source(signals: Mapping[str, Samples]) -> bool:
-    """Whether the times of ``signals`` are those at which they were sent, not recorded."""
-    return any(samples.has_source_time for samples in signals.values())
 
 
 def _modes(
@@ -274,7 +300,7 @@ def _modes(
     told = modes.of_controller(said, topics.namespace, topics.state)
     none = np.empty(0, dtype=np.int64)
     stamp, mode = (none, np.empty(0)) if state is None else (state.stamp, state.values["mode"])
-    return modes.history(told, stamp, mode, max(begin, since), end, _by_source(signals))
+    return modes.history(told, stamp, mode, max(begin, since), end)
 
 
 def at_time(signals: Aligned, stamp: int) -> float:

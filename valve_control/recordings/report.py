@@ -42,7 +42,8 @@ def text(analysis: Analysis) -> str:
     about = about_bag(analysis)
     lines = [
         f"{about['path']}: {about['storage']}{', ' + about['compression'] if about['compression'] else ''}, "
-        f"{about['bytes'] / 1e6:.1f} MB, {about['duration_s']:.3f} s from {about['start']}"
+        f"{about['bytes'] / 1e6:.1f} MB, {about['duration_s']:.3f} s from {about['start']} "
+        f"by {about['clock']}"
     ]
     for name, valve in analysis.valves.items():
         lines += ["", *_valve_lines(name, valve)]
