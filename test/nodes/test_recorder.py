@@ -28,6 +28,7 @@ from valve_control.bags import metadata
 from valve_control.bags.recover import recover
 from valve_control.nodes.definitions import Definitions, message_class
 from valve_control.nodes.harness.processes import process
+from valve_control.nodes.recorder import Recorded, merged
 
 EVENTS = "/parameter_events"
 TOPICS = ("/spool_command", "/spool_position", "/valve_voltage", "/controller/state")
@@ -496,3 +497,22 @@ def test_a_command_under_another_name_is_said_to_be_missing(ros, tmp_path):
         )
     said = "/controller takes /crane/lever, which is not recorded: name it in topics"
     assert log.read_text().count(said) == 1
+
+
+@pytest.mark.parametrize("back", [0, 5_000_000, 20_000_000, 10**12])
+def test_a_clock_that_is_set_back_makes_no_losses(back):
+    """Two topics at 1 kHz wait in one batch while the clock is set back by ``back`` [ns]: nothing is lost."""
+    topics = [Recorded(None, name, "std_msgs/msg/Float64", None) for name in ("/a", "/b")]
+    queues = [
+        [(10**15 + k * 10**6 + late - back * (k >= 30), topic, k + 1) for k in range(60)]
+        for late, topic in enumerate(topics)
+    ]
+    for topic in topics:
+        topic.look({b"one"})
+    for _, topic, number in merged(queues):
+        topic.count(number)
+    for topic in topics:
+        topic.look({b"one"})
+    assert [topic.lost for topic in topics] == [0, 0]
+    if back == 0:
+        assert [entry[0] for entry in merged(queues)] == sorted(e[0] for q in queues for e in q)

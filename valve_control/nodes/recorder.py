@@ -6,10 +6,10 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from itertools import count
+from itertools import accumulate, count
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
@@ -35,6 +35,7 @@ from valve_control.nodes.parameter_capture import EVENTS, ParameterCapture
 from valve_control.parameter import ParameterError, Values, items, word
 from valve_control.parameters.table import RECORDER
 
+T = TypeVar("T", bound=tuple[Any, ...])
 EVENT_TYPE = "rcl_interfaces/msg/ParameterEvent"
 # What is recorded unless ``topics`` says otherwise, with the types that the nodes of this package use.
 CASCADE: Mapping[str, str] = {
@@ -142,6 +143,19 @@ def wanted(profiles: Sequence[QoSProfile]) -> tuple[ReliabilityPolicy, Durabilit
 def usual_type(name: str) -> str | None:
     """Type with which this package's nodes use the topic ``name``, None if they do not use it."""
     return next((kind for pattern, kind in CASCADE.items() if re.fullmatch(pattern, name)), None)
+
+
+def merged(queues: Sequence[Sequence[T]]) -> list[T]:
+    """Entries of several queues by the time at their beginning, each queue's in its order.
+
+    A clock that is set back while they wait does not turn a queue's order around.
+    """
+    keyed = []
+    for queue in queues:
+        latest = accumulate((entry[0] for entry in queue), max)
+        keyed += list(zip(latest, queue, strict=True))
+    keyed.sort(key=itemgetter(0))
+    return [entry for _, entry in keyed]
 
 
 class Recorded:
@@ -279,15 +293,16 @@ class Recorder(Worker):
     def _take(self) -> bool:
         """Write all waiting messages in the order of their arrival."""
         taken = [
-            (info["received_timestamp"] or time.time_ns(), topic, data, info)
+            [
+                (info["received_timestamp"] or time.time_ns(), topic, data, info)
+                for data, info in topic.subscription.take()
+            ]
             for topic in self._topics.values()
             if topic.subscription is not None
-            for data, info in topic.subscription.take()
         ]
-        taken.sort(key=itemgetter(0))
-        for received, topic, data, info in taken:
+        for received, topic, data, info in merged(taken):
             self._write(topic, received, data, info)
-        return bool(taken)
+        return any(taken)
 
     def _write(self, topic: Recorded, received: int, data: bytes, info: dict[str, Any]) -> None:
         number = number_of(info)
