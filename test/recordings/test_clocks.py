@@ -152,3 +152,109 @@ def test_a_stamp_that_leaps_away_and_back_is_no_clock_that_was_set(run, tmp_path
     loaded = load(write(tmp_path / "bag", messages))
     assert loaded.clock.source and len(loaded.problems) == 1
     assert np.array_equal(align(loaded.valves["valve"]).measurement, run.readings)
+
+
+# Clocks that are set, and gaps
+
+SECOND_POLE, FIRST_POLE = 32.3, 5.89  # Hz
+
+
+def stepped_sine(set_at=None, by=0.0, numbered=True, lost=(), publish=True, seed=1):
+    """Voltages and readings of a valve with two poles, 1 kHz; at a reading all clocks are set ``by`` [s].
+
+    ``lost``: readings from the first to before the second that nobody recorded, nor the voltages meanwhile.
+    """
+    random = np.random.default_rng(seed)
+    decays = [math.exp(-2.0 * math.pi * pole * 1e-3) for pole in (FIRST_POLE, SECOND_POLE)]
+    messages, spool, k = [], [0.0, 0.0], 0
+    for frequency in np.geomspace(0.5, 60.0, 12):
+        for i in range(round(1000 * max(2.0, 6.0 / frequency))):
+            time = BEGIN + k * PERIOD + (round(by * 1e9) if set_at is not None and k >= set_at else 0)
+            voltage = 2.0 * math.sin(2.0 * math.pi * frequency * i * 1e-3)
+            for topic, value, late in (
+                ("/spool_position", spool[1] + 0.004 * random.standard_normal(), 0),
+                ("/valve_voltage", voltage, 200_000),
+            ):
+                sent = time + late
+                log = sent + int(random.integers(50_000, 300_000))
+                if not lost or not lost[0] <= k < lost[1]:
+                    messages.append(
+                        Message(
+                            topic, FLOAT, sent if publish else log, (k + 1) * numbered, number(value), log
+                        )
+                    )
+            new = spool[0] + (1.0 - decays[0]) * (voltage - spool[0])
+            spool[1] += (1.0 - decays[1]) * (0.5 * (spool[0] + new) - spool[1])
+            spool[0] = new
+            k += 1
+    return messages
+
+
+def in_file_order(path, messages):
+    """The messages as a bag, in the order in which they are given."""
+    from made import STORE
+
+    from valve_control.bags.writer import BagWriter
+
+    with BagWriter(path, "mcap") as writer:
+        for topic in ("/spool_position", "/valve_voltage"):
+            text, _ = STORE.generate_msgdef(FLOAT, ros_version=2)
+            writer.add_topic(topic, FLOAT, text, STORE.hash_rihs01(FLOAT))
+        for m in messages:
+            writer.write(m.topic, m.log_time, m.time, m.sequence, m.data)
+    return path
+
+
+HARD = {
+    "nothing": ({}, False),
+    "set by +2 s": ({"set_at": 25_000, "by": 2.0}, True),
+    "set by +2 s, without numbers": ({"set_at": 25_000, "by": 2.0, "numbered": False}, True),
+    "set by -20 ms": ({"set_at": 22_000, "by": -0.02}, True),
+    "set by -3 s": ({"set_at": 15_000, "by": -3.0}, True),
+    "1970 to 2026": ({"set_at": 9_000, "by": 56 * 365 * 86_400.0}, True),
+    "2 s missing": ({"lost": (25_000, 27_000)}, False),
+    "2 s missing, without numbers": ({"lost": (25_000, 27_000), "numbered": False, "publish": False}, True),
+    "three missing, without numbers": ({"lost": (25_000, 25_003), "numbered": False}, False),
+}
+
+
+@pytest.mark.parametrize("case", HARD)
+def test_a_valve_is_identified_whatever_the_clock_did(tmp_path, capsys, case):
+    options, told = HARD[case]
+    bag = str(in_file_order(tmp_path / "bag", stepped_sine(**options)))
+    assert main(["identify", bag, "--json", "-", "--order", "2"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    poles = sorted(pole["frequency"] for pole in found["fits"][0]["poles"])
+    assert poles == pytest.approx([FIRST_POLE, SECOND_POLE], rel=0.03)
+    assert told == any("leaps" in note or "goes backwards" in note for note in found["notes"]), found["notes"]
+
+
+@pytest.mark.parametrize(
+    ("by", "numbered"),
+    [(by, numbered) for by in (2.0, -3.0, 56 * 365 * 86_400.0) for numbered in (True, False)]
+    + [(-0.02, True)],
+)
+def test_a_clock_that_is_set_is_named_and_loses_nothing(run, tmp_path, by, numbered):
+    """Of the longer part all is right: rates, lost ones, modes and length."""
+    from made import STORE
+
+    from valve_control.bags.writer import BagWriter
+
+    with BagWriter(tmp_path / "bag", "mcap") as writer:
+        known = set()
+        for m in sorted(run.messages, key=lambda m: m.log_time):
+            if m.topic not in known:
+                known.add(m.topic)
+                text, _ = STORE.generate_msgdef(m.type, ros_version=2)
+                writer.add_topic(m.topic, m.type, text, STORE.hash_rihs01(m.type))
+            more = round(by * 1e9) if m.log_time > BEGIN + 900_000_000 else 0
+            writer.write(m.topic, m.log_time + more, m.time + more, m.sequence * numbered, m.data)
+    loaded = load(tmp_path / "bag")
+    about = as_dict(analyze(loaded))
+    valve = about["valves"]["valve"]
+    assert any("leaps" in text or "goes backwards" in text for text in valve["left_out"])
+    for timing in valve["timing"].values():
+        assert timing["rate_hz"] == pytest.approx(1000.0, rel=0.01)
+        assert timing["lost"] == (0 if numbered else None)
+    assert about["bag"]["duration_s"] < 5.0
+    assert sum(valve["modes"][name]["duration_s"] for name in ("ok", "safe", "degraded")) < 5.0

@@ -10,6 +10,9 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 LATE = 1.5  # periods between two messages from which on it is a gap
 APART = 100  # readings between the two whose distance in time is measured
+PAUSE = 100.0  # periods without a message from which on none was sent, or the clock was set
+LEAP = 5.0  # periods by which time leaps away from the readings' numbers where it is not jitter
+SURE = 2000  # readings before and after it that must agree
 LEAST = 200  # readings from which a period is measured
 REGULAR = 0.3  # part of the mean by which the usual interval of messages that come regularly may differ
 DEVIATION = 0.02  # of the period from the one that is wanted, beyond which it is reported ...
@@ -65,8 +68,11 @@ def timing(time: Integers, sequence: Integers) -> Timing:
     intervals = np.diff(time) * 1e-9
     if len(intervals) == 0:
         return Timing(len(time), np.nan, np.nan, spread(intervals), 0, np.nan, None)
-    span = float(time[-1] - time[0]) * 1e-9
     period = float(np.median(intervals))
+    # A pause, or a clock that was set forward, is no slower rate; lost readings are.
+    numbers = np.diff(sequence) if lost_messages(sequence) is not None else np.ones(len(intervals))
+    paused = (intervals > PAUSE * period) & (numbers * period < 0.5 * intervals)
+    span = float(time[-1] - time[0]) * 1e-9 - float(np.sum(intervals[paused] - period))
     return Timing(
         messages=len(time),
         rate_hz=len(intervals) / span if span > 0.0 else np.nan,
@@ -117,6 +123,40 @@ def true_period(time: Integers, sequence: Integers) -> float:
     slopes = _slopes(time, sequence, APART)
     slopes = slopes[np.isfinite(slopes)]
     return float(np.median(slopes)) if len(slopes) else np.nan
+
+
+def leaps(time: Integers, number: Integers, period: float) -> Integers:
+    """Where ``time`` [ns] leaps away from ``number`` times ``period`` [s] and stays away: index after it.
+
+    A clock was set there, or nothing was sent or recorded for a while. A recorder that stands still and
+    catches up makes none.
+    """
+    late = (time - time[0]) * 1e-9 - (number - number[0]) * period
+    limit = LEAP * period
+    steps = np.diff(late)
+    back = np.flatnonzero(np.diff(time) < -round(limit * 1e9)) + 1
+    bounds = np.concatenate([[0], back, [len(time)]])
+    found = set(back.tolist())
+    for at in (np.flatnonzero(np.abs(steps) > limit) + 1).tolist():
+        k = int(np.searchsorted(bounds, at, side="right"))
+        first, end = max(int(bounds[k - 1]), at - SURE), min(int(bounds[min(k, len(bounds) - 1)]), at + SURE)
+        inside = at not in found and first < at < end
+        if inside and abs(float(late[at:end].min() - late[first:at].min())) > limit:
+            found.add(at)
+    return np.array(sorted(found), dtype=np.int64)
+
+
+def numbered_by_time(time: Integers, period: float) -> Integers:
+    """Numbers from 0 for readings that have none: where some are missing in ``time`` [ns], up to LEAP.
+
+    Later readings tell whether one was late or those before it are missing.
+    """
+    count = np.arange(len(time), dtype=np.int64)
+    late = (time - time[0]) * 1e-9 / period - count
+    missing = np.diff(np.round(np.minimum.accumulate(late[::-1])[::-1]), prepend=0.0)
+    missing[0] = 0.0
+    missing[missing > LEAP] = 0.0
+    return count + np.cumsum(missing).astype(np.int64)
 
 
 def deviating(time: Integers, sequence: Integers, wanted: float, parts: bool = True) -> list[Stretch]:

@@ -1,7 +1,10 @@
 """Takes a test of a valve out of a bag: its voltages and readings, sample by sample."""
 
+from itertools import pairwise
+
 import numpy as np
 
+from valve_control.analysis.timing import leaps, numbered_by_time, true_period
 from valve_control.bags.errors import BagError
 from valve_control.commands import scenarios
 from valve_control.identification import response
@@ -9,6 +12,7 @@ from valve_control.identification.experiment import Experiment, Floats, held
 from valve_control.identification.response import Segment
 from valve_control.laws.registry import LAWS
 from valve_control.parameters import build
+from valve_control.recordings.clocks import in_order
 from valve_control.recordings.parameters import Node
 from valve_control.recordings.recording import Recording, Valve, align
 
@@ -28,12 +32,21 @@ def recorded(recording: Recording, valve: Valve) -> Experiment:
     notes = [f"times are {recording.clock.name}", *recording.problems, *valve.doubts]
     count = len(aligned.time)
     sequence = valve.signals["spool_position"].sequence[-count:]
+    measured = true_period(aligned.stamp, sequence) if aligned.wall else np.nan
+    period = aligned.period
+    if not np.isfinite(measured):
+        measured = (aligned.time[-1] - aligned.time[0]) / max(1, count - 1) if count > 1 else period
+    if not 0.98 * period < measured < 1.02 * period:
+        notes.append(
+            f"the readings came every {1e3 * measured:.4g} ms, not every {1e3 * period:.4g} ms as told"
+        )
+        period = float(measured)
     index = np.arange(count)
-    steps = np.diff(sequence)
-    if len(steps) and np.all(steps > 0) and sequence[-1] - sequence[0] < 2 * count:
+    if in_order(sequence) and sequence[-1] - sequence[0] < 2 * count:
         index = sequence - sequence[0]
-    elif len(steps):
-        notes.append("the readings have no numbers, so lost ones cannot be told")
+    elif count > 1:
+        notes.append("the readings have no numbers, so lost ones are told by time alone")
+        index = numbered_by_time(aligned.stamp, period) if aligned.wall else index
     length = int(index[-1]) + 1
     voltage, position, time = (np.full(length, np.nan) for _ in range(3))
     voltage[index], position[index], time[index] = aligned.voltage, aligned.measurement, aligned.time
@@ -41,19 +54,35 @@ def recorded(recording: Recording, valve: Valve) -> Experiment:
         notes.append(f"{length - count} of {length} readings were lost and are left out")
         known = np.isfinite(time)
         time = np.interp(np.arange(length), np.flatnonzero(known), time[known])
-    period = aligned.period
-    rate = (time[-1] - time[0]) / max(1, length - 1)
-    if not 0.98 * period < rate < 1.02 * period:
-        notes.append(f"the readings came every {1e3 * rate:.4g} ms, not every {1e3 * period:.4g} ms as told")
-        period = float(rate)
     voltage_held = held(voltage)
-    segments = _scheduled(_source(recording, valve), voltage_held, time, period)
-    if not segments:
-        segments = response.find_segments(voltage_held, period)
+    cuts = index[leaps(aligned.stamp, index, period)] if aligned.wall and count > 1 else index[:0]
+    bounds = [0, *cuts.tolist(), length]
+    if len(cuts):
+        segments = [
+            one._replace(first=one.first + first, end=one.end + first)
+            for first, end in pairwise(bounds)
+            for one in response.find_segments(voltage_held[first:end], period)
+        ]
+        which = "the frequencies are taken between its leaps"
+        if not segments:
+            longest = int(np.argmax(np.diff(bounds)))
+            whole = slice(bounds[longest], bounds[longest + 1])
+            voltage, position = voltage[whole], position[whole]
+            which = f"only {(whole.stop - whole.start) * period:.4g} s between two leaps are used"
+        told = ", ".join(f"{time[cut] - time[cut - 1] - period:+.3f} s" for cut in cuts[:5].tolist())
+        more = f" and {len(cuts) - 5} more" if len(cuts) > 5 else ""
+        notes.append(
+            f"time leaps by {told}{more} beside the readings: the clock was set, or readings are missing; "
+            f"{which}"
+        )
+    else:
+        segments = _scheduled(_source(recording, valve), voltage_held, time, period)
+        if not segments:
+            segments = response.find_segments(voltage_held, period)
     controller = valve.controller
-    told = {} if controller is None else controller.initial
-    u_max = float(told.get("u_max", 10.0))
-    law = str(told.get("controller", "open_loop"))
+    initial = {} if controller is None else controller.initial
+    u_max = float(initial.get("u_max", 10.0))
+    law = str(initial.get("controller", "open_loop"))
     if law in LAWS and LAWS[law].feedback:
         notes.append(
             f"the voltage came from {law}, which feeds noise of the reading back: the response is biased"

@@ -9,16 +9,18 @@ import numpy.typing as npt
 from valve_control.analysis.indices import Indices, indices
 from valve_control.analysis.segments import Segment, motions
 from valve_control.analysis.spectra import Spectrum, spectrum
-from valve_control.analysis.timing import Timing, spread, timing
+from valve_control.analysis.timing import LEAST, PAUSE, Timing, leaps, spread, timing, true_period
 from valve_control.bags.errors import BagError
 from valve_control.laws.registry import LAWS
 from valve_control.recordings.cleaning import seconds
+from valve_control.recordings.clocks import in_order
 from valve_control.recordings.modes import Interval, Mode, of_samples
 from valve_control.recordings.pace import Pace, pace, sentence
 from valve_control.recordings.parameters import Change
 from valve_control.recordings.recording import ESTIMATES, Aligned, Recording, State, Valve, align, at_time
 
 Floats = npt.NDArray[np.float64]
+LEAPS = 5  # of one recording that are named
 NONE = Indices(np.nan, np.nan, np.nan, np.nan, np.nan)
 
 
@@ -78,7 +80,7 @@ def analyze(recording: Recording) -> Analysis:
 
 
 def _analyze_valve(valve: Valve) -> ValveAnalysis:
-    left_out = list(valve.problems)
+    left_out = [*valve.problems, *leap_notes(valve)]
     signals = None
     try:
         signals = align(valve)
@@ -123,6 +125,26 @@ def _analyze_valve(valve: Valve) -> ValveAnalysis:
         voltage_spectrum=voltage_spectrum,
         left_out=left_out,
     )
+
+
+def leap_notes(valve: Valve) -> list[str]:
+    """Where the time of the LVDT readings leaps, in words."""
+    readings = valve.timed.get("spool_position")
+    if readings is None or valve.lockstep or len(readings.time) < LEAST:
+        return []
+    time, numbered = readings.time, in_order(readings.sequence)
+    number = readings.sequence if numbered else np.arange(len(time))
+    period = true_period(time, readings.sequence)
+    if not period > 0.0:
+        return []
+    why = "the clock was set, or none were sent"
+    return [
+        f"{valve.name}: time leaps by {(int(time[at]) - int(time[at - 1])) * 1e-9 - period:+.3f} s after "
+        f"{(int(time[at - 1]) - int(time[0])) * 1e-9:.3f} s of readings"
+        + (f", whose numbers go on: {why}" if numbered else f": {why}, or they were lost")
+        for at in leaps(time, number, period).tolist()
+        if (time[at] - time[at - 1]) * 1e-9 > PAUSE * period
+    ][:LEAPS]
 
 
 def _rate_notes(valve: Valve, signals: Aligned, measured: Pace, period: float) -> list[str]:

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.bags.bag import Series
-from valve_control.recordings.clocks import steps_back
+from valve_control.bags.bag import FAR, Series, edges
+from valve_control.recordings.clocks import SMALL_DISORDER, in_order, steps_back
 from valve_control.recordings.mapping import Source
 
 Floats = npt.NDArray[np.float64]
@@ -56,6 +56,7 @@ def clean(sources: Mapping[str, Source], series: Mapping[str, Series], problems:
     ``series``: their publish_time is of the clock of the recording.
     """
     raw = {part: _samples(source, series[source.topic], problems) for part, source in sources.items()}
+    raw = _one_stretch(raw, problems)
     recorded = _in_order(raw, problems)
     timed = {part: _one_publisher(samples, problems) for part, samples in recorded.items()}
     usable = {}
@@ -81,16 +82,40 @@ def _samples(source: Source, series: Series, problems: list[str]) -> Samples:
     return Samples(source.topic, series.publish_time, series.log_time, series.sequence, value)
 
 
+def _one_stretch(raw: dict[str, Samples], problems: list[str]) -> dict[str, Samples]:
+    """All signals in that stretch of time, hours from others, in which there are most messages."""
+    lead = next((part for part in LEAD if part in raw and len(raw[part].time)), None)
+    if lead is None or not len(starts := edges(raw[lead].time)):
+        return raw
+    own = np.searchsorted(starts, raw[lead].time.astype(np.float64), side="right")
+    chosen = int(np.argmax(np.bincount(own)))
+    kept = {}
+    for part, samples in raw.items():
+        inside = np.searchsorted(starts - FAR * 5e8, samples.time.astype(np.float64), side="right") == chosen
+        kept[part] = samples.pick(inside)
+        problems.append(
+            f"time of {samples.topic} leaps by hours {len(starts)} time(s); only stretch {chosen + 1} is "
+            f"analysed ({np.count_nonzero(inside)} of {len(inside)} messages)"
+        )
+    return kept
+
+
 def _in_order(raw: dict[str, Samples], problems: list[str]) -> dict[str, Samples]:
     """Sort by time; if the clock was set back, one part of all signals is kept."""
-    steps = {part: steps_back(samples.time) for part, samples in raw.items()}
+    steps = {part: steps_back(samples.time, samples.sequence) for part, samples in raw.items()}
     most = max((len(back) for back in steps.values()), default=0)
-    if 0 < most <= CLOCK_STEPS:
-        lead = next(part for part in LEAD if part in raw and len(steps[part]) == most)
-        edges = [0, *(steps[lead] + 1).tolist(), len(raw[lead].time)]
-        chosen = int(np.argmax(np.diff(edges)))
+    lead = next((part for part in LEAD if part in raw and len(steps[part]) == most), "")
+    if most and (most <= CLOCK_STEPS or in_order(raw[lead].sequence)):
+        bounds = [0, *(steps[lead] + 1).tolist(), len(raw[lead].time)]
+        chosen = int(np.argmax(np.diff(bounds)))
+        small = bool(np.all(np.diff(raw[lead].time)[steps[lead]] > -round(SMALL_DISORDER * 1e9)))
         kept = {}
         for part, samples in raw.items():
+            if len(steps[part]) != most and small:
+                begin, end = raw[lead].time[bounds[chosen]], raw[lead].time[bounds[chosen + 1] - 1]
+                near = (samples.time >= begin - round(SMALL_DISORDER * 1e9)) & (samples.time <= end)
+                kept[part] = samples.pick(near)
+                continue
             if len(steps[part]) != most:
                 problems.append(
                     f"{samples.topic} is left out: the clock of the recording was set back {most} time(s), "

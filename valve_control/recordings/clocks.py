@@ -16,6 +16,7 @@ Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 CLOCKS = ("log", "publish")
 SMALL_DISORDER = 0.1  # s by which messages may be out of order
+BACK = 2.0  # usual intervals by which time goes back, between messages in order, where the clock was set
 SAME_CLOCK = 1e-3  # s, or half a period, by which delays to the recorder may differ between topics
 SAME_SPEED = 0.01  # by which the speeds of two clocks may differ
 PIECES = 20  # of a recording
@@ -49,9 +50,16 @@ class Clock(NamedTuple):
         return {name: one._replace(publish_time=one.log_time) for name, one in series.items()}
 
 
-def steps_back(time: Integers, least: float = SMALL_DISORDER) -> Integers:
-    """Where ``time`` [ns] goes back by more than ``least`` [s]."""
-    return np.flatnonzero(np.diff(time) < -round(least * 1e9))
+def in_order(sequence: Integers) -> bool:
+    """Whether messages have the numbers of one publisher, each larger than the one before."""
+    return len(sequence) > 1 and bool(np.all(np.diff(sequence) > 0))
+
+
+def steps_back(time: Integers, sequence: Integers) -> Integers:
+    """Where the clock of ``time`` [ns] was set back; by a little only where the numbers are in order."""
+    intervals = np.diff(time)
+    usual = float(np.median(intervals)) if in_order(sequence) else np.inf
+    return np.flatnonzero(intervals < -min(SMALL_DISORDER * 1e9, BACK * max(usual, 0.0)))
 
 
 def decide(
@@ -74,7 +82,8 @@ def decide(
     backwards = [
         name
         for name in stamped
-        if len(steps_back(series[name].publish_time)) > len(steps_back(series[name].log_time))
+        if len(steps_back(series[name].publish_time, series[name].sequence))
+        > len(steps_back(series[name].log_time, series[name].sequence))
     ]
     differ = "" if without else next(filter(None, (_differing(series, group) for group in groups)), "")
     reason = ""
