@@ -1,6 +1,7 @@
 """FMUs of law and valve: valid for fmpy, and their co-simulation equals the offline run to the last bit."""
 
 import platform
+import re
 import shutil
 import zipfile
 
@@ -178,11 +179,49 @@ def test_what_is_wrong_is_refused(exported, tmp_path, version):
     law.set(**{"pid.kp": 5.0})
     assert law.get("pid.kp") == 5.0
     for wrong in (lambda: law.set(**{"pid.kp": -1.0}), lambda: law.set(command=float("nan")),
-                  lambda: law.set(voltage=1.0), lambda: law.step(0.0, 0.0015)):  # fmt: skip
+                  lambda: law.set(voltage=1.0), lambda: law.step(0.0, -0.001),
+                  lambda: law.step(0.0, float("nan"))):  # fmt: skip
         with pytest.raises(Exception, match="fmi|FMI|status"):
             wrong()
     assert law.get("pid.kp") == 5.0
     law.end()
+
+
+STEPS = [0.0015, 0.0005, 0.00025, 0.0042, 0.001, 0.0031]
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_step_of_any_length_has_the_samples_that_begin_in_it(exported, tmp_path, version):
+    """As the description says: a valve under a constant voltage is then where whole periods bring it."""
+    path = exported(version, "--plant", "valve")
+    description = fmpy.read_model_description(str(path))
+    assert description.coSimulation.canHandleVariableCommunicationStepSize
+    whole, varied = (Slave(path, tmp_path / name) for name in ("whole", "varied"))
+    for slave in (whole, varied):
+        slave.set(voltage=1.0)
+    positions = [whole.get("measurement")]
+    for k in range(60):
+        whole.step(k * 0.001)
+        positions.append(whole.get("measurement"))
+    time = 0.0
+    for step in STEPS * 5:
+        varied.step(time, step)
+        time += step
+        assert varied.get("measurement") == positions[int(np.ceil(time / 0.001 - 1e-6))], time
+    whole.end()
+    varied.end()
+
+
+@pytest.mark.parametrize(("version", "name"), [(2, "arc"), (3, "axis")])
+def test_quantities_have_their_unit_as_unit(exported, version, name):
+    path = exported(version, "--plant" if name in PLANTS else "--controller", name)
+    variables = fmpy.read_model_description(str(path)).modelVariables
+    for v in variables:
+        assert not re.match(r"(V|m|s|Pa|rad|1)(\W|²|$)", v.description or ""), (v.name, v.description)
+    units = {v.name: v.unit for v in variables}
+    wanted = {"arc": {"z1": "V", "z2": "V/s", "reference": "V"},
+              "axis": {"state.axis.x": "m", "state.valve.x.x1": "V/s", "pressure_a": "Pa"}}  # fmt: skip
+    assert wanted[name].items() <= units.items()
 
 
 def test_the_same_export_gives_the_same_file(exported, tmp_path):

@@ -31,7 +31,11 @@ def test_the_contract(run, tmp_path):
     assert (status, err) == (0, "") and out.startswith("wrote made/ with oarc.h, oarc.c, check.csv, Makefile")
     place = tmp_path / "made"
     text, header = (place / "oarc.c").read_text(), (place / "oarc.h").read_text()
-    assert "malloc" not in text and set(re.findall("#include (.*)", text)) == {"<math.h>", '"oarc.h"'}
+    assert "malloc" not in text and set(re.findall("#include (.*)", text)) == {
+        "<float.h>",  # of constants alone, for the guards
+        "<math.h>",
+        '"oarc.h"',
+    }
     assert len((place / "README.md").read_text().splitlines()) == 10
     assert "bool oarc_set_lvdt_limit(oarc_watch_params_t *p, double value);" in header
     assert "OARC_LVDT_DISAGREES" in header

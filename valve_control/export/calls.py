@@ -164,7 +164,9 @@ class Calls(Values):
             if kind.is_memory and not term.pointer:
                 raise self.refused(node, f"{function.__name__} gets a memory that is none of the caller's")
             if kind.is_struct:
-                if not (term.has_address or term.pointer) or (memories and term.code.startswith(memories)):
+                literal = "{" in term.code  # whose address only C has, and C++ has not
+                shared = bool(memories) and term.code.startswith(memories)
+                if literal or shared or not (term.has_address or term.pointer):
                     term = self._temporary(term, node)
                 codes.append(term.code if term.pointer else f"&{term.inside(ATOM)}")
             else:

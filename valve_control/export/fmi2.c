@@ -151,7 +151,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean
     (void)time, (void)keep;
     component_t *own = c;
     if (!model_advance(&own->model, step))
-        return refuse(own, "the communication step must be a multiple of the sample period");
+        return refuse(own, "the communication step must be above 0 s, and at most 1e9 sample periods");
     return fmi2OK;
 }
 

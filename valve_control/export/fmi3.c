@@ -203,7 +203,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 step, bool k
     *event = *terminate = *early = false;
     *last = time;
     if (!model_advance(&own->model, step))
-        return refuse(own, "the communication step must be a multiple of the sample period");
+        return refuse(own, "the communication step must be above 0 s, and at most 1e9 sample periods");
     *last = time + step;
     return fmi3OK;
 }

@@ -1,8 +1,8 @@
 """A law or a plant as an FMU for co-simulation, FMI 2.0 or 3.0, compiled from its C, with the sources inside.
 
-One communication step is one sample, or a whole number of them. A law takes in command and reading at the
-beginning of the step, and its voltage is that of the same sample. Its state starts at the first step, from
-the first reading.
+A communication step of any length computes the samples that begin within it, which may be none. A law takes
+in command and reading at the beginning of the step, and its voltage is that of the last sample. Its state
+starts at the first step, from the first reading.
 """
 
 import hashlib
@@ -11,9 +11,10 @@ import platform
 import sys
 import tempfile
 import zipfile
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 from xml.etree import ElementTree
 
 from valve_control import __version__
@@ -25,6 +26,9 @@ from valve_control.parameter import ParameterError
 
 VERSIONS = (2, 3)
 UNITS = (
+    "V",
+    "V²",
+    "V/s³",
     "m",
     "m/s",
     "m³",
@@ -37,7 +41,9 @@ UNITS = (
     "1/s²",
     "V/V",
     "V²/s²",
+    "-",  # which stands for none
 )  # beside those of parameters
+LINEAR = ("V position of the spool", "V/s velocity", "V/s² inner state", "V/s³ inner state")
 PLACES = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
 MOMENT = (1980, 1, 1, 0, 0, 0)  # of all files in it, so that equal exports are equal files
 
@@ -132,14 +138,22 @@ def _variables(unit: Unit, made: Sources) -> list[Variable]:
             ),
         ]
         fields = [(f"state.{path}", f"m->s.{path}") for path, _ in leaves(unit.begin())]
-        texts = kinds.field_texts(unit.module.State)
+        texts = {f"state.{path}": text for path, text in _texts(unit.module.State)}
+        for path in texts:  # of the linear states, whose record is also a row of the matrix
+            head, _, last = path.rpartition(".x.x")
+            if head.endswith(("state", "valve")):
+                texts[path] = LINEAR[int(last)]
     for name, code in fields:
-        text = texts.get(name.removeprefix("state."), "")
+        text = texts.get(name, "")
         first = text.split(" ", 1)[0]
         known = first in UNITS
         listed.append(
             Variable(
-                name, "local", text[len(first) :].strip() if known else text, first if known else "", code
+                name,
+                "local",
+                text[len(first) :].strip() if known else text,
+                first.strip("-") if known else "",
+                code,
             )
         )
     now = dict(leaves(unit.params))
@@ -155,6 +169,15 @@ def _variables(unit: Unit, made: Sources) -> list[Variable]:
             )
         )
     return listed
+
+
+def _texts(record: Any) -> Iterator[tuple[str, str]]:
+    """Comments beside the fields of a record and of those within it, by path; a record of numbers has one."""
+    hints = get_type_hints(record)
+    for name, text in kinds.field_texts(record).items():
+        inner = dict(_texts(hints[name])) if hasattr(hints[name], "_fields") else {}
+        yield from ((f"{name}.{path}", below or text) for path, below in inner.items())
+        yield name, text
 
 
 def _model(unit: Unit, made: Sources, variables: list[Variable], token: str) -> str:
@@ -197,6 +220,7 @@ typedef struct {{
     {name}_state_t s;
     double in[{2 if unit.is_law else 1 + len(unit.noises)}];
     double time; /* s */
+    double ahead; /* periods until the next sample */
 {fields}
 }} model_t;
 
@@ -230,13 +254,16 @@ static bool model_set(model_t *m, unsigned reference, double value)
     }}
 }}
 
-/* As many samples as ``step`` [s] has periods; false if it has not a whole number of them. */
+/* The samples that begin within ``step`` [s]; false if it is not positive, or longer than 1e9 of them. */
 static bool model_advance(model_t *m, double step)
 {{
-    double periods = floor(step / MODEL_PERIOD + 0.5);
-    double off = fabs(step - periods * MODEL_PERIOD);
-    if (!(periods >= 1.0 && periods <= 1e9 && off <= 1e-6 * MODEL_PERIOD * periods))
+    double span = step / MODEL_PERIOD;
+    if (!(span > 0.0 && span <= 1e9))
         return false;
+    double periods = fmax(0.0, ceil(span - m->ahead - 1e-6));
+    m->ahead += periods - span;
+    if (fabs(m->ahead) <= 1e-6 * fmax(1.0, span))
+        m->ahead = 0.0;
     for (double k = 0.0; k < periods; k += 1.0) {{
 {sample}
     }}

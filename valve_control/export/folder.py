@@ -216,10 +216,6 @@ _CHECK = """/* Compares @NAME@.c with the run of its Python that is recorded in 
 
 #include "@NAME@.h"
 
-#if FLT_EVAL_METHOD != 0
-#error "this target calculates with more digits than the numbers have; on x86 use SSE (-msse2 -mfpmath=sse)"
-#endif
-
 #define LARGEST @LARGEST@
 #define ROWS 100000
 #define TIMED 2000000

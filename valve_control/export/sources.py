@@ -15,6 +15,16 @@ from valve_control.supervision.trajectory import Motion
 
 FLAGS = "-std=c99 -O2 -ffp-contract=off"  # no fast-math, no fused operations: the bits of Python
 
+_GUARDS = """#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "compile without -ffast-math, -Ofast and -ffinite-math-only: they take out the checks for NaN"
+#endif
+#if FLT_RADIX != 2 || REAL_MANT_DIG != DIGITS
+#error "the numbers of this target are not those of IEEE 754: export with --float where a double has 32 bits"
+#endif
+#if FLT_EVAL_METHOD != 0
+#error "this target calculates with more digits than the numbers have; on x86 use SSE (-msse2 -mfpmath=sse)"
+#endif"""
+
 
 class Sources(NamedTuple):
     """What is made."""
@@ -102,7 +112,8 @@ def make(unit: Unit, single: bool = False, found: Found | None = None) -> Source
     source = "\n\n".join(
         [
             head,
-            f'#include <math.h>\n\n#include "{unit.name}.h"',
+            f'#include <float.h>\n#include <math.h>\n\n#include "{unit.name}.h"',
+            _GUARDS.replace("REAL", "FLT" if single else "DBL").replace("DIGITS", "24" if single else "53"),
             *enumeration,
             *private,
             *program.constants,
