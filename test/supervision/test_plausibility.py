@@ -221,7 +221,7 @@ def test_slope_is_that_of_the_voltage_without_its_friction():
 
 def course(late, leap):
     """What is said of a reading [V] that comes ``late`` [s] in a smooth course and leaps by ``leap`` [V]."""
-    p, s = lvdt.Params(11.0, 500.0, 0.1, 0, 0.5, 0.001), lvdt.NOTHING
+    p, s = lvdt.Params(11.0, 500.0, 0.1, 0, 0.5, 0.001, 0.0, 0.0, 0.0, 0.0), lvdt.NOTHING
     for k in range(200):
         fault, s = lvdt.step(p, s, 0.02 * math.sin(0.1 * k) + 0.01 * k, 0, 0.0, False, 0.001)
         assert fault == lvdt.SOUND

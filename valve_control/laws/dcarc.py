@@ -30,7 +30,7 @@ from valve_control.laws.free import Free
 from valve_control.laws.law import Law
 from valve_control.laws.least_squares import NOTHING, Weights
 from valve_control.laws.signals import Start
-from valve_control.parameter import Parameter, ParameterError, Table, Values, number, numbers
+from valve_control.parameter import Parameter, ParameterError, Table, Values, defaults, number, numbers
 from valve_control.plant import models
 from valve_control.plant.amplifier import saturate
 
@@ -76,6 +76,8 @@ class Params(NamedTuple):
     calm: float  # -      share of the motion that is left a sample later
     fit_variance: float  # V²     of the estimated disturbance around what the weights can explain
     memory: float  # -      share of a sample in the mean squares of ``Burden``
+    assumed: Weights  # variances of the initial weights from which the valve has left what is assumed
+    assumed_variance: float  # V²     likewise of what the weights cannot explain
     equivalent: Equivalent
     u_max: float  # V
     period: float  # s
@@ -230,7 +232,7 @@ def weighed(p: Params, s: State, left: float) -> Burden:
     """Burden with one more sample, at which the present weights leave ``left`` [V] to the observer."""
     x, before = s.fit.regressor, s.burden
     found = left - least_squares.change(s.theta, p.theta_initial, x)
-    assumed = p.fit_variance + least_squares.dot(least_squares.product(p.prior, x), x)
+    assumed = p.assumed_variance + least_squares.dot(least_squares.product(p.assumed, x), x)
     return Burden(
         before.found + p.memory * (found * found - before.found),
         before.assumed + p.memory * (assumed - before.assumed),
@@ -475,6 +477,9 @@ PARAMETERS: Table = (
 )
 
 
+USUAL = defaults(PARAMETERS)
+
+
 def _weights(values: Values) -> tuple[Weights, Weights, Weights, Weights]:
     """Initial weights, bounds and spreads. Raises ParameterError."""
     start, lower, upper, spread = (
@@ -499,6 +504,10 @@ def build(values: Values) -> Params:
 
     period = number(values, "sample_period")
     start, lower, upper, spread = _weights(values)
+    noise = number(values, "dcarc.fit_noise")
+    # A search makes spreads and noise small to calm the adaptation, which says nothing of the valve.
+    usual, usual_noise = numbers(USUAL, "dcarc.theta_spread"), number(USUAL, "dcarc.fit_noise")
+    assumed = Weights(*(max(s, u) if s > 0.0 else 0.0 for s, u in zip(spread, usual, strict=True)))
     try:
         made = dcarc_design.design(
             models.chosen(values, "dcarc.model", "dcarc."),
@@ -532,8 +541,10 @@ def build(values: Values) -> Params:
         prior=least_squares.product(spread, spread),
         forget=-math.expm1(-number(values, "dcarc.forgetting") * period),
         calm=math.exp(-period / CALM),
-        fit_variance=number(values, "dcarc.fit_noise") ** 2,
+        fit_variance=noise**2,
         memory=-math.expm1(-period / MEMORY),
+        assumed=least_squares.product(assumed, assumed),
+        assumed_variance=max(noise, usual_noise) ** 2,
         equivalent=made.equivalent,
         u_max=number(values, "u_max"),
         period=period,

@@ -114,7 +114,7 @@ CONTROLLER: Table = (
         "lvdt.frozen_samples",
         20,
         "",
-        "equal readings in a row, while the voltage moves, that mean a frozen LVDT; 0: not watched",
+        "equal readings in a row from which a frozen LVDT is looked for; 0: not watched",
         0,
         100000,
     ),
@@ -122,7 +122,8 @@ CONTROLLER: Table = (
         "lvdt.frozen_voltage",
         0.5,
         "V",
-        "motion of the voltage that must show in the reading unless the LVDT is frozen",
+        "motion of the voltage that must show in noisy readings unless the LVDT is frozen; a quiet LVDT is "
+        "judged by lvdt.disturbance and by its speed before",
         0.001,
         100.0,
     ),
@@ -146,7 +147,7 @@ CONTROLLER: Table = (
     ),
     Parameter(
         "lvdt.excitation",
-        0.1,
+        0.2,
         "V",
         "standard deviation of voltage and reading in motion, from which they are compared",
         0.001,

@@ -1,4 +1,16 @@
-"""Judges each LVDT reading: finite, in range, no faster than the spool can move, not frozen."""
+"""Judges each LVDT reading: finite, in range, no faster than the spool can move, not frozen.
+
+Equal readings are no fault by themselves: a quiet converter shows the same number while the spool moves
+by less than one of its steps q. The scatter of the readings, the mean of -D·D' over successive second
+differences D and D', tells noise from rounding. White noise of variance σ² gives 4σ². Rounding of a smooth
+motion, and noise that a step hides, give at most q². Above 2q² the readings are noisy: equal ones in a row then
+mean a frozen LVDT as soon as the voltage has moved. Below, it is frozen only if the spool must have moved by
+several steps:
+
+    it stopped dead, although force and friction need the distance v²/(2·(b0·(D + |w|) + a1·v)) to stop it;
+    or the voltage pulls it by more than any disturbance D, |w| > D with w = u - y·a0/b0, and
+    x'' = b0·(|w| - D) - a1·x' has led it away.
+"""
 
 import math
 from typing import NamedTuple
@@ -9,6 +21,12 @@ RECALL = 0.3  # s  for which a surprise is remembered
 USUAL = 2.0  # times the surprises of late are none
 REACH = 0.01  # s in which a spool comes from rest to max_rate at the fastest; 50,000 V/s² with 500 V/s
 SETTLED = 20  # readings from which the speed is known
+NOISY = (
+    2.0  # squared steps of the converter; scatter from which equal readings in a row cannot come by chance
+)
+MOST = 16.0  # squared steps that one leap of the readings adds to the scatter
+STEPS = 3.0  # of the converter that a spool must have moved before a reading that stands is frozen
+INSIDE = 0.85  # of the limit; nearer to it a spool may stop dead at the end of its stroke
 TEXTS = {
     "not_finite": "LVDT readings are not finite",
     "out_of_range": "LVDT readings are out of range",
@@ -29,6 +47,23 @@ class Params(NamedTuple):
     frozen_samples: int  # 0: not watched
     frozen_voltage: float  # V
     period: float  # s
+    a1: float  # 1/s  of the valve's model
+    a0: float  # 1/s²
+    b0: float  # 1/s², 0: no model, readings of a quiet converter are not judged for being frozen
+    disturbance: float  # V  largest friction and offset together
+
+
+class Standing(NamedTuple):
+    """What the readings' last digits say, and what a spool must have done since the readings are equal."""
+
+    grain: float  # V  smallest change of the readings, the converter's step; 0: no change yet
+    difference: float  # V  of the last two readings
+    second: float  # V  of the last two differences
+    scatter: float  # V²
+    begun: float  # V/s  speed when the readings began to be equal
+    pulled: int  # samples for which the voltage has pulled by more than any disturbance
+    pushed_rate: float  # V/s  that the spool must have by then
+    pushed: float  # V  and how far it must have moved
 
 
 class State(NamedTuple):
@@ -46,9 +81,59 @@ class State(NamedTuple):
     rate: float  # V/s  of that course
     surprise: float  # V  largest of late
     leap: float  # V  the last one that was none of a spool
+    standing: Standing
 
 
-NOTHING = State(None, 0.0, None, False, 0, 0.0, 0.0, None, 0, 0.0, 0.0, 0.0)
+NOTHING = State(
+    None, 0.0, None, False, 0, 0.0, 0.0, None, 0, 0.0, 0.0, 0.0,
+    Standing(0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0),
+)  # fmt: skip
+
+
+def followed(p: Params, s: Standing, difference: float, rate: float) -> Standing:
+    """State after one more reading, ``difference`` [V] from the last; ``rate`` [V/s]: speed before it."""
+    second = difference - s.difference
+    most = MOST * s.grain * s.grain
+    product = max(-most, min(most, -second * s.second))
+    scatter = s.scatter + min(1.0, p.period / RECALL) * (product - s.scatter)
+    if difference == 0.0:
+        begun = s.begun
+        if s.difference != 0.0:  # the filtered speed lags behind a spool that brakes
+            begun = min(abs(rate), (abs(s.difference) + s.grain) / p.period)
+        return Standing(s.grain, 0.0, second, scatter, begun, s.pulled, s.pushed_rate, s.pushed)
+    step = abs(difference)
+    grain = step if s.grain == 0.0 else min(s.grain, step)
+    return Standing(grain, difference, second, scatter, 0.0, 0, 0.0, 0.0)
+
+
+def pulled(p: Params, s: Standing, pull: float, samples: int) -> Standing:
+    """State after ``samples`` more periods at rest, in which the voltage pulls the spool by ``pull`` [V]."""
+    excess = abs(pull) - p.disturbance
+    if excess <= 0.0:
+        return s._replace(pulled=0, pushed_rate=0.0, pushed=0.0)
+    time = samples * p.period
+    rate = s.pushed_rate + time * (math.copysign(p.b0 * excess, pull) - p.a1 * s.pushed_rate)
+    return s._replace(pulled=s.pulled + samples, pushed_rate=rate, pushed=s.pushed + time * rate)
+
+
+def frozen(p: Params, s: Standing, reading: float, lowest: float, highest: float) -> bool:
+    """Whether readings that have been equal for long enough are those of a frozen LVDT or a stuck spool.
+
+    ``lowest``, ``highest`` [V]: of the voltage meanwhile.
+    """
+    if s.scatter > NOISY * s.grain * s.grain:
+        return highest - lowest > p.frozen_voltage
+    if p.b0 == 0.0:
+        return False
+    least = STEPS * s.grain if s.grain > 0.0 else p.tolerance
+    if s.pulled >= p.frozen_samples and abs(s.pushed) > least:
+        return True
+    speed = s.begun - 2.0 * s.grain / PACE
+    if speed <= 0.0 or abs(reading) > INSIDE * p.limit:
+        return False
+    rest = reading * p.a0 / p.b0
+    pull = max(abs(lowest - rest), abs(highest - rest))
+    return speed * speed > 2.0 * (p.b0 * (p.disturbance + pull) + p.a1 * speed) * least
 
 
 def step(
@@ -60,7 +145,8 @@ def step(
     voltage is off already, so that a reading is compared with the one just before it, not with the
     last believable one; ``elapsed`` [s]: real time since the reading before, 0.0 if unknown.
     """
-    last, age, raw, had_jumped, equal, lowest, highest, frozen_at, known, rate, surprise, leap = s
+    last, age, raw, had_jumped, equal, lowest, highest, frozen_at, known, rate, surprise, leap, standing = s
+    speed = rate
     since = (1 + missed) * p.period
     if elapsed > since:
         since = elapsed
@@ -95,8 +181,10 @@ def step(
         jumped or (had_jumped and raw is not None and abs(reading - raw) <= p.max_rate * since + p.tolerance)
     ):
         return "jump", State(
-            last, age, reading, True, equal, lowest, highest, frozen_at, known, rate, surprise, leap
+            last, age, reading, True, equal, lowest, highest, frozen_at, known, rate, surprise, leap, standing
         )
+    if last is not None:
+        standing = followed(p, standing, reading - last, speed)
     fault = SOUND
     if reading == frozen_at:
         fault = "frozen"
@@ -106,11 +194,13 @@ def step(
     else:
         equal, frozen_at = equal + 1 + missed, None
         lowest, highest = min(lowest, voltage), max(highest, voltage)
-        if 0 < p.frozen_samples <= equal and highest - lowest > p.frozen_voltage:
+        if p.b0 > 0.0:
+            standing = pulled(p, standing, voltage - reading * p.a0 / p.b0, 1 + missed)
+        if 0 < p.frozen_samples <= equal and frozen(p, standing, reading, lowest, highest):
             if blocked:
                 equal, lowest, highest = 0, voltage, voltage
             else:
                 fault, frozen_at = "frozen", reading
     return fault, State(
-        reading, 0.0, reading, False, equal, lowest, highest, frozen_at, known, rate, surprise, leap
+        reading, 0.0, reading, False, equal, lowest, highest, frozen_at, known, rate, surprise, leap, standing
     )

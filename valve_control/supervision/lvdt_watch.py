@@ -54,28 +54,37 @@ class Motion(NamedTuple):
 NOTHING = State(0, 0, "", plausibility.TRUST)
 
 
-def comparison(values: Values, params: Any) -> plausibility.Params | None:
-    """Watch that compares readings with the voltage, on the model that the law begins with; None: no watch.
+def model_of(values: Values, params: Any) -> tuple[float, float, float] | None:
+    """The model (a1 [1/s], a0, b0 [1/s²]) that readings are judged by: that which the law begins with.
 
-    A law without a model of the valve is watched with that of ``arc.theta_initial``.
+    A law without a model of the valve is watched with that of ``arc.theta_initial``. None: there is no such
+    model, or readings shall not be compared with the voltage.
     """
     model = LAWS[word(values, "controller")].model
     a1, a0, b0 = numbers(values, "arc.theta_initial")[:3] if model is None else model(params)
-    disturbance = number(values, "lvdt.disturbance")
-    if disturbance == 0.0 or min(a1, a0, b0) <= 0.0:
+    if number(values, "lvdt.disturbance") == 0.0 or min(a1, a0, b0) <= 0.0:
+        return None
+    return a1, a0, b0
+
+
+def comparison(values: Values, params: Any) -> plausibility.Params | None:
+    """Watch that compares readings with the voltage; None: no watch."""
+    model = model_of(values, params)
+    if model is None:
         return None
     return plausibility.design(
-        (a1, a0, b0),
+        model,
         number(values, "sample_period"),
         number(values, "lvdt.slow"),
         number(values, "lvdt.excitation"),
-        disturbance,
+        number(values, "lvdt.disturbance"),
     )
 
 
 def design(values: Values, params: Any) -> Params:
     """Params from the controller's values, and ``params`` of its law."""
     period = number(values, "sample_period")
+    a1, a0, b0 = model_of(values, params) or (0.0, 0.0, 0.0)
     return Params(
         judge=lvdt.Params(
             number(values, "lvdt.limit"),
@@ -84,6 +93,10 @@ def design(values: Values, params: Any) -> Params:
             int(number(values, "lvdt.frozen_samples")),
             number(values, "lvdt.frozen_voltage"),
             period,
+            a1,
+            a0,
+            b0,
+            number(values, "lvdt.disturbance"),
         ),
         pace=rate.Params(period, number(values, "lvdt.period_limit")),
         comparison=comparison(values, params),

@@ -1,0 +1,146 @@
+"""LVDTs with a quiet converter: equal readings in a row are no fault, and a frozen LVDT is still found."""
+
+import math
+
+import numpy as np
+import pytest
+
+from valve_control.laws import registry
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import build, files
+from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.plant import valve
+from valve_control.supervision import lvdt
+from valve_control.supervision.record import Mode
+from valve_control.supervision.supervisor import Supervisor
+
+PERIOD = 1e-3  # s
+BITS = {bits: 20.0 / 2**bits for bits in (10, 12)}  # V  steps of converters over ±10 V
+FRICTION = {
+    "valve": "fourth_order", "gain_scale": 1.213, "flow_force": 0.116, "friction.coulomb": 1.16,
+    "friction.static_ratio": 1.25, "friction.stribeck_velocity": 0.017, "friction.presliding": 0.02,
+}  # fmt: skip
+COMMANDS = {
+    "steps": lambda t: math.copysign(1.0, 0.5 - t % 1.0),
+    "staircase": lambda t: 0.5 * math.floor(3.0 * t) % 4.0,
+    "slow sine": lambda t: math.sin(2.0 * math.pi * 0.2 * t),
+    "sine": lambda t: 2.0 * math.sin(2.0 * math.pi * 1.5 * t),
+    "held": lambda t: 2.0 if t > 0.3 else 0.0,
+}
+SHIPPED = ["arc", "oarc", "dcarc", "pid"]
+
+
+class Loop:
+    """A supervisor and a valve whose LVDT is read through a converter."""
+
+    def __init__(self, controller, plant):
+        self.values = updated(CONTROLLER, defaults(CONTROLLER), controller)
+        self.supervisor = Supervisor()
+        self.supervisor.apply(self.values, build.law_params(self.values))
+        self.p = build.valve_params(updated(VALVE, defaults(VALVE), plant))
+        self.s = valve.initial(self.p)
+        self.random = np.random.default_rng(1)
+        self.k = 0
+        self.said = set()
+
+    def step(self, command, reading=None):
+        """One sample; ``reading`` [V]: that of a frozen LVDT. Returns the reading."""
+        self.supervisor.command(command(self.k * PERIOD))
+        if reading is None:
+            reading = valve.read(self.p, self.s, self.random.standard_normal())
+        self.k += 1
+        self.supervisor.sample(reading, self.k)
+        self.said |= set(self.supervisor.conditions)
+        self.s = valve.step(self.p, self.s, self.supervisor.voltage)
+        return reading
+
+    def run(self, command, samples):
+        for _ in range(samples):
+            self.step(command)
+        return self
+
+
+@pytest.mark.parametrize("bits", BITS)
+@pytest.mark.parametrize("law", registry.LAWS)
+@pytest.mark.parametrize("plant", [{}, FRICTION], ids=["smooth", "friction"])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_false_alarm_of_the_lvdt_with_the_usual_gains(config, law, bits, plant, command):
+    own = files.load(str(config / "d3fxe.yaml"))["controller"] if plant else {}
+    loop = Loop({"controller": law, **own}, {**plant, "lvdt.resolution": BITS[bits]})
+    loop.run(COMMANDS[command], 2200)
+    assert loop.supervisor.counts["safe_stops"] == 0
+    assert not [name for name in loop.said if name.startswith("lvdt")]
+
+
+@pytest.mark.parametrize("bits", [None, *BITS])
+@pytest.mark.parametrize("law", SHIPPED)
+@pytest.mark.parametrize("shipped", ["d3fxe", "d3fxe_experiment"])
+@pytest.mark.parametrize("command", ["steps", "sine", "staircase"])
+def test_tuned_gains_run_without_alarm_on_the_valve_that_they_are_shipped_for(
+    config, law, shipped, command, bits
+):
+    """``ok`` with the LVDT's own noise; on a quiet converter nothing is said of the LVDT."""
+    plant = files.load(str(config / f"{shipped}.yaml"))["valve_simulator"]
+    gains = files.load(str(config / "tuned" / f"{shipped}_{law}.yaml"))["controller"]
+    quiet = {} if bits is None else {"lvdt.noise": 0.0, "lvdt.resolution": BITS[bits]}
+    loop = Loop({"controller": law, **gains}, {**plant, **quiet}).run(COMMANDS[command], 1500)
+    assert loop.supervisor.counts["safe_stops"] == 0
+    assert not [name for name in loop.said if name.startswith("lvdt")]
+    if bits is None and law != "arc":
+        assert loop.said == set()
+
+
+@pytest.mark.parametrize("bits", BITS)
+@pytest.mark.parametrize("law", SHIPPED)
+@pytest.mark.parametrize("phase", range(0, 660, 110))
+def test_an_lvdt_that_freezes_in_motion_is_found(law, bits, phase):
+    """Within 60 ms at more than 15 V/s; near the turn of the sine once the command has left it."""
+    loop = Loop({"controller": law}, {"lvdt.resolution": BITS[bits]}).run(COMMANDS["sine"], 667 + phase)
+    speed = abs(loop.s.x.x1)
+    frozen = loop.step(COMMANDS["sine"])
+    n = 0
+    while loop.supervisor.mode is not Mode.SAFE and n < 400:
+        loop.step(COMMANDS["sine"], frozen)
+        n += 1
+    assert "lvdt_frozen" in loop.supervisor.conditions
+    assert n <= (60 if speed > 15.0 else 250)
+
+
+@pytest.mark.parametrize("law", SHIPPED)
+def test_an_lvdt_that_freezes_at_rest_is_found_when_the_command_moves(law):
+    """The law pulls by more than any disturbance, and the reading stands."""
+    loop = Loop({"controller": law}, {"lvdt.resolution": BITS[12]}).run(lambda t: 0.0, 200)
+    n = 0
+    while loop.supervisor.mode is not Mode.SAFE and n < 1000:
+        loop.step(lambda t: 4.0, 0.0)
+        n += 1
+    assert "lvdt_frozen" in loop.supervisor.conditions and n < 500
+
+
+@pytest.mark.parametrize(
+    ("noise", "noisy"), [(0.0, False), (0.1, False), (0.3, False), (1.0, True), (1.5, True), (5.0, True)]
+)
+def test_scatter_tells_noise_from_rounding(noise, noisy):
+    """White noise gives 4σ², rounding at most one squared step, at rest and in motion; ``noise`` in steps."""
+    p = lvdt.Params(11.0, 500.0, 0.1, 20, 0.5, PERIOD, 58.0, 1657.0, 1502.0, 5.0)
+    random = np.random.default_rng(3)
+    for speed in (0.0, 0.37, 2.5):  # steps a sample
+        s, shares = lvdt.NOTHING, []
+        for k in range(3000):
+            reading = 0.005 * math.floor(speed * k % 1000 + 0.5 + noise * random.standard_normal())
+            _, s = lvdt.step(p, s, reading, 0, 0.0, False, 0.0)
+            shares.append(s.standing.scatter / 0.005**2)
+        assert (np.median(shares[1000:]) > lvdt.NOISY) == noisy, (speed, np.median(shares[1000:]))
+
+
+@pytest.mark.parametrize(("speed", "fault"), [(8.0, lvdt.SOUND), (41.3, "frozen")])
+def test_a_spool_may_stop_within_the_distance_that_friction_needs(speed, fault):
+    """v²/(2·b0·D) is 4 mV at 8 V/s, within three steps of 5 mV, and 114 mV at 41 V/s."""
+    p = lvdt.Params(11.0, 500.0, 0.1, 20, 0.5, PERIOD, 58.0, 1657.0, 1502.0, 5.0)
+    s, found = lvdt.NOTHING, []
+    for k in range(140):
+        moved = speed * min(k, 100) * PERIOD
+        reading = 0.005 * math.floor(moved / 0.005 + 0.5)
+        judged, s = lvdt.step(p, s, reading, 0, reading * p.a0 / p.b0, False, 0.0)
+        found.append(judged)
+    assert found[-1] == fault and set(found[:101]) == {lvdt.SOUND}
