@@ -3,9 +3,9 @@
 Equal readings are no fault by themselves: a quiet converter shows the same number while the spool moves
 by less than one of its steps q. The scatter of the readings, the mean of -D·D' over successive second
 differences D and D', tells noise from rounding. White noise of variance σ² gives 4σ². Rounding of a smooth
-motion, and noise that a step hides, give at most q². Above 2q² the readings are noisy: equal ones in a row then
-mean a frozen LVDT as soon as the voltage has moved. Below, it is frozen only if the spool must have moved by
-several steps:
+motion, and noise that a step hides, give at most q². Above 2q² the readings are noisy: equal ones in a row
+then mean a frozen LVDT as soon as the voltage has moved. Below, it is frozen only if the spool must have
+moved by several steps:
 
     it stopped dead, although force and friction need the distance v²/(2·(b0·(D + |w|) + a1·v)) to stop it;
     or the voltage pulls it by more than any disturbance D, |w| > D with w = u - y·a0/b0, and
