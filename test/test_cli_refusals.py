@@ -142,6 +142,24 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
         (["study", "--threads", "10000"], ["10000", "cores"]),
         (["tune", "--controller", "all,pid", "--output", "x.yaml"], ["all,pid", "all stands alone"]),
         (["tune", "--controller", "arc, all", "--output", "x.yaml"], ["all stands alone"]),
+        (["tune", "--controller", "pid"], ["keeps no gains", "--output"]),
+        (["tune", "--controller", "pid", "--from", "1", "--json", "-"], ["--from", "--bag"]),
+        (["tune", "--controller", "pid", "--of", "a", "--json", "-"], ["--of", "--bag"]),
+        (
+            ["tune", "--controller", "pid", "--set", "pid.kp=3", "--json", "-"],
+            ["the search chooses"],
+        ),
+        (["simulate", "--command", "c.csv", "--command", "d.csv"], ["c.csv", "d.csv", "contradict"]),
+        (["simulate", "--scenario", "sine", "--set", "frequency=500.0"], ["500 Hz", "Nyquist"]),
+        (["compare", "--scenario", "triangle", "--set", "frequency=600.0"], ["600 Hz", "Nyquist"]),
+        (
+            ["study", "--scenario", "sweep", "--set", "end_frequency=300.0", "--replay", "0"],
+            ["300 Hz", "Nyquist"],
+        ),
+        (
+            ["simulate", "--valve", "custom", "--set", "denominator=[1.0, -58.0, 1650.0]"],
+            ["pole at", "left of"],
+        ),
         (["export", "--controller", "pid", "--output", "e.fmu"], ["e.fmu", "--fmu 2 or --fmu 3"]),
         (["export", "--plant", "valve", "--output", "E.FMU"], ["E.FMU", "--fmu 2 or --fmu 3"]),
         (["commission", "--undo", "--folder", "nosuch"], ["no commissioning in nosuch"]),
@@ -154,6 +172,15 @@ def test_contradictions_and_endless_inputs(run, tmp_path, arguments, words):
     (tmp_path / "c.csv").write_text("0.0\n0.5\n1.0\n")
     refused(run(*arguments), *words)
     assert [p.name for p in tmp_path.iterdir()] == ["c.csv"]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [([0.0, 1e308, 0.0], ["1e+308 V", "entry 2"]), ([0.0, 1.0 + 2.0j], ["complex numbers"])],
+)
+def test_commands_that_no_valve_can_have(run, tmp_path, numbers, words):
+    np.save(tmp_path / "c.npy", np.array(numbers))
+    refused(run("simulate", "--command", "c.npy"), *words)
 
 
 def test_an_output_does_not_take_the_place_of_an_input(run, bags, tmp_path, config):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from valve_control import outputs
 from valve_control.analysis.tables import HEADER, index_row
 from valve_control.cli import moved
-from valve_control.cli.common import Parser, check_outputs, clock_option, say, tell_notes, write_json
+from valve_control.cli.common import Once, Parser, check_outputs, clock_option, say, tell_notes, write_json
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
 from valve_control.parameters.axis import AXIS_NODES
 from valve_control.parameters.table import NODES
@@ -48,7 +48,7 @@ def setup_options(several: bool = False) -> Parser:
     group.add_argument(
         "--command",
         metavar="FILE",
-        action="append" if several else "store",
+        action="append" if several else Once,
         help="command from a CSV or NPY array, one number per sample period"
         + ("; again for more" if several else ""),
     )

@@ -152,6 +152,7 @@ def _tune(arguments: argparse.Namespace) -> int:
         recorded = _recorded(arguments, settings)
         settings = recorded.settings
     laws = _laws(names, word(settings["controller"], "controller"))
+    _check_free(arguments.set, laws)
     paths = _paths(arguments.output, laws)
     arguments.command = files
     check_outputs(arguments, [*paths.values(), arguments.html])
@@ -306,6 +307,14 @@ def _stoppable(
 def _check(arguments: argparse.Namespace) -> None:
     from valve_control.tuning import pauses
 
+    if arguments.bag is None:
+        for name, value in (("from", arguments.start), ("to", arguments.end), ("of", arguments.of)):
+            if value is not None:
+                raise ParameterError(f"--{name} is for a recording; give --bag too")
+        if arguments.map:
+            raise ParameterError("--map is for a recording; give --bag too")
+    if arguments.output is None and arguments.json is None and arguments.html is None:
+        raise ParameterError("tune without --output, --json or --html keeps no gains; give one of them")
     check_processes("threads", arguments.threads)
     check_search(_seed(arguments), arguments.valves, arguments.unseen, arguments.budget)
     if arguments.preview and (arguments.command_period, arguments.command_jitter) != (None, None):
@@ -357,6 +366,20 @@ def _laws(names: str | None, usual: str) -> list[str]:
         if not LAWS[name].free:
             raise ParameterError(f"{name} has no gains to choose; there is nothing to tune")
     return asked
+
+
+def _check_free(settings: Sequence[str], laws: list[str]) -> None:
+    """Raise ParameterError for a --set of a number that the search chooses for each of ``laws``."""
+    from valve_control.laws.free import entries_of
+    from valve_control.laws.registry import LAWS
+
+    chosen = [
+        {name for free in LAWS[law].free for name, index in entries_of(free) if index is None} for law in laws
+    ]
+    for text in settings:
+        name = text.partition("=")[0].strip()
+        if all(name in names for names in chosen):
+            raise ParameterError(f"the search chooses {name}; leave --set {name} out")
 
 
 def _paths(output: str | None, laws: list[str]) -> dict[str, str]:

@@ -12,6 +12,7 @@ from valve_control.commands import scenarios
 from valve_control.parameter import ParameterError
 
 Array = npt.NDArray[np.float64]
+LARGEST = 1e6  # V  in a file, whose commands a controller limits to command_limit
 
 
 def sampled(shape: scenarios.Shape, period: float, samples: int) -> Array:
@@ -39,6 +40,8 @@ def read(path: str) -> Array:
             f"command file {path} must hold one number a line (CSV) or a one-dimensional array (NPY): "
             f"{reason}"
         ) from error
+    if np.iscomplexobj(array):
+        raise ParameterError(f"command file {path} holds complex numbers; it must hold real ones")
     try:
         numbers: Array = np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -52,4 +55,10 @@ def read(path: str) -> Array:
     if not np.all(np.isfinite(numbers)):
         first = int(np.flatnonzero(~np.isfinite(numbers))[0])
         raise ParameterError(f"command file {path} has {numbers[first]} in entry {first + 1}")
+    if np.any(np.abs(numbers) > LARGEST):
+        first = int(np.flatnonzero(np.abs(numbers) > LARGEST)[0])
+        raise ParameterError(
+            f"command file {path} has {numbers[first]:g} V in entry {first + 1}; commands lie within "
+            f"±{LARGEST:g} V"
+        )
     return numbers

@@ -10,7 +10,7 @@ from valve_control.commands import scenarios
 from valve_control.identification import response
 from valve_control.identification.rational import Fit, measured_corners
 from valve_control.identification.response import Response, Segment
-from valve_control.parameter import ParameterError, Values, number, updated, word
+from valve_control.parameter import ParameterError, Values, number, updated
 from valve_control.parameters import build
 from valve_control.parameters.table import COMMAND, CONTROLLER
 from valve_control.simulation import offline
@@ -55,12 +55,6 @@ def simulated(controller: Values, valve: Values, command: Values, motion: Floats
     period = number(valve, "sample_period")
     segments: tuple[Segment, ...] = ()
     if motion is None:
-        highest = _highest(command)
-        if highest >= 0.5 / period:
-            raise ParameterError(
-                f"{highest:g} Hz is not below Nyquist's frequency, {0.5 / period:g} Hz at a sample period of "
-                f"{period:g} s"
-            )
         motion = build.commands(command)
     if command["scenario"] == "stepped_sine":
         shape = build.shape(command)
@@ -127,13 +121,6 @@ def test_values(given: dict[str, object], period: float) -> Values:
     if start + length > LONGEST * period:
         raise ParameterError(f"the test takes {start + length:.4g} s, which is more than {LONGEST} samples")
     return updated(COMMAND, values, {"duration": start + length})
-
-
-def _highest(command: Values) -> float:
-    names = {"sine": ("frequency",), "sweep": ("frequency", "end_frequency")}
-    names["stepped_sine"] = names["sweep"]
-    scenario = word(command, "scenario")
-    return max((number(command, name) for name in names.get(scenario, ())), default=0.0)
 
 
 def held(signal: Floats) -> Floats:

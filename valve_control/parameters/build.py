@@ -94,10 +94,24 @@ def commands(values: Values) -> Array:
     """Command [V] of each sample from the command source's values. Raises ParameterError."""
     period = number(values, "sample_period")
     n = max(1, round(number(values, "duration") / period))
+    highest = highest_frequency(values)
+    if highest >= 0.5 / period:
+        raise ParameterError(
+            f"{highest:g} Hz is not below Nyquist's frequency, {0.5 / period:g} Hz at a sample period of "
+            f"{period:g} s"
+        )
     if values["scenario"] == "array":
         array = arrays.read(word(values, "command_file"))
         return np.concatenate([array[:n], np.full(max(0, n - len(array)), array[-1])])
     return arrays.sampled(shape(values), period, n)
+
+
+def highest_frequency(values: Values) -> float:
+    """Highest frequency [Hz] of the command source's shape, 0 for a shape that has none."""
+    scenario = word(values, "scenario")
+    if scenario in ("sweep", "stepped_sine"):
+        return max(number(values, "frequency"), number(values, "end_frequency"))
+    return number(values, "frequency") if scenario in ("sine", "triangle") else 0.0
 
 
 def derivatives(commands: Array, period: float) -> tuple[Array, Array]:

@@ -3,6 +3,8 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from valve_control.parameter import Parameter, ParameterError, Table, Values, numbers, word
 
 
@@ -116,5 +118,11 @@ def chosen(values: Values, choice: str, prefix: str) -> TransferFunction:
         raise ParameterError(
             f"{prefix}numerator is {list(model.numerator)}, so that the static gain is "
             f"{model.static_gain:.3g} V/V; it must be positive, or the spool moves against the voltage"
+        )
+    poles = np.roots(model.denominator)
+    if not prefix and len(poles) and max(poles.real) > 1e-9 * max(abs(poles)):
+        raise ParameterError(
+            f"the valve is unstable (a pole at {poles[poles.real.argmax()]:.3g} rad/s): denominator is "
+            f"{list(model.denominator)}; its poles must lie left of the imaginary axis"
         )
     return model
