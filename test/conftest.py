@@ -3,6 +3,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import changed
 import domains
 import pytest
 from hypothesis import settings
@@ -16,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from valve_control.cli import main
 from valve_control.parameter import defaults, updated
-from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.parameters.table import VALVE
 from valve_control.simulation import offline
 
 # How long an example takes depends on what else the machine does.
@@ -59,9 +60,7 @@ def simulate():
     """Offline run from a few changes of the defaults."""
 
     def run(controller, command, period=0.001, compiled=True, valve=None, **changes):
-        own = {"controller": controller, "sample_period": period}
-        own.update({name.replace("__", "."): value for name, value in changes.items()})
-        c = updated(CONTROLLER, defaults(CONTROLLER), own)
+        c = changed.controller(controller=controller, sample_period=period, **changes)
         v = updated(VALVE, defaults(VALVE), {"sample_period": period, **(valve or {})})
         return offline.simulate(c, v, command, compiled)
 

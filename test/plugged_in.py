@@ -4,6 +4,7 @@ import math
 import shutil
 import subprocess
 
+import changed
 import numpy as np
 import pytest
 from made import Run, write
@@ -12,7 +13,7 @@ from valve_control.export import folder, unit
 from valve_control.laws.registry import LAWS, REFUSED
 from valve_control.parameter import defaults, updated
 from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.parameters.table import VALVE
 from valve_control.recordings import shadow
 from valve_control.recordings.recording import load
 from valve_control.simulation import batch, offline
@@ -23,8 +24,7 @@ VALUES = {"lvdt.noise": 0.003, "friction.coulomb": 0.2}
 
 
 def settings(controller="lead", **changes):
-    own = {name.replace("__", "."): value for name, value in changes.items()}
-    return updated(CONTROLLER, defaults(CONTROLLER), {"controller": controller, **own})
+    return changed.controller(controller=controller, **changes)
 
 
 def test_it_is_one_of_the_laws():

@@ -1,5 +1,6 @@
 """The cascade of an axis: same bits compiled or not and alone or in a batch, its course, its upper level."""
 
+import changed
 import numpy as np
 import pytest
 
@@ -15,12 +16,11 @@ from valve_control.plant.machine import Reading
 def settings(controller="open_loop", **changes):
     """Settings by node; names with __ for a dot, given to every node that has them."""
     result = run.default_settings()
-    for name, value in {"controller": controller, **changes}.items():
-        dotted = name.replace("__", ".")
-        owners = [node for node, table in AXIS_NODES.items() if any(p.name == dotted for p in table)]
-        assert owners, dotted
+    for name, value in changed.dotted({"controller": controller, **changes}).items():
+        owners = [node for node, table in AXIS_NODES.items() if any(p.name == name for p in table)]
+        assert owners, name
         for node in owners:
-            result[node] = updated(AXIS_NODES[node], result[node], {dotted: value})
+            result[node] = updated(AXIS_NODES[node], result[node], {name: value})
     return result
 
 

@@ -5,6 +5,7 @@ import math
 import shutil
 import struct
 
+import changed
 import numpy as np
 import pytest
 from driven import random_value
@@ -12,7 +13,7 @@ from driven import random_value
 from valve_control.export import design, samples, settable, unit
 from valve_control.export.library import Library
 from valve_control.laws.registry import LAWS
-from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameter import ParameterError, defaults
 from valve_control.parameters.linear_loop import flatten
 from valve_control.parameters.table import CONTROLLER
 
@@ -20,8 +21,7 @@ pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compile
 
 
 def law(name, **changes):
-    given = {name.replace("__", "."): value for name, value in changes.items()}
-    return unit.law(updated(CONTROLLER, defaults(CONTROLLER), {"controller": name, **given}))
+    return unit.law(changed.controller(controller=name, **changes))
 
 
 class Machine:

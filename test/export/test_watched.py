@@ -4,21 +4,19 @@ import re
 import shutil
 import subprocess
 
+import changed
 import numpy as np
 import pytest
 from driven import COMPILERS, SANITIZERS
 
 from valve_control.export import folder, samples, sources, unit
 from valve_control.laws.registry import LAWS
-from valve_control.parameter import defaults, updated
-from valve_control.parameters.table import CONTROLLER
 
 compiles = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
 
 def watched(**changes):
-    given = {name.replace("__", "."): value for name, value in changes.items()}
-    return unit.watched(updated(CONTROLLER, defaults(CONTROLLER), given))
+    return unit.watched(changed.controller(**changes))
 
 
 def check(place, *words):

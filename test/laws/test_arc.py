@@ -2,19 +2,17 @@
 
 import math
 
+import changed
 import numpy as np
 import pytest
 import sympy as sp
 
 from valve_control.laws import arc, lyapunov_bound, projection, reshaping, velocity
 from valve_control.laws.projection import Theta
-from valve_control.parameter import defaults, updated
-from valve_control.parameters.table import CONTROLLER
 
 
 def params(**changes):
-    values = updated(CONTROLLER, defaults(CONTROLLER), {k.replace("__", "."): v for k, v in changes.items()})
-    return arc.build(values)
+    return arc.build(changed.controller(**changes))
 
 
 def evaluated(p, theta, x1, x2, xd, xd1, xd2):

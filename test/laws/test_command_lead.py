@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from changed import controller
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -10,7 +11,7 @@ from valve_control.commands import arrays, scenarios
 from valve_control.laws import command_lead, registry, reshaping
 from valve_control.parameter import defaults, updated
 from valve_control.parameters import build, files
-from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.parameters.table import VALVE
 from valve_control.simulation import offline
 
 PERIOD = 0.001
@@ -22,11 +23,6 @@ FAST = arrays.sampled(
     scenarios.Shape("point_to_point", 1.5, 0.0, 0.1, 1.0, 1.0, 40.0, 2000.0, 0.4, 1.0), PERIOD, len(TIME)
 )
 D3FXE = files.load(str(files.config_folder() / "d3fxe.yaml"))["valve_simulator"]
-
-
-def controller(**changes):
-    named = {name.replace("__", "."): value for name, value in changes.items()}
-    return updated(CONTROLLER, defaults(CONTROLLER), named)
 
 
 def led(commands, **changes):

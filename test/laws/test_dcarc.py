@@ -7,6 +7,7 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 import scipy.signal
+from changed import controller
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -31,10 +32,6 @@ NOISES = {"reading": 0.006, "input_noise": 0.5, "walk": 0.1}
 FAST = {"reshaping.max_rate": 1e5, "reshaping.max_accel": 1e7}
 
 
-def values(**changes):
-    return updated(CONTROLLER, defaults(CONTROLLER), {k.replace("__", "."): v for k, v in changes.items()})
-
-
 def custom(model):
     return {
         "dcarc.model": "custom",
@@ -44,7 +41,7 @@ def custom(model):
 
 
 def params(model=FOURTH_ORDER, **changes):
-    return dcarc.build(values(**custom(model), **changes))
+    return dcarc.build(controller(**custom(model), **changes))
 
 
 def plant(model=FOURTH_ORDER, period=PERIOD, delay=0.0, **changes):
@@ -71,7 +68,7 @@ def sine(amplitude, frequency, samples, period=PERIOD):
     t = np.arange(samples + 2) * period
     swell = 0.5 - 0.5 * np.cos(math.pi * np.minimum(t / 0.2, 1.0))
     wanted = amplitude * swell * np.sin(2.0 * math.pi * frequency * t)
-    p = reshaping.build(values())
+    p = reshaping.build(controller())
     rate = np.diff(wanted) / period
     accel = np.diff(rate) / period
     wn, damping = p.natural_frequency, p.damping
@@ -340,7 +337,7 @@ def test_any_parameters_are_refused_in_words_or_give_a_bounded_voltage(data):
     changes["sample_period"] = data.draw(st.sampled_from([0.00025, 0.001, 0.004]))
     changes["dcarc.model"] = data.draw(st.sampled_from(["second_order", "fourth_order"]))
     try:
-        p = dcarc.build(values(**changes))
+        p = dcarc.build(controller(**changes))
     except ParameterError as error:
         assert "dcarc" in str(error) and "\n" not in str(error)
         return
@@ -392,7 +389,7 @@ def test_a_model_that_cannot_be_taken_is_refused_in_one_sentence(numerator, deno
 )
 def test_wrong_numbers_are_refused_in_one_sentence(changes, words):
     with pytest.raises(ParameterError) as error:
-        dcarc.build(values(**changes))
+        dcarc.build(controller(**changes))
     for word in words:
         assert word in str(error.value)
 
@@ -406,7 +403,7 @@ def test_a_filter_or_regulator_without_solution_is_refused():
 
 
 def test_shipped_loop_is_stable_around_its_model_with_2_db_of_margin():
-    p = dcarc.build(values())
+    p = dcarc.build(controller())
     assert stability.warning(dcarc.LAW, p) == ""
     for gain in (0.7, 1.0, 1.4):
         assert abs(stability.dominant_pole(dcarc.LAW, p, plant()._replace(gain_scale=gain))) < 1.0

@@ -2,22 +2,20 @@
 
 import math
 
+import changed
 import numpy as np
 import pytest
 import scipy.linalg
 
 from valve_control.laws import arc, biquads, dcarc, oarc, pid
 from valve_control.laws.signals import Start
-from valve_control.parameter import defaults, updated
 from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER
 
 LAWS = {"arc": arc, "oarc": oarc, "dcarc": dcarc, "pid": pid, "compensator": biquads}
 
 
 def params(law, **changes):
-    values = {"controller": law, **{k.replace("__", "."): v for k, v in changes.items()}}
-    return build.law_params(updated(CONTROLLER, defaults(CONTROLLER), values))
+    return build.law_params(changed.controller(controller=law, **changes))
 
 
 @pytest.mark.parametrize("law", ["arc", "oarc", "dcarc", "pid"])

@@ -3,6 +3,7 @@
 import itertools
 import math
 
+import changed
 import numpy as np
 import pytest
 import scipy.linalg
@@ -18,8 +19,7 @@ from valve_control.plant import valve
 
 
 def params(**changes):
-    values = updated(CONTROLLER, defaults(CONTROLLER), {k.replace("__", "."): v for k, v in changes.items()})
-    return oarc.build(values)
+    return oarc.build(changed.controller(**changes))
 
 
 def random_point(p, rng):

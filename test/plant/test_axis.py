@@ -2,6 +2,7 @@
 
 import math
 
+import changed
 import numpy as np
 import pytest
 import scipy.integrate
@@ -9,7 +10,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from valve_control.compiling import compile_function
-from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameter import ParameterError
 from valve_control.parameters import axis as parameters
 from valve_control.plant import axis, orifice
 
@@ -17,8 +18,7 @@ BAR = 1e5
 
 
 def values(**changes):
-    named = {name.replace("__", "."): value for name, value in changes.items()}
-    return updated(parameters.AXIS, defaults(parameters.AXIS), named)
+    return changed.values(parameters.AXIS, **changes)
 
 
 def machine(**changes):

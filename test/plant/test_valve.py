@@ -1,21 +1,20 @@
 import math
 
+import changed
 import numpy as np
 import pytest
 import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameter import ParameterError
 from valve_control.parameters import build
-from valve_control.parameters.table import VALVE
 from valve_control.plant import valve
 from valve_control.plant.models import FOURTH_ORDER, MODELS
 
 
 def made(**changes):
-    values = {name.replace("__", "."): value for name, value in changes.items()}
-    return build.valve_params(updated(VALVE, defaults(VALVE), values))
+    return build.valve_params(changed.valve(**changes))
 
 
 def run(p, voltages):

@@ -3,6 +3,7 @@
 import struct
 from typing import NamedTuple
 
+import changed
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
@@ -135,7 +136,7 @@ class Run:
 
     def change(self, **values):
         """A live change of parameters between two samples."""
-        new = {name.replace("__", "."): value for name, value in values.items()}
+        new = changed.dotted(values)
         if updated(CONTROLLER, self.values, new) == self.values:
             return
         self.values = updated(CONTROLLER, self.values, new)

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import changed
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,8 +20,7 @@ from valve_control.supervision.journal import COLUMNS, HEAD, Journal
 
 
 def shadowed(path, valve="valve", **overrides):
-    given = {name.replace("__", "."): value for name, value in overrides.items()}
-    return shadow.replay(load(path, journals=True).valves[valve], given)
+    return shadow.replay(load(path, journals=True).valves[valve], changed.dotted(overrides))
 
 
 @pytest.mark.parametrize("law", ["arc", "oarc", "dcarc", "pid", "compensator", "open_loop"])

@@ -2,12 +2,12 @@
 
 import math
 
+import changed
 import numpy as np
 import pytest
 
 from valve_control.laws import command_lead
-from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters.table import CONTROLLER
+from valve_control.parameter import ParameterError
 from valve_control.simulation import delivery
 from valve_control.simulation.delivery import Delivery
 
@@ -16,8 +16,7 @@ SINE = np.sin(2.0 * math.pi * 3.0 * TIMES)
 
 
 def values(kind="hold", **changes):
-    named = {name.replace("__", "."): value for name, value in changes.items()}
-    return updated(CONTROLLER, defaults(CONTROLLER), {"command.interpolation": kind, **named})
+    return changed.controller(command__interpolation=kind, **changes)
 
 
 def test_one_command_a_sample_in_time_is_the_motion_itself():

@@ -3,12 +3,13 @@
 import math
 from typing import NamedTuple
 
+import changed
 import numpy as np
 
 from valve_control.analysis.indices import rms
 from valve_control.parameter import defaults, updated
 from valve_control.parameters import build, files
-from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.parameters.table import VALVE
 from valve_control.plant import valve
 from valve_control.supervision.supervisor import Supervisor
 from valve_control.supervision.trajectory import Motion
@@ -46,8 +47,7 @@ def sine(time, amplitude=1.0, frequency=3.0):
 
 
 def settings(**changes):
-    named = {name.replace("__", "."): value for name, value in changes.items()}
-    return updated(CONTROLLER, defaults(CONTROLLER), {"lvdt.max_rate": 1000.0, **named})
+    return changed.controller(**{"lvdt__max_rate": 1000.0, **changes})
 
 
 def run(send, every, shape=sine, samples=2000, jitter=0.0, plant=D3FXE, **changes):

@@ -2,6 +2,7 @@
 
 import math
 
+import changed
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +10,6 @@ from hypothesis import strategies as st
 
 from valve_control.motion import axis_pid, course, path
 from valve_control.motion.course import Goal
-from valve_control.parameter import defaults, updated
 from valve_control.parameters.axis import AXIS_CONTROLLER
 from valve_control.plant.machine import Reading
 from valve_control.supervision import axis_supervisor as supervisor
@@ -20,8 +20,7 @@ LIMITS = course.Limits(0.25, 2.0, 40.0)
 
 
 def designed(**changes):
-    own = {"machine": "bench", "kp": 8.0, **{name.replace("__", "."): v for name, v in changes.items()}}
-    return supervisor.design(updated(AXIS_CONTROLLER, defaults(AXIS_CONTROLLER), own))
+    return supervisor.design(changed.values(AXIS_CONTROLLER, **{"machine": "bench", "kp": 8.0, **changes}))
 
 
 def sample(p, s, position, k):

@@ -2,6 +2,7 @@
 
 import json
 
+import changed
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -23,7 +24,7 @@ SETTINGS = {
 
 
 def made(**changes):
-    values = updated(CONTROLLER, defaults(CONTROLLER), {k.replace("__", "."): v for k, v in changes.items()})
+    values = changed.controller(**changes)
     supervisor = Supervisor()
     supervisor.apply(values, build.law_params(values))
     return supervisor

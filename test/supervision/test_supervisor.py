@@ -3,6 +3,7 @@
 import math
 import types
 
+import changed
 import numpy as np
 import pytest
 import sizes
@@ -29,8 +30,7 @@ class Loop:
     """Supervisor and valve on a 1.5 Hz sine of 2 V; the LVDT's last digits are noisy, as they always are."""
 
     def __init__(self, law, **changes):
-        named = {key.replace("__", "."): value for key, value in changes.items()}
-        self.values = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, **named})
+        self.values = changed.controller(controller=law, **changes)
         self.supervisor = Supervisor()
         self.supervisor.apply(self.values, build.law_params(self.values))
         self.p = build.valve_params(updated(VALVE, defaults(VALVE), {"lvdt.noise": 0.002}))

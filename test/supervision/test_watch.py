@@ -3,14 +3,13 @@
 import math
 import types
 
+import changed
 import numpy as np
 import pytest
 
 from valve_control.export import samples, unit
 from valve_control.export.kinds import Kind
 from valve_control.laws.registry import LAWS
-from valve_control.parameter import defaults, updated
-from valve_control.parameters.table import CONTROLLER
 from valve_control.supervision import watch
 from valve_control.supervision.record import Memory
 from valve_control.supervision.trajectory import Motion
@@ -24,8 +23,7 @@ WORDS = {word: i for i, word in enumerate(WORDS)}
 
 
 def watched(**changes):
-    given = {name.replace("__", "."): value for name, value in changes.items()}
-    return unit.watched(updated(CONTROLLER, defaults(CONTROLLER), given))
+    return unit.watched(changed.controller(**changes))
 
 
 def random_faults(seed, count=12, within=7.5):

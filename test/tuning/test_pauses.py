@@ -2,6 +2,7 @@
 
 import math
 
+import changed
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -26,8 +27,7 @@ def sine(amplitude, frequency, seconds=3.0):
 
 
 def problem(wanted, law="dcarc", **changes):
-    values = {"controller": law, **{name.replace("__", "."): value for name, value in changes.items()}}
-    values = updated(CONTROLLER, defaults(CONTROLLER), values)
+    values = changed.controller(controller=law, **changes)
     return Problem(values, [Motion("wanted", wanted)], [], [], trial.USUAL, False, False, 1)
 
 

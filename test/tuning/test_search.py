@@ -2,6 +2,7 @@
 
 import math
 
+import changed
 import numpy as np
 import pytest
 from hypothesis import given
@@ -26,8 +27,7 @@ NARROW = ("gain", "speed", "friction.coulomb")
 
 
 def problem(law="pid", valves=4, seed=1, preview=False, **changes):
-    own = {name.replace("__", "."): value for name, value in changes.items()}
-    values = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, **own})
+    values = changed.controller(controller=law, **changes)
     study = box.study_of(SETTINGS, [q for q in robustness.BOX if q.name in NARROW], valves, seed)
     times = np.maximum(0.0, np.arange(1200) * 0.001 - 0.05)
     wanted = 0.8 * np.sin(2.0 * math.pi * 5.0 * times) * np.clip(times / 0.2, 0.0, 1.0)
