@@ -4,4 +4,4 @@ from pathlib import Path
 
 from valve_control.compiling import add_sources
 
-add_sources(__name__, Path(__file__).parent)
+add_sources(__name__, Path(__file__).parent, laws=False)

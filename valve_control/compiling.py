@@ -21,11 +21,17 @@ from valve_control.parameter import ParameterError
 PACKAGE = "valve_control"
 LANES = 8  # valves side by side in a compiled loop: the doubles of one AVX-512 register
 _packages = {PACKAGE: Path(__file__).resolve().parent}
+_beside: set[str] = set()  # packages that add no laws
 
 
-def add_sources(package: str, folder: Path) -> None:
-    """Let functions of ``package``, in ``folder``, be compiled too; call it before anything is compiled."""
+def add_sources(package: str, folder: Path, laws: bool = True) -> None:
+    """Let functions of ``package``, in ``folder``, be compiled too; call it before anything is compiled.
+
+    ``laws``: it adds laws to this package, so that its sources decide results of this package's commands.
+    """
     _packages[package] = folder.resolve()
+    if not laws:
+        _beside.add(package)
 
 
 def _ours(name: str) -> bool:
@@ -33,11 +39,14 @@ def _ours(name: str) -> bool:
 
 
 @functools.cache
-def sources_digest() -> str:
-    """Hash, sixteen hexadecimal digits, of the sources of this package and of packages that add laws."""
+def sources_digest(everything: bool = False) -> str:
+    """Hash, sixteen hexadecimal digits, of the sources of this package and of packages that add laws.
+
+    ``everything``: of all packages whose functions are compiled.
+    """
     digest = hashlib.sha256()
-    for root in _packages.values():
-        for source in sorted(root.rglob("*.py")):
+    for package, root in _packages.items():
+        for source in sorted(root.rglob("*.py")) if everything or package not in _beside else ():
             digest.update(str(source.relative_to(root)).encode())
             digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
@@ -53,7 +62,7 @@ def _numba() -> Any:
     import numba
 
     home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    folder = home / PACKAGE / sources_digest()
+    folder = home / PACKAGE / sources_digest(everything=True)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

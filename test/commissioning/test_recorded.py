@@ -128,5 +128,5 @@ def test_tune_from_a_bag_at_rest(run, tmp_path):
     for _ in range(3000):
         made.sample(0.0)
     write(tmp_path / "still", made.messages)
-    status, _, err = run("tune", "--bag", "still")
+    status, _, err = run("tune", "--bag", "still", "--json", "-")
     assert status == 2 and "has no excitation" in err and len(sentences(err)) == 1

@@ -218,7 +218,7 @@ def test_a_stopped_tune_goes_on_with_the_same_bits(run, tmp_path):
 @pytest.mark.parametrize("command", ["study", "tune"])
 def test_unreachable_cluster_is_one_sentence(run, tmp_path, command, monkeypatch):
     monkeypatch.setattr(cluster, "MEET", 0.5)
-    status, _, err = run(command, "--cluster", "tcp://127.0.0.1:9")
+    status, _, err = run(command, "--cluster", "tcp://127.0.0.1:9", "--json", "-")
     assert status == 2 and "--cluster tcp://127.0.0.1:9: no scheduler answers there" in err
     assert len([line for line in err.splitlines() if line.startswith("valve-control:")]) == 1
     assert "Traceback" not in err

@@ -147,7 +147,7 @@ CONTROLLER: Table = (
     ),
     Parameter(
         "lvdt.excitation",
-        0.2,
+        0.1,
         "V",
         "standard deviation of voltage and reading in motion, from which they are compared",
         0.001,
