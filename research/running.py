@@ -2,9 +2,9 @@
 
 import argparse
 import os
-import sys
 from collections.abc import Callable, Sequence
 
+from valve_control import interrupts
 from valve_control.cli import streams
 from valve_control.cli.common import Parser, ended
 
@@ -19,7 +19,10 @@ def run(
 ) -> int:
     """Parse ``argv`` (default: this process's), do ``work``, and return the exit status."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if argv is None:
-        streams.prepare()
-    arguments = parser.parse_args(sys.argv[1:] if argv is None else argv)
-    return ended(parser.prog, parser.prog, lambda: work(arguments))
+    if argv is not None:
+        return ended(parser.prog, parser.prog, lambda: work(parser.parse_args(argv)))
+    streams.prepare()
+    interrupts.watch()
+    status = ended(parser.prog, parser.prog, lambda: work(parser.parse_args()))
+    interrupts.ignore()
+    return interrupts.STATUS if interrupts.come() else status

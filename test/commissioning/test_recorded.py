@@ -119,7 +119,7 @@ def test_tune_from_a_bag(run, tmp_path, moved):
     assert about["simulated_as_it_was"]["e_rms"] == pytest.approx(about["measured"]["e_rms"], rel=0.15)
     assert 0.0 < about["simulated_with"]["pid"]["e_rms"] < 0.5
     assert files.load("t.yaml")["controller"]["controller"] == "pid"
-    status, out, err = run("tune", "--bag", "operation", "--scenario", "sine")
+    status, out, err = run("tune", "--bag", "operation", "--scenario", "sine", "--json", "-")
     assert status == 2 and "takes no --scenario" in err and len(sentences(err)) == 1
 
 

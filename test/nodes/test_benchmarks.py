@@ -1,9 +1,11 @@
 """Benchmarks that are stopped."""
 
 import os
+import select
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -19,10 +21,20 @@ def test_a_stopped_benchmark_says_that_and_leaves_no_node(tmp_path, number):
         [sys.executable, "-m", "benchmarks", "--only", "loop", "--out", tmp_path],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, bufsize=0,
     )  # fmt: skip
+    try:
+        ended(child, number)
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def ended(child, number):
     seen = ""
+    limit = time.monotonic() + 120.0
     while "latency:" not in seen:
-        seen += os.read(child.stderr.fileno(), 1000).decode()
-        assert child.poll() is None, seen
+        assert time.monotonic() < limit and child.poll() is None, seen
+        if select.select([child.stderr], [], [], 1.0)[0]:
+            seen += os.read(child.stderr.fileno(), 1000).decode(errors="replace")
     group = [int(p) for p in Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()]
     child.send_signal(number)
     _, err = child.communicate(timeout=30)

@@ -1,12 +1,17 @@
 """The comparison of tuned laws as a user runs it, and the former commands of research."""
 
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from said import sentences
 
 from research.tuned import main
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -70,4 +75,16 @@ def test_a_former_command_names_the_present_one(run, tmp_path, arguments, target
     status, out, err = run(*arguments.split())
     assert status == 2 and out == "" and err.count("\n") == 1
     assert err.endswith(f"in a checkout of valve_control: make {target}\n")
-    assert f"\n{target}: " in (Path(__file__).parents[2] / "Makefile").read_text()
+    assert f"\n{target}: " in (ROOT / "Makefile").read_text()
+
+
+def test_ctrl_c_ends_a_study_quietly(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-m", "research.theorems", "--processes", "1", "--json", str(tmp_path / "t.json")],
+        cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    ) as child:  # fmt: skip
+        begun = child.stderr.read(11)
+        child.send_signal(signal.SIGINT)
+        _, err = child.communicate(timeout=60)
+    assert begun == "bound on V2" and child.returncode == 130 and "Traceback" not in err, err
+    assert list(tmp_path.iterdir()) == []

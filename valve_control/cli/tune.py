@@ -308,11 +308,15 @@ def _check(arguments: argparse.Namespace) -> None:
     from valve_control.tuning import pauses
 
     if arguments.bag is None:
-        for name, value in (("from", arguments.start), ("to", arguments.end), ("of", arguments.of)):
+        for name, value in (
+            ("from", arguments.start),
+            ("to", arguments.end),
+            ("of", arguments.of),
+            ("map", arguments.map or None),
+            ("clock", arguments.clock),
+        ):
             if value is not None:
                 raise ParameterError(f"--{name} is for a recording; give --bag too")
-        if arguments.map:
-            raise ParameterError("--map is for a recording; give --bag too")
     if arguments.output is None and arguments.json is None and arguments.html is None:
         raise ParameterError("tune without --output, --json or --html keeps no gains; give one of them")
     check_processes("threads", arguments.threads)
@@ -453,6 +457,7 @@ def _problems(
     """What the search sees, and what verification sees. Raises ParameterError."""
     from valve_control.laws.registry import LAWS
     from valve_control.parameters import build
+    from valve_control.parameters import files as parameter_files
     from valve_control.plant import models
     from valve_control.simulation import offline
     from valve_control.tuning import box
@@ -473,7 +478,8 @@ def _problems(
             )
         settings = {**settings, "controller": values}
     model = build.valve_model(settings["valve_simulator"])
-    controller = _with_limits(_braking(settings["controller"], arguments), model)
+    given = parameter_files.given(arguments.params_file, {}, arguments.set)["controller"]
+    controller = _with_limits(_braking(settings["controller"], given), model, given)
     settings = {**settings, "controller": controller}
     seed = _seed(arguments)
     study = box.study_of(settings, quantities, arguments.valves, seed)
@@ -493,27 +499,25 @@ def _problems(
     return seen, seen._replace(plants=box.drawn(other), box=box.bounding(other), seed=seed + box.UNSEEN_SEED)
 
 
-def _braking(values: Values, arguments: argparse.Namespace) -> Values:
+def _braking(values: Values, given: Values) -> Values:
     """The controller's ``values`` with a reference that brakes in time, unless a form was given."""
     from valve_control.parameter import updated
-    from valve_control.parameters import files
     from valve_control.parameters.table import CONTROLLER
 
-    given = files.given(arguments.params_file, {}, arguments.set)["controller"]
     if "reshaping.form" in given or values["reshaping.form"] == "braking":
         return values
     return updated(CONTROLLER, values, {"reshaping.form": "braking"})
 
 
-def _with_limits(values: Values, model: "TransferFunction") -> Values:
-    """The controller's ``values`` with (6) and (7) of the valve, where they are the defaults for another."""
+def _with_limits(values: Values, model: "TransferFunction", given: Values) -> Values:
+    """The controller's ``values`` with (6) and (7) of the valve, unless limits were ``given``."""
     from valve_control.laws import reshaping
     from valve_control.parameter import updated
     from valve_control.parameters.table import CONTROLLER
 
     limits = reshaping.limits(model, number(values, "u_max"))
     usual = defaults(reshaping.PARAMETERS)
-    if not limits or any(values[name] != usual[name] for name in limits):
+    if not limits or any(name in given or values[name] != usual[name] for name in limits):
         return values
     text = " and ".join(f"{name} {value}" for name, value in limits.items())
     print(f"note: {text}, (6) and (7) of this valve; --set says otherwise", file=sys.stderr)
@@ -547,7 +551,8 @@ def _recorded(arguments: argparse.Namespace, settings: dict[str, Values]) -> _Re
     from valve_control.tuning import box
     from valve_control.tuning.trial import Motion
 
-    for name in ("command", "scenario", "valve", "sample_period", "duration"):
+    named = ("command", "scenario", "valve", "sample_period", "duration", "command_period", "command_jitter")
+    for name in named:
         if getattr(arguments, name) not in (None, []):
             raise ParameterError(f"tune --bag takes no --{name.replace('_', '-')}; the bag has its own")
     if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:

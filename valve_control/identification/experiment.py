@@ -154,8 +154,8 @@ def range_notes(measured: Response, second: Fit, best: Fit) -> list[str]:
     if measured_corners(measured, best.model.static_gain).minus_3db is None and highest < 0.9 * most:
         further = min(most, 10.0 * highest)
         made.append(
-            f"no -3 dB up to {highest:.4g} Hz: the valve goes further than the test; with "
-            f"--set end_frequency={further:.4g} it tells more"
+            f"no -3 dB up to {highest:.4g} Hz: the valve goes further than the test; a test "
+            f"up to {further:.4g} Hz (end_frequency) tells more"
         )
     natural = math.sqrt(max(0.0, second.model.denominator[-1])) / (2.0 * math.pi)
     if natural * measured.period * SAMPLES > 1.0:

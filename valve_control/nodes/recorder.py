@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, NoReturn, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
-from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from valve_control import parameter
@@ -374,7 +373,7 @@ class Recorder(Worker):
         """Warn of signals that a controller takes under other names than those that are recorded."""
         try:
             taken = self.get_subscriber_names_and_types_by_node(name, namespace)
-        except NodeNameNonExistentError:  # it has just gone
+        except RuntimeError:  # it has just gone, or its name is not known yet
             return
         for topic, types in taken:
             named = any(pattern.fullmatch(topic) for pattern in self._settings.patterns)

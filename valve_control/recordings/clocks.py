@@ -14,7 +14,6 @@ from valve_control.bags.errors import BagError
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
-CLOCKS = ("log", "publish")
 SMALL_DISORDER = 0.1  # s by which messages may be out of order
 BACK = 2.0  # usual intervals by which time goes back, between messages in order, where the clock was set
 SAME_CLOCK = 1e-3  # s, or half a period, by which delays to the recorder may differ between topics
