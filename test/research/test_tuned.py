@@ -83,8 +83,8 @@ def test_ctrl_c_ends_a_study_quietly(tmp_path):
         [sys.executable, "-m", "research.theorems", "--processes", "1", "--json", str(tmp_path / "t.json")],
         cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
     ) as child:  # fmt: skip
-        begun = child.stderr.read(11)
+        begun = child.stderr.read(12)
         child.send_signal(signal.SIGINT)
         _, err = child.communicate(timeout=60)
-    assert begun == "bound on V2" and child.returncode == 130 and "Traceback" not in err, err
+    assert begun.strip() == "bound on V2" and child.returncode == 130 and "Traceback" not in err, err
     assert list(tmp_path.iterdir()) == []

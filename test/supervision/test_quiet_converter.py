@@ -111,18 +111,59 @@ def test_an_lvdt_that_freezes_in_motion_is_found(law, bits, phase):
 
 
 @pytest.mark.parametrize("law", SHIPPED)
-def test_an_lvdt_that_freezes_at_rest_is_found_when_the_command_moves(law):
-    """The law pulls by more than any disturbance, and the reading stands."""
-    loop = Loop({"controller": law}, {"lvdt.resolution": BITS[12]}).run(lambda t: 0.0, 200)
+@pytest.mark.parametrize(
+    ("own", "command", "longest"),
+    [
+        ({}, lambda t: 4.0, 150),
+        ({"u_max": 4.0}, lambda t: 1.0, 60),
+        ({"lvdt.disturbance": 0.0}, lambda t: 1.0, 200),
+        ({}, lambda t: math.sin(2.0 * math.pi * 30.0 * t), 60),
+    ],
+    ids=["step", "weak amplifier", "not compared", "30 Hz"],
+)
+def test_an_lvdt_that_freezes_at_rest_is_found_when_the_command_moves(law, own, command, longest):
+    """The law pulls by more than any disturbance, or half of the amplifier's voltage; the reading stands."""
+    loop = Loop({"controller": law, **own}, {"lvdt.resolution": BITS[12]}).run(lambda t: 0.0, 200)
     n = 0
-    while loop.supervisor.mode is not Mode.SAFE and n < 1000:
-        loop.step(lambda t: 4.0, 0.0)
+    while loop.supervisor.mode is not Mode.SAFE and n < longest:
+        loop.step(command, 0.0)
         n += 1
-    assert "lvdt_frozen" in loop.supervisor.conditions and n < 500
+    assert "lvdt_frozen" in loop.supervisor.conditions
+
+
+@pytest.mark.parametrize("law", ["pid", "compensator", "open_loop"])
+def test_a_noisy_lvdt_that_froze_long_ago_is_found_as_soon_as_the_voltage_moves(law):
+    loop = Loop({"controller": law}, {"lvdt.noise": 0.0056, "lvdt.resolution": 0.0037})
+    loop.run(lambda t: 0.0, 500)
+    frozen = loop.step(lambda t: 0.0)
+    for _ in range(2000):
+        loop.step(lambda t: 0.0, frozen)
+    for _ in range(20):
+        loop.step(lambda t: 2.0, frozen)
+    assert "lvdt_frozen" in loop.supervisor.conditions
+
+
+@pytest.mark.parametrize("law", ["arc", "pid"])
+@pytest.mark.parametrize("plant", [{}, FRICTION], ids=["smooth", "friction"])
+@pytest.mark.parametrize("command", ["steps", "sine"])
+def test_lost_readings_and_rounding_of_a_driver_are_no_noise(law, plant, command):
+    """Every third reading is lost; the driver averages four in a running sum, which leaves the last bit."""
+    loop = Loop({"controller": law}, {**plant, "lvdt.resolution": BITS[12]})
+    held, total = [0.0] * 4, 0.0
+    for k in range(2000):
+        loop.supervisor.command(COMMANDS[command](k * PERIOD))
+        reading = valve.read(loop.p, loop.s, 0.0)
+        total += reading / 4.0 - held[k % 4]
+        held[k % 4] = reading / 4.0
+        if k % 3:
+            loop.supervisor.sample(reading if k < 1000 else total, k + 1)
+            loop.said |= set(loop.supervisor.conditions)
+        loop.s = valve.step(loop.p, loop.s, loop.supervisor.voltage)
+    assert "lvdt_frozen" not in loop.said
 
 
 @pytest.mark.parametrize(
-    ("noise", "noisy"), [(0.0, False), (0.1, False), (0.3, False), (1.0, True), (1.5, True), (5.0, True)]
+    ("noise", "noisy"), [(0.0, False), (0.1, False), (0.3, False), (0.6, False), (1.5, True), (5.0, True)]
 )
 def test_scatter_tells_noise_from_rounding(noise, noisy):
     """White noise gives 4σ², rounding at most one squared step, at rest and in motion; ``noise`` in steps."""

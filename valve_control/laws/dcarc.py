@@ -453,7 +453,8 @@ PARAMETERS: Table = (
         "dcarc.theta_spread",
         [0.2, 0.46, 0.46, 0.46, 1.1, 1.3, 1.0, 1.8e-5, 3.4e-5],
         "",
-        f"how far the weights may be from the initial ones, standard deviations; 0.0 switches off: {WEIGHTS}",
+        f"how far the weights may be from the initial ones, standard deviations; 0.0 switches off; the "
+        f"monitor of assumptions counts at least the defaults: {WEIGHTS}",
         0.0,
         1e3,
         length=9,

@@ -141,7 +141,8 @@ CONTROLLER: Table = (
         5.0,
         "V",
         "largest friction and offset together; readings that defy a larger voltage, or that run against the "
-        "voltage, have the wrong sign or slope; 0.0: readings are not compared with the voltage",
+        "voltage, have the wrong sign or slope, and readings of a quiet converter that stand against it are "
+        "frozen; 0.0: readings are not compared with the voltage, and 5 V hold for standing ones",
         0.0,
         100.0,
     ),

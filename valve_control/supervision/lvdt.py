@@ -3,7 +3,7 @@
 Equal readings are no fault by themselves: a quiet converter shows the same number while the spool moves
 by less than one of its steps q. The scatter of the readings, the mean of -D·D' over successive second
 differences D and D', tells noise from rounding. White noise of variance σ² gives 4σ². Rounding of a smooth
-motion, and noise that a step hides, give at most q². Above 2q² the readings are noisy: equal ones in a row
+motion, and noise that a step hides, give at most q². Above 4q² the readings are noisy: equal ones in a row
 then mean a frozen LVDT as soon as the voltage has moved. Below, it is frozen only if the spool must have
 moved by several steps:
 
@@ -21,9 +21,9 @@ RECALL = 0.3  # s  for which a surprise is remembered
 USUAL = 2.0  # times the surprises of late are none
 REACH = 0.01  # s in which a spool comes from rest to max_rate at the fastest; 50,000 V/s² with 500 V/s
 SETTLED = 20  # readings from which the speed is known
-NOISY = (
-    2.0  # squared steps of the converter; scatter from which equal readings in a row cannot come by chance
-)
+NOISY = 4.0  # squared steps of the converter; scatter from which 20 equal readings are chance once in days
+ROUNDING = 1e-7  # of the limit; smaller changes are rounding of a driver, no step of the converter
+DEAD_TIME = 0.005  # s  for which the voltage must pull before the spool has to answer
 MOST = 16.0  # squared steps that one leap of the readings adds to the scatter
 STEPS = 3.0  # of the converter that a spool must have moved before a reading that stands is frozen
 INSIDE = 0.85  # of the limit; nearer to it a spool may stop dead at the end of its stroke
@@ -50,7 +50,7 @@ class Params(NamedTuple):
     a1: float  # 1/s  of the valve's model
     a0: float  # 1/s²
     b0: float  # 1/s², 0: no model, readings of a quiet converter are not judged for being frozen
-    disturbance: float  # V  largest friction and offset together
+    disturbance: float  # V  largest friction and offset together, at most half of the amplifier's voltage
 
 
 class Standing(NamedTuple):
@@ -90,19 +90,27 @@ NOTHING = State(
 )  # fmt: skip
 
 
-def followed(p: Params, s: Standing, difference: float, rate: float) -> Standing:
-    """State after one more reading, ``difference`` [V] from the last; ``rate`` [V/s]: speed before it."""
+def followed(p: Params, s: Standing, step: float, rate: float, age: float) -> Standing:
+    """State after one more reading, ``step`` [V] from the last one, which is ``age`` [s] old.
+
+    ``rate`` [V/s]: speed before it.
+    """
+    difference = step / max(1.0, math.floor(age / p.period + 0.5))
     second = difference - s.difference
     most = MOST * s.grain * s.grain
     product = max(-most, min(most, -second * s.second))
-    scatter = s.scatter + min(1.0, p.period / RECALL) * (product - s.scatter)
+    scatter = s.scatter
+    if difference != 0.0 or s.difference != 0.0 or s.second != 0.0:  # else readings stand, and tell nothing
+        scatter += min(1.0, p.period / RECALL) * (product - scatter)
     if difference == 0.0:
         begun = s.begun
         if s.difference != 0.0:  # the filtered speed lags behind a spool that brakes
             begun = min(abs(rate), (abs(s.difference) + s.grain) / p.period)
         return Standing(s.grain, 0.0, second, scatter, begun, s.pulled, s.pushed_rate, s.pushed)
-    step = abs(difference)
-    grain = step if s.grain == 0.0 else min(s.grain, step)
+    step = abs(step)
+    grain = s.grain
+    if step > ROUNDING * p.limit:
+        grain = step if s.grain == 0.0 else min(s.grain, step)
     return Standing(grain, difference, second, scatter, 0.0, 0, 0.0, 0.0)
 
 
@@ -112,7 +120,7 @@ def pulled(p: Params, s: Standing, pull: float, samples: int) -> Standing:
     if excess <= 0.0:
         return s._replace(pulled=0, pushed_rate=0.0, pushed=0.0)
     time = samples * p.period
-    rate = s.pushed_rate + time * (math.copysign(p.b0 * excess, pull) - p.a1 * s.pushed_rate)
+    rate = (s.pushed_rate + time * math.copysign(p.b0 * excess, pull)) / (1.0 + time * p.a1)
     return s._replace(pulled=s.pulled + samples, pushed_rate=rate, pushed=s.pushed + time * rate)
 
 
@@ -126,10 +134,12 @@ def frozen(p: Params, s: Standing, reading: float, lowest: float, highest: float
     if p.b0 == 0.0:
         return False
     least = STEPS * s.grain if s.grain > 0.0 else p.tolerance
-    if s.pulled >= p.frozen_samples and abs(s.pushed) > least:
+    at_stop = abs(reading) > INSIDE * p.limit
+    outwards = at_stop and s.pushed * reading > 0.0
+    if s.pulled * p.period >= DEAD_TIME and abs(s.pushed) > least and not outwards:
         return True
     speed = s.begun - 2.0 * s.grain / PACE
-    if speed <= 0.0 or abs(reading) > INSIDE * p.limit:
+    if speed <= 0.0 or at_stop:
         return False
     rest = reading * p.a0 / p.b0
     pull = max(abs(lowest - rest), abs(highest - rest))
@@ -184,7 +194,7 @@ def step(
             last, age, reading, True, equal, lowest, highest, frozen_at, known, rate, surprise, leap, standing
         )
     if last is not None:
-        standing = followed(p, standing, reading - last, speed)
+        standing = followed(p, standing, reading - last, speed, age)
     fault = SOUND
     if reading == frozen_at:
         fault = "frozen"
@@ -199,6 +209,7 @@ def step(
         if 0 < p.frozen_samples <= equal and frozen(p, standing, reading, lowest, highest):
             if blocked:
                 equal, lowest, highest = 0, voltage, voltage
+                standing = standing._replace(begun=0.0, pulled=0, pushed_rate=0.0, pushed=0.0)
             else:
                 fault, frozen_at = "frozen", reading
     return fault, State(

@@ -16,6 +16,7 @@ from valve_control.supervision import lvdt, plausibility, rate
 TACHOMETER_CUTOFF = 50.0  # Hz, of the velocity with which a law takes over
 REST = 10.0  # V/s; a spool that moves faster has not yet come to rest ...
 REST_LIMIT = 0.5  # s  ... but a noisy reading must not keep the valve off for ever
+DISTURBANCE = 5.0  # V  for standing readings, where readings shall not be compared with the voltage
 PROBATION = 1.2  # times the largest disturbance: the voltage while readings are doubted
 DOUBTS = ("lvdt_jump", "lvdt_disagrees")  # after which readings are not believed because they are smooth
 
@@ -58,19 +59,17 @@ def model_of(values: Values, params: Any) -> tuple[float, float, float] | None:
     """The model (a1 [1/s], a0, b0 [1/s²]) that readings are judged by: that which the law begins with.
 
     A law without a model of the valve is watched with that of ``arc.theta_initial``. None: there is no such
-    model, or readings shall not be compared with the voltage.
+    model.
     """
     model = LAWS[word(values, "controller")].model
     a1, a0, b0 = numbers(values, "arc.theta_initial")[:3] if model is None else model(params)
-    if number(values, "lvdt.disturbance") == 0.0 or min(a1, a0, b0) <= 0.0:
-        return None
-    return a1, a0, b0
+    return None if min(a1, a0, b0) <= 0.0 else (a1, a0, b0)
 
 
 def comparison(values: Values, params: Any) -> plausibility.Params | None:
     """Watch that compares readings with the voltage; None: no watch."""
     model = model_of(values, params)
-    if model is None:
+    if model is None or number(values, "lvdt.disturbance") == 0.0:
         return None
     return plausibility.design(
         model,
@@ -96,7 +95,7 @@ def design(values: Values, params: Any) -> Params:
             a1,
             a0,
             b0,
-            number(values, "lvdt.disturbance"),
+            min(number(values, "lvdt.disturbance") or DISTURBANCE, 0.5 * number(values, "u_max")),
         ),
         pace=rate.Params(period, number(values, "lvdt.period_limit")),
         comparison=comparison(values, params),

@@ -7,7 +7,7 @@ degraded  the law has the valve, but something is reported: a silent or refused 
           long saturation, a limit cycle, a broken assumption, a second publisher;
 safe      0 V, the spring centres the spool: the LVDT cannot be believed, or the law left the finite numbers.
 
-The steps are in watch.py, pure functions on one memory (record.py), from which exported C is made too. Here
+The steps are in watch.py, functions on one memory (record.py), from which exported C is made too. Here
 is what only a node has: other laws and parameters, the period of the readings, counters and telemetry.
 
 Time is counted in samples, so that a run is repeatable; only the silence of the LVDT, during which no sample
