@@ -1,6 +1,6 @@
 """Whether the supervisor of this checkout does what that of another commit does, bit for bit.
 
-python -m benchmarks.same_supervisor [RUNS [COMMIT]]      300 random runs, against 7a937a8
+python -m benchmarks.same_supervisor [RUNS [COMMIT]]      300 random runs, against the last commit
 
 Each run drives one valve through random faults of the LVDT, commands, trajectories, pauses, changes of law
 and parameters, and laws that raise errors. After each event voltage, mode, sentences, counters and telemetry
@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-COMMIT = "7a937a8"
+COMMIT = "HEAD"
 ROOT = Path(__file__).resolve().parents[1]
 WORKERS = 2
 PLANT = {"friction.coulomb": 1.16, "flow_force": 0.116, "lvdt.noise": 0.0056, "lvdt.resolution": 0.0037}
