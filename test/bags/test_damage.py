@@ -13,6 +13,7 @@ import sqlite3
 import sys
 import time
 import traceback
+from collections import Counter
 from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout, suppress
 from io import BytesIO, StringIO
 from pathlib import Path
@@ -32,6 +33,7 @@ from valve_control.bags import metadata
 from valve_control.bags.bag import Bag
 from valve_control.bags.errors import BagError
 from valve_control.bags.recover import recover
+from valve_control.bags.salvage import Salvage
 from valve_control.bags.writer import BagWriter
 from valve_control.cli import main
 
@@ -393,6 +395,30 @@ def closing_bag(path):
         for _ in bag.blocks(list(bag.topics)):
             pass
         yield bag.problems
+
+
+def calls_of_a_survey(folder, chunks):
+    """How many functions a survey of a file of so many chunks calls."""
+    with BagWriter(folder) as writer:
+        writer.add_topic("/x", "std_msgs/msg/Float64", "float64 data", "", [])
+        for k in range(chunks):
+            writer.write("/x", k, k, k + 1, bytes(12))
+            writer.flush()
+    (path,) = folder.glob("*.mcap")
+    salvage, calls = Salvage(path), Counter()
+    sys.setprofile(lambda frame, event, argument: calls.update([event]))
+    try:
+        survey = salvage.survey()
+    finally:
+        sys.setprofile(None)
+    assert survey.whole and survey.messages == chunks
+    return calls["call"]
+
+
+def test_the_time_of_a_survey_grows_with_the_length_of_the_file(tmp_path):
+    """At each chunk all those before it were looked at again."""
+    few, many = (calls_of_a_survey(tmp_path / str(n), n) for n in (150, 300))
+    assert many < 2.1 * few
 
 
 @pytest.mark.campaign

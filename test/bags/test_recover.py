@@ -447,6 +447,18 @@ def test_a_file_without_one_byte_is_not_whole_again(tmp_path, storage):
     assert file.empty and file.messages == 0 and file.lost == 100
 
 
+@pytest.mark.parametrize("out", [False, True], ids=["in place", "copy"])
+def test_files_of_nothing_alone_are_refused_under_their_names(tmp_path, out):
+    """All but the last one were renamed .unreadable before the refusal."""
+    before = {f"b_{k}.mcap": b"nothing of a bag" * (1000 + k) for k in range(3)}
+    (tmp_path / "bag").mkdir()
+    for name, data in before.items():
+        (tmp_path / "bag" / name).write_bytes(data)
+    with pytest.raises(BagError, match="b_0.mcap is not an MCAP file"):
+        recover(tmp_path / "bag", tmp_path / "copy" if out else None)
+    assert {path.name: path.read_bytes() for path in (tmp_path / "bag").iterdir()} == before
+
+
 def test_one_file_of_nothing_leaves_the_others(tmp_path):
     with opened(tmp_path / "bag", max_seconds=0.1) as writer:
         fill(writer, 300)
@@ -473,8 +485,35 @@ def test_a_replacement_that_is_interrupted_is_taken_up_again(tmp_path, moment):
         file.rename(file.with_name(name))
     if moment == 3:
         (tmp_path / "bag" / f"{path.name}.repair").write_bytes(b"half a file")
+    for source, out in ((tmp_path / "bag", tmp_path / "copy"), (path, tmp_path / "copy.db3")):
+        assert recover(source, out).messages >= 1990
+    assert {p.name for p in (tmp_path / "copy").iterdir()} == {path.name, metadata.NAME}
     result = recover(tmp_path / "bag")
     assert result.messages >= 1990
     left = {p.name for p in (tmp_path / "bag").iterdir()}
     assert path.name in left and log.name not in left and not any(name.endswith(".repair") for name in left)
     assert path.with_name(f"{path.name}.damaged-wal").read_bytes() == hurt
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("left", [0, 1, 2])
+def test_a_copy_takes_up_what_an_interrupted_recovery_put_away(tmp_path, storage, left):
+    """The copy lacked that file, "lost 0"; of a bag of one such file it was refused."""
+    with opened(tmp_path / "bag", storage=storage, max_seconds=0.1) as writer:
+        fill(writer, 300)
+    paths = [tmp_path / "bag" / name for name in metadata.read(tmp_path / "bag").relative_file_paths]
+    (tmp_path / "bag" / metadata.NAME).unlink()
+    kept = paths[1].with_name(f"{paths[1].name}.damaged")
+    paths[1].rename(kept)
+    if left:
+        paths[0].with_name(f"{paths[0].name}.damaged").write_bytes(b"of an earlier, finished recovery")
+    for path in (paths[0], paths[2])[left:]:
+        path.unlink()
+    before = {path.name: path.read_bytes() for path in (tmp_path / "bag").iterdir()}
+    result = recover(tmp_path / "bag", tmp_path / "copy")
+    assert (result.messages, result.lost) == (100 * (left + 1), 0)
+    names = {path.name for path in paths if path.exists()} | {paths[1].name, metadata.NAME}
+    assert {path.name for path in (tmp_path / "copy").iterdir()} == names
+    single = recover(paths[1], tmp_path / f"single{paths[1].suffix}")
+    assert single.messages == 100 and len(read(single.bag)) == 100
+    assert {path.name: path.read_bytes() for path in (tmp_path / "bag").iterdir()} == before

@@ -12,7 +12,7 @@ import zstandard
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as LibraryWriter
-from test_writer import fill, opened
+from test_writer import EPOCH, MS, fill, opened, volts
 
 from valve_control.bags import metadata
 from valve_control.bags.bag import Bag
@@ -420,6 +420,44 @@ def test_a_copy_of_a_file_does_not_double_the_messages(tmp_path, metadata_fits, 
     assert result.done != metadata_fits and result.messages == 300
     assert [file.name for file in result.files if file.foreign] == [f"a copy{original.suffix}"]
     assert np.array_equal(times(bag), expected) and not recover(bag).done
+
+
+def piece(folder, number, storage, stamps):
+    """One more file in the folder of a bag, which its metadata.yaml does not list; returns its name."""
+    with opened(folder.with_name("made"), storage=storage) as writer:
+        for k, stamp in enumerate(stamps):
+            writer.write(POSITION, stamp, stamp, k + 1, volts(0.001 * k))
+    (made,) = (path for path in folder.with_name("made").iterdir() if path.suffix != ".yaml")
+    folder.mkdir(exist_ok=True)
+    made.rename(folder / f"bag_{number}{made.suffix}")
+    shutil.rmtree(folder.with_name("made"))
+    return f"bag_{number}{made.suffix}"
+
+
+STAMPS = [EPOCH + k * MS for k in range(300)]
+BESIDE = {  # what is listed, what is not, and whether that is a copy
+    "one stray stamp": ([*STAMPS[:99], 2 * 10**18], STAMPS[200:], False),
+    "a clock that was set back": (STAMPS[:100], [stamp + MS // 3 for stamp in STAMPS[10:110]], False),
+    "a copy that lost its beginning": (STAMPS[:100], STAMPS[60:100], True),
+    "a copy with more at its end": (STAMPS[:100], STAMPS[:150], True),
+    "a copy of one message": (STAMPS[:1], STAMPS[:1], True),
+}
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("kind", BESIDE)
+def test_only_a_file_with_the_stamps_of_a_listed_one_is_a_copy(tmp_path, kind, storage):
+    """By begin and end alone one stray stamp made a copy of a piece, and its messages were left out."""
+    listed, beside, copy = BESIDE[kind]
+    bag = tmp_path / "bag"
+    piece(bag, 0, storage, listed)
+    piece(bag, 1, storage, STAMPS[100:200])
+    recover(bag)
+    name = piece(bag, 2, storage, beside)
+    result = recover(bag)
+    assert [file.name for file in result.files if file.foreign] == ([name] if copy else [])
+    assert result.messages == len(listed) + 100 + (0 if copy else len(beside))
+    assert len(times(bag)) == result.messages
 
 
 def test_what_a_killed_recorder_wrote_after_its_last_list_is_taken_in(tmp_path):

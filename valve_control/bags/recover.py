@@ -1,6 +1,7 @@
 """Recovers a bag whose recorder was killed or whose files are damaged: `valve-control bag recover`."""
 
 import contextlib
+import itertools
 import os
 import re
 import shutil
@@ -52,7 +53,7 @@ class RecoveredFile(NamedTuple):
     gone: bool = False  # nothing of a bag was in it, and the bag goes on without it
     missing: bool = False  # metadata.yaml names it, and it is not there
     unlisted: bool = False  # it is there, and metadata.yaml did not name it
-    foreign: bool = False  # likewise, and its times are those of files that it names: it is left out
+    foreign: bool = False  # likewise, and its stamps are those of a file that it names: it is left out
 
 
 class Recovered(NamedTuple):
@@ -112,7 +113,8 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
     _refuse_foreign(path)
     if out is None:
         return _in_place(path, keep=True)
-    _files(path)
+    if not _interrupted(path):
+        _files(path)
     copy = _copied(path, out)
     try:
         return _in_place(copy, keep=False)
@@ -186,20 +188,14 @@ def _recovered(path: Path, storage: str, files: Sequence[Path], keep: bool) -> R
     done: list[RecoveredFile] = []
     inventories: list[_Inventory] = []
     folds: list[Path] = []
-    nothing: list[NothingError] = []
+    nothing: dict[Path, NothingError] = {}
     for file in files:
         try:
             state = EXAMINERS[storage](file, told, keep)
             result = state.repair() if state.repair is not None else None
             inventory = READERS[storage](file)
         except NothingError as error:
-            nothing.append(error)
-            if len(nothing) == len(files):
-                raise nothing[0] from None
-            aside = _put_aside(file, keep, "unreadable")
-            done.append(
-                RecoveredFile(file.name, 0, True, lost=_told_count(told, file), kept=aside, gone=True)
-            )
+            nothing[file] = error
             continue
         except (OSError, sqlite3.Error, McapError, struct.error) as error:
             raise BagError(f"{file} cannot be repaired: {reason(error)}") from error
@@ -209,13 +205,23 @@ def _recovered(path: Path, storage: str, files: Sequence[Path], keep: bool) -> R
         inventories.append(inventory)
         if state.fold:
             folds.append(file)
+    if nothing.keys() >= set(files):
+        raise nothing[files[0]]
+    for file in nothing:
+        try:
+            aside = _put_aside(file, keep, "unreadable")
+        except OSError as error:
+            raise BagError(f"{file} cannot be renamed: {reason(error)}") from error
+        done.append(RecoveredFile(file.name, 0, True, lost=_told_count(told, file), kept=aside, gone=True))
     for name in listed:
         if name not in {entry.name for entry in done} and path.is_dir():
             done.append(RecoveredFile(name, 0, False, lost=_told_count(told, path / name), missing=True))
     foreign = {
         one.file.path
         for one in inventories
-        if listed and one.file.path not in listed and _is_beside(one, inventories, listed)
+        if listed
+        and one.file.path not in listed
+        and any(_is_copy(one, other, files[0].parent) for other in inventories if other.file.path in listed)
     }
     inventories = [one for one in inventories if one.file.path not in foreign]
     done = [entry._replace(messages=0, foreign=True) if entry.name in foreign else entry for entry in done]
@@ -235,18 +241,27 @@ def _recovered(path: Path, storage: str, files: Sequence[Path], keep: bool) -> R
     return Recovered(path, tuple(done), not fits or any(file.repaired for file in done), kept)
 
 
-def _is_beside(one: _Inventory, others: Sequence[_Inventory], listed: Sequence[str]) -> bool:
-    """Whether the file has the times of one that is listed, for more than half of the shorter one."""
-    return any(
-        2 * (min(_end(one.file), _end(other.file)) - max(one.file.starting_time, other.file.starting_time))
-        > min(one.file.duration, other.file.duration)
-        for other in others
-        if other.file.path in listed and other.file.message_count and one.file.message_count
-    )
+def _is_copy(one: _Inventory, other: _Inventory, folder: Path) -> bool:
+    """Whether more than half of the messages of the shorter file have stamps of the longer one."""
+    few, many = sorted((one.file, other.file), key=lambda file: file.message_count)
+    together = min(_end(few), _end(many)) - max(few.starting_time, many.starting_time)
+    if few.message_count == 0 or 2 * together < min(few.duration, many.duration):
+        return False
+    common = np.isin(_stamps(folder / few.path), _stamps(folder / many.path))
+    return 2 * np.count_nonzero(common) > few.message_count
 
 
 def _end(file: File) -> int:
     return file.starting_time + file.duration
+
+
+def _stamps(path: Path) -> Integers:
+    """Log times of all messages of a file [ns]."""
+    if path.suffix == SUFFIXES["sqlite3"]:
+        with closing(_opened(path, _is_logged(path))) as database:
+            return np.array(database.execute("SELECT timestamp FROM messages").fetchall(), np.int64).ravel()
+    with closing(McapFile(path)) as file:
+        return np.concatenate([np.empty(0, np.int64), *(block.log_time for block in file.blocks())])
 
 
 def _files(path: Path) -> tuple[str, list[Path]]:
@@ -278,13 +293,14 @@ def _copied(path: Path, out: Path) -> Path:
         raise BagError(f"{out} exists already; the copy needs a new name")
     try:
         if path.is_dir():
-            shutil.copytree(
-                path, out, ignore=shutil.ignore_patterns("*.damaged*", "*.unreadable*", f"*{NEW}")
-            )
+            needed = {kept.name + end for _, kept in _interrupted(path) for end in ("", *SIDE_FILES)}
+            left_out = shutil.ignore_patterns("*.damaged*", "*.unreadable*", f"*{NEW}")
+            shutil.copytree(path, out, ignore=lambda folder, names: left_out(folder, names) - needed)
         else:
-            shutil.copy2(path, out)
-            for ending in SIDE_FILES:
-                side = path.with_name(path.name + ending)
+            source = next((kept for _, kept in _interrupted(path)), path)
+            shutil.copy2(source, out)
+            for file, ending in itertools.product({path, source}, SIDE_FILES):
+                side = file.with_name(file.name + ending)
                 if side.exists():
                     shutil.copy2(side, out.with_name(out.name + ending))
     except (OSError, shutil.Error) as error:
@@ -557,7 +573,7 @@ def _qos(text: object) -> tuple[metadata.Qos, ...]:
 def _examine_sqlite(path: Path, told: Metadata | None, keep: bool) -> _State:
     log = path.with_name(path.name + "-wal")
     expected = _told_count(told, path)
-    logged = log.exists() and log.stat().st_size > 0
+    logged = _is_logged(path)
     if path.stat().st_size == 0 and not logged:
         lost = _lost(expected, 0)
 
@@ -579,6 +595,12 @@ def _examine_sqlite(path: Path, told: Metadata | None, keep: bool) -> _State:
         )
 
     return _State(lambda: _replaced(path, keep, write))
+
+
+def _is_logged(path: Path) -> bool:
+    """Whether a log with content stands beside the database."""
+    log = path.with_name(path.name + "-wal")
+    return log.exists() and log.stat().st_size > 0
 
 
 def _verdict(path: Path, logged: bool) -> str:
@@ -619,8 +641,7 @@ def _fold(path: Path) -> None:
 
 
 def _read_sqlite(path: Path) -> _Inventory:
-    log = path.with_name(path.name + "-wal")
-    with closing(_opened(path, log.exists() and log.stat().st_size > 0)) as database:
+    with closing(_opened(path, _is_logged(path))) as database:
         columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
         if "name" not in columns:
             raise BagError(f"{path} is an SQLite database, but not of a bag: it has no table of topics")

@@ -164,7 +164,7 @@ class Salvage:
                 unfinished = unfinished and not ended
             if piece.opcode == Opcode.CHUNK:
                 # Only the index of the last chunk can be written in place.
-                unfinished = unfinished and all(place.is_indexed for place in places.values())
+                unfinished = unfinished and (chunk is None or places[chunk.begin].is_indexed)
                 chunk = piece
                 chunks += 1
                 places[piece.begin] = _Chunk(piece.end - piece.begin, set(channels), {})

@@ -431,7 +431,7 @@ def _done_to(file: "RecoveredFile") -> str:
         held = f" {file.lost} messages in" if file.lost is not None else ""
         return f"missing, and metadata.yaml names{held} it; the bag goes on without it"
     if file.foreign:
-        return "left out; metadata.yaml does not list it, and it has the times of files that are listed"
+        return "left out; metadata.yaml does not list it, and it has the stamps of one that is listed"
     kept = f"; the damaged file is kept as {file.kept}" if file.kept else ""
     kept += "; metadata.yaml did not list it" if file.unlisted else ""
     if not file.repaired:
