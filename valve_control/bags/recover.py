@@ -248,7 +248,7 @@ def _is_copy(one: _Inventory, other: _Inventory, folder: Path) -> bool:
     if few.message_count == 0 or 2 * together < min(few.duration, many.duration):
         return False
     common = np.isin(_stamps(folder / few.path), _stamps(folder / many.path))
-    return 2 * np.count_nonzero(common) > few.message_count
+    return 2 * int(np.count_nonzero(common)) > few.message_count
 
 
 def _end(file: File) -> int:
