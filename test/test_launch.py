@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+from launched import VARIABLE, nodes, variables
 from launched import command as launch
 
 from valve_control.laws.registry import LAWS
@@ -20,7 +21,6 @@ ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "launch").glob("*.launch.xml"))
 AXIS, ARM = "axis.launch.xml", "arm.launch.xml"  # of machines, not of a valve
 VALVES = [path for path in FILES if path.name not in (AXIS, ARM)]
-VARIABLE = re.compile(r"\$\(var (\w+)\)")
 OF_THE_USER = re.compile(r"\$\(var \w+_file\)")  # a file of the user's, or one of the node's own once more
 
 
@@ -109,27 +109,22 @@ def test_the_axis_is_launched_with_each_machine_and_message():
             assert choices(launched, name) == set(lookup(ROS_NODES["axis_controller"], name).choices)
 
 
-def started(group, space=""):
-    """Full name, executable and parameter files of each node in a group, and in those inside it."""
-    pushed = group.find("push_ros_namespace")
-    name = "" if pushed is None else VARIABLE.sub("", pushed.get("namespace"))
-    inside = f"{space}/{name}" if name else space
-    for node in group.findall("node"):
+def started(root):
+    """Files in config/ of each node that a launch file starts, by the node's full name."""
+    for name, node in nodes(root, {"namespace": ""}):
         named = [p.get("from", "") for p in node.findall("param")]
         paths = [name.split("valve_control)/")[1] for name in named if name and not OF_THE_USER.match(name)]
-        yield f"{inside}/{node.get('exec')}", node.get("exec"), [ROOT / path for path in paths]
-    for inner in group.findall("group"):
-        yield from started(inner, inside)
+        yield name, [ROOT / path for path in paths]
 
 
 def test_both_axes_of_the_arm_take_their_machines_and_the_manifold_has_their_valves():
-    found = {name: paths for name, _, paths in started(ET.parse(ROOT / "launch" / ARM).getroot())}
+    found = dict(started(ET.parse(ROOT / "launch" / ARM).getroot()))
     valves = arguments_of("/manifold", found.pop("/manifold"))["valves"]
     assert found.pop("/recorder") == [] and found.pop("/dashboard") == []
-    nodes = ("axis_simulator", "axis_controller")
-    assert set(found) == {f"/{valve}/{node}" for valve in valves for node in nodes}
+    both = ("axis_simulator", "axis_controller")
+    assert set(found) == {f"/{valve}/{node}" for valve in valves for node in both}
     for valve in valves:
-        simulated, upper = (arguments_of(name, found[name]) for name in (f"/{valve}/{n}" for n in nodes))
+        simulated, upper = (arguments_of(name, found[name]) for name in (f"/{valve}/{n}" for n in both))
         assert simulated["joint"] == upper["joint"] == valve
         assert upper["machine"] == f"crane_{valve}"
         assert known_machine(upper["machine"])["cylinder.area_a"] == simulated["cylinder.area_a"]
@@ -148,6 +143,10 @@ def arguments_of(name, paths):
     return values
 
 
+def duration(text):
+    return launching.value_of("duration", text, "/command_source")
+
+
 @pytest.mark.parametrize(
     ("convert", "text", "words"),
     [
@@ -157,8 +156,8 @@ def arguments_of(name, paths):
         (launching.sample_period, "fast", "rate is 'fast'; it must be a number"),
         (launching.sample_period, "nan", "rate is 'nan'"),
         (launching.sample_period, "", "rate is ''"),
-        (launching.duration, "-1.0", "duration is -1 s; it must lie between"),
-        (launching.duration, "long", "duration is 'long'; it must be a number"),
+        (duration, "-1.0", "duration is -1 s; it must lie between"),
+        (duration, "long", "duration is 'long'; it must be a number"),
     ],
 )
 def test_wrong_numbers_of_a_launch_are_one_sentence(convert, text, words):
@@ -190,7 +189,7 @@ def test_every_law_can_be_launched_and_nothing_else():
 
 def test_numbers_of_a_launch_become_those_of_the_nodes():
     assert launching.sample_period("2000") == 0.0005 and launching.sample_period("10") == 0.1
-    assert launching.duration("60") == 60.0
+    assert duration("60") == 60.0
 
 
 GIVEN = {
@@ -203,6 +202,9 @@ EVERY_FILE = [
     ("simulate:=maybe", "simulate is 'maybe'; it must be true or false"),
     ("port:=80x", "port is '80x'; it must be a number"),
     ("port:=8080.5", "port is '8080.5'; it must be a whole number"),
+    ("port:=8080.0", "port is '8080.0'; it must be a whole number"),
+    ("port:=8e3", "port is '8e3'; it must be a whole number"),
+    ("port:=-1", "port is -1; it must lie between"),
     ("port:=70000", "port is 70000; it must lie between"),
     ("namespace:=1st", "namespace is '1st'; it must be of letters, digits and _"),
     ("namespace:=boom/", "namespace is 'boom/'"),
@@ -222,9 +224,20 @@ def test_wrong_arguments_of_every_file_are_one_sentence(path, argument, words, m
     assert words in str(error.value) and "\n" not in str(error.value)
 
 
-def test_the_arguments_of_a_file_that_is_included_are_those_of_another(monkeypatch):
-    monkeypatch.setattr("sys.argv", ["ros2", "launch", "machine", "machine.launch.xml", "crane:=big"])
+@pytest.mark.parametrize(
+    "words", [["machine", "machine.launch.xml"], ["machine", "valve.launch.xml"], ["/crane/valve.launch.xml"]]
+)
+def test_the_arguments_of_a_file_that_is_included_are_those_of_another(words, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["ros2", "launch", *words, "crane:=big"])
     assert launching.checked("valve.launch.xml", **GIVEN) == "valve.launch.xml"
+
+
+@pytest.mark.parametrize("words", [["valve_control", "valve.launch.xml"], ["launch/valve.launch.xml"]])
+def test_a_launch_of_this_package_is_known_by_its_package_or_its_path(words, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr("sys.argv", ["ros2", "launch", *words, "crane:=big"])
+    with pytest.raises(ParameterError, match=r"valve\.launch\.xml has no argument 'crane'"):
+        launching.checked("valve.launch.xml", **GIVEN)
 
 
 def test_a_recording_that_exists_ends_the_launch_before_anything_runs(tmp_path):
@@ -232,6 +245,21 @@ def test_a_recording_that_exists_ends_the_launch_before_anything_runs(tmp_path):
         with pytest.raises(ParameterError, match="exists already; name a new one with bag:=NAME"):
             launching.checked("axis.launch.xml", **{**GIVEN, "record": record, "bag": str(tmp_path)})
     launching.checked("axis.launch.xml", **{**GIVEN, "bag": str(tmp_path)})
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_arguments_may_have_quotation_marks_and_backslashes(path, tmp_path):
+    folder = tmp_path / "o'neil \\"
+    folder.mkdir()
+    mine = folder / "'x'"
+    nodes = {"valve.launch.xml": "controller", "cascade.launch.xml": "command_source"}
+    node = nodes.get(path.name, "axis_controller")
+    mine.write_text(f"{node}: {{ros__parameters: {{sample_period: 0.002}}}}")
+    found = variables(path, params_file=str(mine), bag=str(folder / "new\\"), record="true")
+    assert str(mine) in [value for name, value in found.items() if name != "params_file"]
+    for name, words in [("namespace", "namespace is"), ("port", "port is"), ("record", "record is")]:
+        with pytest.raises(ParameterError, match=words):
+            variables(path, **{name: "'"})
 
 
 @pytest.fixture
@@ -276,6 +304,16 @@ def test_controller_and_valve_have_one_period_also_if_the_file_names_it_for_one(
         ),
         ({"rate": "500"}, "controller: {ros__parameters: {sample_period: 0.004}}", "rate is '500', and"),
         ({"duration": "5"}, "command_source: {ros__parameters: {duration: 7.0}}", "duration is '5', and"),
+        (
+            {"duration": "abc"},
+            "command_source: {ros__parameters: {duration: 7.0}}",
+            "duration is 'abc'; it must",
+        ),
+        (
+            {"rate": "3001"},
+            "controller: {ros__parameters: {sample_period: 0.000333333}}",
+            "rate is '3001', and",
+        ),
         ({}, "controller: {ros__parameters: {controler: pid}}", "did you mean 'controller'?"),
         ({}, "controller: {ros__parameters: {u_max: 1000.0}}", "u_max is 1000 V; it must lie between"),
         ({}, "axis_simulator: {ros__parameters: {seed: 1}}", "has nothing for the nodes of cascade.launch"),
@@ -298,12 +336,18 @@ def test_what_tune_wrote_can_be_launched(name):
     assert launching.file_value(str(path)) == str(path)
 
 
-def test_a_file_of_the_user_says_what_arguments_leave_at_their_defaults(own):
-    mine = own(
-        "controller: {ros__parameters: {controller: pid}}\ncommand_source: {ros__parameters: {duration: 7.0}}"
-    )
-    given = {"controller": "arc", "rate": "1000.0", "scenario": "sine", "duration": "7", "params_file": mine}
-    launching.checked("cascade.launch.xml", **{**GIVEN, **given})
+@pytest.mark.parametrize(
+    ("setting", "text"),
+    [
+        ({"duration": "7"}, "command_source: {ros__parameters: {duration: 7.0}}"),
+        ({"scenario": "sine"}, "command_source: {ros__parameters: {scenario: sine}}"),
+        ({"rate": "3000"}, "controller: {ros__parameters: {sample_period: 0.000333333}}"),
+        ({}, "controller: {ros__parameters: {controller: pid}}"),
+    ],
+)
+def test_an_argument_may_say_what_the_file_of_the_user_says(own, setting, text):
+    given = {"controller": "arc", "rate": "1000.0", "scenario": "point_to_point", "duration": "60.0"}
+    launching.checked("cascade.launch.xml", **{**GIVEN, **given, **setting, "params_file": own(text)})
 
 
 @pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="needs ros2 launch")

@@ -3,11 +3,12 @@
 import math
 
 import pytest
+import rcl
 from bench import spin_until
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 
-from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
+from valve_control.nodes.adapter import SAMPLES, NumberSubscription, _same, encoded
 
 NUMBERS = [0.0, -0.0, 1.0, -9.87654321, 5e-324, 1.7e308, math.inf, -math.inf]
 
@@ -29,3 +30,13 @@ def test_numbers_arrive_whoever_sends_them(ros):
     spin_until(ros, lambda: found.extend(numbers.take()) or len(found) == 3, "three numbers")
     assert [number for number, _ in found] == [1.5, -3.5, 2.5]
     assert [info["publication_sequence_number"] for _, info in found] == [1, 2, 4]
+
+
+@pytest.mark.parametrize(
+    "word",
+    ["2", "0x10", "-0x1F", "010", "007", "08", "1e3", "+2.5", "0x1p3", "nan", ".inf", "-.Inf", "Yes", "off"],
+)
+def test_a_word_of_the_command_line_is_known_in_the_value_that_rcl_makes_of_it(word):
+    value = rcl.read("/recorder", f"bag:={word}")["bag"]
+    assert not isinstance(value, str) and _same(word, value)
+    assert not _same(word, 17) and not _same(word, 2.25)

@@ -3,13 +3,17 @@
 import json
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
 
+import launched
 import pytest
+import rcl
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 
 from valve_control.cli import main
 from valve_control.nodes.adapter import plain
-from valve_control.parameter import defaults, updated
+from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.parameters import build, files
 from valve_control.parameters.table import CONTROLLER
 
@@ -196,3 +200,81 @@ def test_numbers_of_every_size_are_doubles_for_rcl(tmp_path):
         assert type(got[name]) is float, (name, value, got[name])
         assert got[name] == (value if abs(value) > 1e-300 else 0.0), (name, value, got[name])
     assert got["list"] == HARD == got["again"]
+
+
+def of_launch(file, node, **given):
+    """Values that rcl's own parser makes for a node of all that a launch file hands it, in its order."""
+    path = files.config_folder().parent / "launch" / file
+    values = launched.variables(path, **given)
+    element = dict(launched.nodes(ET.parse(path).getroot(), values))[node]
+    sources = []
+    for param in element.findall("param"):
+        if (named := param.get("from")) is not None:
+            share = named.replace("$(find-pkg-share valve_control)", str(path.parents[1]))
+            sources.append(launched.filled(share, values))
+        else:  # launch writes a file with the section /**
+            sources.append(f"{param.get('name')}:={launched.filled(param.get('value'), values)}")
+    return rcl.read(node, *sources)
+
+
+@pytest.mark.parametrize(
+    ("file", "node", "text", "given", "wanted"),
+    [
+        (
+            "cascade.launch.xml", "/command_source", "duration: 7.0, scenario: sine", {},
+            {"duration": 7.0, "scenario": "sine", "amplitude": 2.92},
+        ),
+        (
+            "cascade.launch.xml", "/command_source", "duration: 7.0", {"scenario": "sine"},
+            {"duration": 7.0, "scenario": "sine"},
+        ),
+        (
+            "cascade.launch.xml", "/crane/command_source", "scenario: sine", {"namespace": "crane"},
+            {"duration": 60.0, "scenario": "sine"},
+        ),
+        (
+            "axis.launch.xml", "/axis_controller", "message: trajectory, upper_level: axis_arc", {},
+            {"message": "trajectory", "upper_level": "axis_arc", "machine": "bench"},
+        ),
+        (
+            "arm.launch.xml", "/boom/axis_controller", "message: trajectory", {"upper_level": "axis_arc"},
+            {"message": "trajectory", "upper_level": "axis_arc", "joint": "boom"},
+        ),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("pattern", ["/**{}", "{}", "/**/{.name}", "/**"])
+def test_a_node_of_a_launch_has_what_the_file_of_the_user_says(
+    file, node, text, given, wanted, pattern, tmp_path
+):
+    """rcl merges all files into one list of sections, in the order in which each pattern came first."""
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(
+        f"{pattern.format(Path(node) if '.name' in pattern else node)}: {{ros__parameters: {{{text}}}}}"
+    )
+    got = of_launch(file, node, params_file=str(mine), **given)
+    assert {name: got[name] for name in wanted} == wanted
+
+
+def test_the_file_of_the_user_may_say_otherwise_for_each_axis_of_an_arm(tmp_path):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("/**/boom/axis_controller: {ros__parameters: {upper_level: axis_arc}}")
+    got = [
+        of_launch(
+            "arm.launch.xml", f"/crane/{axis}/axis_controller", namespace="crane", params_file=str(mine)
+        )
+        for axis in ("boom", "arm")
+    ]
+    assert [(values["upper_level"], values["message"]) for values in got] == [
+        ("axis_arc", "command"),
+        ("axis_pid", "command"),
+    ]
+
+
+def test_no_axis_of_an_arm_contradicts_an_argument(tmp_path):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(
+        "/**/boom/axis_controller: {ros__parameters: {message: command}}\n"
+        "/**/arm/axis_controller: {ros__parameters: {message: trajectory}}"
+    )
+    with pytest.raises(ParameterError, match="message is 'trajectory', and .* sets message to command"):
+        of_launch("arm.launch.xml", "/boom/axis_controller", message="trajectory", params_file=str(mine))

@@ -1,5 +1,7 @@
 """Holds what the nodes share: parameters from the table, polled subscriptions, messages, diagnostics."""
 
+import math
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -32,6 +34,8 @@ from valve_control.parameter import Parameter, ParameterError, Table, Value, Val
 from valve_control.parameters import arguments
 from valve_control.parameters.build import as_text
 
+OCTAL = re.compile(r"[+-]?0[0-7]+")
+OF_YAML = re.compile(r"^([+-]?)\.(?=inf|nan)", re.IGNORECASE)  # the point of .inf and .nan
 TELL = 0.5  # s between two lines of the log that tell changes of parameters, at the least
 PROCESS = 12  # bytes of an endpoint's address in DDS that all endpoints of a process have in common
 UNNUMBERED = 2**64 - 1  # in rmw's message info, of a middleware that numbers no messages, such as Cyclone DDS
@@ -108,9 +112,14 @@ def _same(word: str, value: Value) -> bool:
     if isinstance(value, bool):
         return word.lower() in (("true", "yes", "on", "y") if value else ("false", "no", "off", "n"))
     try:
-        return isinstance(value, (int, float)) and (float(word) == value or int(word, 0) == value)
-    except ValueError:
-        return False
+        if isinstance(value, int):
+            return int(word, 8 if OCTAL.fullmatch(word) else 0) == value
+        if isinstance(value, float):
+            number = float.fromhex(word) if "x" in word.lower() else float(OF_YAML.sub(r"\1", word))
+            return number == value or (math.isnan(number) and math.isnan(value))
+    except (ValueError, OverflowError):
+        pass
+    return False
 
 
 class ParameterSet:

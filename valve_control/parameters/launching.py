@@ -1,16 +1,22 @@
-"""Checks the arguments of launch files and turns them into ROS arguments; called by the files in launch/."""
+"""Checks the arguments of launch files and turns them into ROS arguments; called by the files in launch/.
+
+Launch puts an argument into an expression as it is. These files write r'''ARGUMENT '''[:-1], so that an
+argument may have quotation marks and end with a backslash.
+"""
 
 import difflib
 import math
 import re
 import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 
 from valve_control.laws.registry import LAWS, REFUSED
 from valve_control.parameter import ParameterError, Value, lookup, one_of
 from valve_control.parameters import files
+from valve_control.parameters.arguments import matches
 from valve_control.parameters.axis import ROS_NODES
 from valve_control.parameters.table import NODES
 
@@ -32,9 +38,10 @@ def checked(file: str, **values: str) -> str:
     for name in SWITCHES:
         if values[name].strip().lower() not in ("true", "1", "false", "0"):
             raise ParameterError(f"{name} is '{values[name]}'; it must be true or false")
-    port = _number("port", values["port"])
-    if not port.is_integer():
-        raise ParameterError(f"port is '{values['port']}'; it must be a whole number")
+    port = values["port"]
+    _number("port", port)
+    if not port.removeprefix("-").isdecimal():
+        raise ParameterError(f"port is '{port}'; it must be a whole number in digits, such as 8080")
     lookup(ROS_NODES["dashboard"], "port").check(int(port))
     if NAMESPACE.fullmatch(values["namespace"]) is None:
         raise ParameterError(
@@ -54,7 +61,11 @@ def _declared(file: str) -> dict[str, str]:
 
 
 def _root(file: str) -> ET.Element:
-    return ET.parse(files.config_folder().parent / "launch" / file).getroot()
+    return ET.parse(_path(file)).getroot()
+
+
+def _path(file: str) -> Path:
+    return files.config_folder().parent / "launch" / file
 
 
 def _takers(file: str) -> set[str]:
@@ -75,10 +86,13 @@ def _refuse_useless(file: str, path: str) -> None:
 
 def _command_line(file: str) -> list[str] | None:
     """Names of the arguments of the command line that launches ``file``, None if another file includes it."""
-    words = iter(sys.argv)
-    if not any(Path(word).name == file for word in words):
-        return None
-    return [word.partition(":=")[0] for word in words if ":=" in word]
+    own = _path(file).resolve()
+    for at, (package, word) in enumerate(pairwise(sys.argv), 2):
+        if (package, word) == ("valve_control", file) or (
+            Path(word).name == file and Path(word).resolve() == own
+        ):
+            return [word.partition(":=")[0] for word in sys.argv[at:] if ":=" in word]
+    return None
 
 
 def _refuse_unknown(file: str, given: Iterable[str], declared: Mapping[str, str]) -> None:
@@ -92,21 +106,34 @@ def _refuse_unknown(file: str, given: Iterable[str], declared: Mapping[str, str]
 
 def _refuse_contradictions(path: str, values: Mapping[str, str], declared: Mapping[str, str]) -> None:
     """Raise ParameterError if a file sets what an argument, other than its default, sets otherwise."""
-    for section in _load(path).values():
-        for name, value in section.items():
-            argument = "rate" if name == "sample_period" else name
-            if name not in NAMED or argument not in values:
-                continue
-            text = values[argument]
-            wanted = sample_period(text) if argument == "rate" else _like(value, text)
-            if text != declared[argument] and wanted != value:
-                raise ParameterError(
-                    f"{argument} is '{text}', and {path} sets {name} to {value}; leave one of them out"
-                )
+    for _, name, value in _named(path):
+        argument = "rate" if name == "sample_period" else name
+        if argument not in values:
+            continue
+        text = values[argument]
+        if text != declared[argument] and not _says(argument, text, value):
+            raise ParameterError(
+                f"{argument} is '{text}', and {path} sets {name} to {value}; leave one of them out"
+            )
 
 
-def _like(value: Value, text: str) -> Value:
-    return float(text) if isinstance(value, float) else text
+def _says(argument: str, text: str, value: Value) -> bool:
+    """Whether an argument makes a parameter ``value``; periods are written with few digits."""
+    if isinstance(value, float):
+        number = sample_period(text) if argument == "rate" else _number(argument, text)
+        return math.isclose(number, value, rel_tol=1e-5)
+    return text == value
+
+
+def _named(path: str) -> Iterator[tuple[str, str, Value]]:
+    """Pattern, name and value of what a file sets that arguments set too. Raises ParameterError."""
+    _load(path)
+    for section in files.sections(path) if path else []:
+        for node, table in ROS_NODES.items():
+            for parameter in table if section.node == node or "*" in section.node else ():
+                if parameter.name in NAMED and parameter.name in section.values:
+                    value = files.from_yaml(parameter, section.values[parameter.name])
+                    yield section.pattern, parameter.name, value
 
 
 def _load(path: str) -> dict[str, dict[str, Value]]:
@@ -159,11 +186,20 @@ def sample_period(rate: str, params_file: str = "") -> float:
     return 1.0 / hertz
 
 
-def duration(seconds: str) -> float:
-    """Length of the command [s]. Raises ParameterError."""
-    value = lookup(NODES["command_source"], "duration").check(_number("duration", seconds))
-    assert isinstance(value, float)
-    return value
+def value_of(name: str, text: str, node: str, params_file: str = "") -> Value:
+    """Value of a parameter of ``node`` (full name): the one in the file of parameters, else that of ``text``.
+
+    rcl merges a section of that file into the first one of the same pattern. If this is of a file in config/,
+    it lies before the arguments, and they would win. Raises ParameterError.
+    """
+    parameter = lookup(ROS_NODES[node.rsplit("/", 1)[-1]], name)
+    full = f"/{node.lstrip('/')}"
+    found = [
+        value for pattern, other, value in _named(params_file) if other == name and matches(pattern, full)
+    ]
+    return parameter.check(
+        found[-1] if found else _number(name, text) if isinstance(parameter.default, float) else text
+    )
 
 
 def law_option(controller: str) -> str:
