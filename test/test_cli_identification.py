@@ -80,6 +80,54 @@ def test_identified_model_goes_into_simulate_and_compensator(run, tmp_path):
     assert status == 0 and json.loads(out)["indices"]["e_rms"] < 0.06
 
 
+def test_a_valve_of_a_data_sheet_runs_with_every_law(run, tmp_path):
+    """The file has the valve as it was given, and each law follows better than the valve alone."""
+    given = ["identify", "--second-order", "18,0.8,1.05", "--set", "lvdt.noise=0.005"]
+    status, out, err = run(*given, "--output", "valve.yaml", "--json", "r.json")
+    assert status == 0 and "-90° at 18.00 Hz" in out, err
+    found = json.loads((tmp_path / "r.json").read_text())
+    omega = 2.0 * np.pi * 18.0
+    expected = [1.6 * omega, omega**2, 1.05 * omega**2]
+    assert found["theta"]["initial"][:3] == pytest.approx(expected, rel=1e-5)
+    assert found["notes"] == [] and found["model"]["static_gain"] == pytest.approx(1.05)
+    motion = ["--params-file", "valve.yaml", "--scenario", "sine", "--set", "frequency=5.0", "--json", "-"]
+    errors = {}
+    for law in ("open_loop", "pid", "arc", "oarc", "dcarc"):
+        status, out, err = run("simulate", "--controller", law, *motion, "--duration", "2")
+        assert status == 0 and json.loads(out)["warning"] is None, err
+        errors[law] = json.loads(out)["true_error"]["e_rms"]
+    assert max(errors[law] for law in errors if law != "open_loop") < 0.5 * errors["open_loop"]
+
+
+def test_a_data_sheet_gives_the_gains_that_a_test_of_the_valve_gives(run, tmp_path):
+    omega = 2.0 * np.pi * 18.0
+    valve = [
+        "--valve", "custom", "--set", f"numerator=[{1.05 * omega**2}]",
+        "--set", f"denominator=[1.0, {1.6 * omega}, {omega**2}]", "--set", "flow_force=0.0",
+    ]  # fmt: skip
+    made = {}
+    for name, options in {"measured": [*QUICK, *valve], "given": ["--second-order", "18,0.8,1.05"]}.items():
+        status, out, err = run("identify", *options, "--json", "-")
+        assert status == 0, err
+        made[name] = json.loads(out)["gains"]
+    assert made["given"].keys() == made["measured"].keys()
+    for name in ("pid.kp", "pid.ki", "pid.kd", "dcarc.voltage_weight", "reshaping.max_rate", "arc.k1"):
+        assert made["given"][name] == pytest.approx(made["measured"][name], rel=0.01)
+
+
+def test_a_second_order_is_not_given_a_zero_that_cancels_a_pole(run):
+    """The valve of 35 Hz with little noise, for which order 4 fits a pair of zeros on a pair of poles."""
+    omega = 2.0 * np.pi * 35.0
+    status, out, err = run(
+        "identify", "--valve", "custom", "--set", f"numerator=[{1.05 * omega**2}]", "--set",
+        f"denominator=[1.0, {1.4 * omega}, {omega**2}]", "--set", "lvdt.noise=0.005", "--json", "-",
+    )  # fmt: skip
+    found = json.loads(out)
+    assert status == 0 and found["best_order"] == 2, err
+    assert "dcarc.numerator" in found["gains"]
+    assert any("a zero at 69.58 Hz cancels a pole" in note for note in found["notes"])
+
+
 def test_stepped_sine_in_a_bag_with_and_without_parameters(run, tmp_path):
     own = {
         "scenario": "stepped_sine", "frequency": 1.5, "end_frequency": 80.0, "steps": 10, "cycles": 4,
@@ -169,6 +217,16 @@ def test_stepped_sine_in_a_bag_with_and_without_parameters(run, tmp_path):
         (["--band", "5", "2"], "--band"),
         (["--band", "0.001", "0.002", *QUICK], "no frequency of the test"),
         (["--zeros", "1"], "--zeros needs --order"),
+        (["--zeros", "-1", "--order", "4"], "at least 0"),
+        (["--second-order", "18,0.8"], "must be natural frequency [Hz], damping and static gain"),
+        (["--second-order", "0,0.8,1"], "natural frequency is 0 Hz"),
+        (["--second-order", "18,0.8,nan"], "static gain is nan; it must be finite"),
+        (["--second-order", "18,0.8,1e300"], "static gain is 1e+300 V/V"),
+        (["--second-order", "500,0.8,1"], "not below Nyquist's frequency, 500 Hz"),
+        (["--second-order", "18,0.8,1", "--friction"], "so it takes no --friction"),
+        (["--second-order", "18,0.8,1", "--csv", "r.csv"], "so it takes no --csv"),
+        (["--second-order", "18,0.8,1", "a_bag"], "so it takes no bag"),
+        (["--second-order", "18,0.8,1", "--set", "valve=custom"], "not of valve"),
         (["--order", "4", "--zeros", "3", *QUICK], "at most 2"),
         (["--order", "7"], "invalid choice"),
         (["--figure", "bode.pdf"], ".png or .svg"),

@@ -102,6 +102,23 @@ def test_a_law_without_feedback_is_tuned_and_reported_too(run, tmp_path, command
     assert "compensator: steps" in (tmp_path / "r.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    ("law", "valve", "own", "words"),
+    [
+        ("dcarc", "[1.0, 300.0, 48000.0]", [], "note: dcarc.model is that of the valve, custom"),
+        ("compensator", "[1.0, 300.0, 48000.0]", [], "note: compensator.model is that of the valve, custom"),
+        ("dcarc", "[1.0, 300.0, 48000.0]", ["--set", "dcarc.model=second_order"], ""),
+        ("dcarc", "[1.0, 48000.0]", [], "note: dcarc.model stays fourth_order, which is another valve"),
+    ],
+)
+def test_a_law_gets_the_model_of_the_valve_that_is_given(run, commands, law, valve, own, words):
+    """Or says that it keeps another; a model that was chosen stays without a word."""
+    given = ["--set", "valve=custom", "--set", "numerator=[48000.0]", "--set", f"denominator={valve}"]
+    refused = [*SMALL, "--alone", "--json", "-", "--folder", ""]  # after the models are chosen
+    _, _, err = run("tune", "--controller", law, *commands, *given, *own, *refused)
+    assert words in err and ("dcarc.model" in err) == (law == "dcarc" and bool(words)), err
+
+
 def lines_of(page, name):
     """Colours of the lines ``name`` in all figures."""
     return set(re.findall(f'"legendgroup":"{name}","line":{{"color":"(#[0-9A-F]{{6}})"', page))

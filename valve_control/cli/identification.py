@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control.bags.errors import BagError
 from valve_control.cli import compensator
-from valve_control.cli.common import Progress, check_outputs, clock_option, say, tell_notes
+from valve_control.cli.common import Progress, check_outputs, clock_option, say, tell_notes, write_json
 from valve_control.cli.simulate import SCENARIOS, setup_options
 from valve_control.identification import WEIGHTINGS
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 
 SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
 FRICTION_ROUNDS = 2  # the friction needs the model, and the model the friction
+MEASURED = (
+    "bag", "valve", "scenario", "command", "duration", "seed", "params_file", "friction", "settle", "band",
+    "order", "zeros", "delay", "weighting", "csv", "figure",
+)  # fmt: skip
+USUAL = {"settle": 0.4, "weighting": "likelihood"}
 BAG_ONLY = ("map", "of", "start", "end", "clock")
 
 
@@ -69,10 +74,21 @@ def add_commands(commands: Any) -> None:
     clock_option(group)
     group = identify.add_argument_group("how it is measured and fitted")
     group.add_argument(
-        "--settle", type=float, default=0.4, metavar="S", help="transient left out of a step (0.4)"
+        "--settle",
+        type=float,
+        default=USUAL["settle"],
+        metavar="S",
+        help="transient left out of a step (0.4)",
     )
     group.add_argument(
         "--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help="only these frequencies [Hz] are fitted"
+    )
+    group.add_argument(
+        "--second-order",
+        type=_second_order,
+        metavar="HZ,DAMPING,GAIN",
+        help="no test, a valve with this natural frequency, damping and static gain [V/V], for example of a "
+        "data sheet; takes --set of u_max, lvdt.noise, lvdt.resolution and lvdt.delay",
     )
     group.add_argument(
         "--order",
@@ -85,7 +101,7 @@ def add_commands(commands: Any) -> None:
     group.add_argument(
         "--weighting",
         choices=WEIGHTINGS,
-        default="likelihood",
+        default=USUAL["weighting"],
         help="likelihood: by uncertainty; relative: per cent; uniform: volts (default: likelihood)",
     )
     output = identify.add_argument_group("what comes out")
@@ -104,6 +120,9 @@ def _identify(arguments: argparse.Namespace) -> int:
     from valve_control.identification import experiment, friction, result
 
     check_outputs(arguments, [arguments.output, arguments.csv], [arguments.figure])
+    if arguments.second_order is not None:
+        return _given(arguments)
+    _check_order(arguments)
     if arguments.delay and _is_number(arguments.bag):
         raise ParameterError(
             f"--delay takes no number, because the dead time is estimated; leave out {arguments.bag} (a "
@@ -157,6 +176,64 @@ def _identify(arguments: argparse.Namespace) -> int:
     if arguments.json == "-":
         print(outputs.as_json(result.as_dict(found)), end="")
     return 0
+
+
+def _second_order(text: str) -> tuple[float, float, float]:
+    """Natural frequency [Hz], damping and static gain [V/V] out of ``text``."""
+    try:
+        frequency, damping, gain = map(float, text.split(","))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' must be natural frequency [Hz], damping and static gain, such as 18,0.8,1.05"
+        ) from error
+    return frequency, damping, gain
+
+
+def _given(arguments: argparse.Namespace) -> int:
+    """Write what follows from natural frequency, damping and static gain, without a test."""
+    from valve_control import outputs
+    from valve_control.identification import datasheet, result
+    from valve_control.parameters import files as parameter_files
+
+    named = {name: getattr(arguments, name) for name in (*MEASURED, *BAG_ONLY)}
+    for name, value in named.items():
+        if value not in (None, [], False, USUAL.get(name)):
+            option = {"bag": "bag", "start": "--from", "end": "--to"}.get(name) or f"--{name}".replace(
+                "_", "-"
+            )
+            raise ParameterError(f"identify --second-order measures nothing, so it takes no {option}")
+    direct = {"valve_simulator": {"sample_period": arguments.sample_period}}
+    for text in arguments.set:
+        name, _ = parameter_files.parse_setting(text)
+        if name not in datasheet.SETTABLE:
+            raise ParameterError(
+                f"identify --second-order takes --set of {', '.join(datasheet.SETTABLE)}, not of {name}"
+            )
+    changes = parameter_files.given([], direct, arguments.set)["valve_simulator"]
+    table = NODES["valve_simulator"]
+    found = datasheet.second_order(*arguments.second_order, updated(table, defaults(table), changes))
+    result.check_parameters(datasheet.parameters(found))
+    if arguments.json != "-":
+        print(datasheet.text(found))
+    if arguments.output is not None:
+        outputs.write(arguments.output, datasheet.yaml_text(found))
+        say(arguments, f"wrote {arguments.output}")
+    write_json(arguments, datasheet.as_dict(found))
+    return 0
+
+
+def _check_order(arguments: argparse.Namespace) -> None:
+    """Raise ParameterError for zeros that no model of the wanted order has."""
+    order, zeros = arguments.order, arguments.zeros
+    if zeros is None:
+        return
+    if order is None:
+        raise ParameterError("--zeros needs --order")
+    if not 0 <= zeros <= order - 2:
+        raise ParameterError(
+            f"--zeros is {zeros}; a valve of order {order} has at least 0 and at most {order - 2}, two fewer "
+            "than poles"
+        )
 
 
 def _is_number(text: str | None) -> bool:
@@ -282,17 +359,10 @@ def _found(
     fits: list[Fit] = [second]
     if arguments.order is not None:
         order, zeros = arguments.order, arguments.zeros
-        limit = max(0, order - 2)
-        if zeros is not None and not 0 <= zeros <= limit:
-            raise ParameterError(
-                f"--zeros is {zeros}; a valve of order {order} has at most {limit}, two fewer than poles"
-            )
         if order > 2:
             higher = rational.fit(measured, order, zeros, **options)
             rational.check_worth(higher)
             fits.append(higher)
-    elif arguments.zeros is not None:
-        raise ParameterError("--zeros needs --order")
     elif second.model_error == 0.0:
         notes.append("noise alone explains what the second order leaves, so no higher order is fitted")
     else:

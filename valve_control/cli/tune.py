@@ -19,6 +19,7 @@ from valve_control.cli.common import (
     clock_option,
     cluster_option,
     say,
+    tell_notes,
     workers,
     write_json,
 )
@@ -468,7 +469,12 @@ def _problems(
     if not quantities:
         raise ParameterError("every quantity of the box is fixed; there is no spread to tune for")
     motions = _motions(arguments, settings, files) if recorded is None else [recorded.motion]
+    chosen = parameter_files.given(arguments.params_file, {}, arguments.set)["controller"]
     for law in map(LAWS.__getitem__, laws):
+        if recorded is None:
+            values, said = box.with_model(law, settings, chosen)
+            tell_notes([said] if said else [])
+            settings = {**settings, "controller": values}
         values, expected = box.with_dead_time(law, settings, quantities)
         if expected is not None:
             print(

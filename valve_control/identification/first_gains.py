@@ -14,7 +14,7 @@ from valve_control.identification.friction import Friction
 from valve_control.identification.lvdt import Lvdt
 from valve_control.identification.rational import Fit, check_worth, fit
 from valve_control.identification.response import Response
-from valve_control.identification.theta import Suggestion
+from valve_control.identification.theta import GAINS, SPEEDS, Suggestion
 from valve_control.laws import arc, dcarc, oarc, pid, reshaping
 from valve_control.laws.law import Law
 from valve_control.parameter import ParameterError, Value, Values, defaults, number, numbers, updated
@@ -23,8 +23,6 @@ from valve_control.parameters.table import CONTROLLER
 from valve_control.plant import models, valve
 from valve_control.plant.models import TransferFunction
 
-GAINS = (0.67, 1.5)  # of the valve over that of the model, 3.5 dB
-SPEEDS = (0.8, 1.25)  # likewise
 LATER = (0.0, 1.0)  # sample periods of dead time beyond what was identified
 HALVINGS = 6
 AHEAD = 1.1  # times the valve's natural frequency, where PID's poles are put

@@ -29,6 +29,7 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 CONFIDENCE = 0.95
 VAGUE = 0.5  # of the static gain, a bound beyond which a fit says nothing
+CANCELLED = 0.02  # of a pole, a distance of a zero from it that no test's frequencies show
 UNKNOWN = 1.0  # of a denominator's coefficient, a bound beyond which the order is not in the data
 MISSED = 0.5  # of the response, rms, likewise
 UNSURE = 0.1  # relative uncertainty from which on a frequency tells nothing of a corner
@@ -187,11 +188,26 @@ def check_worth(made: Fit) -> None:
                 f"the data do not support order {made.order}: its {made.names[worst]} is "
                 f"{made.values[worst]:.3g} ± {100.0 * share[worst]:.2g} %; choose a lower order (--order 2)"
             )
+        at = _cancelled(made.model)
+        if at is not None:
+            raise ParameterError(
+                f"the data do not support order {made.order}: a zero at {at:.4g} Hz cancels a pole there; "
+                "choose a lower order (--order 2)"
+            )
     if not made.gain_bound <= VAGUE * abs(gain):
         raise ParameterError(
             f"order {made.order} leaves the static gain open, {gain:.3g} ± {made.gain_bound:.2g} V/V; "
             "test at lower frequencies, longer, or with a larger amplitude"
         )
+
+
+def _cancelled(model: TransferFunction) -> float | None:
+    """Frequency [Hz] of a pole of ``model`` that one of its zeros cancels; None: there is none."""
+    zeros = np.roots(model.numerator)
+    for pole in np.roots(model.denominator):
+        if np.any(np.abs(zeros - pole) < CANCELLED * abs(pole)):
+            return float(abs(pole)) / (2.0 * math.pi)
+    return None
 
 
 def measured_corners(measured: Response, static_gain: float) -> Corners:

@@ -7,7 +7,7 @@ import numpy as np
 
 from valve_control import outputs
 from valve_control.analysis.figures import COLOURS, bode_axes
-from valve_control.identification import bode, rational
+from valve_control.identification import bode, first_gains, rational
 from valve_control.identification.bode import Corners, Root
 from valve_control.identification.friction import Friction
 from valve_control.identification.lvdt import Lvdt
@@ -20,6 +20,11 @@ from valve_control.parameters import build
 from valve_control.parameters.files import as_yaml, load
 from valve_control.parameters.table import NODES
 from valve_control.plant.models import TransferFunction
+
+STABLE = (
+    "Gains of pid, arc, oarc, dcarc: for a first run, stable with 0.67 to 1.5 times the gain, 0.8 to",
+    "1.25 times the speed and a sample period of dead time more.",
+)
 
 
 class Identification(NamedTuple):
@@ -91,6 +96,15 @@ def friction_text(found: Friction) -> str:
     )
 
 
+def theta_text(found: Suggestion) -> str:
+    """Estimates and their bounds as the terminal shows them."""
+    return (
+        f"for arc and oarc: theta_initial {found.initial}\n"
+        f"                  theta_min     {found.lower}\n"
+        f"                  theta_max     {found.upper}"
+    )
+
+
 def text(found: Identification) -> str:
     """The whole identification as the terminal shows it."""
     m = found.measured
@@ -103,9 +117,7 @@ def text(found: Identification) -> str:
         f"{100 * np.max(relative):.2g} %; "
         f"-3 dB at {hertz(corners.minus_3db)}, -90° at {hertz(corners.minus_90)}",
         *(fit_text(made) for made in found.fits),
-        f"for arc and oarc: theta_initial {found.theta.initial}",
-        f"                  theta_min     {found.theta.lower}",
-        f"                  theta_max     {found.theta.upper}",
+        theta_text(found.theta),
         f"LVDT: noise {1e3 * found.lvdt.noise:.3g} mV, "
         + (f"steps of {1e3 * found.lvdt.resolution:.3g} mV" if found.lvdt.resolution else "no steps"),
         *([] if found.friction is None else [friction_text(found.friction)]),
@@ -116,12 +128,22 @@ def text(found: Identification) -> str:
 
 def parameters(found: Identification) -> dict[str, Values]:
     """Parameters for the nodes: the valve's model, a compensator for it, the adaptive laws' estimates."""
-    model = found.best.model
+    delay = found.best.delay if "delay" in found.best.names else None
+    known = first_gains.Valve(
+        found.best.model, delay or 0.0, found.theta, found.lvdt, found.measured.period, found.u_max,
+        found.friction,
+    )  # fmt: skip
+    return parameters_of(known, delay is not None, found.gains)
+
+
+def parameters_of(known: first_gains.Valve, late: bool, gains: Values) -> dict[str, Values]:
+    """Parameters for the nodes of a valve and its first ``gains``; ``late``: the dead time belongs to it."""
+    model, estimates = known.model, known.theta
     numerator, denominator = ([_rounded(c) for c in part] for part in model)
-    estimates = {
-        "theta_initial": found.theta.initial,
-        "theta_min": found.theta.lower,
-        "theta_max": found.theta.upper,
+    bounds = {
+        "theta_initial": estimates.initial,
+        "theta_min": estimates.lower,
+        "theta_max": estimates.upper,
     }
     valve: Values = {
         "valve": "custom",
@@ -129,16 +151,16 @@ def parameters(found: Identification) -> dict[str, Values]:
         "denominator": denominator,
         "gain_scale": 1.0,
         "flow_force": 0.0,
-        "lvdt.noise": _rounded(found.lvdt.noise),
-        "lvdt.resolution": _rounded(found.lvdt.resolution),
+        "lvdt.noise": _rounded(known.lvdt.noise),
+        "lvdt.resolution": _rounded(known.lvdt.resolution),
     }
-    if "delay" in found.best.names:
-        valve["lvdt.delay"] = _rounded(found.best.delay)
-    if found.friction is not None:
-        valve["friction.coulomb"] = _rounded(found.friction.coulomb)
+    if late:
+        valve["lvdt.delay"] = _rounded(known.delay)
+    if known.friction is not None:
+        valve["friction.coulomb"] = _rounded(known.friction.coulomb)
         valve["friction.static_ratio"] = 1.0
-        valve["friction.presliding"] = _rounded(found.friction.presliding)
-        valve["disturbance.offset"] = _rounded(found.friction.offset)
+        valve["friction.presliding"] = _rounded(known.friction.presliding)
+        valve["disturbance.offset"] = _rounded(known.friction.offset)
     controller: Values = {
         "compensator.design": "designed",
         "compensator.model": "custom",
@@ -147,9 +169,9 @@ def parameters(found: Identification) -> dict[str, Values]:
         "open_loop.static_gain": _rounded(model.static_gain),
     }
     for law in ADAPTIVE:
-        controller.update({f"{law}.{name}": list(values) for name, values in estimates.items()})
-    controller.update(found.gains)
-    return with_period({"valve_simulator": valve, "controller": controller}, found.measured.period)
+        controller.update({f"{law}.{name}": list(values) for name, values in bounds.items()})
+    controller.update(gains)
+    return with_period({"valve_simulator": valve, "controller": controller}, known.period)
 
 
 def with_period(tree: dict[str, Values], period: float) -> dict[str, Values]:
@@ -188,8 +210,7 @@ def yaml_text(found: Identification) -> str:
             ),
             "arc, oarc: the second-order fit to begin with; bounds from its confidence and from how far it",
             "is from the higher order over several bands of frequency.",
-            "Gains of pid, arc, oarc, dcarc: for a first run, stable with 0.67 to 1.5 times the gain, 0.8 to",
-            "1.25 times the speed and a sample period of dead time more.",
+            *STABLE,
         ],
     )
 
@@ -220,8 +241,14 @@ def read_model(path: str) -> TransferFunction:
     raise ParameterError(f"{path} has no valve model: neither 'valve' nor 'compensator.numerator' is in it")
 
 
-def _corners(found: Corners) -> dict[str, float | None]:
+def corners_dict(found: Corners) -> dict[str, float | None]:
+    """Corners for JSON."""
     return {"minus_3db_hz": found.minus_3db, "minus_90_hz": found.minus_90}
+
+
+def theta_dict(found: Suggestion) -> dict[str, list[float]]:
+    """Estimates and their bounds for JSON."""
+    return {"initial": found.initial, "min": found.lower, "max": found.upper}
 
 
 def fit_dict(made: Fit) -> dict[str, Any]:
@@ -241,7 +268,7 @@ def fit_dict(made: Fit) -> dict[str, Any]:
         "weighting": made.weighting,
         "error": made.error,
         "model_error": made.model_error,
-        **_corners(made.corners),
+        **corners_dict(made.corners),
     }
 
 
@@ -259,15 +286,11 @@ def as_dict(found: Identification) -> dict[str, Any]:
             "imaginary": m.value.imag,
             "deviation": m.deviation,
             "coherence": m.coherence,
-            **_corners(rational.measured_corners(m, found.best.model.static_gain)),
+            **corners_dict(rational.measured_corners(m, found.best.model.static_gain)),
         },
         "fits": [fit_dict(made) for made in found.fits],
         "best_order": found.best.order,
-        "theta": {
-            "initial": found.theta.initial,
-            "min": found.theta.lower,
-            "max": found.theta.upper,
-        },
+        "theta": theta_dict(found.theta),
         "lvdt": found.lvdt._asdict(),
         **({} if found.friction is None else {"friction": found.friction._asdict()}),
         "gains": found.gains,

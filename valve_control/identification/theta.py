@@ -9,9 +9,12 @@ from valve_control.identification.bode import held_response
 from valve_control.identification.rational import Fit, fit
 from valve_control.identification.response import Response
 from valve_control.parameter import ParameterError
+from valve_control.plant.models import TransferFunction
 
 Floats = npt.NDArray[np.float64]
 BANDS = (1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0)  # times the frequency of -90°
+GAINS = (0.67, 1.5)  # of a valve over that of its model, 3.5 dB
+SPEEDS = (0.8, 1.25)  # likewise
 MARGIN = 1.25  # factor beyond what was found, for what a test on one day does not show
 OFFSET = 0.5  # of u_max, the constant disturbance that the estimates can take up
 
@@ -51,6 +54,19 @@ def suggest(measured: Response, second: Fit, best: Fit, u_max: float) -> Suggest
     lower = np.maximum(lower, 0.2 * centre)
     offset = OFFSET * u_max * b0
     return Suggestion(_rounded([*centre, 0.0]), _rounded([*lower, -offset]), _rounded([*upper, offset]))
+
+
+def around(model: TransferFunction, u_max: float) -> Suggestion:
+    """θ(0) of a ``model`` of second order that was not measured; bounds of the valves near it.
+
+    These have GAINS times its gain and SPEEDS times its speed, with the margin that measured ones get too.
+    """
+    (b0,), (_, a1, a0) = model
+    corners = [[a1 * s, a0 * s**2, b0 * g * s**2] for g in GAINS for s in SPEEDS]
+    lower = np.min(corners, axis=0) / MARGIN
+    upper = np.max(corners, axis=0) * MARGIN
+    offset = OFFSET * u_max * b0
+    return Suggestion(_rounded([a1, a0, b0, 0.0]), _rounded([*lower, -offset]), _rounded([*upper, offset]))
 
 
 def _up_to(measured: Response, best: Fit, highest: float) -> Floats | None:

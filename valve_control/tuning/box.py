@@ -1,7 +1,8 @@
 """Draws the valves of a box around a given one: those that are simulated, and those for the margins."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -71,6 +72,30 @@ def with_dead_time(law: Law, settings: Settings, box: Sequence[Quantity]) -> tup
     except ParameterError:
         return values, None
     return changed, expected or None
+
+
+def with_model(law: Law, settings: Settings, given: Container[str]) -> tuple[Values, str]:
+    """The controller's values in which ``law`` has the valve's model, and a sentence about that.
+
+    ``given``: names of parameters that somebody has chosen; a model among them stays. The sentence is ""
+    where the law has no model of its own, or that of the valve.
+    """
+    values, plant = settings["controller"], settings["valve_simulator"]
+    name = f"{law.name}.model"
+    if values.get(name, plant["valve"]) == plant["valve"] or name in given:
+        return values, ""
+    changes: dict[str, Any] = {name: plant["valve"]}
+    if plant["valve"] == "custom" or number(plant, "gain_scale") != 1.0:
+        model = build.valve_model(plant)
+        changes = {name: "custom"}
+        changes.update({f"{law.name}.{part}": list(c) for part, c in model._asdict().items()})
+    try:
+        changed = updated(CONTROLLER, values, changes)
+        for variant in law.variants:
+            law.build(updated(CONTROLLER, changed, variant))
+    except ParameterError as error:
+        return values, f"{name} stays {values[name]}, which is another valve than the one given: {error}"
+    return changed, f"{name} is that of the valve, {changed[name]}; --set {name}=… says otherwise"
 
 
 def check_reach(plant: Values, wanted: float, name: str) -> None:
