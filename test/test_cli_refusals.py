@@ -160,6 +160,17 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
             ["simulate", "--valve", "custom", "--set", "denominator=[1.0, -58.0, 1650.0]"],
             ["pole at", "left of"],
         ),
+        (["simulate", "--set", "numerator=[9.0]"], ["numerator", "valve is fourth_order", "valve=custom"]),
+        (["identify", "--set", "denominator=[1.0, 9.0]"], ["denominator", "valve is fourth_order"]),
+        (["axis", "--set", "numerator=[9.0]"], ["numerator", "valve is", "not custom"]),
+        (
+            ["export", "--output", "e", "--controller", "dcarc", "--set", "dcarc.numerator=[9.0]"],
+            ["dcarc.numerator", "dcarc.model is fourth_order", "dcarc.model=custom"],
+        ),
+        (["simulate", "--set", "bag=monday"], ["bag", "running nodes alone"]),
+        (["study", "--set", "realtime.priority=3"], ["realtime.priority", "running nodes alone"]),
+        (["compare", "--set", "autostart=false"], ["autostart", "running nodes alone"]),
+        (["identify", "--set", "fault.lvdt=jump"], ["fault.lvdt", "running nodes alone"]),
         (["export", "--controller", "pid", "--output", "e.fmu"], ["e.fmu", "--fmu 2 or --fmu 3"]),
         (["export", "--plant", "valve", "--output", "E.FMU"], ["E.FMU", "--fmu 2 or --fmu 3"]),
         (["commission", "--undo", "--folder", "nosuch"], ["no commissioning in nosuch"]),
@@ -172,6 +183,16 @@ def test_contradictions_and_endless_inputs(run, tmp_path, arguments, words):
     (tmp_path / "c.csv").write_text("0.0\n0.5\n1.0\n")
     refused(run(*arguments), *words)
     assert [p.name for p in tmp_path.iterdir()] == ["c.csv"]
+
+
+def test_a_file_with_a_model_that_nobody_chooses_is_noted(run, tmp_path):
+    """A file that says both, as a node saves it, is not."""
+    for name, more in (("hand.yaml", ""), ("node.yaml", "    valve: fourth_order\n")):
+        head = "valve_simulator:\n  ros__parameters:\n    numerator: [9.0]\n"
+        (tmp_path / name).write_text(head + more)
+        status, _, err = run("simulate", "--params-file", name, "--duration", "0.1")
+        noted = "note: numerator has no effect, because valve is fourth_order, not custom" in err
+        assert status == 0 and noted == (not more), err
 
 
 @pytest.mark.parametrize(

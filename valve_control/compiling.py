@@ -10,8 +10,11 @@ import dis
 import functools
 import hashlib
 import os
+import re
 import tempfile
+import traceback
 import types
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +25,10 @@ PACKAGE = "valve_control"
 LANES = 8  # valves side by side in a compiled loop: the doubles of one AVX-512 register
 _packages = {PACKAGE: Path(__file__).resolve().parent}
 _beside: set[str] = set()  # packages that add no laws
+
+
+class CompileError(ParameterError):
+    """Says which law cannot be compiled, whatever its parameters are, and why."""
 
 
 def add_sources(package: str, folder: Path, laws: bool = True) -> None:
@@ -68,6 +75,8 @@ def _numba() -> Any:
     except OSError:
         folder = Path(tempfile.mkdtemp(prefix=f"{PACKAGE}-"))
     numba.config.CACHE_DIR = str(folder)
+    # The refusal that follows it says what is wrong.
+    warnings.filterwarnings("ignore", category=numba.core.errors.NumbaTypeSafetyWarning)
     return numba
 
 
@@ -108,6 +117,8 @@ def _compile(
     function: Callable[..., Any], replace: tuple[tuple[str, Callable[..., Any]], ...], nogil: bool
 ) -> Callable[..., Any]:
     numba = _numba()
+    if function.__closure__ is not None:
+        raise TypeError(f"{function.__qualname__} is a function within a function")
     scope = dict(function.__globals__)
     scope.update(replace)
     for instruction in dis.get_instructions(function):
@@ -144,12 +155,42 @@ def _compiled_module(module: types.ModuleType) -> types.ModuleType:
 
 @contextlib.contextmanager
 def explained(what: str) -> Iterator[None]:
-    """Raise ParameterError, naming ``what``, if numba refuses to compile something within the block."""
+    """Raise CompileError, naming ``what``, if something within the block cannot be compiled."""
     try:
         yield
+    except (ParameterError, OSError, MemoryError):
+        raise
     except Exception as error:
-        if not type(error).__module__.startswith("numba."):
+        if not _while_compiling(error):
             raise
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        reason = next((line for line in lines[1:] if "Failed in" not in line), lines[0] if lines else "")
-        raise ParameterError(f"{what} does not compile: {reason}") from error
+        raise CompileError(f"{what} does not compile: {_reason(error)}") from error
+
+
+def _while_compiling(error: Exception) -> bool:
+    """Whether numba or ``_compile`` raised ``error``, of whatever type, and not what was compiled."""
+    frames = (frame for frame, _ in traceback.walk_tb(error.__traceback__))
+    return type(error).__module__.startswith("numba.") or any(
+        (frame.f_globals is globals() and frame.f_code.co_name == _compile.__name__)
+        or str(frame.f_globals.get("__name__", "")).startswith("numba.")
+        for frame in frames
+    )
+
+
+def _reason(error: Exception) -> str:
+    """The cause out of numba's explanation of many lines, with the line of the source if it names one."""
+    if isinstance(error, RecursionError):
+        return "one of its functions calls itself"
+    text = str(error)
+    lines = [line.strip(" >") for line in text.splitlines() if line.strip(" >")]
+    at = next((i for i, line in enumerate(lines) if i and "Failed in" not in line), 0)
+    reason = (
+        " ".join(lines[at : at + 2]) if lines and lines[at].endswith(":") else "".join(lines[at : at + 1])
+    )
+    places = [
+        (name, line)
+        for name, line in re.findall(r'File "(.+?)", line (\d+)', text)
+        if not {PACKAGE, "numba"} & set(Path(name).parts)
+    ]
+    if places and places[0][0] not in reason:
+        reason += f" ({Path(places[0][0]).name}, line {places[0][1]})"
+    return reason or type(error).__name__

@@ -24,6 +24,7 @@ class Parameter(NamedTuple):
     high: float = math.inf
     choices: tuple[str, ...] = ()
     length: int = 0  # of an array, 0: any
+    left_out: tuple[tuple[str, str], ...] = ()  # choices that cannot be taken, and why
 
     @property
     def type_name(self) -> str:
@@ -61,6 +62,9 @@ class Parameter(NamedTuple):
             if type(value) is not type(self.default):
                 raise ParameterError(self._wrong_type(value))
             assert isinstance(value, (bool, str))
+            for name, reason in self.left_out:
+                if value == name:
+                    raise ParameterError(f"{self.name} is '{value}'; {reason}")
             if self.choices and value not in self.choices:
                 raise ParameterError(f"{self.name} is '{value}'; it must be {one_of(self.choices)}")
             return value

@@ -6,15 +6,17 @@ import math
 import os
 import shutil
 import subprocess
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from driven import COMPILERS
 
-from valve_control.export import settable, sources, unit
+from valve_control.export import folder, settable, sources, unit
 from valve_control.export.library import Library
 from valve_control.export.unit import leaves
 from valve_control.laws.registry import LAWS
-from valve_control.parameter import defaults, updated
+from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.parameters.linear_loop import flatten
 from valve_control.parameters.table import CONTROLLER, VALVE
 
@@ -85,6 +87,38 @@ def test_each_law_in_float_keeps_to_its_measured_difference(run, tmp_path, name)
         assert done.returncode == 0, done.stdout + done.stderr
         said = float(done.stdout.split("rows within ")[1].split(" V")[0])
         assert 0.0 < said < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("write", "read"),
+    [
+        (lambda path, text: folder.write(path, {"a": text, "b": text}), ("a", "b")),
+        (lambda path, text: folder.write_file(path, text.encode()), ("",)),
+    ],
+    ids=["folder", "file"],
+)
+def test_of_two_exports_at_once_one_is_refused(tmp_path, write, read):
+    """The other one is whole, and nothing else is left."""
+    start = threading.Barrier(2)
+
+    def export(path, text):
+        start.wait()
+        try:
+            write(path, text)
+        except ParameterError as error:
+            return str(error)
+        return text
+
+    with ThreadPoolExecutor(2) as pool:
+        for turn in range(30):
+            path = tmp_path / f"e{turn}"
+            said = sorted(pool.map(export, [path, path], ["1" * 5000, "2" * 5000]))
+            assert (
+                said[1]
+                == f"e{turn} was made by another program meanwhile; nothing was written, so give another name"
+            )
+            assert [(path / name).read_text() for name in read] == [said[0]] * len(read)
+    assert len(os.listdir(tmp_path)) == 30
 
 
 REFUSED = [

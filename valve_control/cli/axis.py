@@ -65,6 +65,7 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
     }
     notes: list[str] = []
     changes = files.given(arguments.params_file, direct, arguments.set, notes, AXIS_NODES)
+    notes += files.without_effect(arguments.set, changes, AXIS_NODES)
     tell_notes(notes)
     begun = run.default_settings()
     return {node: updated(table, begun[node], changes[node]) for node, table in AXIS_NODES.items()}
@@ -73,10 +74,11 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
 def _axis(arguments: argparse.Namespace) -> None:
     from valve_control.axis import run
     from valve_control.compiling import explained
+    from valve_control.laws.registry import LAWS
 
     check_outputs(arguments, [arguments.csv], [arguments.figure])
     setup = run.setup(_settings(arguments))
-    with explained(f"the law '{setup.law}'"):
+    with explained(LAWS[setup.law].title):
         found = run.simulate(setup)
     i = found.indices
     if arguments.json != "-":

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ from valve_control.cli import (
     tune,
 )
 from valve_control.cli.common import Parser, ended
-from valve_control.laws.registry import REFUSED
+from valve_control.laws.registry import LEFT_OUT
 
 EXAMPLES = """examples:
   valve-control identify --set lvdt.noise=0.005 --output valve.yaml --figure bode.png
@@ -119,6 +120,8 @@ def run(argv: Sequence[str]) -> int:
     arguments, stray = commands.top.parse_known_args(argv, argparse.Namespace(line=list(argv)))
     if stray:
         commands.parsers[arguments.task].error(f"unrecognized arguments: {' '.join(stray)}")
-    for sentence in REFUSED:
-        print(f"valve-control: {sentence}", file=sys.stderr)
+    asked = {word for given in argv for word in re.split("[=,]", given)}
+    for name, sentence in LEFT_OUT.items():
+        if name not in asked:  # else it is the refusal
+            print(f"valve-control: {sentence}", file=sys.stderr)
     return ended("valve-control", arguments.task, lambda: arguments.run(arguments))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from valve_control import interrupts, outputs
 from valve_control.bags.errors import BagError
+from valve_control.laws.registry import LEFT_OUT
 from valve_control.parameter import ParameterError
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with status 2."""
+        for name, sentence in LEFT_OUT.items():
+            if f"invalid choice: '{name}'" in message:
+                self.exit(2, f"{self.prog}: {sentence}\n")
         head, _, unknown = message.partition("unrecognized arguments: ")
         if unknown and not head:
             near = difflib.get_close_matches(unknown.split()[0], self._option_string_actions, n=1)

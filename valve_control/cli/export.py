@@ -5,7 +5,6 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from valve_control import outputs
 from valve_control.cli.common import check_outputs, say, tell_notes, write_json
 from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
 from valve_control.parameters.table import NODES
@@ -95,6 +94,7 @@ def _export(arguments: argparse.Namespace) -> None:
     direct = {"controller": {"controller": arguments.controller}}
     nodes = AXIS_NODES if arguments.plant == "axis" else NODES
     changes = files.given(arguments.params_file, direct, arguments.set, notes, nodes)
+    notes += files.without_effect(arguments.set, changes, nodes)
     tell_notes(notes)
 
     def values(node: str) -> Values:
@@ -110,7 +110,7 @@ def _export(arguments: argparse.Namespace) -> None:
         found = settable.find(chosen, bar.update)
         content = _content(arguments, chosen, found)
     if isinstance(content, bytes):
-        outputs.write(str(path), content)
+        folder.write_file(path, content)
         say(arguments, f"wrote {arguments.output}")
     else:
         folder.write(path, content)

@@ -293,6 +293,7 @@ def _simulated(arguments: argparse.Namespace, triangle: bool = False) -> "Experi
         )
     told: list[str] = []
     given = parameter_files.given(arguments.params_file, direct, arguments.set, told)
+    told += parameter_files.without_effect(arguments.set, given)
     tell_notes(told)
     settings: dict[str, Values] = {
         node: updated(NODES[node], defaults(NODES[node]), given[node])

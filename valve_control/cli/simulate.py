@@ -159,6 +159,7 @@ def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Value
         options["sample_period"] = arguments.sample_period
     notes: list[str] = []
     changes = files.given(arguments.params_file, direct, arguments.set, notes, law=law)
+    notes += files.without_effect(arguments.set, changes)
     tell_notes([] if law else notes)
     return {node: updated(table, defaults(table), changes[node]) for node, table in NODES.items()}
 

@@ -354,7 +354,7 @@ def _seed(arguments: argparse.Namespace) -> int:
 
 def _laws(names: str | None, usual: str) -> list[str]:
     """Laws that ``names`` asks for. Raises ParameterError."""
-    from valve_control.laws.registry import LAWS
+    from valve_control.laws.registry import LAWS, LEFT_OUT
 
     if names is None:
         return [usual]
@@ -364,6 +364,8 @@ def _laws(names: str | None, usual: str) -> list[str]:
     if "all" in asked:
         raise ParameterError(f"--controller {names}: all stands alone, it means every law that has gains")
     for name in asked:
+        if name in LEFT_OUT:
+            raise ParameterError(LEFT_OUT[name])
         if name not in CONTROLLERS:
             raise ParameterError(
                 f"--controller {names}: there is no law '{name}'; there are {', '.join(CONTROLLERS)}, and all"
@@ -484,8 +486,7 @@ def _problems(
             )
         settings = {**settings, "controller": values}
     model = build.valve_model(settings["valve_simulator"])
-    given = parameter_files.given(arguments.params_file, {}, arguments.set)["controller"]
-    controller = _with_limits(_braking(settings["controller"], given), model, given)
+    controller = _with_limits(_braking(settings["controller"], chosen), model, chosen)
     settings = {**settings, "controller": controller}
     seed = _seed(arguments)
     study = box.study_of(settings, quantities, arguments.valves, seed)

@@ -1,11 +1,13 @@
 """The folder that is handed over: sources, a recorded run, what compares them, Makefile and README."""
 
+import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+from valve_control import outputs
 from valve_control.export import compiler, samples, sources
 from valve_control.export.settable import Found
 from valve_control.export.sources import FLAGS, Sources
@@ -30,15 +32,42 @@ def refuse_taken(path: str) -> Path:
 
 
 def write(folder: Path, files: Mapping[str, str | bytes]) -> None:
-    """Make ``folder`` with all ``files``, or nothing. Raises OSError."""
+    """Make ``folder`` with all ``files``, or nothing.
+
+    Raises OSError, and ParameterError if another program has made it meanwhile.
+    """
     made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     try:
         for name, text in files.items():
             (made / name).write_bytes(text.encode("utf-8") if isinstance(text, str) else text)
         made.chmod(0o755)
-        made.rename(folder)
+        with _claimed(folder, folder.mkdir, folder.rmdir):
+            made.rename(folder)
     except BaseException:  # Ctrl-C too
         shutil.rmtree(made, ignore_errors=True)
+        raise
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Make the file ``path``, or nothing; raises as ``write`` does."""
+    with _claimed(path, lambda: path.touch(exist_ok=False), path.unlink):
+        outputs.write(str(path), content)
+
+
+@contextlib.contextmanager
+def _claimed(path: Path, claim: Callable[[], None], release: Callable[[], None]) -> Iterator[None]:
+    """``path``, empty after ``claim``, is filled within the block, or gone after it."""
+    try:
+        claim()
+    except FileExistsError as error:
+        raise ParameterError(
+            f"{path.name} was made by another program meanwhile; nothing was written, so give another name"
+        ) from error
+    try:
+        yield
+    except BaseException:  # Ctrl-C too
+        with contextlib.suppress(OSError):  # it is filled already, or gone
+            release()
         raise
 
 

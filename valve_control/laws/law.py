@@ -60,6 +60,11 @@ class Law(NamedTuple):
     package: str = PACKAGE  # that brings it
 
     @property
+    def title(self) -> str:
+        """Name and package, for messages."""
+        return f"the law '{self.name}' of the package {self.package}"
+
+    @property
     def feedback(self) -> bool:
         """Whether the voltage depends on the reading."""
         return self.model is not None

@@ -31,19 +31,20 @@ def _plugged_in(point: EntryPoint, taken: dict[str, Law]) -> Law:
     return law._replace(package=point.dist.name if point.dist is not None else point.module)
 
 
-def _all() -> tuple[dict[str, Law], list[str]]:
+def _all() -> tuple[dict[str, Law], dict[str, str]]:
     laws = {law.name: law for law in (arc.LAW, oarc.LAW, dcarc.LAW, pid.LAW, compensator.LAW, open_loop.LAW)}
-    refused: list[str] = []
+    refused: dict[str, str] = {}
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
         package = point.dist.name if point.dist is not None else point.module
         try:
             law = _plugged_in(point, laws)
         except LawError as error:
-            refused.append(f"the law '{point.name}' of the package {package} is left out: {error}")
+            refused[point.name] = f"the law '{point.name}' of the package {package} is left out: {error}"
         else:
             laws[law.name] = law
     return laws, refused
 
 
-LAWS, REFUSED = _all()
+LAWS, LEFT_OUT = _all()  # LEFT_OUT: why, as a sentence
+REFUSED = list(LEFT_OUT.values())
 ADAPTIVE = tuple(law.name for law in LAWS.values() if law.estimates_valve)

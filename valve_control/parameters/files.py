@@ -11,7 +11,7 @@ import yaml
 
 from valve_control import inputs, outputs
 from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, lookup, word
-from valve_control.parameters.table import NODES, is_of_ros
+from valve_control.parameters.table import NODE_ONLY, NODES, is_of_ros
 
 OF_ALL = {"sample_period", "u_max", "command_limit"}  # of the machine: a file of one law has them for all
 
@@ -276,6 +276,8 @@ def given(
     told: dict[str, str] = {}
     for text in settings:
         name, by_node = parse_setting(text, nodes)
+        if name in NODE_ONLY:
+            raise ParameterError(f"--set {text} has no effect here, because running nodes alone read {name}")
         if told.setdefault(name, text) != text:
             raise ParameterError(f"--set {told[name]} and --set {text} contradict each other")
         for node, value in by_node.items():
@@ -286,6 +288,32 @@ def given(
                 )
             changes[node][name] = value
     return changes
+
+
+def without_effect(
+    settings: Sequence[str], changes: Mapping[str, Values], nodes: Mapping[str, Table] = NODES
+) -> list[str]:
+    """Sentences about custom models in ``changes``, values by node, that nobody chooses.
+
+    Raises ParameterError if one comes from --set (``settings``).
+    """
+    direct = {text.partition("=")[0].strip() for text in settings}
+    notes: list[str] = []
+    for node, values in changes.items():
+        for name in values:
+            prefix, dot, last = name.rpartition(".")
+            choice = f"{prefix}.model" if dot else "valve"
+            if last not in ("numerator", "denominator") or name not in {p.name for p in nodes[node]}:
+                continue
+            chosen = values.get(choice, lookup(nodes[node], choice).default)
+            if chosen == "custom":
+                continue
+            sentence = f"{name} has no effect, because {choice} is {chosen}, not custom"
+            if name in direct:
+                raise ParameterError(f"{sentence}; give --set {choice}=custom too, or leave out --set {name}")
+            if choice not in values:  # a node writes both
+                notes.append(sentence)
+    return notes
 
 
 def of_laws(files: Sequence[Values]) -> list[str]:

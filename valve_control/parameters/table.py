@@ -2,7 +2,7 @@
 
 from valve_control.laws import reshaping
 from valve_control.laws.common import SAMPLE_PERIOD, U_MAX
-from valve_control.laws.registry import LAWS
+from valve_control.laws.registry import LAWS, LEFT_OUT
 from valve_control.parameter import Parameter, Table
 from valve_control.plant import models
 
@@ -27,6 +27,7 @@ CONTROLLER: Table = (
         "",
         "control law; changing it while running is bumpless",
         choices=tuple(LAWS),
+        left_out=tuple(LEFT_OUT.items()),
     ),
     SAMPLE_PERIOD,
     U_MAX,
@@ -399,6 +400,14 @@ NODES: dict[str, Table] = {
     "recorder": RECORDER,
     "dashboard": DASHBOARD,
 }
+
+# What running nodes alone read, so that it does nothing offline.
+NODE_ONLY = frozenset(
+    {p.name for p in (AUTOSTART, *REALTIME, *MANIFOLD, *RECORDER, *DASHBOARD)}
+    | {p.name for p in (*VALVE, *COMMAND) if p.name.startswith("fault.")}
+    | {"save_file", "load_file", "state_topics"}
+    | {"patience", "listeners", "clock", "voltage_timeout", "trigger", "every", "delay"}
+)
 
 
 def is_of_ros(name: str) -> bool:

@@ -389,7 +389,7 @@ def simulate(batch: Batch, threads: int | None = None, traces: Array | None = No
     elif traces.shape != shape or traces.dtype != np.float64 or not traces.flags.c_contiguous:
         raise ValueError(f"traces must be a C-contiguous array of float64 with shape {shape}")
     # One sample in this thread, because Ctrl-C reaches no other: the first time it compiles for a while.
-    with explained(f"the law '{batch.controller}' of the package {LAWS[batch.controller].package}"):
+    with explained(LAWS[batch.controller].title):
         _run_lanes(ready, 0, np.empty((0, 1, 3)))
     pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
     try:

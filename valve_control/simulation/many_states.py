@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.compiling import LANES, compile_function
+from valve_control.compiling import LANES, compile_function, explained
 from valve_control.laws.law import Law
 
 Array = npt.NDArray[np.float64]
@@ -67,5 +67,6 @@ def stepped(law: Law, params: Any, like: Any, points: Array) -> Array:
     padded = np.resize(points, (blocks * LANES, width))
     before = np.ascontiguousarray(padded.reshape(blocks, LANES, width).transpose(0, 2, 1))
     after = np.empty((blocks, width * LANES))
-    _compiled(law.module)(p=params, like=Point(like, 0.0), before=before.reshape(blocks, -1), after=after)
+    with explained(law.title):
+        _compiled(law.module)(p=params, like=Point(like, 0.0), before=before.reshape(blocks, -1), after=after)
     return after.reshape(blocks, width, LANES).transpose(0, 2, 1).reshape(-1, width)[:count]

@@ -108,7 +108,7 @@ def simulate(
     else:
         led = delivery.led(lead, delivery.received(controller_values, command, delivered))
     end = closed_loop.parts(law_state, valve_state)
-    with explained(f"the law '{name}' of the package {law.package}"):
+    with explained(law.title):
         for start in range(0, n, PIECE):
             piece = slice(start, start + PIECE)
             end = closed_loop.run_valve(

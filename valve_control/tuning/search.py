@@ -30,6 +30,7 @@ import numpy.typing as npt
 import scipy.stats
 
 from valve_control import evolution
+from valve_control.compiling import CompileError
 from valve_control.laws.free import Free, present
 from valve_control.laws.law import Law
 from valve_control.laws.reshaping import LEAD_ACCEL
@@ -224,6 +225,8 @@ class _Trials:
         try:
             params = trial.built(self._law, trial.values_with(self._problem, gains))
             found = margins.margins(self._law, params, self._box)
+        except CompileError:
+            raise
         except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
             return None
         return trial.violation(self._problem.limits, found, 1.0 / BACK_OFF)
