@@ -11,7 +11,7 @@ import pytest
 from valve_control.commands.scenarios import command
 from valve_control.dashboard.entry import Field
 from valve_control.dashboard.frames import ViewError, frame, sample, view
-from valve_control.dashboard.generator import check, fastest, largest
+from valve_control.dashboard.generator import check, fastest, largest, paced
 from valve_control.dashboard.latency import Latencies
 from valve_control.dashboard.machine import Machine
 from valve_control.dashboard.programs import Program
@@ -48,6 +48,17 @@ def test_limits_of_a_command_bound_what_is_sent(scenario):
     check(values, largest(shape), 1e9)
     with pytest.raises(ParameterError, match=f"the limit is {largest(shape) - 0.01:g} V"):
         check(values, largest(shape) - 0.01, 1e9)
+
+
+@pytest.mark.parametrize(("known", "waited_for"), [(0, 1), (1, 1), (3, 3), (1000, 100)])
+def test_a_command_waits_for_all_subscriptions_that_the_page_knows(known, waited_for):
+    """Not for the first alone, which is the page itself: the controller would miss the beginning."""
+    valve = Valve("/boom")
+    valve.listeners = known
+    valve.controller = NodeState("/boom/controller")
+    valve.controller.values = {"sample_period": 0.002}
+    values = updated(COMMAND, defaults(COMMAND), paced(valve))
+    assert (values["listeners"], values["sample_period"], values["start"]) == (waited_for, 0.002, 0.0)
 
 
 def test_rates_beyond_the_limit_are_refused():

@@ -15,7 +15,7 @@ from nicegui import ui
 
 from valve_control.commands.scenarios import SCENARIOS
 from valve_control.dashboard.entry import EntryError, number, parse
-from valve_control.dashboard.generator import check
+from valve_control.dashboard.generator import check, paced
 from valve_control.dashboard.valve import Valve
 from valve_control.dashboard.window import Window
 from valve_control.parameter import ParameterError, Value, Values, defaults, lookup, updated
@@ -105,8 +105,7 @@ class Doing:
             raise ParameterError(str(error)) from error
         node = valve.controller
         values = node.values if node is not None else {}
-        period = values.get("sample_period", 0.001)
-        changes |= {"sample_period": period, "start": 0.0, "listeners": 1}
+        changes |= paced(valve)
         made = updated(COMMAND, defaults(COMMAND), changes)
         bound = values.get("command_limit", limits[0])
         assert isinstance(bound, (int, float))

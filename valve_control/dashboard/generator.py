@@ -3,8 +3,10 @@
 import math
 
 from valve_control.commands.scenarios import Shape, stroke_time
-from valve_control.parameter import ParameterError, Values, word
+from valve_control.dashboard.valve import Valve
+from valve_control.parameter import ParameterError, Value, Values, lookup, word
 from valve_control.parameters import build
+from valve_control.parameters.table import COMMAND
 
 
 def largest(shape: Shape) -> float:
@@ -27,6 +29,16 @@ def fastest(shape: Shape) -> float:
         return stroke_time(abs(shape.amplitude), shape.max_velocity, shape.max_accel)[2]
     top = shape.frequency if shape.scenario == "sine" else max(shape.frequency, shape.end_frequency)
     return 2.0 * math.pi * top * abs(shape.amplitude)
+
+
+def paced(valve: Valve) -> dict[str, Value]:
+    """Parameters with which the command source keeps the pace of ``valve``, and begins when all hear it."""
+    values = valve.controller.values if valve.controller is not None else {}
+    return {
+        "sample_period": values.get("sample_period", 0.001),
+        "start": 0.0,
+        "listeners": max(1, min(valve.listeners, int(lookup(COMMAND, "listeners").high))),
+    }
 
 
 def check(values: Values, limit: float, rate_limit: float) -> Shape:

@@ -136,6 +136,7 @@ class Valve:
         ] = {}  # of an axis that it moves: position, goal [m], pressure_a [bar] ...
         self.latencies = Latencies()
         self.commanders: list[str] = []  # nodes that publish commands
+        self.listeners = 0  # subscriptions that a command reaches
         self.missing = 0  # messages that the page did not see, by their numbers
         self.log: deque[Line] = deque(maxlen=LOG)
         self.marks: deque[Mark] = deque(maxlen=MARKS)

@@ -17,7 +17,7 @@ from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParametersAtomically
 from rclpy.parameter import Parameter, parameter_value_to_python
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Float64MultiArray
@@ -28,6 +28,7 @@ from valve_control.dashboard.machine import Answer, Machine
 from valve_control.dashboard.valve import LAW, NodeState, Valve
 from valve_control.nodes.adapter import (
     EVERYTHING,
+    SAMPLES,
     NumberSubscription,
     ParameterSet,
     PointSubscription,
@@ -233,6 +234,15 @@ class Remote:
         """Give its clients back."""
         for client in self._clients.values():
             self._owner.destroy_client(client)
+
+
+def reached(subscriptions: Sequence[Any]) -> int:
+    """How many of ``subscriptions``, as the graph shows them, a command reaches: of its type and quality."""
+    return sum(
+        info.topic_type == NUMBER
+        and qos_check_compatible(SAMPLES, info.qos_profile)[0] != QoSCompatibility.ERROR
+        for info in subscriptions
+    )
 
 
 class Watched:
@@ -603,8 +613,10 @@ class Dashboard(Worker):
             for topic in ("spool_command", "spool_trajectory")
             for info in self.get_publishers_info_by_topic(f"{base}/{topic}")
         }
+        heard = reached(self.get_subscriptions_info_by_topic(f"{base}/spool_command"))
         with self.machine.lock:
             valve = self._watched[namespace].valve
+            valve.listeners = heard
             valve.commanders = sorted(commanders)
             valve.strangers = sorted(strangers)
 
