@@ -211,7 +211,8 @@ def _given(arguments: argparse.Namespace) -> int:
             )
     changes = parameter_files.given([], direct, arguments.set)["valve_simulator"]
     table = NODES["valve_simulator"]
-    found = datasheet.second_order(*arguments.second_order, updated(table, defaults(table), changes))
+    frequency, damping, gain = arguments.second_order
+    found = datasheet.second_order(frequency, damping, gain, updated(table, defaults(table), changes))
     result.check_parameters(datasheet.parameters(found))
     if arguments.json != "-":
         print(datasheet.text(found))
