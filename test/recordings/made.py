@@ -235,14 +235,20 @@ class Run:
             self.sample(2.0 * np.sin(2.0 * np.pi * t), **options)
 
 
-def write(path, messages, storage="mcap", keep=lambda message: True, **options):
-    """The messages as a bag, in the order of their log times."""
+def in_file_order(path, messages, storage="mcap", **options):
+    """The messages as a bag, in the order in which they are given."""
     with BagWriter(path, storage, **options) as writer:
         known = set()
-        for m in sorted(filter(keep, messages), key=lambda m: m.log_time):
+        for m in messages:
             if m.topic not in known:
                 known.add(m.topic)
                 text, _ = STORE.generate_msgdef(m.type, ros_version=2)
                 writer.add_topic(m.topic, m.type, text, STORE.hash_rihs01(m.type))
             writer.write(m.topic, m.log_time, m.time, m.sequence, m.data)
     return path
+
+
+def write(path, messages, storage="mcap", keep=lambda message: True, **options):
+    """The messages as a bag, in the order of their log times."""
+    ordered = sorted(filter(keep, messages), key=lambda m: m.log_time)
+    return in_file_order(path, ordered, storage, **options)

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from made import BEGIN, FLOAT, PERIOD, Message, Run, number, write
+from made import BEGIN, FLOAT, PERIOD, Message, Run, in_file_order, number, write
 
 from valve_control.bags.errors import BagError
 from valve_control.cli.command import run as main
@@ -118,21 +118,10 @@ STAMPS = {
 )
 def test_one_stray_stamp_costs_one_message(run, tmp_path, stamp, place, kinds):
     """The rest is analysed as if that message were not there; --from counts from the same beginning."""
-    from made import STORE
-
-    from valve_control.bags.writer import BagWriter
-
     ordered = sorted(run.messages, key=lambda m: m.log_time)
     at = [i for i, m in enumerate(ordered) if m.topic == "/spool_position"][place]
     stray = ordered[at]._replace(**dict.fromkeys(kinds, STAMPS[stamp]))
-    with BagWriter(tmp_path / "bag", "mcap") as writer:
-        known = set()
-        for m in [*ordered[:at], stray, *ordered[at + 1 :]]:
-            if m.topic not in known:
-                known.add(m.topic)
-                text, _ = STORE.generate_msgdef(m.type, ros_version=2)
-                writer.add_topic(m.topic, m.type, text, STORE.hash_rihs01(m.type))
-            writer.write(m.topic, m.log_time, m.time, m.sequence, m.data)
+    in_file_order(tmp_path / "bag", [*ordered[:at], stray, *ordered[at + 1 :]])
     loaded = load(tmp_path / "bag")
     (note,) = loaded.problems
     assert "1 message of /spool_position has a stamp far from all others" in note
@@ -190,21 +179,6 @@ def stepped_sine(set_at=None, by=0.0, numbered=True, lost=(), publish=True, seed
     return messages
 
 
-def in_file_order(path, messages):
-    """The messages as a bag, in the order in which they are given."""
-    from made import STORE
-
-    from valve_control.bags.writer import BagWriter
-
-    with BagWriter(path, "mcap") as writer:
-        for topic in ("/spool_position", "/valve_voltage"):
-            text, _ = STORE.generate_msgdef(FLOAT, ros_version=2)
-            writer.add_topic(topic, FLOAT, text, STORE.hash_rihs01(FLOAT))
-        for m in messages:
-            writer.write(m.topic, m.log_time, m.time, m.sequence, m.data)
-    return path
-
-
 HARD = {
     "nothing": ({}, False),
     "set by +2 s": ({"set_at": 25_000, "by": 2.0}, True),
@@ -236,19 +210,13 @@ def test_a_valve_is_identified_whatever_the_clock_did(tmp_path, capsys, case):
 )
 def test_a_clock_that_is_set_is_named_and_loses_nothing(run, tmp_path, by, numbered):
     """Of the longer part all is right: rates, lost ones, modes and length."""
-    from made import STORE
-
-    from valve_control.bags.writer import BagWriter
-
-    with BagWriter(tmp_path / "bag", "mcap") as writer:
-        known = set()
-        for m in sorted(run.messages, key=lambda m: m.log_time):
-            if m.topic not in known:
-                known.add(m.topic)
-                text, _ = STORE.generate_msgdef(m.type, ros_version=2)
-                writer.add_topic(m.topic, m.type, text, STORE.hash_rihs01(m.type))
-            more = round(by * 1e9) if m.log_time > BEGIN + 900_000_000 else 0
-            writer.write(m.topic, m.log_time + more, m.time + more, m.sequence * numbered, m.data)
+    messages = []
+    for m in sorted(run.messages, key=lambda m: m.log_time):
+        more = round(by * 1e9) if m.log_time > BEGIN + 900_000_000 else 0
+        messages.append(
+            m._replace(log_time=m.log_time + more, time=m.time + more, sequence=m.sequence * numbered)
+        )
+    in_file_order(tmp_path / "bag", messages)
     loaded = load(tmp_path / "bag")
     about = as_dict(analyze(loaded))
     valve = about["valves"]["valve"]

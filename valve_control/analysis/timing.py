@@ -34,7 +34,7 @@ class Timing(NamedTuple):
     rate_hz: float
     period_s: float  # median
     jitter_s: Spread  # distance of an interval from the median
-    gaps: int  # intervals longer than LATE periods
+    gaps: int | None  # intervals longer than LATE periods, None where the stamps are too coarse for it
     longest_gap_s: float
     lost: int | None  # by the publisher's sequence numbers, None where the bag has none
 
@@ -82,6 +82,11 @@ def timing(time: Integers, sequence: Integers) -> Timing:
         longest_gap_s=float(np.max(intervals)),
         lost=lost_messages(sequence),
     )
+
+
+def without_intervals(timing: Timing) -> Timing:
+    """``timing`` without what single intervals tell, for stamps that are coarser than these."""
+    return timing._replace(jitter_s=spread(np.empty(0)), gaps=None, longest_gap_s=np.nan)
 
 
 def _slopes(time: Integers, sequence: Integers, apart: int) -> Floats:

@@ -37,6 +37,7 @@ class Series(NamedTuple):
     log_time: Integers  # ns
     publish_time: Integers  # ns, the log time where the bag has none
     sequence: Integers  # of the publisher, 0 where the bag has none
+    place: Integers  # among all messages of the bag
     values: dict[str, Floats]  # by field
     raw: list[bytes]  # the messages themselves, if they were asked for
     undecodable: int  # messages left out
@@ -49,6 +50,7 @@ class Series(NamedTuple):
             log_time=self.log_time[chosen],
             publish_time=self.publish_time[chosen],
             sequence=self.sequence[chosen],
+            place=self.place[chosen],
             values={name: numbers[chosen] for name, numbers in self.values.items()},
             raw=[self.raw[i] for i in where],
         )
@@ -159,10 +161,13 @@ class Bag:
         told: Callable[[int], None] | None = None,
     ) -> Iterator[tuple[str, Block]]:
         """Yield messages of ``topics`` in blocks, each of one topic; ``start``, ``end`` [ns]: log times."""
+        before = 0
         for file in self._files:
             names = [t.name if self._is_known(self._as_told(t)) else "" for t in file.topics]
             wanted = [i for i, name in enumerate(names) if name in topics]
             for block in file.blocks(start, end, told):
+                block = block._replace(place=before + block.place)
+                before = int(block.place[-1]) + 1 if len(block.place) else before
                 for i in wanted:
                     chosen = np.flatnonzero(block.topic == i)
                     if len(chosen) == 0:
@@ -383,8 +388,8 @@ class _Collector:
         self._stride, self._seen, self._kept = 1, 0, 0
         self._fields = tuple(fields)
         self._keep_raw = raw
-        # Piece by piece: log time, publish time, sequence, fields.
-        self._integers: list[list[Integers]] = [[], [], []]
+        # Piece by piece: log time, publish time, sequence, place, fields.
+        self._integers: list[list[Integers]] = [[], [], [], []]
         self._floats: list[list[Floats]] = [[] for _ in fields]
         self._raw: list[bytes] = []
         self._undecodable = 0
@@ -401,7 +406,7 @@ class _Collector:
         if self._keep_raw:
             for at, size in zip(block.offset.tolist(), block.length.tolist(), strict=True):
                 self._raw.append(block.buffer[at : at + size].tobytes())
-        for pieces, column in zip(self._integers, block[2:5], strict=True):
+        for pieces, column in zip(self._integers, block[2:6], strict=True):
             pieces.append(column.copy())
         for k, numbers in enumerate(self._floats):
             numbers.append(values[:, k].copy())
@@ -422,12 +427,13 @@ class _Collector:
         return block.select(chosen)
 
     def series(self) -> Series:
-        log, publish, sequence = (_joined(pieces, np.int64) for pieces in self._integers)
+        log, publish, sequence, place = (_joined(pieces, np.int64) for pieces in self._integers)
         numbers = [_joined(pieces, np.float64) for pieces in self._floats]
         return Series(
             log,
             publish,
             sequence,
+            place,
             dict(zip(self._fields, numbers, strict=True)),
             self._raw,
             self._undecodable,

@@ -201,7 +201,7 @@ class McapFile:
         if end is not None:
             keep &= log < end
         publish = np.where(publish == 0, log, publish)
-        block = Block(buffer, topic, log, publish, sequence, offset, length)
+        block = Block(buffer, topic, log, publish, sequence, np.arange(len(topic)), offset, length)
         yield block if keep.all() else block.select(keep)
 
     def _topic_of(self) -> Integers:

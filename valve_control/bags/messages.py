@@ -42,6 +42,7 @@ class Block(NamedTuple):
     log_time: Integers  # ns
     publish_time: Integers  # ns, the log time where the storage has none
     sequence: Integers  # of the publisher, 0 where the storage has none
+    place: Integers  # among all messages: of the block, or of the bag
     offset: Integers
     length: Integers
 

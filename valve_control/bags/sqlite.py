@@ -169,6 +169,7 @@ class SqliteFile:
             stamp,
             np.where(publish == 0, stamp, publish),
             sequence,
+            np.arange(len(topic)),
             np.cumsum(length) - length,
             length,
         )

@@ -9,11 +9,20 @@ import numpy.typing as npt
 from valve_control.analysis.indices import Indices, indices
 from valve_control.analysis.segments import Segment, motions
 from valve_control.analysis.spectra import Spectrum, spectrum
-from valve_control.analysis.timing import LEAST, PAUSE, Timing, leaps, spread, timing, true_period
+from valve_control.analysis.timing import (
+    LEAST,
+    PAUSE,
+    Timing,
+    leaps,
+    spread,
+    timing,
+    true_period,
+    without_intervals,
+)
 from valve_control.bags.errors import BagError
 from valve_control.laws.registry import LAWS
 from valve_control.recordings.cleaning import seconds
-from valve_control.recordings.clocks import in_order
+from valve_control.recordings.clocks import in_order, shared
 from valve_control.recordings.modes import Interval, Mode, of_samples
 from valve_control.recordings.pace import Pace, pace, sentence
 from valve_control.recordings.parameters import Change
@@ -87,10 +96,12 @@ def _analyze_valve(valve: Valve) -> ValveAnalysis:
     except BagError as reason:
         left_out.append(str(reason))
     times = {part: timing(s.time, s.sequence) for part, s in valve.timed.items()}
+    if valve.coarse:
+        times = {part: without_intervals(entry) for part, entry in times.items()}
     recorded_after = {
         part: spread(seconds(s.log_time, s.time))._asdict()
         for part, s in valve.signals.items()
-        if valve.clock.source and len(s.time)
+        if valve.clock.source and not valve.coarse and not shared(s.log_time) and len(s.time)
     }
     name = controller_name(valve)
     parts: list[Part] = []

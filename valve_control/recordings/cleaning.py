@@ -9,6 +9,7 @@ import numpy.typing as npt
 from valve_control.bags.bag import FAR, Series, edges
 from valve_control.recordings.clocks import SMALL_DISORDER, in_order, steps_back
 from valve_control.recordings.mapping import Source
+from valve_control.recordings.ties import Ties, untied
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -25,6 +26,7 @@ class Samples(NamedTuple):
     time: Integers  # ns, by the clock of the recording
     log_time: Integers  # ns, when it was recorded
     sequence: Integers
+    place: Integers  # among all messages of the bag
     value: Floats  # V
 
     def pick(self, chosen: Any) -> "Samples":
@@ -33,6 +35,7 @@ class Samples(NamedTuple):
             time=self.time[chosen],
             log_time=self.log_time[chosen],
             sequence=self.sequence[chosen],
+            place=self.place[chosen],
             value=self.value[chosen],
         )
 
@@ -43,6 +46,7 @@ class Cleaned(NamedTuple):
     recorded: dict[str, Samples]  # everything
     timed: dict[str, Samples]  # of one publisher
     usable: dict[str, Samples]  # of one publisher, and finite
+    ties: Ties | None  # where the clock is coarser than the messages
 
 
 def seconds(stamp: Integers, begin: int | Integers = 0) -> Floats:
@@ -58,6 +62,15 @@ def clean(sources: Mapping[str, Source], series: Mapping[str, Series], problems:
     raw = {part: _samples(source, series[source.topic], problems) for part, source in sources.items()}
     raw = _one_stretch(raw, problems)
     recorded = _in_order(raw, problems)
+    ties = untied(recorded)
+    if ties is not None:
+        recorded = {part: one._replace(time=ties.times[part]) for part, one in recorded.items()}
+        name = recorded["spool_position"].topic
+        by = "in the order of the file" if len(ties.places) else "one after the other within a stamp"
+        problems.append(
+            f"stamps on {name} have a resolution of {1e3 * ties.resolution:.4g} ms, which is too coarse for "
+            f"latency, jitter and gaps; messages are paired {by}"
+        )
     timed = {part: _one_publisher(samples, problems) for part, samples in recorded.items()}
     usable = {}
     for part, samples in timed.items():
@@ -67,7 +80,7 @@ def clean(sources: Mapping[str, Source], series: Mapping[str, Series], problems:
             problems.append(f"{n} messages of {samples.topic} hold NaN or infinity and are left out")
             samples = samples.pick(keep)
         usable[part] = samples
-    return Cleaned(recorded, timed, usable)
+    return Cleaned(recorded, timed, usable, ties)
 
 
 def _samples(source: Source, series: Series, problems: list[str]) -> Samples:
@@ -79,7 +92,7 @@ def _samples(source: Source, series: Series, problems: list[str]) -> Samples:
             f"{series.undecodable} messages of {source.topic} could not be decoded and are left out: "
             f"{series.error}"
         )
-    return Samples(source.topic, series.publish_time, series.log_time, series.sequence, value)
+    return Samples(source.topic, series.publish_time, series.log_time, series.sequence, series.place, value)
 
 
 def _one_stretch(raw: dict[str, Samples], problems: list[str]) -> dict[str, Samples]:

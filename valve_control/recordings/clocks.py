@@ -21,6 +21,7 @@ SAME_SPEED = 0.01  # by which the speeds of two clocks may differ
 PIECES = 20  # of a recording
 PROMPT = 10.0  # % of them in which one message at least is recorded at once
 MANY = 10  # messages of a topic from which on its own times tell which of them stand apart
+SHARED = 0.05  # of the messages that have the stamp of the one before where the clock is coarse
 FEW, FEW_SHARE = 3, 1e-3  # messages that may be strays; more are a part of the recording
 SPIKE = 5  # messages in a row, of which two may stand apart
 
@@ -54,6 +55,18 @@ def in_order(sequence: Integers) -> bool:
     return len(sequence) > 1 and bool(np.all(np.diff(sequence) > 0))
 
 
+def shared(time: Integers) -> bool:
+    """Whether messages of a topic share their stamps ``time`` [ns], as those of a coarse clock."""
+    steps = np.diff(time)
+    return len(time) >= MANY and int(np.count_nonzero(steps == 0)) > SHARED * len(steps)
+
+
+def usual_step(time: Integers) -> float:
+    """Usual time [s] between two stamps of ``time`` [ns] that differ, 0 if there are no two."""
+    steps = np.diff(np.unique(time))
+    return float(np.median(steps)) * 1e-9 if len(steps) else 0.0
+
+
 def steps_back(time: Integers, sequence: Integers) -> Integers:
     """Where the clock of ``time`` [ns] was set back; by a little only where the numbers are in order."""
     intervals = np.diff(time)
@@ -84,6 +97,9 @@ def decide(
         if len(steps_back(series[name].publish_time, series[name].sequence))
         > len(steps_back(series[name].log_time, series[name].sequence))
     ]
+    coarse = [
+        name for name in stamped if shared(series[name].publish_time) and not shared(series[name].log_time)
+    ]
     differ = "" if without else next(filter(None, (_differing(series, group) for group in groups)), "")
     reason = ""
     if without:
@@ -95,6 +111,9 @@ def decide(
             f"the clocks run at different speeds (publish_time goes on by {speed:.4g} s in each second of "
             "log_time)"
         )
+    elif coarse:
+        resolution = usual_step(series[coarse[0]].publish_time)
+        reason = f"source times have a resolution of {1e3 * resolution:.4g} ms on {', '.join(coarse)}"
     else:
         reason = differ
     if wanted == "publish":

@@ -45,7 +45,7 @@ class Aligned(NamedTuple):
     measurement: Floats  # V
     voltage: Floats  # V, NaN where the bag has none
     latency: Floats  # s from reading to voltage, of the readings that were answered
-    unanswered: int  # readings without a voltage before the next one
+    unanswered: int | None  # readings without a voltage before the next one, None where stamps do not tell
     wall: bool  # whether time is real time, not lockstep
 
 
@@ -75,6 +75,7 @@ class Valve(NamedTuple):
     problems: list[str]
     doubts: list[str]  # those of them that are about the signals' messages
     clock: Clock  # of all times
+    coarse: bool  # whether stamps do not tell latency, jitter and gaps
 
     @property
     def lockstep(self) -> bool:
@@ -251,7 +252,8 @@ def _valve(
     if topics.state and len(series[topics.state].log_time):
         got = series[topics.state]
         named = {label: got.values[f"data[{label}]"] for label in STATE_FIELDS}
-        state = State(got.publish_time, labels, named)
+        stamp = got.publish_time if cleaned.ties is None else cleaned.ties.of(got.publish_time, got.place)
+        state = State(stamp, labels, named)
     for part in ("spool_command", "spool_position", "valve_voltage"):
         if part not in signals:
             problems.append(f"{topics.name} has no {part}; what needs it is left out")
@@ -282,6 +284,7 @@ def _valve(
         problems=problems,
         doubts=doubts,
         clock=clock,
+        coarse=cleaned.ties is not None,
     )
 
 
@@ -336,7 +339,8 @@ def align(valve: Valve) -> Aligned:
         after = np.searchsorted(voltages.time, stamp[later], side="right")
         answer = voltages.time[np.minimum(after, len(voltages.time) - 1)]
         answered = (answer > stamp[later]) & (answer <= until[later]) & (own == later)
-        latency = seconds(answer[answered], stamp[answered])
+        if not valve.coarse:
+            latency = seconds(answer[answered], stamp[answered])
         missed = ~answered
         seen = np.where(answered, answer, stamp)
         voltage = _held(voltages, np.searchsorted(voltages.time, until[later], side="left") - 1)
@@ -359,7 +363,7 @@ def align(valve: Valve) -> Aligned:
         measurement=measurement[first:],
         voltage=voltage[first:],
         latency=latency,
-        unanswered=int(np.count_nonzero(missed[first:])),
+        unanswered=None if valve.coarse else int(np.count_nonzero(missed[first:])),
         wall=not valve.lockstep,
     )
 

@@ -203,10 +203,16 @@ def _timing_rows(valve: ValveAnalysis) -> list[list[str]]:
             part,
             str(entry.messages),
             f"{entry.rate_hz:.2f}",
-            f"{1e3 * entry.jitter_s.p99:.3f}",
-            f"{1e3 * entry.jitter_s.max:.3f}",
-            str(entry.gaps),
-            f"{1e3 * entry.longest_gap_s:.2f}",
+            *(
+                ("?", "?", "?", "?")
+                if entry.gaps is None
+                else (
+                    f"{1e3 * entry.jitter_s.p99:.3f}",
+                    f"{1e3 * entry.jitter_s.max:.3f}",
+                    str(entry.gaps),
+                    f"{1e3 * entry.longest_gap_s:.2f}",
+                )
+            ),
             "?" if entry.lost is None else str(entry.lost),
         ]
         for part, entry in valve.timing.items()

@@ -1,0 +1,144 @@
+"""Gives messages that share their stamps times of their own, where a clock is coarser than the messages.
+
+A simulated clock often goes on by 10 ms, so ten readings and their ten voltages have one stamp. Their order
+in the file, and where that has topic after topic their order within the stamp, tells which belong together.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import median_filter
+
+from valve_control.analysis.timing import LATE, true_period
+from valve_control.recordings.clocks import MANY, in_order, shared, usual_step
+
+Integers = npt.NDArray[np.int64]
+BOTH = 0.2  # of the voltages that have the stamp of a reading where the clock is coarse
+INTERLEAVED = 0.8  # of the messages of two topics that alternate where their order in the file counts
+SAME_RATE = 0.1  # by which numbers may go on faster or slower than those of the readings, one for each
+WINDOW = 101  # messages whose usual distance to the readings counts for the one in their middle
+LATER = 0.6  # of a period from a reading to the command that was there after it
+NEAR = 2.0  # resolutions between the stamp of a message and those of its neighbours in the file
+
+
+class Messages(Protocol):
+    """Messages of one signal, in order of their stamps."""
+
+    @property
+    def time(self) -> Integers:
+        """Stamps [ns]."""
+
+    @property
+    def sequence(self) -> Integers:
+        """Numbers of the publisher."""
+
+    @property
+    def place(self) -> Integers:
+        """Places among all messages of the bag."""
+
+
+class Ties(NamedTuple):
+    """Times of messages of which many share their stamps."""
+
+    resolution: float  # s
+    times: dict[str, Integers]  # ns, by part
+    places: Integers  # of the readings, if the order in the file counts
+
+    def of(self, time: Integers, place: Integers) -> Integers:
+        """Times [ns] of messages with the stamps ``time`` by their ``place`` between the readings.
+
+        Stamps stay where no reading is near, and where the order in the file does not count.
+        """
+        if not len(self.places):
+            return time
+        known = self.times["spool_position"]
+        moved = known[0] + np.round(np.interp(place, self.places, known - known[0])).astype(np.int64)
+        inside = (place >= self.places[0]) & (place <= self.places[-1])
+        return self.near(time, np.where(inside, moved, time))
+
+    def near(self, time: Integers, moved: Integers) -> Integers:
+        """``moved`` [ns] where that is not far from ``time`` [ns], in order."""
+        near = np.abs(moved - time) <= NEAR * self.resolution * 1e9
+        return np.asarray(np.maximum.accumulate(np.where(near, moved, time)), dtype=np.int64)
+
+
+def untied(signals: Mapping[str, Messages]) -> Ties | None:
+    """Times of the signals of a valve of which many share their stamps; None if they do not.
+
+    Voltages, and commands that are as many as the readings, keep their distance to these in numbers, so that
+    a message that was recorded too late does not count for another reading.
+    """
+    readings, voltages = signals.get("spool_position"), signals.get("valve_voltage")
+    if readings is None or not _coarse(readings.time, None if voltages is None else voltages.time):
+        return None
+    answers = signals.get("valve_voltage", signals.get("spool_command"))
+    several = shared(readings.time)
+    ordered = several and answers is not None and _interleaved(readings.place, answers.place)
+    times = {part: _spread(one) for part, one in signals.items()}
+    ties = Ties(usual_step(readings.time), times, readings.place if ordered else readings.place[:0])
+    counted, lead = _numbers(readings), times["spool_position"]
+    period = round(float(np.median(np.diff(lead))))
+    numbers = np.concatenate([[counted[0] - 1], counted, [counted[-1] + 1]])
+    known = np.concatenate([[lead[0] - period], lead, [lead[-1] + period]])
+    for part, one in signals.items():
+        if part == "spool_position" or len(one.time) < MANY:
+            continue
+        keys = (readings.place, one.place) if ordered else (lead, times[part])
+        own, answer = times[part], part == "valve_voltage"
+        # The reading after which a message comes; a command with the key of a reading is there before it.
+        reading = numbers[np.searchsorted(*keys, side="right" if answer else "left")]
+        number = _numbers(one)
+        among = (reading >= counted[0]) & (reading < counted[-1])
+        ahead, ahead_of_it = (np.ptp(some[among]) if among.any() else 0 for some in (number, reading))
+        if ahead_of_it > 0 and abs(ahead / ahead_of_it - 1.0) < SAME_RATE:
+            reading = number + median_filter(reading - number, WINDOW, mode="mirror")
+            share = np.interp(reading + (0.0 if answer else LATER), numbers, known - known[0])
+            times[part] = ties.near(own, known[0] + np.round(share).astype(np.int64) + answer)
+        elif ordered:
+            times[part] = ties.of(own, one.place)
+    return ties
+
+
+def _coarse(time: Integers, answers: Integers | None) -> bool:
+    """Whether readings at ``time`` [ns] share their stamps, or the ``answers`` have those of readings."""
+    if answers is None or not len(answers) or not len(time):
+        return shared(time)
+    both = int(np.count_nonzero(np.isin(answers, time)))
+    return shared(time) or (len(time) > 1 and both > BOTH * min(len(time), len(answers)))
+
+
+def _interleaved(place: Integers, other: Integers) -> bool:
+    """Whether the messages of two topics, by their places in the file, alternate as they were sent."""
+    if len(other) == 0 or np.any(np.diff(place) <= 0) or np.any(np.diff(other) <= 0):
+        return False
+    alternating = len(np.unique(np.searchsorted(place, other)))
+    return alternating > INTERLEAVED * min(len(place), len(other))
+
+
+def _numbers(one: Messages) -> Integers:
+    """Numbers of the publisher, or from 0 where it has none that are in order."""
+    return one.sequence if in_order(one.sequence) else np.arange(len(one.time), dtype=np.int64)
+
+
+def _spread(one: Messages) -> Integers:
+    """Stamps [ns], in order, spread by number from the first message of a stamp to that of the next."""
+    time = one.time
+    first = np.flatnonzero(np.diff(time, prepend=time[:1] - 1) > 0)
+    if len(first) < 3 or len(first) == len(time):
+        return time
+    number = _numbers(one)
+    # Of the first stamp there may be the last messages only.
+    anchors = first[1:]
+    slopes = np.diff(time[anchors]) / np.diff(number[anchors])
+    measured = 1e9 * true_period(time, one.sequence)
+    period = measured if measured > 0.0 else float(np.median(slopes))
+    # After a pause messages come as soon as before it.
+    slopes = np.append(np.minimum(slopes, LATE * period), period)
+    own = np.searchsorted(anchors, np.arange(len(time)), side="right") - 1
+    before = min(period, (time[anchors[0]] - time[0]) / (number[anchors[0]] - number[0]))
+    slope = np.where(own < 0, before, slopes[own])
+    at = anchors[np.maximum(own, 0)]
+    moved = np.round((number - number[at]) * slope).astype(np.int64)
+    return np.asarray(time[at] + moved, dtype=np.int64)
