@@ -39,9 +39,15 @@ class Series(NamedTuple):
     sequence: Integers  # of the publisher, 0 where the bag has none
     place: Integers  # among all messages of the bag
     values: dict[str, Floats]  # by field
+    present: dict[str, npt.NDArray[np.bool_]]  # which messages have it, for fields that not all have
     raw: list[bytes]  # the messages themselves, if they were asked for
     undecodable: int  # messages left out
     error: str  # why the first of them
+    absent: dict[str, int]  # sound messages without a field, by fields that not all have
+
+    def having(self, field: str) -> "Series":
+        """The messages that have ``field``."""
+        return self.pick(self.present[field]) if field in self.present else self
 
     def pick(self, chosen: npt.NDArray[Any]) -> "Series":
         """The messages chosen by a mask or by indices."""
@@ -52,6 +58,7 @@ class Series(NamedTuple):
             sequence=self.sequence[chosen],
             place=self.place[chosen],
             values={name: numbers[chosen] for name, numbers in self.values.items()},
+            present={name: mask[chosen] for name, mask in self.present.items()},
             raw=[self.raw[i] for i in where],
         )
 
@@ -383,7 +390,9 @@ class _Collector:
     """Collects the columns of one topic, block by block."""
 
     def __init__(self, topic: Topic, fields: Sequence[str], raw: bool, sparse: bool) -> None:
-        self._decoder = Decoder(topic, fields, optional=sparse) if fields else None
+        # Each field has a decoder: messages of one publisher may have one, those of another the other.
+        groups = [fields] if sparse and fields else [[field] for field in fields]
+        self._decoders = [Decoder(topic, group, optional=sparse) for group in groups]
         self._sparse = sparse
         self._stride, self._seen, self._kept = 1, 0, 0
         self._fields = tuple(fields)
@@ -391,6 +400,7 @@ class _Collector:
         # Piece by piece: log time, publish time, sequence, place, fields.
         self._integers: list[list[Integers]] = [[], [], [], []]
         self._floats: list[list[Floats]] = [[] for _ in fields]
+        self._present: list[list[npt.NDArray[np.bool_]]] = [] if sparse else [[] for _ in fields]
         self._raw: list[bytes] = []
         self._undecodable = 0
 
@@ -398,11 +408,18 @@ class _Collector:
         if self._sparse:
             block = self._thinned(block)
         values = np.empty((len(block.topic), 0))
-        if self._decoder is not None:
-            values, done = self._decoder.decode(block.buffer, block.offset, block.length)
+        if self._decoders:
+            before = self._decoders[0].absent
+            found = [one.decode(block.buffer, block.offset, block.length) for one in self._decoders]
+            values = np.hstack([numbers for numbers, _ in found])
+            masks = np.array([mask for _, mask in found])
+            absent = self._decoders[0].absent - before
+            self._undecodable += int(np.count_nonzero(~masks[0])) - absent
+            done = masks.any(axis=0)
             if not done.all():
-                self._undecodable += int(np.count_nonzero(~done))
-                block, values = block.select(done), values[done]
+                block, values, masks = block.select(done), values[done], masks[:, done]
+            for has, mask in zip(self._present, masks, strict=False):
+                has.append(mask)
         if self._keep_raw:
             for at, size in zip(block.offset.tolist(), block.length.tolist(), strict=True):
                 self._raw.append(block.buffer[at : at + size].tobytes())
@@ -427,6 +444,11 @@ class _Collector:
         return block.select(chosen)
 
     def series(self) -> Series:
+        masks = [
+            (field, _joined(pieces, np.bool_))
+            for field, pieces in zip(self._fields, self._present, strict=False)
+        ]
+        absent = [(field, one.absent) for field, one in zip(self._fields, self._decoders, strict=False)]
         log, publish, sequence, place = (_joined(pieces, np.int64) for pieces in self._integers)
         numbers = [_joined(pieces, np.float64) for pieces in self._floats]
         return Series(
@@ -435,9 +457,11 @@ class _Collector:
             sequence,
             place,
             dict(zip(self._fields, numbers, strict=True)),
+            {field: mask for field, mask in masks if not mask.all()},
             self._raw,
             self._undecodable,
-            self._decoder.error if self._decoder is not None else "",
+            self._decoders[0].error if self._decoders else "",
+            {field: count for field, count in absent if count},
         )
 
 

@@ -33,9 +33,19 @@ KINDS = {"bool": "u1", "octet": "u1", "byte": "u1", "char": "u1"} | {
 }
 PART = re.compile(r"\.?([A-Za-z_][A-Za-z0-9_]*)|\[([^\]]*)\]")
 HEADER = 4  # bytes before the message proper
+EMPTY = "structure_needs_at_least_one_member"  # a byte that stands in messages without fields
 HOPELESS = 100  # undecodable messages of one size in a block after which the rest is not tried
 UNDECODABLE = (SerdeError, struct.error, ValueError, IndexError)  # what rosbags raises for damaged messages
 Floats = npt.NDArray[np.float64]
+
+
+class AbsentError(BagError):
+    """A sound message does not have a number that is asked for; ``labels``: those that it has."""
+
+    def __init__(self, text: str, labels: Sequence[str] = ()) -> None:
+        super().__init__(f"{text}; its labels are {', '.join(labels)}" if labels else text)
+        self.text = text
+        self.labels = tuple(labels)
 
 
 class Leaf(NamedTuple):
@@ -55,6 +65,7 @@ class Layout(NamedTuple):
     sources: Integers  # offset of each field
     sizes: Integers
     kinds: tuple[str, ...]  # of numpy
+    absent: AbsentError | None = None  # why the fields are not there
 
 
 class _Walk:
@@ -116,7 +127,8 @@ class _Walk:
             size = SIZES[detail[0]]
             if count > 0:
                 self._align(size)
-            self.leaves[path] = Leaf(self.at, KINDS[detail[0]], count, single)
+            if path.rpartition(".")[2] != EMPTY:
+                self.leaves[path] = Leaf(self.at, KINDS[detail[0]], count, single)
             self.at += size * count
         if self.at > len(self.message):
             raise BagError(f"a message ends in the middle of its {path}")
@@ -137,12 +149,12 @@ class _Walk:
         ]
 
     def find(self, field: str) -> Leaf:
-        """The single number that ``field`` names. Raises BagError."""
+        """The single number that ``field`` names. Raises BagError, and AbsentError if others may have it."""
         path, index = normal(field)
         leaf = self.leaves.get(path)
         if leaf is None:
             numbers = [name if entry.single else f"{name}[0]" for name, entry in self.leaves.items()]
-            raise BagError(f"there is no number '{field}'; there is {', '.join(numbers[:12]) or 'none'}")
+            raise AbsentError(f"there is no number '{field}'; there is {', '.join(numbers[:12]) or 'none'}")
         if index is None:
             if not leaf.single:
                 raise BagError(f"{field} is a list; write {field}[0] for its first entry")
@@ -150,7 +162,7 @@ class _Walk:
         number = self._index(path, index)
         if leaf.single or not 0 <= number < leaf.entries:
             has = "is a single number" if leaf.single else f"has {leaf.entries} entries"
-            raise BagError(f"there is no {field}: {path} {has}")
+            raise AbsentError(f"there is no {field}: {path} {has}")
         size = int(leaf.kind[1:])
         return Leaf(leaf.offset + number * size, leaf.kind, 1, True)
 
@@ -163,10 +175,9 @@ class _Walk:
             self.lengths += range(at, at + size)
             if self.text(place) == index:
                 return i
-        known = ", ".join(self.text(place) for place in labels)
-        raise BagError(
-            f"there is no {path}[{index}]; " + (f"its labels are {known}" if known else "it has no labels")
-        )
+        if not labels:
+            raise AbsentError(f"there is no {path}[{index}]; it has no labels")
+        raise AbsentError(f"there is no {path}[{index}]", [self.text(place) for place in labels])
 
 
 def normal(field: str) -> tuple[str, str | None]:
@@ -254,8 +265,8 @@ def _gather(
 class Decoder:
     """Takes the numbers ``fields`` out of the messages of one topic.
 
-    With ``optional``, a field that a message does not have is NaN; otherwise that message cannot be decoded.
-    Raises BagError if the topic's type is unknown.
+    With ``optional``, a field that a message does not have is NaN; otherwise that message is left out, and
+    counted in ``absent``. Raises BagError if the topic's type is unknown.
     """
 
     def __init__(self, topic: Topic, fields: Sequence[str], optional: bool = False) -> None:
@@ -263,6 +274,8 @@ class Decoder:
         self.fields = tuple(fields)
         self._optional = optional
         self.error = ""  # why the first message that could not be decoded could not
+        self.absent = 0  # sound messages that do not have all fields
+        self.absence: AbsentError | None = None  # with the labels that they have
         self._types = types_of(topic)
         self._layouts: dict[int, list[Layout]] = {}
 
@@ -280,8 +293,9 @@ class Decoder:
     ) -> tuple[Floats, npt.NDArray[np.bool_]]:
         """Fields (n×m) of the messages, and a mask of those that could be decoded."""
         if len(length) and length[0] == length.min() == length.max() and self._layouts.get(int(length[0])):
-            fits, values = self._take(self._layouts[int(length[0])][0], buffer, offset)
-            if fits.all():
+            layout = self._layouts[int(length[0])][0]
+            fits, values = self._take(layout, buffer, offset)
+            if fits.all() and layout.absent is None:
                 return values, fits
         result = np.full((len(offset), len(self.fields)), np.nan)
         done = np.zeros(len(offset), dtype=np.bool_)
@@ -293,23 +307,40 @@ class Decoder:
                 if tried == len(known):
                     start = int(offset[left[0]])
                     try:
-                        known.append(self.layout(buffer[start : start + size].tobytes()))
+                        known.append(self._any_layout(buffer[start : start + size].tobytes()))
                     except (BagError, struct.error, KeyError) as error:
                         self.error = self.error or str(error)
                         left = left[1:]
                         failed += 1
                         continue
                 fits, values = self._take(known[tried], buffer, offset[left])
-                result[left[fits]] = values[fits]
-                done[left[fits]] = True
+                if known[tried].absent is None:
+                    result[left[fits]] = values[fits]
+                    done[left[fits]] = True
+                else:
+                    self.absent += int(np.count_nonzero(fits))
                 left = left[~fits]
                 tried += 1
         return result, done
 
     def layout(self, message: bytes) -> Layout:
         """Layout of messages like this one. Raises BagError if a field is not there."""
+        layout = self._any_layout(message)
+        if layout.absent is not None:
+            raise layout.absent
+        return layout
+
+    def _any_layout(self, message: bytes) -> Layout:
+        """Likewise, or a layout of messages that do not have all fields."""
         walk = _Walk(self._types, self.topic.type, message)
-        leaves = [self._find(walk, field) for field in self.fields]
+        leaves: list[Leaf] = []
+        absent = None
+        try:
+            leaves += [self._find(walk, field) for field in self.fields]
+        except AbsentError as error:
+            absent, before = error, self.absence
+            known = (*before.labels, *error.labels) if before is not None else error.labels
+            self.absence = AbsentError((before or error).text, tuple(dict.fromkeys(known)))
         where = np.array(sorted(set(walk.lengths)), dtype=np.int64)
         return Layout(
             where,
@@ -317,6 +348,7 @@ class Decoder:
             np.array([leaf.offset for leaf in leaves], dtype=np.int64),
             np.array([leaf.entries * int(leaf.kind[1:]) for leaf in leaves], dtype=np.int64),
             tuple(walk.order + leaf.kind for leaf in leaves),
+            absent,
         )
 
     def _find(self, walk: _Walk, field: str) -> Leaf:
@@ -328,12 +360,12 @@ class Decoder:
             raise
 
     def _take(self, layout: Layout, buffer: Bytes, offset: Integers) -> tuple[npt.NDArray[np.bool_], Floats]:
-        raw = np.empty((len(offset), len(self.fields), 8), dtype=np.uint8)
+        raw = np.empty((len(offset), len(layout.kinds), 8), dtype=np.uint8)
         fits = np.empty(len(offset), dtype=np.bool_)
         compile_function(_gather)(
             buffer, offset, layout.where, layout.expected, layout.sources, layout.sizes, raw, fits
         )
-        values = np.empty((len(offset), len(self.fields)))
+        values = np.empty((len(offset), len(layout.kinds)))
         for k, kind in enumerate(layout.kinds):
             if layout.sizes[k] == 0:
                 values[:, k] = np.nan

@@ -37,6 +37,7 @@ def _stamps(seconds: Floats, nanoseconds: Floats) -> Integers:
 
 def _stamped(series: Series, field: str) -> tuple[Integers, Floats]:
     """Stamps [ns] and values of a topic with a header, each stamp once, in order."""
+    series = series.having(field)
     stamps = _stamps(series.values["header.stamp.sec"], series.values["header.stamp.nanosec"])
     unique, first = np.unique(stamps, return_index=True)
     return unique, series.values[field][first]

@@ -84,6 +84,10 @@ def clean(sources: Mapping[str, Source], series: Mapping[str, Series], problems:
 
 
 def _samples(source: Source, series: Series, problems: list[str]) -> Samples:
+    absent = series.absent.get(source.field, 0)
+    if absent:
+        problems.append(f"{absent} messages of {source.topic} have no {source.field} and are left out")
+    series = series.having(source.field)
     value = series.values[source.field]
     if source.factor != 1.0:
         value = value * source.factor

@@ -2,9 +2,7 @@
 
 import math
 import re
-import struct
 from collections.abc import Sequence
-from itertools import islice
 from typing import NamedTuple
 
 from valve_control.bags.bag import Bag
@@ -16,7 +14,6 @@ TRAJECTORY = "spool_trajectory"  # plays the part of the command where there are
 POSITION = "positions[0]"
 ONLY = "valve"  # name of a valve whose topics stand in no namespace
 STATE_TYPE = "std_msgs/msg/Float64MultiArray"
-TRIED = 100  # messages in which a field is looked for
 SCALE = re.compile(r"^(?P<source>[^*]+)\*(?P<factor>[^*]+)$")
 
 
@@ -176,17 +173,14 @@ def _spoken(bag: Bag, topic: str) -> bool:
 
 
 def _wrong_field(bag: Bag, source: Source) -> str:
-    """Why ``source`` is no number in its topic's first messages, "" if it is one in any of them."""
+    """Why ``source`` is no number in its topic's messages, "" if it is one in any of them."""
     topic = bag.topic(source.topic)
-    error = ""
     try:
         decoder = Decoder(topic, [source.field])
-        for message in islice(bag.messages(source.topic), TRIED):
-            try:
-                decoder.layout(message)
-                return ""
-            except (BagError, struct.error) as reason:
-                error = error or str(reason)
     except BagError as reason:
-        error = str(reason)
+        return f"{source.topic} ({topic.type}): {reason}"
+    for _, block in bag.blocks([source.topic]):
+        if decoder.decode(block.buffer, block.offset, block.length)[1].any():
+            return ""
+    error = str(decoder.absence or decoder.error)
     return f"{source.topic} ({topic.type}): {error}" if error else ""
