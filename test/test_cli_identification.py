@@ -347,3 +347,25 @@ def test_friction_without_its_own_test_is_refused(run, arguments, text):
     status, _, err = run("identify", *arguments)
     assert status != 0 and len(sentences(err)) == 1
     assert text in err
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_one_step_gives_no_bounds_and_no_order_that_nobody_asked_for(run, tmp_path, seed):
+    """Before: order 4, with 95 % bounds that the truth missed in 6 of 7 coefficients."""
+    np.savetxt(tmp_path / "step.csv", np.where(np.arange(3000) < 300, 0.0, 2.0))
+    options = f"--command step.csv --band 0.7 100 --set lvdt.noise=0.0003 --seed {seed}"
+    test = options.split()
+    status, out, err = run("identify", *test, "--output", "valve.yaml", "--json", "-")
+    assert status == 0, err
+    result = json.loads(out)
+    assert result["best_order"] == 2 and len(result["fits"]) == 1
+    told = result["fits"][0]
+    assert {one["bound"] for one in [*told["coefficients"].values(), told["static_gain"]]} == {None}
+    first, *others = result["notes"]
+    assert "no 95 % bounds of order 2" in first and "coherence" in first
+    assert any("the second order stands alone" in note for note in others)
+    assert "±" not in (tmp_path / "valve.yaml").read_text()
+    status, out, err = run("identify", *test, "--order", "4")
+    assert status == 0, err
+    assert "no 95 % bounds of order 2 and 4" in out
+    assert not any("±" in line for line in out.splitlines() if not line.startswith("note:"))

@@ -371,10 +371,12 @@ def _found(
         try:
             fourth = rational.fit(measured, 4, **options)
             rational.check_worth(fourth)
+            rational.check_clear(fourth)
             fits.append(fourth)
         except ParameterError as error:
             notes.append(f"the second order stands alone: {error}")
     best = fits[-1]
+    notes = [*experiment.excitation_notes(measured, fits), *notes]
     notes += experiment.range_notes(measured, second, best)
     if rubbing is not None:
         notes += friction.offset_notes(rubbing)

@@ -1,6 +1,7 @@
 """Tests a valve: excites it with voltages, takes its readings, and estimates the frequency response."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -145,6 +146,20 @@ def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | 
             f"{SPAN:g}:1 at least"
         )
     return measured
+
+
+def excitation_notes(measured: Response, fits: Sequence[Fit]) -> list[str]:
+    """That the test moves the valve too little for bounds, and how well it tells the response."""
+    orders = [str(made.order) for made in fits if not made.bounded]
+    if not orders:
+        return []
+    least, usual = float(np.min(measured.coherence)), float(np.median(measured.coherence))
+    unsure = float(np.median(measured.deviation / np.abs(measured.value)))
+    return [
+        f"no 95 % bounds of order {' and '.join(orders)}: what it leaves of the response is not noise; the "
+        f"excitation has {len(measured.frequency)} frequencies, coherence {least:.3f} and more (half of them "
+        f"{usual:.3f}), usual uncertainty {100.0 * unsure:.2g} %; a stepped sine or a longer test tells more"
+    ]
 
 
 def range_notes(measured: Response, second: Fit, best: Fit) -> list[str]:

@@ -31,6 +31,9 @@ CONFIDENCE = 0.95
 VAGUE = 0.5  # of the static gain, a bound beyond which a fit says nothing
 CANCELLED = 0.02  # of a pole, a distance of a zero from it that no test's frequencies show
 UNKNOWN = 1.0  # of a denominator's coefficient, a bound beyond which the order is not in the data
+CLEAR = 0.3  # of a denominator's coefficient, a bound up to which an order is chosen unasked
+EXPLAINED = 0.1  # relative error that noise does not explain up to which bounds hold ...
+EXCITED = 0.02  # ... or usual relative uncertainty of a test that tells the response well
 MISSED = 0.5  # of the response, rms, likewise
 UNSURE = 0.1  # relative uncertainty from which on a frequency tells nothing of a corner
 UNSTABLE = 3.0  # times the error of unstable poles that stable ones may have
@@ -58,6 +61,7 @@ class Fit(NamedTuple):
     error: float  # rms of the relative error
     model_error: float  # relative error that the noise does not explain
     corners: Corners
+    bounded: bool = True  # whether the test tells the bounds
 
 
 class _Form(NamedTuple):
@@ -167,6 +171,7 @@ def fit(
         error=error,
         model_error=model_error,
         corners=model_corners(model, delay),
+        bounded=model_error <= EXPLAINED or float(np.median(measured.deviation / size)) <= EXCITED,
     )
 
 
@@ -180,13 +185,11 @@ def check_worth(made: Fit) -> None:
         )
     if made.order > 2:
         # Coefficients of a stable denominator are positive: one that may as well be 0 is not in the data.
-        share = made.bounds / np.maximum(np.abs(made.values), 1e-300)
-        poles = [i for i, name in enumerate(made.names) if name.startswith("a")]
-        worst = max(poles, key=lambda i: share[i])
-        if not share[worst] <= UNKNOWN:
+        name, value, share = _vaguest(made)
+        if not share <= UNKNOWN:
             raise ParameterError(
-                f"the data do not support order {made.order}: its {made.names[worst]} is "
-                f"{made.values[worst]:.3g} ± {100.0 * share[worst]:.2g} %; choose a lower order (--order 2)"
+                f"the data do not support order {made.order}: its {name} is "
+                f"{value:.3g} ± {100.0 * share:.2g} %; choose a lower order (--order 2)"
             )
         at = _cancelled(made.model)
         if at is not None:
@@ -208,6 +211,28 @@ def _cancelled(model: TransferFunction) -> float | None:
         if np.any(np.abs(zeros - pole) < CANCELLED * abs(pole)):
             return float(abs(pole)) / (2.0 * math.pi)
     return None
+
+
+def _vaguest(made: Fit) -> tuple[str, float, float]:
+    """Name, value and relative bound of the denominator's coefficient that is known worst."""
+    share = made.bounds / np.maximum(np.abs(made.values), 1e-300)
+    worst = max((i for i, name in enumerate(made.names) if name.startswith("a")), key=lambda i: share[i])
+    return made.names[worst], float(made.values[worst]), float(share[worst])
+
+
+def check_clear(made: Fit) -> None:
+    """Raise ParameterError for a fit of an order for which nobody asked and which the data do not tell."""
+    name, value, share = _vaguest(made)
+    if not made.bounded:
+        raise ParameterError(
+            f"order {made.order} still misses the response by {100.0 * made.model_error:.2g} % that is not "
+            f"noise; --order {made.order} takes it all the same"
+        )
+    if not share <= CLEAR:
+        raise ParameterError(
+            f"the data do not tell order {made.order} well: its {name} is {value:.3g} ± "
+            f"{100.0 * share:.2g} %; --order {made.order} takes it all the same"
+        )
 
 
 def measured_corners(measured: Response, static_gain: float) -> Corners:

@@ -70,15 +70,18 @@ def fit_text(made: Fit) -> str:
     about = (
         f", of which the model {100 * made.model_error:.2g} %" if made.model_error else ", all of it noise"
     )
+    width = f" ± {made.gain_bound:.2g}" if made.bounded else ""
     lines = [
         f"order {made.order}: ({polynomial(made.model.numerator)}) / ({polynomial(made.model.denominator)})"
         + (f" with a delay of {1e3 * made.delay:.3f} ms" if "delay" in made.names else "")
     ]
     for name, value, bound in zip(made.names, made.values, made.bounds, strict=True):
         share = 100.0 * bound / abs(value) if value else np.inf
-        lines.append(f"  {name:6} {value:14.7g} ± {bound:10.3g}  ({share:.2g} %)")
+        lines.append(
+            f"  {name:6} {value:14.7g}" + (f" ± {bound:10.3g}  ({share:.2g} %)" if made.bounded else "")
+        )
     lines += [
-        f"  static gain {made.model.static_gain:.5f} ± {made.gain_bound:.2g} V/V; "
+        f"  static gain {made.model.static_gain:.5f}{width} V/V; "
         f"fit error {100 * made.error:.3g} % rms{about}",
         f"  poles {roots_text(bode.roots(made.model.denominator))}; "
         f"zeros {roots_text(bode.roots(made.model.numerator))}",
@@ -203,9 +206,10 @@ def yaml_text(found: Identification) -> str:
         parameters(found),
         [
             f"Identified from: {found.source}",
-            f"Order {made.order}, fit error {100 * made.error:.3g} % rms; coefficients with 95 % bounds:",
+            f"Order {made.order}, fit error {100 * made.error:.3g} % rms; coefficients "
+            + ("with 95 % bounds:" if made.bounded else "(the test does not tell their bounds):"),
             *(
-                f"  {name} = {value:.7g} ± {bound:.2g}"
+                f"  {name} = {value:.7g}" + (f" ± {bound:.2g}" if made.bounded else "")
                 for name, value, bound in zip(made.names, made.values, made.bounds, strict=True)
             ),
             "arc, oarc: the second-order fit to begin with; bounds from its confidence and from how far it",
@@ -259,10 +263,13 @@ def fit_dict(made: Fit) -> dict[str, Any]:
         "denominator": list(made.model.denominator),
         "delay_s": made.delay,
         "coefficients": {
-            name: {"value": float(value), "bound": float(bound)}
+            name: {"value": float(value), "bound": float(bound) if made.bounded else None}
             for name, value, bound in zip(made.names, made.values, made.bounds, strict=True)
         },
-        "static_gain": {"value": made.model.static_gain, "bound": made.gain_bound},
+        "static_gain": {
+            "value": made.model.static_gain,
+            "bound": made.gain_bound if made.bounded else None,
+        },
         "poles": [root._asdict() for root in bode.roots(made.model.denominator)],
         "zeros": [root._asdict() for root in bode.roots(made.model.numerator)],
         "weighting": made.weighting,
