@@ -415,7 +415,7 @@ class _Collector:
             masks = np.array([mask for _, mask in found])
             absent = self._decoders[0].absent - before
             self._undecodable += int(np.count_nonzero(~masks[0])) - absent
-            done = masks.any(axis=0)
+            done: npt.NDArray[np.bool_] = np.logical_or.reduce(masks)
             if not done.all():
                 block, values, masks = block.select(done), values[done], masks[:, done]
             for has, mask in zip(self._present, masks, strict=False):

@@ -74,6 +74,12 @@ def clean(sources: Mapping[str, Source], series: Mapping[str, Series], problems:
     timed = {part: _one_publisher(samples, problems) for part, samples in recorded.items()}
     usable = {}
     for part, samples in timed.items():
+        if part == "spool_command" and ties is not None and ties.vague:
+            problems.append(
+                f"the file has topic after topic within a stamp, so the time of a command on {samples.topic} "
+                "is not known among the readings: errors are not told"
+            )
+            samples = samples.pick(slice(0, 0))
         keep = np.isfinite(samples.value)
         if not keep.all():
             n = int(np.count_nonzero(~keep))

@@ -45,6 +45,7 @@ class Ties(NamedTuple):
     resolution: float  # s
     times: dict[str, Integers]  # ns, by part
     places: Integers  # of the readings, if the order in the file counts
+    vague: bool  # whether nothing tells between which readings the commands came
 
     def of(self, time: Integers, place: Integers) -> Integers:
         """Times [ns] of messages with the stamps ``time`` by their ``place`` between the readings.
@@ -77,7 +78,8 @@ def untied(signals: Mapping[str, Messages]) -> Ties | None:
     several = shared(readings.time)
     ordered = several and answers is not None and _interleaved(readings.place, answers.place)
     times = {part: _spread(one) for part, one in signals.items()}
-    ties = Ties(usual_step(readings.time), times, readings.place if ordered else readings.place[:0])
+    places = readings.place if ordered else readings.place[:0]
+    ties = Ties(usual_step(readings.time), times, places, False)
     counted, lead = _numbers(readings), times["spool_position"]
     period = round(float(np.median(np.diff(lead))))
     numbers = np.concatenate([[counted[0] - 1], counted, [counted[-1] + 1]])
@@ -98,6 +100,8 @@ def untied(signals: Mapping[str, Messages]) -> Ties | None:
             times[part] = ties.near(own, known[0] + np.round(share).astype(np.int64) + answer)
         elif ordered:
             times[part] = ties.of(own, one.place)
+        elif several and not answer:
+            ties = ties._replace(vague=True)
     return ties
 
 
