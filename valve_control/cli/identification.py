@@ -377,7 +377,7 @@ def _found(
             notes.append(f"the second order stands alone: {error}")
     best = fits[-1]
     notes = [*experiment.excitation_notes(measured, fits), *notes]
-    notes += experiment.range_notes(measured, second, best)
+    notes += experiment.range_notes(measured, second, best, arguments.bag is None)
     if rubbing is not None:
         notes += friction.offset_notes(rubbing)
     suggestion = theta.suggest(measured, second, best, tested.u_max)

@@ -162,15 +162,19 @@ def excitation_notes(measured: Response, fits: Sequence[Fit]) -> list[str]:
     ]
 
 
-def range_notes(measured: Response, second: Fit, best: Fit) -> list[str]:
-    """What the sample period and the range of the frequencies leave untold of the valve, as sentences."""
+def range_notes(measured: Response, second: Fit, best: Fit, simulated: bool) -> list[str]:
+    """Limits of the result by the sample period and the range of the frequencies, as sentences.
+
+    ``simulated``: the test has options that can be changed.
+    """
     made = []
     highest, most = float(measured.frequency[-1]), ROOM / measured.period
     if measured_corners(measured, best.model.static_gain).minus_3db is None and highest < 0.9 * most:
         further = min(most, 10.0 * highest)
         made.append(
-            f"no -3 dB up to {highest:.4g} Hz: the valve goes further than the test; a test "
-            f"up to {further:.4g} Hz (end_frequency) tells more"
+            f"no -3 dB up to {highest:.4g} Hz: the valve goes further than the test; "
+            + (f"with --set end_frequency={further:.4g}" if simulated else f"up to {further:.4g} Hz")
+            + " it tells more"
         )
     natural = math.sqrt(max(0.0, second.model.denominator[-1])) / (2.0 * math.pi)
     if natural * measured.period * SAMPLES > 1.0:

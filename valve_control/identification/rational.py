@@ -191,12 +191,6 @@ def check_worth(made: Fit) -> None:
                 f"the data do not support order {made.order}: its {name} is "
                 f"{value:.3g} ± {100.0 * share:.2g} %; choose a lower order (--order 2)"
             )
-        at = _cancelled(made.model)
-        if at is not None:
-            raise ParameterError(
-                f"the data do not support order {made.order}: a zero at {at:.4g} Hz cancels a pole there; "
-                "choose a lower order (--order 2)"
-            )
     if not made.gain_bound <= VAGUE * abs(gain):
         raise ParameterError(
             f"order {made.order} leaves the static gain open, {gain:.3g} ± {made.gain_bound:.2g} V/V; "
@@ -222,6 +216,12 @@ def _vaguest(made: Fit) -> tuple[str, float, float]:
 
 def check_clear(made: Fit) -> None:
     """Raise ParameterError for a fit of an order for which nobody asked and which the data do not tell."""
+    at = _cancelled(made.model)
+    if at is not None:
+        raise ParameterError(
+            f"a zero at {at:.4g} Hz cancels a pole of order {made.order} there; --order {made.order} takes "
+            "it all the same"
+        )
     name, value, share = _vaguest(made)
     if not made.bounded:
         raise ParameterError(
