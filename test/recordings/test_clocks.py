@@ -133,6 +133,23 @@ def test_one_stray_stamp_costs_one_message(run, tmp_path, stamp, place, kinds):
     assert loaded.bag.begin == usual.bag.begin
 
 
+@pytest.mark.parametrize("hours", [-1.0, 0.5, 9.0])
+def test_a_part_of_a_recording_whose_publishers_are_hours_off(tmp_path, hours):
+    """--from, --to and what was in force at the beginning of the part are of the clock that counts."""
+    made = Run(controller={"arc.k1": 120.0})
+    made.move(1000)
+    made.change(arc__k1=100.0)
+    made.move(1000)
+    usual = load(write(tmp_path / "usual", made.messages), start=0.5, end=1.5)
+    moved = [m._replace(time=m.time + round(hours * 3600e9)) for m in made.messages]
+    loaded = load(write(tmp_path / "moved", moved), start=0.5, end=1.5)
+    valve, expected = loaded.valves["valve"], usual.valves["valve"]
+    assert loaded.clock.source and valve.controller.initial["arc.k1"] == 120.0
+    assert len(valve.controller.changes) == len(expected.controller.changes) == 1
+    found = align(valve).measurement
+    assert abs(len(found) - len(align(expected).measurement)) <= 2 and len(found) > 990
+
+
 @pytest.mark.parametrize("away", [-5.0, 5.0, 1800.0])
 def test_a_stamp_that_leaps_away_and_back_is_no_clock_that_was_set(run, tmp_path, away):
     messages = list(run.messages)

@@ -31,6 +31,7 @@ class Clock(NamedTuple):
 
     name: str  # log_time or publish_time
     speed: float  # of publish_time over log_time, NaN where it is not known
+    offset: float  # s  of publish_time from log_time, NaN where it is not known
     notes: tuple[str, ...]
 
     @property
@@ -40,8 +41,8 @@ class Clock(NamedTuple):
 
     @property
     def apart(self) -> bool:
-        """Whether the two clocks of the recording run at different speeds."""
-        return abs(self.speed - 1.0) > SAME_SPEED
+        """Whether the two clocks of the recording differ in speed, or by more than disorder."""
+        return abs(self.speed - 1.0) > SAME_SPEED or abs(self.offset) > SMALL_DISORDER
 
     def read(self, series: Mapping[str, Series]) -> dict[str, Series]:
         """``series`` whose publish_time is of this clock, so that nothing is taken from the other."""
@@ -89,8 +90,9 @@ def decide(
         which = f" on {', '.join(without)}" if stamped else ""
         raise BagError(f"--clock publish: {path} has no publish_time of its own{which}; take --clock log")
     if not stamped:
-        return Clock("log_time", np.nan, ())
-    speed = _speed(max((series[name] for name in stamped), key=lambda one: len(one.log_time)))
+        return Clock("log_time", np.nan, np.nan, ())
+    longest = max((series[name] for name in stamped), key=lambda one: len(one.log_time))
+    speed, offset = _speed(longest), float(np.median(longest.publish_time - longest.log_time)) * 1e-9
     backwards = [
         name
         for name in stamped
@@ -117,11 +119,11 @@ def decide(
     else:
         reason = differ
     if wanted == "publish":
-        return Clock("publish_time", speed, (f"{reason}; publish_time is used",) if reason else ())
+        return Clock("publish_time", speed, offset, (f"{reason}; publish_time is used",) if reason else ())
     if wanted == "log" or reason:
         note = f"{reason}; times of recording are used (log_time; --clock publish takes the others)"
-        return Clock("log_time", speed, (note,) if reason else ())
-    return Clock("publish_time", speed, ())
+        return Clock("log_time", speed, offset, (note,) if reason else ())
+    return Clock("publish_time", speed, offset, ())
 
 
 def _differing(series: Mapping[str, Series], group: Sequence[str]) -> str:
