@@ -2,7 +2,8 @@
 
 ``plain`` waits in a wait set of its own on one subscription, with the QoS of the controller: best effort for
 readings, reliable for voltages; ``raw`` does so with serialized messages, the least that rclpy can do.
-``reliable`` is ``plain`` with reliable readings; ``executor``, reliable too, is the node of a tutorial.
+``reliable`` is ``plain`` with reliable readings; ``executor``, reliable too, is the node of a tutorial;
+``events`` is the same node with rclpy's experimental EventsExecutor.
 """
 
 import contextlib
@@ -13,6 +14,7 @@ import sys
 import rclpy
 from rclpy._rclpy_pybind11 import WaitSet
 from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
@@ -52,12 +54,25 @@ def executor(node: Node) -> None:
     rclpy.spin(node)
 
 
+def events(node: Node) -> None:
+    """A callback and the EventsExecutor; its ``spin`` runs no callback in rclpy 7.1.6, ``spin_once`` does."""
+    publisher = node.create_publisher(Float64, "valve_voltage", SAMPLES)
+    node.create_subscription(Float64, "spool_position", publisher.publish, SAMPLES)
+    waiting = EventsExecutor()
+    waiting.add_node(node)
+    while rclpy.ok():
+        waiting.spin_once(timeout_sec=0.1)
+
+
+ECHOES = {"plain": plain, "reliable": reliable, "raw": raw, "executor": executor, "events": events}
+
+
 def main() -> None:
     """``python -m benchmarks.echo plain --ros-args ...``."""
     rclpy.init(args=sys.argv)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        {"plain": plain, "reliable": reliable, "raw": raw, "executor": executor}[sys.argv[1]](Node("echo"))
+        ECHOES[sys.argv[1]](Node("echo"))
 
 
 if __name__ == "__main__":

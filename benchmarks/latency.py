@@ -39,7 +39,7 @@ from valve_control.simulation import offline
 Floats = npt.NDArray[np.float64]
 LAWS = ("arc", "oarc")
 SHARED = "arc_shared"  # ARC with the transports of everybody else
-ECHOES = ("plain", "reliable", "raw", "executor")
+ECHOES = ("plain", "reliable", "raw", "executor", "events")
 # The echoes that the laws are compared with: one with the QoS of the controller, one reliable on both sides.
 COMPARED = {"echo": "plain", "reliable_echo": "reliable"}
 RATE = 0.98  # of the nominal one that the probe must reach
