@@ -1,7 +1,8 @@
 """Tries how valves answer steps of the command: overshoot and settling time of a set of gains.
 
 The valves are those of a problem, without noise of the LVDT: it is the law that is judged. The first of the
-steps is left out, in which laws that adapt learn the valve.
+steps is left out, in which laws that adapt learn the valve. The others go out, back to 0 and part of the way
+back, since estimates that have moved at a position answer the way back otherwise than the way out.
 """
 
 from collections.abc import Sequence
@@ -15,9 +16,10 @@ from valve_control.parameter import number
 from valve_control.plant import valve
 from valve_control.simulation import batch
 from valve_control.tuning import limit_cycles, trial
-from valve_control.tuning.trial import Gains, Problem, Workers
+from valve_control.tuning.trial import Gains, Motion, Problem, Workers
 
 Array = npt.NDArray[np.float64]
+HEIGHTS = (0.1, -0.4, 0.0, 0.4, 0.0, 1.0, 0.4)  # of the reach of the motions; each is held for HELD
 
 
 def answers(
@@ -31,9 +33,16 @@ def answers(
     return [(float(row[0, 0, 0]), float(row[1, 0, 0])) for row in found]
 
 
+def tried(period: float, motions: Sequence[Motion]) -> Array:
+    """The steps [V], one entry a sample ``period`` [s]; they reach as far as the ``motions``."""
+    n = round(limit_cycles.HELD / period)
+    reach = max(float(np.max(np.abs(motion.wanted))) for motion in motions)
+    return np.concatenate([np.zeros(n // 10), *(np.full(n, height * reach) for height in HEIGHTS)])
+
+
 def _here(law: Law, problem: Problem, several: Sequence[Gains], threads: int | None) -> list[Array]:
     period = number(problem.values, "sample_period")
-    motion = limit_cycles.steps(period, problem.motions, limit_cycles.FARTHER).wanted
+    motion = tried(period, problem.motions)
     first, _ = steps.places(motion, period)[1]
     bare = problem._replace(preview=False, delivery=None)
     quiet: list[valve.Params] = [p._replace(lvdt=p.lvdt._replace(noise=0.0)) for p in problem.plants]
