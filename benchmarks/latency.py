@@ -27,6 +27,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 from tqdm import tqdm
 
+from benchmarks.echo import ECHOES
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
 from valve_control.nodes.harness.processes import process, wait_until
@@ -39,7 +40,6 @@ from valve_control.simulation import offline
 Floats = npt.NDArray[np.float64]
 LAWS = ("arc", "oarc")
 SHARED = "arc_shared"  # ARC with the transports of everybody else
-ECHOES = ("plain", "reliable", "raw", "executor", "events")
 # The echoes that the laws are compared with: one with the QoS of the controller, one reliable on both sides.
 COMPARED = {"echo": "plain", "reliable_echo": "reliable"}
 RATE = 0.98  # of the nominal one that the probe must reach

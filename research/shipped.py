@@ -4,6 +4,7 @@ Prints the table of docs/laws/reshaping.md as Markdown.
 """
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -42,6 +43,7 @@ def measured(valve_name: str, law_name: str, folder: Path | None = None) -> Meas
     """
     import numpy as np
 
+    from valve_control.analysis import indices, steps
     from valve_control.parameter import defaults, number, updated
     from valve_control.parameters import files
     from valve_control.parameters.table import NODES
@@ -56,27 +58,22 @@ def measured(valve_name: str, law_name: str, folder: Path | None = None) -> Meas
             settings[node] = updated(NODES[node], settings[node], changes)
     period = number(settings["controller"], "sample_period")
     held = round(HELD / period)
-    steps = np.repeat(LEVELS, held)
-    position, _ = _run(settings, steps)
+    levels = np.repeat(LEVELS, held)
+    position, _ = _run(settings, levels)
     overshoot = []
     for i in JUDGED:
-        height = LEVELS[i + 1] - LEVELS[i]
-        after = position[(i + 1) * held : (i + 2) * held]
-        overshoot.append(max(0.0, float(np.max((after - LEVELS[i + 1]) / height))))
+        part = slice(i * held, (i + 2) * held)
+        answer = steps.answer(levels[part], position[part], period)
+        overshoot.append(float(answer.overshoot) if answer else math.nan)
     still, _ = _run(settings, np.zeros(3 * held))
     errors, chatter = [], []
     for name in COMMANDS:
         wanted = np.loadtxt(config / "commands" / f"{name}.csv")
         found, voltage = _run(settings, wanted)
-        errors.append(_rms(found - wanted))
-        chatter.append(_rms(np.diff(voltage)) / _rms(voltage))
-    return Measured(tuple(overshoot), _rms(still[held:]), tuple(errors), max(chatter))
-
-
-def _rms(values: "npt.NDArray[np.float64]") -> float:
-    import numpy as np
-
-    return float(np.sqrt(np.mean(values**2)))
+        told = indices.indices(found - wanted, voltage, period)
+        errors.append(told.e_rms)
+        chatter.append(told.c_u)
+    return Measured(tuple(overshoot), indices.rms(still[held:]), tuple(errors), max(chatter))
 
 
 def _run(
