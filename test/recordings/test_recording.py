@@ -308,15 +308,23 @@ def test_no_messages_at_all_is_an_error(run, tmp_path):
 # Mapping
 
 
-def test_any_number_can_play_a_part(run, tmp_path):
-    """The LVDT in metres in a JointState, the command under another name."""
+@pytest.mark.parametrize(
+    ("scale", "unit"),
+    [
+        ("*250", lambda v: v / 250.0),
+        ("*1.25-15", lambda v: v / 1.25 + 12.0),
+        ("@4..20mA", lambda v: 12.0 + 0.8 * v),
+    ],
+)
+def test_any_number_can_play_a_part(run, tmp_path, scale, unit):
+    """The LVDT in metres or mA in a JointState, the command under another name."""
     from made import STORE, T
 
     header = T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](0, 0), "")
     messages = []
     for m in run.messages:
         if m.topic == "/spool_position":
-            value = np.frombuffer(m.data[4:])[0] / 250.0
+            value = unit(np.frombuffer(m.data[4:])[0])
             joints = T["sensor_msgs/msg/JointState"](
                 header, ["arm", "spool"], np.array([9.0, value]), np.array([]), np.array([])
             )
@@ -327,7 +335,7 @@ def test_any_number_can_play_a_part(run, tmp_path):
         messages.append(m)
     bag = write(tmp_path / "bag", messages)
     valve = load(
-        bag, ["spool_position=/joint_states.position[spool]*250", "spool_command=/plc/wanted"]
+        bag, [f"spool_position=/joint_states.position[spool]{scale}", "spool_command=/plc/wanted"]
     ).valves["valve"]
     signals = align(valve)
     assert np.allclose(signals.measurement, run.readings, atol=1e-12)
@@ -339,7 +347,11 @@ def test_any_number_can_play_a_part(run, tmp_path):
     [
         ("spool_position", ["--map", "part=/topic.field"]),
         ("position=/x", ["--map", "spool_position"]),
-        ("spool_position=/x.a*b", ["number"]),
+        ("spool_position=/x.a*b", ["'*b'", "number"]),
+        ("spool_position=/x.a*0", ["*factor"]),
+        ("spool_position=/x.a*2-", ["*factor"]),
+        ("spool_position=/x.a@mA", ["'mA'", "4..20mA"]),
+        ("spool_position=*2", ["/topic.field@4..20mA"]),
         ("spool_position=/x.a b", ["field"]),
         ("spool_position=", ["--map"]),
     ],

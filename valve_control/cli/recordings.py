@@ -34,8 +34,9 @@ def _bag_options() -> Parser:
         default=[],
         metavar="PART=/TOPIC.FIELD",
         help="what plays the part of spool_command, spool_position or valve_voltage: any number of any "
-        "message, such as spool_position=/joint_states.position[0]*250 (volts per unit after *); "
-        "boom/spool_position=... for a valve named boom; again for more",
+        "message, such as spool_position=/joint_states.position[0]*250 (volts per unit after *, with an "
+        "offset *1.25-15; or one of the words @%%, @0..10V, @4..20mA); boom/spool_position=... for a valve "
+        "named boom; again for more",
     )
     group.add_argument(
         "--from", dest="start", type=float, metavar="S", help="begin this long after the bag's beginning [s]"

@@ -95,8 +95,10 @@ def _samples(source: Source, series: Series, problems: list[str]) -> Samples:
         problems.append(f"{absent} messages of {source.topic} have no {source.field} and are left out")
     series = series.having(source.field)
     value = series.values[source.field]
-    if source.factor != 1.0:
-        value = value * source.factor
+    if source.scale.factor != 1.0:
+        value = value * source.scale.factor
+    if source.scale.offset != 0.0:
+        value = value + source.scale.offset
     if series.undecodable:
         problems.append(
             f"{series.undecodable} messages of {source.topic} could not be decoded and are left out: "

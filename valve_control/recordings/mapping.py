@@ -1,6 +1,5 @@
 """Finds out which topics of a bag are position, command and voltage of which valve."""
 
-import math
 import re
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,25 +7,25 @@ from typing import NamedTuple
 from valve_control.bags.bag import Bag
 from valve_control.bags.cdr import Decoder, normal
 from valve_control.bags.errors import BagError
+from valve_control.drivers.scaling import Scale, ScaleError, parse
 
 PARTS = ("spool_command", "spool_position", "valve_voltage")
 TRAJECTORY = "spool_trajectory"  # plays the part of the command where there are no others
 POSITION = "positions[0]"
 ONLY = "valve"  # name of a valve whose topics stand in no namespace
 STATE_TYPE = "std_msgs/msg/Float64MultiArray"
-SCALE = re.compile(r"^(?P<source>[^*]+)\*(?P<factor>[^*]+)$")
+SCALED = re.compile(r"(?P<source>[^*@]+)(?:@(?P<word>.+)|(?P<formula>\*.+))?")
 
 
 class Source(NamedTuple):
-    """A numeric field of a topic, with the factor that makes volts of it."""
+    """A numeric field of a topic, with the scale that makes volts of it."""
 
     topic: str
     field: str
-    factor: float = 1.0  # V per unit of the message
+    scale: Scale = Scale(1.0)
 
     def __str__(self) -> str:
-        scale = f"*{self.factor:g}" if self.factor != 1.0 else ""
-        return f"{self.topic}.{self.field}{scale}"
+        return f"{self.topic}.{self.field}{self.scale if self.scale != Scale(1.0) else ''}"
 
 
 class ValveTopics(NamedTuple):
@@ -52,7 +51,7 @@ class ValveTopics(NamedTuple):
 
 
 def parse_map(text: str) -> tuple[str, str, Source]:
-    """``[valve/]part=/topic[.field][*factor]`` as valve, part and source. Raises BagError."""
+    """``[valve/]part=/topic[.field][*factor±offset or @word]`` as valve, part and source. Raises BagError."""
     left, equals, right = text.partition("=")
     valve, _, part = left.strip().rpartition("/")
     if not equals or part not in PARTS or not right.strip():
@@ -60,27 +59,21 @@ def parse_map(text: str) -> tuple[str, str, Source]:
             "--map takes part=/topic.field with part spool_command, spool_position or valve_voltage, "
             f"not '{text}'"
         )
-    factor = 1.0
-    source = right.strip()
-    if "*" in source:
-        scaled = SCALE.match(source)
-        try:
-            if scaled is None:
-                raise ValueError
-            source, factor = scaled["source"].strip(), float(scaled["factor"])
-            if factor == 0.0 or not math.isfinite(factor):
-                raise ValueError
-        except ValueError:
-            raise BagError(
-                f"--map {text}: what follows * must be a number of volts per unit, finite and not 0"
-            ) from None
+    scaled = SCALED.fullmatch(right.strip())
+    try:
+        if scaled is None:
+            raise ScaleError("a scale follows its topic, as in /topic.field*1.25-15 or /topic.field@4..20mA")
+        scale = parse(scaled["word"] or scaled["formula"] or "*1")
+    except ScaleError as error:
+        raise BagError(f"--map {text}: {error}") from None
+    source = scaled["source"].strip()
     topic, _, field = source.partition(".")
     topic = topic if topic.startswith("/") else f"/{topic}"
     normal(field or "data")
     return (
         valve if valve.strip("/") == ONLY else valve.strip("/") or ONLY,
         part,
-        Source(topic, field or "data", factor),
+        Source(topic, field or "data", scale),
     )
 
 

@@ -1,0 +1,63 @@
+"""Drivers of other packages: entry points as pip leaves them, sound and broken."""
+
+import subprocess
+import sys
+import textwrap
+
+SOUND = """
+from valve_control.drivers.driver import Kind
+from valve_control.parameter import Parameter
+KIND = Kind("card", "a card", (Parameter("card.port", "", "", "port"),), lambda values, period, off: None)
+FOREIGN = KIND._replace(name="rack")
+CAPITAL = KIND._replace(name="Card", parameters=())
+TAKEN = KIND._replace(name="simulated", parameters=())
+NONE = 3
+"""
+
+
+def listed(folder, points):
+    """Names of the kinds and what is said of those left out, with the entry ``points`` installed."""
+    (folder / "card_driver.py").write_text(SOUND)
+    info = folder / "card_driver-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: card_driver\nVersion: 1.0\n")
+    lines = [f"{name} = card_driver:{attribute}" for name, attribute in points.items()]
+    (info / "entry_points.txt").write_text("\n".join(["[valve_control.drivers]", *lines]))
+    code = """
+        from valve_control.drivers.registry import BUILT_IN, KINDS, LEFT_OUT
+        print({name: kind.package for name, kind in KINDS.items() if kind not in BUILT_IN})
+        print(*LEFT_OUT.values(), sep="\\n")
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)],
+        capture_output=True, text=True, timeout=60, env={"PYTHONPATH": f"{folder}:."},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_a_driver_of_another_package_is_one_of_the_kinds(tmp_path):
+    assert listed(tmp_path, {"card": "KIND"}) == ["{'card': 'card_driver'}", ""]
+
+
+def test_broken_ones_are_left_out_with_the_reason(tmp_path):
+    broken = {
+        "a": "NONE",
+        "b": "FOREIGN",
+        "c": "CAPITAL",
+        "d": "TAKEN",
+        "e": "ABSENT",
+        "f": "KIND",
+        "g": "KIND",
+    }
+    kinds, *said = listed(tmp_path, broken)
+    assert kinds == "{'card': 'card_driver'}" and len(said) == 6
+    for sentence, words in zip(
+        said,
+        ["it is 3; it must be", "card.port must begin with 'rack.'",
+         "'Card'; it must be one word in lower case",
+         "the name is taken by a driver of valve_control", "cannot be imported: AttributeError",
+         "the name is taken by a driver of card_driver"],
+        strict=True,
+    ):  # fmt: skip
+        assert "of the package card_driver is left out: " in sentence and words in sentence

@@ -1,0 +1,1 @@
+"""Drivers of amplifier and LVDT: signals in the device's own unit, in and out; no ROS."""
