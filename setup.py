@@ -50,6 +50,7 @@ setup(
         "axis": ["ruckig>=0.14"],
         "cluster": ["distributed>=2024.1"],
         "dashboard": ["nicegui>=3.18,<4"],
+        "serial": ["pyserial>=3.5"],
         "test": [
             "pytest>=7.4",
             "pytest-rerunfailures>=12.0",
