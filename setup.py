@@ -48,9 +48,10 @@ setup(
     ],
     extras_require={
         "axis": ["ruckig>=0.14"],
+        "canopen": ["canopen>=2.4", "python-can>=4.6"],
         "cluster": ["distributed>=2024.1"],
         "dashboard": ["nicegui>=3.18,<4"],
-        "serial": ["pyserial>=3.5"],
+        "modbus": ["pymodbus>=3.16,<4"],
         "test": [
             "pytest>=7.4",
             "pytest-rerunfailures>=12.0",
@@ -63,6 +64,9 @@ setup(
             "nicegui>=3.18,<4",
             "selenium>=4.30",
             "psutil>=5.9",
+            "pymodbus>=3.16,<4",
+            "canopen>=2.4",
+            "python-can>=4.6",
         ],
     },
     python_requires=">=3.11",

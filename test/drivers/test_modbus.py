@@ -1,0 +1,144 @@
+"""Modbus TCP: the driver against pymodbus's server in another process, with a simulated valve behind it."""
+
+import sys
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from spool import device, until
+
+from valve_control.drivers.driver import DriverError
+from valve_control.drivers.modbus import KIND, PARAMETERS
+from valve_control.drivers.ticks import Ticks
+from valve_control.parameter import defaults, updated
+
+PERIOD = 0.005  # s
+VALVE = {"modbus.input": 3, "modbus.output": 5, "modbus.enable_coil": 7}
+
+
+def driver(io=None, **changes):
+    named = {f"modbus.{name}": value for name, value in changes.items()}
+    port = {"modbus.port": int(io.address)} if io else {}
+    return KIND.make(updated(PARAMETERS, defaults(PARAMETERS), {**VALVE, **port, **named}), PERIOD, 0.0)
+
+
+@pytest.fixture
+def io():
+    with device("valve_modbus", "0", str(PERIOD)) as started:
+        yield started
+
+
+def names(valve):
+    return {c.name: c.level for c in valve.conditions()}
+
+
+def test_the_spool_follows_the_voltage_and_goes_to_zero_at_the_end(io):
+    valve = driver(io)
+    valve.open()
+    assert valve.read() == (0.0, 0)
+    valve.write(3.0)
+    assert io.order("state") == "0.0000 0", "nothing is written before enable"
+    valve.enable(True)
+    valve.write(2.0)
+    assert io.order("state") == "1.9999 1"  # 6553 counts
+    readings = [valve.read() for _ in range(100)]
+    assert readings[-1].signal == pytest.approx(1.67, abs=0.05)  # model (3): 0.83 V/V
+    valve.close()
+    assert io.order("state") == "0.0000 0"
+
+
+def test_requests_without_an_answer_are_lost_readings_then_a_lost_connection(io):
+    valve = driver(io, timeout=0.1)
+    valve.open()
+    valve.read()
+    io.order("silent")
+    assert valve.read() is None and names(valve) == {"timeout": "degraded"}
+    io.order("none")
+    found = until(valve.read, "an answer")
+    assert 1 <= found.lost <= 60
+    io.order("silent")
+    with pytest.raises(DriverError, match=r"has not answered 3 requests in a row"):
+        [valve.read() for _ in range(3)]
+    valve.close()
+
+
+def test_refused_requests_are_conditions_and_a_refused_voltage_switches_off(io):
+    valve = driver(io)
+    valve.open()
+    valve.enable(True)
+    valve.write(1.0)
+    io.order("refuse_read 6")
+    assert valve.read() is None and names(valve) == {"busy": "degraded"}
+    io.order("refuse_read 4")
+    assert valve.read() is None and names(valve)["read_refused"] == "degraded"
+    io.order("refuse_write 4")
+    assert valve.read().lost >= 2 and "read_refused" not in names(valve)
+    valve.write(2.0)
+    assert names(valve)["write_refused"] == "safe"
+    assert "holding register 5: exception 4 (device failure)" in str(valve.conditions())
+    assert io.order("none").endswith(" 0"), "the coil is off"
+    valve.write(2.0)
+    assert io.order("state").endswith(" 0"), "it stays off until it is enabled anew"
+    valve.enable(True)
+    assert "write_refused" not in names(valve) and io.order("state") == "0.0000 1"
+    valve.close()
+
+
+def test_a_device_that_dies_is_told_and_opened_anew_when_it_is_back():
+    with device("valve_modbus", "0", str(PERIOD)) as io:
+        valve = driver(io)
+        valve.open()
+        assert valve.read()
+    with pytest.raises(DriverError, match="closed the connection"):
+        valve.read()
+    valve.close()
+    with pytest.raises(DriverError, match=r"no Modbus device answers at 127\.0\.0\.1:\d+, unit 1,"):
+        valve.open()
+    with device("valve_modbus", io.address, str(PERIOD)):
+        valve.open()
+        assert valve.read() == (0.0, 0)
+        valve.close()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [({"unit": 9}, "unit 9, refuses input register 3: exception"),
+     ({"input": 4}, r"refuses input register 4: exception 2 \(no such address\)"),
+     ({"input": 4, "input_kind": "holding"}, "refuses holding register 4"),
+     ({"host": "no.such.host.invalid"}, "no Modbus device answers at no.such.host.invalid")],
+)  # fmt: skip
+def test_wrong_addresses_are_named(io, changes, words):
+    with pytest.raises(DriverError, match=words):
+        driver(io, **changes).open()
+
+
+def test_a_missing_library_is_named_with_its_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pymodbus.client", None)
+    with pytest.raises(
+        DriverError, match=r"needs pymodbus; install it with pip install 'valve_control\[modbus\]'"
+    ):
+        driver().open()
+
+
+@given(st.floats(-12.0, 12.0), st.booleans())
+def test_counts_are_the_signal_within_half_a_count_and_its_range(signal, signed):
+    valve = driver(signed=signed)
+    register = valve._counts(signal)
+    assert 0 <= register <= 0xFFFF
+    counts = register - (register >> 15 << 16) if signed else register
+    low, high = (-32768, 32767) if signed else (0, 65535)
+    assert counts == pytest.approx(max(low, min(high, signal * 3276.7)), abs=0.5)
+
+
+def test_ticks_are_those_of_an_absolute_clock():
+    period, start = 0.002, time.monotonic()
+    ticks = Ticks(period)
+    used = missed = 0
+    while time.monotonic() < start + 0.1:
+        missed += ticks.wait()
+        used += 1
+        if used == 5:
+            time.sleep(3.5 * period)
+    assert missed >= 3
+    assert (used + missed) == pytest.approx((time.monotonic() - start) / period, abs=1.5)
