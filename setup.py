@@ -52,6 +52,7 @@ setup(
         "cluster": ["distributed>=2024.1"],
         "dashboard": ["nicegui>=3.18,<4"],
         "modbus": ["pymodbus>=3.16,<4"],
+        "serial": ["pyserial>=3.5"],
         "test": [
             "pytest>=7.4",
             "pytest-rerunfailures>=12.0",

@@ -13,6 +13,11 @@ PACKAGE = "valve_control"
 LEVELS = ("degraded", "safe")  # of a condition: it goes on with less; the output is off
 
 
+def patience(period: float) -> float:
+    """Longest wait [s] for a reading at a sample ``period`` [s]."""
+    return min(0.1, max(0.005, 5.0 * period))
+
+
 class DriverError(RuntimeError):
     """Says why the device cannot be reached; the message is one sentence for the user."""
 
@@ -39,10 +44,16 @@ class Driver(Protocol):
     """
 
     def open(self) -> None:
-        """Open the device with its output off. Imports of third parties belong here, not to the module."""
+        """Open the device for reading; its output stays off, and nothing is written to it.
+
+        Imports of third parties belong here, not to the module.
+        """
 
     def enable(self, on: bool) -> None:
-        """Switch the output stage on or off, as far as the hardware can; it starts from signal 0 V."""
+        """Switch the output stage on or off, as far as the hardware can; either gives the signal of 0 V.
+
+        Readings that wait when it is switched on are stale and dropped.
+        """
 
     def write(self, signal: float) -> None:
         """Hand over the output signal without waiting; it acts at once, or at the device's next cycle."""
@@ -51,12 +62,12 @@ class Driver(Protocol):
         """Wait for the next reading; None if none came in time.
 
         The driver keeps the sample period: a card with a clock of its own sends its readings by itself, a
-        bus is polled at the ticks of an absolute clock. ``read`` waits for some sample periods at most, 0.1 s
-        if they are shorter, because signals and services wait with it.
+        bus is polled at the ticks of an absolute clock. ``read`` waits for ``patience(period)`` at most,
+        because signals and services wait with it.
         """
 
     def close(self) -> None:
-        """Switch the output off, as far as the device can be reached, and close it. Raises nothing."""
+        """Switch the output off if it is on, as far as the device is reached, and close. Raises nothing."""
 
     def conditions(self) -> tuple[Condition, ...]:
         """Faults that are there now, of different names; after each reading, so it may take microseconds."""

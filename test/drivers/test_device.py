@@ -1,0 +1,129 @@
+"""A device in volts: scales, polarity and limits of both sides, losses, and a device that goes and comes."""
+
+import math
+
+import pytest
+from examples import serial_card
+
+from valve_control.drivers import device as device_module
+from valve_control.drivers.driver import DriverError
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters import drivers
+
+STEP = 10.0 / 32767
+
+
+@pytest.fixture
+def card():
+    made = serial_card.Card()
+    yield made
+    made.close()
+
+
+def device(card, **changes):
+    wanted = {name.replace("__", "."): value for name, value in changes.items()}
+    table = drivers.VALVE_DRIVER
+    return drivers.device(updated(table, defaults(table), {"serial.port": card.port, **wanted}))
+
+
+def given(card):
+    """Signal at the amplifier, in units of a full scale of 10."""
+    card.receive(0.0)
+    return card.voltage
+
+
+def test_both_sides_have_scale_polarity_and_limits(card):
+    one = device(
+        card,
+        position__scale="4..20mA", serial__full_scale_in=20.0, position__reversed=True,
+        voltage__scale="0..10V", voltage__reversed=True, voltage__high=4.0,
+    )  # fmt: skip
+    one.open()
+    one.enable(True)
+    assert given(card) == pytest.approx(5.0, abs=STEP)  # 0 V is the middle of 0 to 10 V
+    for voltage, signal in ((2.0, 4.0), (-10.0, 10.0), (9.0, 3.0)):  # the last one is limited to 4 V
+        one.write(voltage)
+        assert given(card) == pytest.approx(signal, abs=STEP)
+    card._state = card._state._replace(x=card._state.x._replace(x0=8.0))  # 8 of 10: 16 of 20 mA
+    card.send(0.0)
+    assert one.read() == (pytest.approx(-5.0, abs=0.01), 0) and one.conditions() == ()
+    card._state = card._state._replace(x=card._state.x._replace(x0=0.0))  # 0 mA: the wire is broken
+    card.counter += 3
+    card.send(0.0)
+    reading = one.read()
+    assert math.isnan(reading.signal) and reading.lost == 3 and one.lost == 3
+    assert [c.name for c in one.conditions()] == ["out_of_range", "readings_lost"]
+    assert "15 V, outside -11 to 11 V" in one.conditions()[0].text
+    one.close()
+    assert given(card) == 0.0 and not card._asked
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"position__scale": "mA"}, "position.scale: 'mA' is no scale; it must be V"),
+        (
+            {"position__low": 5.0, "position__high": 5.0},
+            "position.low is 5 V; it must be below position.high",
+        ),
+        ({"driver": "canbus"}, "driver is 'canbus'; it must be"),
+    ],
+)
+def test_impossible_settings_are_refused_in_a_sentence(card, changes, words):
+    with pytest.raises(ParameterError) as caught:
+        device(card, **changes)
+    assert words in str(caught.value)
+
+
+class Loose:
+    """A driver whose plug is pulled and put back."""
+
+    def __init__(self):
+        self.plugged, self.calls = True, []
+
+    def open(self):
+        self.calls.append("open")
+        self._need()
+
+    def _need(self):
+        if not self.plugged:
+            raise DriverError("the plug is out")
+
+    def enable(self, on):
+        self._need()
+        self.calls.append(f"enable {on}")
+
+    def write(self, signal):
+        self._need()
+        self.calls.append(signal)
+
+    def read(self):
+        self._need()
+
+    def close(self):
+        self.calls.append("close")
+
+    def conditions(self):
+        return ()
+
+
+@pytest.mark.parametrize("act", [lambda d: d.write(1.0), lambda d: d.read(), lambda d: d.enable(False)])
+def test_a_device_that_goes_is_closed_told_and_opened_anew_as_it_was(act, monkeypatch):
+    monkeypatch.setattr(device_module, "RETRY", 0.0)
+    loose = Loose()
+    side = device_module.Side(device_module.Scale(1.0), -10.0, 10.0)
+    one = device_module.Device(loose, side, side, 0.001)
+    one.open()
+    one.enable(True)
+    loose.plugged = False
+    act(one)
+    one.enable(True)
+    one.write(2.0)
+    assert [(c.name, c.level, c.text) for c in one.conditions()] == [
+        ("device_gone", "safe", "the plug is out")
+    ]
+    assert one.read() is None and one.conditions()[0].name == "device_gone"
+    loose.plugged = True
+    loose.calls.clear()
+    one.read()
+    assert loose.calls == ["open", "enable True"] and one.conditions() == () and one.reopened == 1
