@@ -94,7 +94,7 @@ def add_commands(commands: Any) -> None:
         "--order",
         type=int,
         choices=(2, 3, 4),
-        help="beside the second order (4, if it tells more than order 2)",
+        help="beside the second order (default: poles, zeros and dead time that the response shows)",
     )
     group.add_argument("--zeros", type=int, metavar="N", help="zeros of that model (order - 2)")
     group.add_argument("--delay", action="store_true", help="estimate a dead time too")
@@ -150,15 +150,17 @@ def _identify(arguments: argparse.Namespace) -> int:
             f"{tested.period:g} s; they must agree"
         )
     measured = experiment.estimate(tested, arguments.settle, band)
-    found = _found(arguments, tested, measured)
+    fits, told = _fits(arguments, tested, measured)
     progress(2)
+    rubbing = None
     if triangle is not None:
         for done in range(FRICTION_ROUNDS):
-            rubbing = friction.friction(triangle, friction.lag_of(found.best.model, found.best.delay))
+            rubbing = friction.friction(triangle, friction.lag_of(fits[-1].model, fits[-1].delay))
             slipping = friction.without(tested, rubbing) if tested.segments else tested
             measured = experiment.estimate(slipping, arguments.settle, band)
-            found = _found(arguments, tested, measured, rubbing)
+            fits, told = _fits(arguments, tested, measured)
             progress(3 + done)
+    found = _found(arguments, tested, measured, fits, told, rubbing)
     wanted: list[tuple[str | None, Callable[[], str | bytes]]] = [
         (arguments.output, lambda: result.yaml_text(found)),
         (arguments.csv, lambda: result.csv_text(measured)),
@@ -341,40 +343,14 @@ def _found(
     arguments: argparse.Namespace,
     tested: "Experiment",
     measured: "Response",
-    rubbing: "Friction | None" = None,
+    fits: list["Fit"],
+    told: list[str],
+    rubbing: "Friction | None",
 ) -> "Identification":
-    from valve_control.identification import experiment, first_gains, friction, lvdt, rational, result, theta
+    from valve_control.identification import experiment, first_gains, friction, lvdt, result, theta
 
-    options = {"delayed": arguments.delay, "weighting": arguments.weighting}
-    notes = [*tested.notes, *measured.notes]
-    try:
-        second = rational.fit(measured, 2, **options)
-        experiment.check_travel(tested, second.model.static_gain)
-        rational.check_worth(second)
-    except ParameterError as error:
-        if not tested.feedback:
-            raise
-        raise ParameterError(
-            f"{tested.source} was recorded in closed loop ({tested.feedback}), which does not show the valve "
-            f"alone: {error}; record a stepped sine or sweep with controller open_loop"
-        ) from error
-    fits: list[Fit] = [second]
-    if arguments.order is not None:
-        order, zeros = arguments.order, arguments.zeros
-        if order > 2:
-            higher = rational.fit(measured, order, zeros, **options)
-            rational.check_worth(higher)
-            fits.append(higher)
-    elif second.model_error == 0.0:
-        notes.append("noise alone explains what the second order leaves, so no higher order is fitted")
-    else:
-        try:
-            fourth = rational.fit(measured, 4, **options)
-            rational.check_worth(fourth)
-            rational.check_clear(fourth)
-            fits.append(fourth)
-        except ParameterError as error:
-            notes.append(f"the second order stands alone: {error}")
+    second = fits[0]
+    notes = [*tested.notes, *measured.notes, *told]
     best = fits[-1]
     notes = [*experiment.excitation_notes(measured, fits), *notes]
     notes += experiment.range_notes(measured, second, best, arguments.bag is None)
@@ -382,7 +358,7 @@ def _found(
         notes += friction.offset_notes(rubbing)
     suggestion = theta.suggest(measured, second, best, tested.u_max)
     readings = lvdt.observe(tested.position)
-    model, delay, told = first_gains.with_dead_time(measured, best, arguments.weighting)
+    model, delay, late = first_gains.with_dead_time(measured, best, arguments.weighting)
     gains = first_gains.first(
         first_gains.Valve(model, delay, suggestion, readings, measured.period, tested.u_max, rubbing)
     )
@@ -395,6 +371,53 @@ def _found(
         lvdt=readings,
         gains=gains.values,
         u_max=tested.u_max,
-        notes=(*notes, *told, *gains.notes),
+        notes=(*notes, *late, *gains.notes),
         friction=rubbing,
     )
+
+
+def _fits(
+    arguments: argparse.Namespace, tested: "Experiment", measured: "Response"
+) -> tuple[list["Fit"], list[str]]:
+    """The second order for the estimates, then the model that stands for the valve if it is another; notes.
+
+    Without --order the response chooses. A second order that misses it then has a dead time too.
+    """
+    from valve_control.identification import rational, structure
+
+    options = {"delayed": arguments.delay, "weighting": arguments.weighting}
+    try:
+        second = _second(tested, measured, **options)
+    except ParameterError as error:
+        if arguments.order is not None or arguments.delay:
+            raise
+        try:
+            second = _second(tested, measured, True, arguments.weighting)
+        except ParameterError:
+            raise error from None
+    if arguments.order is None:
+        chosen, note = structure.beside(measured, second, **options)
+        return ([second], [note]) if chosen is None else ([second, chosen], [])
+    if arguments.order == 2:
+        return [second], []
+    higher = rational.fit(measured, arguments.order, arguments.zeros, **options)
+    rational.check_worth(higher)
+    return [second, higher], []
+
+
+def _second(tested: "Experiment", measured: "Response", delayed: bool, weighting: str) -> "Fit":
+    """The second order. Raises ParameterError if it says nothing of the valve."""
+    from valve_control.identification import experiment, rational
+
+    try:
+        second = rational.fit(measured, 2, delayed=delayed, weighting=weighting)
+        experiment.check_travel(tested, second.model.static_gain)
+        rational.check_worth(second)
+    except ParameterError as error:
+        if not tested.feedback:
+            raise
+        raise ParameterError(
+            f"{tested.source} was recorded in closed loop ({tested.feedback}), which does not show the valve "
+            f"alone: {error}; record a stepped sine or sweep with controller open_loop"
+        ) from error
+    return second

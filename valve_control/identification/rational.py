@@ -20,7 +20,14 @@ import numpy.typing as npt
 import scipy.optimize
 import scipy.stats
 
-from valve_control.identification.bode import LOWEST, Corners, corners, held_response, model_corners
+from valve_control.identification.bode import (
+    LOWEST,
+    Corners,
+    corners,
+    held_response,
+    model_corners,
+    quick_held_response,
+)
 from valve_control.identification.response import Response
 from valve_control.parameter import ParameterError
 from valve_control.plant.models import TransferFunction
@@ -38,6 +45,8 @@ MISSED = 0.5  # of the response, rms, likewise
 UNSURE = 0.1  # relative uncertainty from which on a frequency tells nothing of a corner
 UNSTABLE = 3.0  # times the error of unstable poles that stable ones may have
 ROUNDS = 30  # of the start's iteration
+QUICK = (1e-6, 60)  # tolerance and evaluations of a search that tells whether a form is worth more ...
+SHORT_ROUNDS = 2  # ... and its rounds of model error
 LEAST_DAMPING = 1e-3
 DELAYS = 40  # tried to begin with, each a tenth of the fastest cycle more
 DELAY_STEP = 0.1
@@ -173,6 +182,29 @@ def fit(
         corners=model_corners(model, delay),
         bounded=model_error <= EXPLAINED or float(np.median(measured.deviation / size)) <= EXCITED,
     )
+
+
+def criterion(measured: Response, order: int, zeros: int, delayed: bool) -> tuple[float, float]:
+    """Schwarz's criterion of the form that ``fit`` gives, from a shorter search, and its model error.
+
+    It is -2·(log likelihood) + (unknowns)·log(numbers measured), less is better. The variance at a frequency
+    is that of the measurement and of the relative error of the model. Raises ParameterError.
+    """
+    size = np.abs(measured.value)
+    count = order + zeros + 1 + delayed
+    if len(size) < count // 2 + 1:
+        raise ParameterError(f"order {order} has {count} unknowns, and {len(size)} frequencies were measured")
+    form, x, _ = _start(measured, order, zeros, delayed, size, math.inf)
+    x = _minimise(form, x, measured, 1.0 / size, True)
+    for _ in range(SHORT_ROUNDS):
+        model_error = _model_error(measured, np.abs(_errors(form, x, measured, True)), count)
+        x = _minimise(form, x, measured, 1.0 / np.hypot(measured.deviation, model_error * size), True)
+    _check(form, x, measured)
+    distance = np.abs(_errors(form, x, measured, True))
+    model_error = _model_error(measured, distance, count)
+    variance = measured.deviation**2 + (model_error * size) ** 2
+    misfit = float(np.sum(2.0 * np.log(variance) + distance**2 / variance))
+    return misfit + count * math.log(2 * len(size)), model_error
 
 
 def check_worth(made: Fit) -> None:
@@ -338,17 +370,19 @@ def _distance(form: _Form, x: Floats, measured: Response) -> Floats:
     return np.abs(_errors(form, x, measured))
 
 
-def _errors(form: _Form, x: Floats, measured: Response) -> Complexes:
+def _errors(form: _Form, x: Floats, measured: Response, quick: bool = False) -> Complexes:
     model, delay = form.model(x)
-    return held_response(model, measured.frequency, form.period, delay) - measured.value
+    held = quick_held_response if quick else held_response
+    return held(model, measured.frequency, form.period, delay) - measured.value
 
 
-def _residuals(form: _Form, x: Floats, measured: Response, weight: Floats) -> Floats:
-    error = _errors(form, x, measured) * weight
+def _residuals(form: _Form, x: Floats, measured: Response, weight: Floats, quick: bool = False) -> Floats:
+    error = _errors(form, x, measured, quick) * weight
     return np.concatenate([error.real, error.imag])
 
 
-def _minimise(form: _Form, start: Floats, measured: Response, weight: Floats) -> Floats:
+def _minimise(form: _Form, start: Floats, measured: Response, weight: Floats, quick: bool = False) -> Floats:
+    tolerance, most = QUICK if quick else (1e-12, 100)
     low = np.full(len(start), -np.inf)
     high = np.full(len(start), np.inf)
     low[: form.order], high[: form.order] = -WIDEST, WIDEST
@@ -358,14 +392,14 @@ def _minimise(form: _Form, start: Floats, measured: Response, weight: Floats) ->
     inside = np.clip(start, low + 1e-9, high - 1e-9)
     try:
         found = scipy.optimize.least_squares(
-            lambda x: _residuals(form, x, measured, weight),
+            lambda x: _residuals(form, x, measured, weight, quick),
             inside,
             bounds=(low, high),
             x_scale="jac",
-            xtol=1e-12,
-            ftol=1e-12,
-            gtol=1e-12,
-            max_nfev=100,
+            xtol=tolerance,
+            ftol=tolerance,
+            gtol=tolerance,
+            max_nfev=most,
         )
     except (ValueError, np.linalg.LinAlgError) as error:
         raise ParameterError(f"no model of order {form.order} fits the response: {error}") from error

@@ -1,0 +1,98 @@
+"""Structure by evidence: coils come out as poles, dead times as dead times, and nothing is invented."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from valve_control.identification import bode, rational, structure
+from valve_control.identification.response import Response
+from valve_control.identification.structure import Candidate
+from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+
+PERIOD = 0.001
+
+
+def made(model, delay=0.0, deviation=1e-4, seed=1, count=30):
+    """A response as a stepped sine of equal length would measure it."""
+    f = np.geomspace(0.5, 100.0, count)
+    noise = np.random.default_rng(seed).standard_normal((2, count)) * deviation
+    value = bode.held_response(model, f, PERIOD, delay) + noise[0] + 1j * noise[1]
+    return Response(f, value, np.full(count, deviation), np.ones(count), PERIOD, "stepped sine", ())
+
+
+def with_coil(hertz, damping, lag, gain=0.85):
+    omega = 2.0 * math.pi * hertz
+    denominator = np.polymul([1.0, 2.0 * damping * omega, omega**2], [1.0, 1.0 / lag])
+    return TransferFunction((gain * omega**2 / lag,), tuple(map(float, denominator)))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0005, 0.001])
+@pytest.mark.parametrize(("hertz", "damping", "lag"), [(9.0, 0.8, 0.004), (7.0, 0.8, 0.003)])
+def test_a_coil_is_a_pole_and_not_dead_time(hertz, damping, lag, delay):
+    best = structure.choose(made(with_coil(hertz, damping, lag), delay)).best
+    assert (best.order, len(best.model.numerator)) == (3, 1)
+    assert ("delay" in best.names) == (delay > 0.0)
+    assert abs(best.delay - delay) < 1e-5
+    fast = max(bode.roots(best.model.denominator), key=lambda root: root.frequency)
+    assert 2.0 * math.pi * fast.frequency * lag == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_fast_valve_with_a_coil():
+    best = structure.choose(made(with_coil(35.0, 0.7, 0.0015))).best
+    assert best.names == ("b0", "a2", "a1", "a0")
+    assert np.allclose(best.model.denominator, with_coil(35.0, 0.7, 0.0015).denominator, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("model", "delay", "form"),
+    [
+        (SECOND_ORDER, 0.0, Candidate(2, 0, False)),
+        (SECOND_ORDER, 0.001, Candidate(2, 0, True)),
+        (FOURTH_ORDER, 0.0, Candidate(4, 2, False)),
+        (FOURTH_ORDER, 0.006, Candidate(4, 2, True)),
+    ],
+)
+def test_the_models_of_the_paper_keep_their_structure(model, delay, form):
+    best = structure.choose(made(model, delay)).best
+    assert Candidate(best.order, len(best.model.numerator) - 1, "delay" in best.names) == form
+    assert np.allclose(best.values[: len(best.values) - form.late][-1], model.denominator[-1], rtol=0.02)
+
+
+def test_noise_that_explains_the_second_order_ends_the_search():
+    measured = made(SECOND_ORDER, deviation=1e-3)
+    found = structure.choose(measured)
+    assert [one.form for one in found.tried] == [Candidate(2, 0, False)]
+    best, note = structure.beside(measured, rational.fit(measured, 2))
+    assert best is None and note.startswith("noise alone explains")
+
+
+def test_of_candidates_as_good_as_each_other_the_simplest_counts():
+    def scored(poles, zeros, late, criterion):
+        return structure.Scored(Candidate(poles, zeros, late), criterion, 0.0)
+
+    chosen = [
+        structure._simplest([scored(4, 2, False, 0.0), scored(3, 0, True, 5.9)]),
+        structure._simplest([scored(4, 2, False, 0.0), scored(3, 0, True, 6.1)]),
+        structure._simplest([scored(3, 0, True, 0.0), scored(3, 0, False, 3.0), scored(2, 0, True, 9.0)]),
+    ]
+    assert [one.form for one in chosen] == [
+        Candidate(3, 0, True),
+        Candidate(4, 2, False),
+        Candidate(3, 0, False),
+    ]
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.floats(3.0, 80.0), st.floats(0.2, 2.0), st.floats(0.0005, 0.01), st.floats(0.0, 0.012),
+    st.sampled_from([0.0005, 0.001, 0.0025]),
+)  # fmt: skip
+def test_partial_fractions_agree_with_the_state_space(hertz, damping, lag, delay, period):
+    f = np.geomspace(0.1, 0.45 / period, 25)
+    for model in (with_coil(hertz, damping, lag), SECOND_ORDER, FOURTH_ORDER):
+        exact = bode.held_response(model, f, period, delay)
+        quick = bode.quick_held_response(model, f, period, delay)
+        assert np.max(np.abs(quick - exact)) < 1e-5 * np.max(np.abs(exact))
