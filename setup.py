@@ -48,7 +48,7 @@ setup(
     ],
     extras_require={
         "axis": ["ruckig>=0.14"],
-        "canopen": ["canopen>=2.4", "python-can>=4.6"],
+        "canopen": ["canopen>=2.4", "python-can>=4.6", "pyserial>=3.5"],
         "cluster": ["distributed>=2024.1"],
         "dashboard": ["nicegui>=3.18,<4"],
         "modbus": ["pymodbus>=3.16,<4"],

@@ -19,7 +19,11 @@ LVDT, AMPLIFIER, ENABLE = 3, 5, 7
 
 class Io:
     def __init__(self, period):
-        self.spool = Spool(period)
+        self.period = period
+        self.reset()
+
+    def reset(self):
+        self.spool = Spool(self.period)
         self.volts, self.on = 0.0, False
         self.fault = "none"  # or silent, refuse_read N, refuse_write N
 
@@ -58,7 +62,9 @@ async def main(port, period):
     )
     while line := await orders.readline():
         order = line.decode().strip()
-        if order != "state":
+        if order == "reset":
+            io.reset()
+        elif order != "state":
             io.fault = order
         print(f"{io.volts:.4f} {int(io.on)}", flush=True)
 

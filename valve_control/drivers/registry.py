@@ -5,11 +5,11 @@ Another package adds a kind by an entry point of the group ``valve_control.drive
 
 from importlib.metadata import EntryPoint, entry_points
 
-from valve_control.drivers import modbus, serial_card
+from valve_control.drivers import canopen_408, modbus, serial_card
 from valve_control.drivers.driver import Kind, KindError, check
 
 GROUP = "valve_control.drivers"
-BUILT_IN: tuple[Kind, ...] = (serial_card.KIND, modbus.KIND)
+BUILT_IN: tuple[Kind, ...] = (serial_card.KIND, canopen_408.KIND, modbus.KIND)
 RESERVED = ("simulated",)  # of the valve that `parameters/drivers.py` adds
 
 

@@ -1,0 +1,204 @@
+"""CANopen, CiA 408: the driver against a valve in another process, behind slcan on a pseudo-terminal."""
+
+import sys
+import time
+
+import pytest
+from spool import device, until
+
+from valve_control.drivers import canopen_states as states
+from valve_control.drivers.can_bus import CanNode
+from valve_control.drivers.canopen_408 import GRACE, KIND, PARAMETERS
+from valve_control.drivers.driver import DriverError
+from valve_control.parameter import defaults, updated
+
+PERIOD = 0.01  # s
+
+
+def driver(valve, **changes):
+    usual = {"interface": "slcan", "channel": valve.address, "node": 5, "adapter_pause": 0.0}
+    named = {f"canopen.{name}": value for name, value in {**usual, **changes}.items()}
+    return KIND.make(updated(PARAMETERS, defaults(PARAMETERS), named), PERIOD, 0.0)
+
+
+@pytest.fixture(scope="module")
+def started():
+    with device("valve_408", "5", "408", "", str(PERIOD)) as process:
+        yield process
+
+
+@pytest.fixture
+def valve(started):
+    for order in ("bus_off 0", "enable 1", "reset"):
+        started.order(order)
+    return started
+
+
+@pytest.fixture
+def running(valve):
+    """Driver of a valve that is ACTIVE at 2 V."""
+    made = driver(valve)
+    made.open()
+    activate(made, valve)
+    yield made
+    made.close()
+
+
+def activate(made, valve):
+    made.enable(True)
+
+    def active():
+        made.write(20.0)
+        made.read()
+        return valve.order("state") == "ACTIVE 2.0001 OPERATIONAL"  # 3277 counts
+
+    until(active, "ACTIVE at 2 V")
+    assert not {c.name for c in made.conditions() if c.level == "safe"}
+
+
+def names(made):
+    return {c.name: c.level for c in made.conditions()}
+
+
+def fault(made, name):
+    """Read until the driver tells fault ``name``, giving 2 V all the time."""
+
+    def told():
+        made.read()
+        made.write(20.0)
+        return names(made).get(name) == "safe"
+
+    until(told, name)
+
+
+def test_nothing_moves_before_enable_and_the_valve_is_off_at_the_end(valve):
+    made = driver(valve)
+    made.open()
+    made.write(20.0)
+    assert made.read() == (0.0, 0) and valve.order("state") == "INIT 0.0000 PRE-OPERATIONAL"
+    activate(made, valve)
+    readings = [made.read() for _ in range(100)]
+    # Model (3): 0.83 V/V. 3277 of 16384 counts are 2 V.
+    assert readings[-1].signal == pytest.approx(16.7, abs=0.5)
+    made.enable(False)
+    readings = [made.read() for _ in range(5)]
+    assert all(readings) and valve.order("state") == "DISABLED 0.0000 OPERATIONAL", "readings go on"
+    activate(made, valve)
+    made.close()
+    assert valve.order("state") == "INIT 0.0000 PRE-OPERATIONAL"
+
+
+def test_a_set_point_without_sync_acts_when_it_arrives(valve):
+    made = driver(valve, on_sync=False)
+    made.open()
+    activate(made, valve)
+    made.write(-40.0)
+    until(lambda: valve.order("state").startswith("ACTIVE -4.0002"), "the set point")
+    made.close()
+
+
+def test_lost_actual_values_are_counted(running, valve):
+    running.read()
+    valve.order("drop 4")
+    found = until(running.read, "a reading")
+    assert found.lost >= 4 and names(running) == {"pdo_lost": "degraded"}
+    assert valve.order("state").startswith("ACTIVE")
+
+
+@pytest.mark.parametrize(
+    ("order", "name", "then"),
+    [("mute", "heartbeat_lost", "DISABLED 0.0000"), ("emergency 3100", "emergency", "DISABLED 0.0000"),
+     ("enable 0", "wrong_state", "DISABLED 0.0000"), ("quiet_fault", "fault", "FAULT 0.0000"),
+     ("reset", "node_reset", "INIT 0.0000"), ("bus_off 1", "bus_silent", "FAULT 0.0000")],
+)  # fmt: skip
+def test_faults_are_named_switch_off_and_stay_off_until_enabled_anew(running, valve, order, name, then):
+    valve.order(order)
+    fault(running, name)
+    until(lambda: (running.read(), valve.order("state").startswith(then))[1], then)
+    for back in ("enable 1", "bus_off 0"):
+        valve.order(back)
+    for _ in range(5):
+        running.read()
+        running.write(20.0)
+    assert valve.order("state").startswith(then), "it does not start by itself"
+    assert "enabled anew" in str(running.conditions())
+    activate(running, valve)
+
+
+def test_a_valve_that_was_stopped_is_told(running, valve):
+    end = time.monotonic() + GRACE  # in which the NMT state may be old
+    while time.monotonic() < end:
+        running.read()
+    valve.order("stop")
+    fault(running, "not_operational")
+
+
+def test_the_valve_goes_off_by_itself_when_this_process_stands_still(running, valve):
+    until(lambda: valve.order("state").startswith("FAULT 0.0000"), "the valve's own watchdog")
+
+
+def test_a_valve_that_cannot_watch_its_set_point_is_told_all_the_time():
+    with device("valve_408", "5", "408", "0x1400:5", str(PERIOD)) as valve:
+        made = driver(valve)
+        made.open()
+        activate(made, valve)
+        assert names(made)["no_watchdog"] == "degraded"
+        made.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "changes", "said"),
+    [(("5",), {"node": 6}, "node 6 does not answer on /dev/pts/.*canopen.node"),
+     (("5", "402"), {}, "node 5 has the device profile 402; it must have 408"),
+     (("5", "408", "0x6311:1"), {}, "refuses object 0x6311:01.*set canopen.reference"),
+     (("5",), {"interface": "no_such"}, r"no CAN bus /dev/pts/\d+ \(no_such\)"),
+     (("5",), {"channel": "/dev/no_such"}, r"no CAN bus /dev/no_such \(slcan\)")],
+)  # fmt: skip
+def test_a_wrong_bus_or_node_is_named(words, changes, said):
+    with device("valve_408", *words) as valve, pytest.raises(DriverError, match=said):
+        driver(valve, **changes).open()
+
+
+def test_an_adapter_that_is_pulled_out_is_told():
+    with device("valve_408", "5", "408", "", str(PERIOD)) as valve:
+        made = driver(valve)
+        made.open()
+        activate(made, valve)
+    with pytest.raises(DriverError, match="the CAN bus"):
+        for _ in range(50):
+            made.read()
+    made.close()
+
+
+def test_a_missing_library_is_named_with_its_extra(valve, monkeypatch):
+    monkeypatch.delitem(sys.modules, "valve_control.drivers.can_bus")
+    monkeypatch.setitem(sys.modules, "canopen", None)
+    with pytest.raises(DriverError, match=r"needs canopen and python-can; .*'valve_control\[canopen\]'"):
+        driver(valve).open()
+
+
+def test_an_error_frame_of_socketcan_tells_bus_off():
+    import can
+
+    node = CanNode(5, 0.1, interface="virtual", channel="bus_off", bitrate=500000)
+    with can.Bus(interface="virtual", channel="bus_off") as other:
+        other.send(can.Message(arbitration_id=0x04, is_error_frame=True))
+        node.pump(0.1)
+        assert not node.bus_off, "a warning"
+        other.send(can.Message(arbitration_id=0x40, is_error_frame=True))
+        node.pump(0.1)
+        assert node.bus_off
+    node.close()
+
+
+def test_the_way_to_active_passes_every_state_and_a_fault_is_reset_by_an_edge():
+    following = {states.DISABLED: 0b1001, states.HOLD: 0b1011, states.ACTIVE: 0b1111}
+    status, passed = 0b1000, []
+    while not states.active(status):
+        status = following[states.towards_active(status)]
+        passed.append(states.state(status))
+    assert passed == ["DISABLED", "HOLD", "ACTIVE"] and states.towards_active(status) == states.ACTIVE
+    for status in (0b0000, 0b0001, 0b0011):
+        assert states.fault(status) and states.towards_active(status) == states.DISABLED
+        first, second = states.reset(status, False), states.reset(status, True)
+        assert not first & states.RESET and second & states.RESET and first & 7 == second & 7 == status & 3
