@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.compiling import bind, compile_function
-from valve_control.plant import valve
+from valve_control.plant import registry
 
 Array = npt.NDArray[np.float64]
 SIGNALS = ("position", "measurement", "voltage")
@@ -128,8 +128,8 @@ def nothing_measured(params: float, state: float, now: Sample, plant: Any) -> tu
     return state, False
 
 
-def valve_signals(plant: valve.State, now: Sample) -> tuple[float, float, float]:
-    """SIGNALS [V] of a valve: true position, LVDT reading and voltage."""
+def valve_signals(plant: Any, now: Sample) -> tuple[float, float, float]:
+    """SIGNALS [V] of a plant: true position, LVDT reading and voltage."""
     return plant.x.x0, now.reading, now.voltage
 
 
@@ -148,18 +148,19 @@ def run_valve(
     terms: Array,
     compiled: bool = True,
 ) -> Parts:
-    """Run ``law`` on a valve from the states ``begin``, one sample per command [V]; returns the last states.
+    """Run ``law`` on a plant from the states ``begin``, one sample per command [V]; returns the last states.
 
-    ``p``, ``begin``: of ``parts``; ``noise``: standard normal numbers of the LVDT; ``signals`` (n×3) receives
+    ``p``, ``begin``: of ``parts``, with the Params of any plant; ``noise``: standard normal numbers of the LVDT; ``signals`` (n×3) receives
     SIGNALS [V], ``terms`` (n×m, or 0×m for none) the law's terms.
     """
+    plant = registry.plant_of(p.plant).module
     loop = build(
         {
             "next_command": command_given,
-            "read": valve.read,
+            "read": plant.read,
             "law_step": law.step,
             "measured": nothing_measured,
-            "plant_step": valve.step,
+            "plant_step": plant.step,
             "shown": valve_signals,
         },
         compiled,

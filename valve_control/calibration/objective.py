@@ -17,7 +17,7 @@ from valve_control.laws.signals import Start
 from valve_control.parameter import number, updated
 from valve_control.parameters import build
 from valve_control.parameters.table import NODES
-from valve_control.plant import valve
+from valve_control.plant import registry
 
 Array = npt.NDArray[np.float64]
 Table = Mapping[str, Indices]  # by controller; NaN where nothing was measured
@@ -69,6 +69,7 @@ def run(settings: Settings, controllers: Sequence[str], seeds: Sequence[int]) ->
     """Indices of each controller with each seed of the LVDT's noise. Raises ParameterError."""
     command = commands_of(settings)
     valve_params = build.valve_params(settings["valve_simulator"])
+    plant = registry.plant_of(valve_params).module
     noises = [np.random.default_rng(seed).standard_normal(len(command)) for seed in seeds]
     signals = np.zeros((len(command), len(closed_loop.SIGNALS)))
     found: dict[str, list[Indices]] = {name: [] for name in controllers}
@@ -79,8 +80,8 @@ def run(settings: Settings, controllers: Sequence[str], seeds: Sequence[int]) ->
         given = closed_loop.parts(law_params, valve_params)
         led = command_lead.applied(command_lead.build(values, LAWS[name].reshapes(law_params)), command)
         for noise in noises:
-            state = valve.initial(valve_params)
-            first = valve.read(valve_params, state, noise[0])
+            state = plant.initial(valve_params)
+            first = plant.read(valve_params, state, noise[0])
             begun = law.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
             begin = closed_loop.parts(begun, state)
             closed_loop.run_valve(law, given, begin, led, noise, signals, NO_TERMS)

@@ -43,6 +43,7 @@ def add_commands(commands: Any) -> None:
 def _margins(arguments: argparse.Namespace) -> None:
     from valve_control.laws.registry import LAWS
     from valve_control.parameters import build, stability
+    from valve_control.plant import registry
     from valve_control.simulation import offline
     from valve_control.tuning import box as boxes
     from valve_control.tuning import margins
@@ -56,9 +57,10 @@ def _margins(arguments: argparse.Namespace) -> None:
     if not law.feedback:
         raise ParameterError(f"{law.name} has no feedback, so there is no loop that could have margins")
     params, plant = build.law_params(settings["controller"]), build.valve_params(settings["valve_simulator"])
-    if plant.lvdt.delay > stability.MOST_DELAY:
+    delay = registry.linear(plant).lvdt.delay
+    if delay > stability.MOST_DELAY:
         raise ParameterError(
-            f"the dead time of the LVDT is {plant.lvdt.delay:g} sample periods; margins are told up to "
+            f"the dead time of the LVDT is {delay:g} sample periods; margins are told up to "
             f"{stability.MOST_DELAY:g}"
         )
     found = {"this valve": margins.margins(law, params, margins.prepared([plant]))}

@@ -20,7 +20,8 @@ from valve_control.parameter import ParameterError, Values, number, updated
 from valve_control.parameters import build
 from valve_control.parameters.table import NODES
 from valve_control.plant.amplifier import saturate
-from valve_control.simulation.robustness import Quantity, faster
+from valve_control.plant.models import faster
+from valve_control.simulation.robustness import Quantity
 
 Floats = npt.NDArray[np.float64]
 LONGEST = 90.0  # s  of a recording that are looked at: those with the most motion

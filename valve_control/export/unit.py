@@ -12,9 +12,8 @@ from valve_control.laws.registry import LAWS
 from valve_control.laws.reshaping import PARAMETERS as RESHAPING
 from valve_control.parameter import Table, Values, number, word
 from valve_control.parameters import axis as axis_parameters
-from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import machine, valve
+from valve_control.plant import machine, registry
 from valve_control.supervision import watch
 from valve_control.supervision.record import Memory
 
@@ -90,19 +89,19 @@ def watched(values: Values) -> Unit:
 
 def plant(values: Values) -> Unit:
     """The valve with the simulator's ``values``. Raises ParameterError."""
-    text = "proportional directional control valve with friction, flow force, amplifier and LVDT"
-    params = build.valve_params(values)
+    kind = registry.chosen(values)
+    params = kind.build(values)
     return Unit(
         "valve",
-        text,
+        kind.text,
         False,
-        valve,
+        kind.module,
         params,
         VALVE,
         values,
-        build.valve_params,
-        begin=lambda: valve.initial(params),
-        read=valve.read,
+        kind.build,
+        begin=lambda: kind.module.initial(params),
+        read=kind.module.read,
         noises=(Port("noise", "standard normal number of the LVDT", ""),),
         outputs=(Port("measurement", "LVDT reading", "V"),),
     )

@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_msgs.msg import Float64
 
+from valve_control.compiling import compile_function
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     SAMPLES,
@@ -27,8 +28,9 @@ from valve_control.nodes.loop import run
 from valve_control.parameter import ParameterError, Values, number, word
 from valve_control.parameters import build
 from valve_control.parameters.table import VALVE
-from valve_control.plant import valve
+from valve_control.plant import registry
 from valve_control.plant.amplifier import saturate
+from valve_control.plant.plant import Plant
 
 POLL = 5e-5  # s between two looks for a late voltage
 STALL = 0.1  # s; a longer pause of the process is skipped, not made good
@@ -42,6 +44,15 @@ WEAK = 0.2  # of the gain, a weak solenoid
 WATCH_GRAPH = 0.1  # s between two looks at who publishes
 SLOPES = {"flipped": -1.0, "half": 0.5}  # of an LVDT
 NEVER = math.inf
+
+
+def _stepping(plant: Plant, params: Any) -> Callable[[Any, Any, float], Any]:
+    """Step of ``plant``, compiled and run once with ``params`` if it is too long for plain Python."""
+    step: Callable[[Any, Any, float], Any] = plant.module.step
+    if plant.compiled:
+        step = compile_function(step)
+        step(params, plant.module.initial(params), 0.0)
+    return step
 
 
 class ValveSimulator(Managed):
@@ -61,6 +72,8 @@ class ValveSimulator(Managed):
     def __init__(self, alone: bool = True, **options: Any) -> None:
         super().__init__("valve_simulator", **options)
         self._params: Any = None
+        self._plant: Any = None
+        self._step: Any = None
         self._state: Any = None
         self._period = 0.0
         self._voltages: NumberSubscription | None = None
@@ -105,12 +118,15 @@ class ValveSimulator(Managed):
         self._timeout = number(values, "voltage_timeout")
         self._listeners = int(number(values, "listeners"))
         self._lockstep = values["clock"] == "lockstep"
+        before, self._plant = self._plant, registry.plant_of(self._params)
+        if self._plant is not before:
+            self._step = _stepping(self._plant, self._params)
         if self._state is None or former is None:
             self._rest()
-        elif self._params.lvdt.delay != former.lvdt.delay:
-            history = valve.initial(self._params).history
-            history[:] = self._state.x.x0
-            self._state = self._state._replace(history=history, newest=0)
+        elif self._plant is not before:
+            self._state = self._plant.module.initial(self._params)
+        else:
+            self._state = self._plant.resumed(former, self._params, self._state)
         if values["seed"] != self._seed:
             self._sow()
         if self._params.period != self._period:
@@ -127,7 +143,7 @@ class ValveSimulator(Managed):
                 self.destroy_publisher(self._second)
                 self._second = None
         if "weak" in fault:
-            self._params = self._params._replace(gain_scale=WEAK * self._params.gain_scale)
+            self._params = self._plant.varied(self._params, WEAK, 0.0, 1.0)
         if wanted != self._realtime:
             self._realtime = wanted
             realtime.obtain(wanted, self.get_logger().warning)
@@ -139,7 +155,7 @@ class ValveSimulator(Managed):
     def _rest(self) -> None:
         """Put the spool at rest in the centre, and start the noise from its beginning."""
         self._sow()
-        self._state = valve.initial(self._params)
+        self._state = self._plant.module.initial(self._params)
         self._voltage = 0.0
         self._heard = self._answered = self._centring = False
         self._unanswered = self._samples = 0
@@ -259,12 +275,12 @@ class ValveSimulator(Managed):
 
     def _advance(self) -> None:
         before = self._state
-        self._state = valve.step(self._params, before, self._voltage)
+        self._state = self._step(self._params, before, self._voltage)
         if "stuck" in self._fault:
             self._state = self._state._replace(x=before.x._replace(x1=0.0))
 
     def _send(self) -> None:
-        reading = valve.read(self._params, self._state, self._noise())
+        reading = self._plant.module.read(self._params, self._state, self._noise())
         fault = self._fault[0]
         if fault == "lost":
             self._positions.publish(CORRUPT)

@@ -23,7 +23,7 @@ from valve_control.parameter import (
 )
 from valve_control.parameters import build, files
 from valve_control.parameters.table import AUTOSTART, NODES
-from valve_control.plant import axis, machine, valve
+from valve_control.plant import axis, machine, registry, valve
 
 GRAVITY = 9.80665  # m/s²
 CONSTANT_VOLUME = 1e9  # m³; a supply so large that no flow changes its pressure
@@ -355,8 +355,14 @@ def machine_params(axis_values: Values, valve_values: Values) -> machine.Params:
             f"sample_period is {period:g} s for the axis and "
             f"{number(valve_values, 'sample_period'):g} s for its valve; they must be equal"
         )
+    fed = build.valve_params(valve_values)
+    if not isinstance(fed, valve.Params):
+        raise ParameterError(
+            f"valve is '{word(valve_values, 'valve')}'; the valve of an axis must be "
+            f"{one_of(registry.PLANTS['linear'].values)}"
+        )
     return machine.Params(
-        valve=build.valve_params(valve_values),
+        valve=fed,
         axis=axis_params(axis_values),
         sensors=sensors(axis_values),
     )

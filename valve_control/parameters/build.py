@@ -9,15 +9,13 @@ from valve_control.commands.arrays import Array
 from valve_control.commands.scenarios import Shape, steps_of, stroke_time
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, Value, Values, number, word
-from valve_control.plant import models, valve
+from valve_control.plant import registry
 from valve_control.plant.models import TransferFunction
 
 
 def valve_model(values: Values) -> TransferFunction:
     """Linear model of the valve, with its gain scaled. Raises ParameterError."""
-    model = models.chosen(values, "valve", "")
-    scale = number(values, "gain_scale")
-    return model.scaled(scale)
+    return registry.chosen(values).model(values)
 
 
 def law_params(values: Values) -> Any:
@@ -29,31 +27,9 @@ def law_params(values: Values) -> Any:
     return {name: law.build(values) for name, law in LAWS.items()}[word(values, "controller")]
 
 
-def valve_params(values: Values) -> valve.Params:
-    """Valve from the simulator's values. Raises ParameterError."""
-    disturbance = valve.Disturbance(
-        coulomb=number(values, "friction.coulomb"),
-        static_ratio=number(values, "friction.static_ratio"),
-        stribeck_velocity=number(values, "friction.stribeck_velocity"),
-        velocity_scale=number(values, "friction.velocity_scale"),
-        presliding=number(values, "friction.presliding"),
-        flow_force=number(values, "flow_force"),
-        offset=number(values, "disturbance.offset"),
-        stiffness_drift=number(values, "drift.stiffness"),
-        gain_drift=number(values, "drift.gain"),
-    )
-    period = number(values, "sample_period")
-    lvdt = valve.Lvdt(
-        noise=number(values, "lvdt.noise"),
-        resolution=number(values, "lvdt.resolution"),
-        bias=number(values, "lvdt.bias"),
-        delay=number(values, "lvdt.delay") / period,
-    )
-    u_max, gain_scale = number(values, "u_max"), number(values, "gain_scale")
-    try:
-        return valve.design(models.chosen(values, "valve", ""), period, u_max, gain_scale, disturbance, lvdt)
-    except valve.ModelError as error:
-        raise ParameterError(str(error)) from error
+def valve_params(values: Values) -> Any:
+    """Params of the plant that the simulator's parameter `valve` names. Raises ParameterError."""
+    return registry.chosen(values).build(values)
 
 
 def shape(values: Values) -> Shape:

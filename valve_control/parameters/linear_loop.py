@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from valve_control.laws.law import Law
 from valve_control.laws.signals import Start
-from valve_control.plant import valve
+from valve_control.plant import registry
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -111,8 +111,9 @@ def _reached(links: npt.NDArray[np.bool_], start: int) -> npt.NDArray[np.bool_]:
         reached = more
 
 
-def linear_valves(plants: Sequence[valve.Params]) -> LinearValves:
-    """Linear form of ``plants`` without friction; readings between two samples as in ``valve.delayed``."""
+def linear_valves(given: Sequence[Any]) -> LinearValves:
+    """Linear form of plants with the Params ``given``, without friction; readings as in ``valve.delayed``."""
+    plants = [registry.linear(p) for p in given]
     rows = np.array([[p.row0, p.row1, p.row2, p.row3] for p in plants])
     held = np.array([p.gain_scale * np.array(p.input) for p in plants])
     a = rows.copy()

@@ -14,7 +14,7 @@ import numpy as np
 from valve_control.laws.law import Law
 from valve_control.laws.signals import Start
 from valve_control.parameters import linear_loop
-from valve_control.plant import valve
+from valve_control.plant import registry, valve
 from valve_control.plant.models import TransferFunction
 
 GAIN_MARGIN = 1.25  # of b0; the real valve's b0 lies that far from θ(0), and so does (2)
@@ -54,7 +54,7 @@ def _believed(params: Any, theta: tuple[float, ...]) -> valve.Params:
     return valve.design(model, params.period, params.u_max, 1.0, FREE, IDEAL)
 
 
-def dominant_pole(law: Law, params: Any, plant: valve.Params) -> complex:
+def dominant_pole(law: Law, params: Any, plant: Any) -> complex:
     """The pole of largest modulus of the sampled loop around ``plant``, without its friction and noise."""
     linear = linear_loop.linear_law(law, params, frozen=True)
     return complex(linear_loop.dominant_poles(linear, linear_loop.linear_valves([plant]))[0])
@@ -80,11 +80,11 @@ def warning(law: Law, params: Any) -> str:
     return f"{told}; {_advice(law, params, _believed(params, theta), law.remedy)}"
 
 
-def valve_warning(law: Law, params: Any, plant: valve.Params) -> str:
+def valve_warning(law: Law, params: Any, plant: Any) -> str:
     """One sentence if the sampled loop around this very valve is unstable, else ""."""
     if not law.feedback:
         return _static_warning(law, params, plant)
-    if plant.lvdt.delay > MOST_DELAY:
+    if registry.linear(plant).lvdt.delay > MOST_DELAY:
         return ""
     pole = dominant_pole(law, params, plant)
     if abs(pole) <= STABLE:
@@ -97,7 +97,7 @@ def valve_warning(law: Law, params: Any, plant: valve.Params) -> str:
     )
 
 
-def _static_warning(law: Law, params: Any, plant: valve.Params) -> str:
+def _static_warning(law: Law, params: Any, plant: Any) -> str:
     """One sentence if a law without feedback brings ``plant`` to another position than the command."""
     state = law.module.initial(params, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     voltage = 0.0
@@ -113,7 +113,7 @@ def _static_warning(law: Law, params: Any, plant: valve.Params) -> str:
     )
 
 
-def stable_gains(law: Law, params: Any, plant: valve.Params) -> tuple[int | None, int | None]:
+def stable_gains(law: Law, params: Any, plant: Any) -> tuple[int | None, int | None]:
     """By how many dB the loop's gain has to fall, or to rise, until the unstable loop is stable; None: never.
 
     The loop is cut at the voltage, as for its margins (tuning/margins.py).
@@ -129,7 +129,7 @@ def stable_gains(law: Law, params: Any, plant: valve.Params) -> tuple[int | None
     return down, up
 
 
-def _advice(law: Law, params: Any, plant: valve.Params, lower: str) -> str:
+def _advice(law: Law, params: Any, plant: Any, lower: str) -> str:
     """Which way the gains have to go until the loop around ``plant`` is stable; ``lower``: down."""
     down, up = stable_gains(law, params, plant)
     if down is not None and (up is None or down <= up):

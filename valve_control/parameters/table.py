@@ -4,7 +4,7 @@ from valve_control.laws import reshaping
 from valve_control.laws.common import SAMPLE_PERIOD, U_MAX
 from valve_control.laws.registry import LAWS, LEFT_OUT
 from valve_control.parameter import Parameter, Table
-from valve_control.plant import models
+from valve_control.plant import common, models, registry
 
 AUTOSTART = Parameter(
     "autostart", True, "", "configure and activate at the start; false waits for lifecycle transitions"
@@ -194,11 +194,13 @@ VALVE: Table = (
         "valve",
         "fourth_order",
         "",
-        "linear model of the valve: second_order (2), fourth_order (3) or custom",
-        choices=("second_order", "fourth_order", "custom"),
+        "linear model of the valve: second_order (2), fourth_order (3) or custom; solenoid: coil, "
+        "hysteresis, two sides, spool with friction and stops",
+        choices=tuple(registry.CHOICES),
+        left_out=tuple(registry.LEFT_OUT.items()),
     ),
     *models.custom_parameters(""),
-    Parameter("gain_scale", 1.0, "-", "multiplies the gain of the model", 0.01, 100.0),
+    common.GAIN_SCALE,
     Parameter("seed", 1, "", "seed of the LVDT noise", 0, 2**31 - 1),
     Parameter(
         "patience",
@@ -208,36 +210,9 @@ VALVE: Table = (
         0.0,
         1.0,
     ),
-    Parameter("friction.coulomb", 0.0, "V", "Coulomb friction as input voltage", 0.0, 100.0),
-    Parameter("friction.static_ratio", 1.0, "-", "static over Coulomb friction", 1.0, 10.0),
-    Parameter(
-        "friction.stribeck_velocity", 0.1, "V/s", "velocity at which the static part decays", 1e-6, 1e3
-    ),
-    Parameter(
-        "friction.velocity_scale",
-        0.02,
-        "V/s",
-        "half-width of friction's linear zone, without presliding",
-        1e-6,
-        1e3,
-    ),
-    Parameter(
-        "friction.presliding",
-        0.0,
-        "V",
-        "motion over which friction builds up like a spring (Dahl, LuGre); 0: none",
-        0.0,
-        10.0,
-    ),
-    Parameter("flow_force", 0.0, "V/V", "flow force as input voltage against the position", -10.0, 10.0),
-    Parameter("disturbance.offset", 0.0, "V", "constant input disturbance d_n", -10.0, 10.0),
-    Parameter("drift.gain", 0.0, "1/s", "relative growth of the gain per second", -0.01, 10.0),
-    Parameter("drift.stiffness", 0.0, "V/V/s", "growth of the flow force per second", -10.0, 10.0),
+    *common.DISTURBANCES,
     Parameter("listeners", 1, "", "lockstep: subscriptions to wait for before the first reading", 1, 100),
-    Parameter("lvdt.noise", 0.0, "V", "standard deviation of the reading", 0.0, 10.0),
-    Parameter("lvdt.resolution", 0.0, "V", "quantisation step; 0: none", 0.0, 10.0),
-    Parameter("lvdt.bias", 0.0, "V", "constant error of the reading", -10.0, 10.0),
-    Parameter("lvdt.delay", 0.0, "s", "dead time of the reading", 0.0, 1.0),
+    *common.LVDT,
     Parameter(
         "clock",
         "wall",
@@ -283,6 +258,7 @@ VALVE: Table = (
     FAULT_SAMPLES,
     AUTOSTART,
     *REALTIME,
+    *(parameter for plant in registry.PLANTS.values() for parameter in plant.parameters),
 )
 
 COMMAND: Table = (

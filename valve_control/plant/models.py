@@ -46,6 +46,15 @@ def slow_motion(model: TransferFunction) -> SlowMotion | None:
     return SlowMotion(damping / inertia, stiffness / inertia, 1.0 / inertia)
 
 
+def faster(model: TransferFunction, gain: float, speed: float) -> TransferFunction:
+    """``model`` with its gain times ``gain`` and all its poles and zeros times ``speed``."""
+    n, m = len(model.denominator), len(model.numerator)
+    return TransferFunction(
+        tuple(gain * c * speed ** (n - m + i) for i, c in enumerate(model.numerator)),
+        tuple(c * speed**i for i, c in enumerate(model.denominator)),
+    )
+
+
 SECOND_ORDER = TransferFunction((1502.057,), (1.0, 58.771, 1657.206))  # (2)
 FOURTH_ORDER = TransferFunction(
     (1206.0, 229256.0, 46882988.0), (1.0, 163.0, 47859.0, 1969807.0, 56553725.0)

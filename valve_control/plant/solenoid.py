@@ -1,8 +1,8 @@
 """Simulates one sample of a valve with proportional solenoids as a pure step; docs/valve_model.md derives it.
 
-Amplifier, coil, magnet with hysteresis, spool with friction and stops, and LVDT, in volts of LVDT signal like the
-linear valve of ``valve``. The voltage is held over the sample, which is divided into substeps. Over each of them
-coil and spool are advanced by exact transition matrices, and bristles and velocity are solved together,
+Amplifier, coil, magnet with hysteresis, spool with friction and stops, and LVDT, in volts of LVDT signal like
+the linear valve of ``valve``. The voltage is held over the sample, which is divided into substeps. Over each of
+them coil and spool are advanced by exact transition matrices, and bristles and velocity are solved together,
 implicitly, in closed form: no substep has to be as short as the time in which bristles straighten.
 """
 
@@ -82,7 +82,7 @@ class Sensor(NamedTuple):
 class Substep(NamedTuple):
     """Coefficients of one substep."""
 
-    count: float  # in a period, a whole number
+    number: float  # in a period, a whole number
     length: float  # s
     current: float  # -  what is left of a difference of the current
     force: float  # -  what is left of a difference of the force
@@ -130,15 +130,17 @@ class Motion(NamedTuple):
     bristle: float  # V  deflection at its end
 
 
-def substep(magnet: Magnet, spool: Spool, friction: Friction, dither_rate: float, period: float, finer: int) -> Substep:
+def substep(
+    magnet: Magnet, spool: Spool, friction: Friction, dither_rate: float, period: float, finer: int
+) -> Substep:
     """Coefficients of substeps that are short enough, times 1/``finer``, at a ``period`` [s]."""
     held = spool.gain * (spool.flow_force + friction.stiffness)
     fastest = spool.natural_frequency * math.sqrt(max(1.0, 1.0 + held))
     longest = min(LONGEST, COIL * magnet.coil, ANGLE / fastest)
     if dither_rate > 0.0:
         longest = min(longest, DITHER / dither_rate)
-    count = finer * math.ceil(period / longest * (1.0 - 1e-9))
-    h = period / count
+    number = finer * math.ceil(period / longest * (1.0 - 1e-9))
+    h = period / number
     current = math.exp(-h / magnet.coil)
     force = math.exp(-h / magnet.eddy) if magnet.eddy > 0.0 else 0.0
     apart = magnet.coil - magnet.eddy
@@ -156,7 +158,7 @@ def substep(magnet: Magnet, spool: Spool, friction: Friction, dither_rate: float
     )
     moved = scipy.linalg.expm(a * h)
     return Substep(
-        float(count),
+        float(number),
         h,
         current,
         force,
@@ -186,7 +188,7 @@ def design(
 
 
 def initial(p: Params) -> State:
-    """Spool at rest where it lies without voltage, or in the centre if it would rest there too."""
+    """Spool at rest in the centre, no voltage."""
     length = int(max(p.sensor.lvdt.delay, p.amplifier.dead_time)) + 2
     return State(Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, np.zeros((length, 3)), 0)
 
@@ -256,7 +258,7 @@ def stopped(f: Friction, h: float, bristle: float, velocity: float) -> float:
 
 
 def shifted(p: Params, x: Row, bristle: float, force: float) -> tuple[float, float, float]:
-    """Position [V], velocity [V/s] and bristles [V] after a substep with a mean ``force`` [V] on the spool."""
+    """Position [V], velocity [V/s] and bristles [V] after a substep with a mean ``force`` [V]."""
     s, f, h = p.substep, p.friction, p.substep.length
     position = s.x_x * x.x0 + s.x_v * x.x1 + s.x_force * force
     velocity = s.v_x * x.x0 + s.v_v * x.x1 + s.v_force * force
@@ -283,13 +285,15 @@ def held(p: Params, history: npt.NDArray[np.float64], newest: int, i: int) -> fl
     whole = int(p.amplifier.dead_time)
     n = len(history)
     voltage = float(history[(newest - whole) % n, 2])
-    older = limited((p.amplifier.dead_time - whole) * p.substep.count - i, 0.0, 1.0)
+    older = limited((p.amplifier.dead_time - whole) * p.substep.number - i, 0.0, 1.0)
     if older > 0.0:
         voltage += older * (float(history[(newest - whole - 1) % n, 2]) - voltage)
     return voltage
 
 
-def advance(p: Params, x: Row, play: float, bristle: float, voltage: float, time: float) -> tuple[Row, float, float]:
+def advance(
+    p: Params, x: Row, play: float, bristle: float, voltage: float, time: float
+) -> tuple[Row, float, float]:
     """Row of ``State``, force behind the hysteresis and bristles after a substep that begins at ``time`` [s].
 
     ``voltage`` [V]: of ``held``.
@@ -312,7 +316,7 @@ def step(p: Params, s: State, voltage: float) -> State:
     """State of the valve one period later, with ``voltage`` [V] held over it."""
     s.history[s.newest, 2] = voltage
     x, play, bristle = s.x, s.play, s.bristle
-    for i in range(int(p.substep.count)):
+    for i in range(int(p.substep.number)):
         given = held(p, s.history, s.newest, i)
         x, play, bristle = advance(p, x, play, bristle, given, s.time + i * p.substep.length)
     newest = (s.newest + 1) % len(s.history)

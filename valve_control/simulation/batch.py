@@ -3,7 +3,8 @@
 Valves go through one compiled loop in blocks of eight, which the compiler turns into SIMD instructions: most
 of a sample is waiting for divisions and square roots, and eight valves wait together. Threads share the
 blocks. Every valve has the noise of its own seed, with the bits of numpy's generator as in
-``offline.simulate``, so that its run is the same there and here, whatever block and number of threads.
+``offline.simulate``, so that its run is the same there and here, whatever block and number of threads. Valves
+of another plant than the linear one go through ``closed_loop.run_loop`` one by one.
 """
 
 import os
@@ -20,8 +21,10 @@ from valve_control import closed_loop
 from valve_control.compiling import LANES, compile_function, explained
 from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
-from valve_control.plant import valve
-from valve_control.simulation import measures
+from valve_control.plant import registry, valve
+from valve_control.plant.plant import Plant
+from valve_control.parameters import linear_loop
+from valve_control.simulation import measures, singly
 from valve_control.simulation.measures import INDICES, Measures
 
 Array = npt.NDArray[np.float64]
@@ -78,7 +81,7 @@ class Batch(NamedTuple):
 
     controller: str
     law_params: Records | tuple[Any, ...]  # N rows, or one for all valves
-    valve_params: Records | valve.Params
+    valve_params: Records | Any  # N rows, or one for all: Params of any plant
     seeds: Sequence[int] | npt.NDArray[np.int64]  # of the LVDTs' noise
     commands: Array
     measures: Measures = INDICES
@@ -277,17 +280,29 @@ def _rows(name: str, params: Records | tuple[Any, ...], like: Any, count: int) -
     return np.broadcast_to(flat, (count, flat.shape[1]))
 
 
+def _plant(params: Any) -> Plant:
+    """The plant whose Params, or rows of them, ``params`` are. Raises ValueError."""
+    for plant in registry.PLANTS.values():
+        kind = plant.module.Params
+        if isinstance(params, kind):
+            return plant
+        if isinstance(params, np.ndarray) and params.dtype == _dtype_of(template(kind)):
+            return plant
+    return registry.PLANTS["linear"]
+
+
 class Prepared(NamedTuple):
     """A batch that is checked and laid out for the compiled loop."""
 
     like: Lane
+    plant: Plant
     width: int  # numbers of a lane
     law: types.ModuleType
     measures: Measures
     law_rows: Array
     valve_rows: Array
     seeds: Valves
-    delays: Array  # periods, of the LVDTs
+    delays: Array  # periods, of the LVDTs of linear valves
     commands: Array  # V  one after the other
     led: Array  # V  likewise
     stride: int  # between the commands of one valve and the next
@@ -319,7 +334,8 @@ def _prepared(batch: Batch) -> Prepared:
         raise ValueError(f"commands have shape {commands.shape}, with their lead {led.shape}")
     samples = commands.shape[-1]
     states = (template(batch.measures.tally), template(Motion), template(law.State))
-    like = Lane(Work._make([*HANDED_OVER, *states]), template(law.Params), template(valve.Params))
+    plant = _plant(batch.valve_params)
+    like = Lane(Work._make([*HANDED_OVER, *states]), template(law.Params), template(plant.module.Params))
     law_rows = _rows("law_params", batch.law_params, like.law, count)
     valve_rows = _rows("valve_params", batch.valve_params, like.valve, count)
     laws = law_rows.view(_dtype_of(like.law))[:, 0]
@@ -333,13 +349,14 @@ def _prepared(batch: Batch) -> Prepared:
     width = _dtype_of(like).itemsize // 8
     return Prepared(
         like=like,
+        plant=plant,
         width=width,
         law=law,
         measures=batch.measures,
         law_rows=law_rows,
         valve_rows=valve_rows,
         seeds=seeds,
-        delays=plants["lvdt"]["delay"],
+        delays=plants["lvdt"]["delay"] if plant.module is valve else np.zeros(count),
         commands=commands.ravel(),
         led=led.ravel(),
         stride=0 if commands.ndim == 1 else samples,
@@ -351,6 +368,8 @@ def _prepared(batch: Batch) -> Prepared:
 def _run_lanes(ready: Prepared, start: int, traces: Array) -> Array:
     """Tallies of up to LANES valves from ``start`` on; a block with fewer repeats the last valve."""
     valves = np.minimum(np.arange(start, start + LANES), len(ready.seeds) - 1)
+    if ready.plant.module is not valve:
+        return _run_singly(ready, np.unique(valves), traces)
     rows = np.concatenate([ready.law_rows[valves], ready.valve_rows[valves]], axis=1)
     block = np.zeros((ready.width, LANES))
     block[ready.width - rows.shape[1] :] = rows.T
@@ -366,11 +385,39 @@ def _run_lanes(ready: Prepared, start: int, traces: Array) -> Array:
         stride=ready.stride,
         valves=valves,
         history=np.zeros((LANES, int(np.max(ready.delays[valves])) + 2, 2)),
-        last_begin=ready.samples - max(1, min(ready.samples, round(2.0 / ready.period) + 1)),
+        last_begin=_last_begin(ready),
         traces=traces,
     )
     at = Work._fields.index("tally")
     return block[at : at + len(ready.measures.tally._fields)].T[: len(ready.seeds) - start]
+
+
+def _run_singly(ready: Prepared, valves: Valves, traces: Array) -> Array:
+    """Tallies of ``valves``, whose plant has no loop over several at once."""
+    samples = traces.shape[1]
+    tallies = []
+    for i in valves.tolist():
+        first = i * ready.stride
+        run = singly.Run(
+            ready.law,
+            linear_loop.unflatten(ready.like.law, ready.law_rows[i].tolist()),
+            ready.plant.module,
+            linear_loop.unflatten(ready.like.valve, ready.valve_rows[i].tolist()),
+            int(ready.seeds[i]),
+            ready.commands[first : first + samples],
+            ready.led[first : first + samples],
+            _last_begin(ready),
+        )
+        signals = traces[i] if len(traces) else np.empty((samples, len(closed_loop.SIGNALS)))
+        tallies.append(
+            linear_loop.flatten(singly.simulate(run, ready.measures, ready.like.work.tally, signals))
+        )
+    return np.array(tallies)
+
+
+def _last_begin(ready: Prepared) -> int:
+    """Sample at which the last two seconds begin."""
+    return ready.samples - max(1, min(ready.samples, round(2.0 / ready.period) + 1))
 
 
 def simulate(batch: Batch, threads: int | None = None, traces: Array | None = None) -> Any:

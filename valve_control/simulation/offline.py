@@ -18,7 +18,7 @@ from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
 from valve_control.parameter import ParameterError, Values, number, word
 from valve_control.parameters import build, stability
-from valve_control.plant import valve
+from valve_control.plant import registry
 from valve_control.plant.models import LIKE, TransferFunction
 from valve_control.simulation import delivery
 from valve_control.simulation.delivery import Delivery
@@ -99,8 +99,9 @@ def simulate(
     noise = random.standard_normal(noise_start + n)[noise_start:]
     signals = np.zeros((n, len(closed_loop.SIGNALS)))
     terms = np.zeros((n, len(labels)))
-    valve_state = valve.initial(valve_params)
-    first = valve.read(valve_params, valve_state, noise[0])
+    plant = registry.plant_of(valve_params).module
+    valve_state = plant.initial(valve_params)
+    first = plant.read(valve_params, valve_state, noise[0])
     law_state = law.module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
     lead = command_lead.build(controller_values, law.reshapes(law_params))
     if delivered is None:
@@ -188,7 +189,7 @@ def check_memory(samples: float, terms: int = 0) -> None:
         )
 
 
-def _probe(law: Law, law_params: Any, plant: valve.Params, least: float, compiled: bool) -> str:
+def _probe(law: Law, law_params: Any, plant: Any, least: float, compiled: bool) -> str:
     """One sentence if a step brings the loop around ``plant`` into a limit cycle, else "".
 
     The poles know nothing of saturation, friction and adaptation, with which a loop that is stable for small
@@ -196,17 +197,15 @@ def _probe(law: Law, law_params: Any, plant: valve.Params, least: float, compile
     """
     if not law.feedback or least == 0.0:
         return ""
-    quiet = plant._replace(
-        disturbance=plant.disturbance._replace(gain_drift=0.0, stiffness_drift=0.0),
-        lvdt=plant.lvdt._replace(noise=0.0),
-    )
+    kind = registry.plant_of(plant)
+    quiet = kind.steady(kind.quiet(plant))
     n = round(PROBE / plant.period)
     for height in PROBES:
         signals = np.zeros((n, len(closed_loop.SIGNALS)))
         command = np.full(n, height)
         command[0] = 0.0
-        rest = valve.initial(quiet)
-        first = valve.read(quiet, rest, 0.0)
+        rest = kind.module.initial(quiet)
+        first = kind.module.read(quiet, rest, 0.0)
         begun = law.module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
         closed_loop.run_valve(
             law.module,

@@ -26,7 +26,7 @@ from valve_control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, Values, lookup, updated, word
 from valve_control.parameters import build
 from valve_control.parameters.table import NODES
-from valve_control.plant.models import TransferFunction
+from valve_control.plant import registry
 from valve_control.simulation import batch, measures, offline
 from valve_control.simulation.cluster import Cluster
 
@@ -116,28 +116,15 @@ def draw(study: Study, first: int, count: int) -> tuple[Array, Array]:
     return low + unit[:, :-1] * (high - low), np.asarray(study.periods, dtype=float)[choice]
 
 
-def faster(model: TransferFunction, gain: float, speed: float) -> TransferFunction:
-    """``model`` with its gain times ``gain`` and all its poles and zeros times ``speed``."""
-    n, m = len(model.denominator), len(model.numerator)
-    return TransferFunction(
-        tuple(gain * c * speed ** (n - m + i) for i, c in enumerate(model.numerator)),
-        tuple(c * speed**i for i, c in enumerate(model.denominator)),
-    )
-
-
 def valve_of(study: Study, number: int, point: Array, period: float) -> Values:
     """Simulator's parameters of valve ``number``. Raises ParameterError."""
     named = {q.name: float(value) for q, value in zip(study.box, point, strict=True)}
     base = study.settings["valve_simulator"]
     gain, speed = named.pop("gain", 1.0), named.pop("speed", 1.0)
-    model = faster(build.valve_model(base), gain, speed)
     changes: dict[str, Any] = {
         **named,
+        **registry.chosen(base).scaled(base, gain, speed),
         "sample_period": period,
-        "gain_scale": 1.0,
-        "valve": "custom",
-        "numerator": list(model.numerator),
-        "denominator": list(model.denominator),
         "seed": study.seed + number,
     }
     return updated(NODES["valve_simulator"], base, changes)

@@ -10,7 +10,7 @@ from valve_control.laws.law import Law
 from valve_control.parameter import ParameterError, Values, number, updated
 from valve_control.parameters import build
 from valve_control.parameters.table import CONTROLLER
-from valve_control.plant import valve
+from valve_control.plant import models
 from valve_control.simulation import robustness
 from valve_control.simulation.robustness import Quantity, Settings, Study
 
@@ -28,7 +28,7 @@ def study_of(settings: Settings, box: Sequence[Quantity], valves: int, seed: int
     return Study(settings, valves, seed, box, (period,))
 
 
-def drawn(study: Study) -> list[valve.Params]:
+def drawn(study: Study) -> list[Any]:
     """All valves of ``study``. Raises ParameterError."""
     points, periods = robustness.draw(study, 0, study.valves)
     return [
@@ -37,7 +37,7 @@ def drawn(study: Study) -> list[valve.Params]:
     ]
 
 
-def bounding(study: Study) -> list[valve.Params]:
+def bounding(study: Study) -> list[Any]:
     """Corners of the box, as far as margins depend on it, and SCATTERED within. Raises ParameterError.
 
     The corners have the most friction of the box: with less of it swings are smaller.
@@ -85,7 +85,7 @@ def with_model(law: Law, settings: Settings, given: Container[str]) -> tuple[Val
     if values.get(name, plant["valve"]) == plant["valve"] or name in given:
         return values, ""
     changes: dict[str, Any] = {name: plant["valve"]}
-    if plant["valve"] == "custom" or number(plant, "gain_scale") != 1.0:
+    if plant["valve"] not in models.MODELS or number(plant, "gain_scale") != 1.0:
         model = build.valve_model(plant)
         changes = {name: "custom"}
         changes.update({f"{law.name}.{part}": list(c) for part, c in model._asdict().items()})

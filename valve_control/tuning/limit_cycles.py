@@ -8,7 +8,7 @@ swings. All this shows in a run alone.
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from valve_control.laws.law import Law
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import Values, number, updated
 from valve_control.parameters.table import CONTROLLER
-from valve_control.plant import valve
+from valve_control.plant import registry
 from valve_control.simulation import batch
 from valve_control.tuning import trial
 from valve_control.tuning.trial import Gains, Limits, Motion, Problem, Workers
@@ -67,7 +67,7 @@ def _held(motion: Motion, more: float, period: float) -> Motion:
     return motion._replace(wanted=np.concatenate([motion.wanted, end]))
 
 
-def stressed(plants: Sequence[valve.Params], limits: Limits) -> list[valve.Params]:
+def stressed(plants: Sequence[Any], limits: Limits) -> list[Any]:
     """``plants``, each with STRESS of the margins used up: more gain, less gain or more dead time, in turn.
 
     Friction is a part of theirs, another one for each: what swings with much of it need not with little.
@@ -77,14 +77,7 @@ def stressed(plants: Sequence[valve.Params], limits: Limits) -> list[valve.Param
     for i, plant in enumerate(plants):
         later = STRESS * limits.delay_s / plant.period if i % 3 == 2 else 0.0
         gain = (factor, 1.0 / factor, 1.0)[i % 3]
-        coulomb = plant.disturbance.coulomb * (1.0 - (i * GOLDEN) % 1.0)
-        made.append(
-            plant._replace(
-                gain_scale=gain * plant.gain_scale,
-                lvdt=plant.lvdt._replace(delay=plant.lvdt.delay + later),
-                disturbance=plant.disturbance._replace(coulomb=coulomb),
-            )
-        )
+        made.append(registry.plant_of(plant).varied(plant, gain, later, 1.0 - (i * GOLDEN) % 1.0))
     return made
 
 
@@ -119,7 +112,7 @@ def after_all(
     law: Law,
     problem: Problem,
     gains: Gains,
-    plants: Sequence[valve.Params],
+    plants: Sequence[Any],
     workers: Workers = None,
     held: float = HELD,
 ) -> Valves:
@@ -140,7 +133,7 @@ def _restless(
     law: Law,
     problem: Problem,
     several: Sequence[Gains],
-    plants: Sequence[valve.Params],
+    plants: Sequence[Any],
     tried: Sequence[Motion],
     held: float,
     workers: Workers,
@@ -243,7 +236,7 @@ def _turns(swing: Array, beyond: float) -> int:
 
 
 def _by_feedback(
-    values: Values, plants: Sequence[valve.Params], found: Mapping[int, _Swing], threads: int | None
+    values: Values, plants: Sequence[Any], found: Mapping[int, _Swing], threads: int | None
 ) -> Valves:
     """Loops of those ``found`` that are not the valve's own swings at a constant voltage."""
     numbers = sorted(found)

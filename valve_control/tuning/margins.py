@@ -17,7 +17,7 @@ import numpy.typing as npt
 from valve_control.compiling import compile_function
 from valve_control.laws.law import Law
 from valve_control.parameters import linear_loop
-from valve_control.plant import valve
+from valve_control.plant import registry
 from valve_control.simulation import many_states
 from valve_control.tuning import friction_swing
 
@@ -56,8 +56,9 @@ class Box(NamedTuple):
     own_swing: Array  # N  V  of the valve at a constant voltage
 
 
-def prepared(plants: Sequence[valve.Params]) -> Box:
-    """``plants``, which have one sample period, for ``margins``. Raises ValueError."""
+def prepared(given: Sequence[Any]) -> Box:
+    """Plants with the Params ``given``, which have one sample period, for ``margins``. Raises ValueError."""
+    plants = [registry.linear(p) for p in given]
     periods = {p.period for p in plants}
     if len(periods) != 1:
         raise ValueError(f"the valves of a box have one sample period, not {len(periods)}")

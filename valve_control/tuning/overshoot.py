@@ -13,7 +13,7 @@ import numpy.typing as npt
 from valve_control.analysis import steps
 from valve_control.laws.law import Law
 from valve_control.parameter import number
-from valve_control.plant import valve
+from valve_control.plant import registry
 from valve_control.simulation import batch
 from valve_control.tuning import limit_cycles, trial
 from valve_control.tuning.trial import Gains, Motion, Problem, Workers
@@ -45,7 +45,7 @@ def _here(law: Law, problem: Problem, several: Sequence[Gains], threads: int | N
     motion = tried(period, problem.motions)
     first, _ = steps.places(motion, period)[1]
     bare = problem._replace(preview=False, delivery=None)
-    quiet: list[valve.Params] = [p._replace(lvdt=p.lvdt._replace(noise=0.0)) for p in problem.plants]
+    quiet = [registry.plant_of(p).quiet(p) for p in problem.plants]
     plants, count = batch.records(quiet), len(quiet)
     made = []
     for gains in several:

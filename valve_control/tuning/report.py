@@ -12,7 +12,6 @@ from valve_control.analysis.figures import COLOURS, Line, Plot
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import number, updated
 from valve_control.parameters.table import CONTROLLER
-from valve_control.plant import valve
 from valve_control.simulation import batch
 from valve_control.tuning import limit_cycles, margins, pauses, trial, verification
 from valve_control.tuning.trial import Motion, Problem
@@ -247,7 +246,7 @@ def _responses(unseen: Problem, found: Mapping[str, Tuned]) -> str:
         for motion in _shown_motions(period):
             sender = problem._replace(preview=problem.preview and motion.name != limit_cycles.STEPS_NAME)
             led = trial.given(law, params, values, one.chosen.point.gains, sender, motion.wanted)
-            plants: list[valve.Params] = [unseen.plants[i] for i in shown.values()]
+            plants: list[Any] = [unseen.plants[i] for i in shown.values()]
             traces = np.empty((len(plants), len(led), 3))
             seeds = [unseen.seed + i for i in shown.values()]
             batch.simulate(

@@ -15,7 +15,6 @@ from valve_control.laws.law import Law
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import Value, Values, number, updated
 from valve_control.parameters.table import CONTROLLER
-from valve_control.plant import valve
 from valve_control.plant.models import D3FXE, Scale
 from valve_control.simulation import batch, comparison, delivery
 from valve_control.simulation.cluster import Cluster
@@ -65,8 +64,8 @@ class Problem(NamedTuple):
 
     values: Values  # the controller's; what is not chosen stays
     motions: Sequence[Motion]
-    plants: Sequence[valve.Params]  # that are simulated
-    box: Sequence[valve.Params]  # around which the margins have to hold
+    plants: Sequence[Any]  # that are simulated
+    box: Sequence[Any]  # around which the margins have to hold
     limits: Limits
     preview: bool  # whether the motions are known ahead, so that reshaping causes no lag
     largest: bool  # whether the error is the largest of a run, instead of its rms
