@@ -106,4 +106,8 @@ def try_out(plant: Plant, values: Values) -> None:
         ("model", model, TransferFunction),
     ):
         if type(value) is not kind:
-            raise PlantError(f"its {found} gives {type(value).__name__}; it must be {kind.__name__}")
+            given = type(value)
+            raise PlantError(
+                f"its {found} gives {given.__module__}.{given.__name__}; it must be "
+                f"{kind.__module__}.{kind.__name__}"
+            )

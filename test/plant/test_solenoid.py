@@ -1,0 +1,469 @@
+"""The solenoid valve against stiff integration in SI units, closed forms, and its own finer substeps."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from valve_control.compiling import compile_function
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters import build
+from valve_control.parameters.table import VALVE
+from valve_control.plant import registry, solenoid, solenoid_valve, valve
+
+STEP = compile_function(solenoid.step)
+PERIOD = 0.001
+
+
+def values(**changes):
+    """Values of the simulator; ``a__b`` is parameter a.b, and what has no dot belongs to the solenoid."""
+    given = {"valve": "solenoid"}
+    for name, value in changes.items():
+        dotted = name.replace("__", ".")
+        known = {p.name for p in VALVE}
+        given[dotted if dotted in known else f"solenoid.{dotted}"] = value
+    return updated(VALVE, defaults(VALVE), given)
+
+
+def made(finer=1, **changes):
+    return solenoid_valve.build(values(**changes), finer)
+
+
+def run(p, voltages, step=STEP):
+    """Rows of position, velocity, force, current, play and bristles at each sample, n+1 of them."""
+    state = solenoid.initial(p)
+    rows = [(*state.x, state.play, state.bristle)]
+    for voltage in voltages:
+        state = step(p, state, float(voltage))
+        rows.append((*state.x, state.play, state.bristle))
+    return np.array(rows)
+
+
+TIME = np.arange(400) * PERIOD
+MOTIONS = (
+    3.0 * np.sin(2.0 * np.pi * 6.0 * TIME) + 2.0 * np.sin(2.0 * np.pi * 1.3 * TIME),
+    np.where((8 * TIME).astype(int) % 2 == 1, 2.5, -1.0),
+    0.3 * np.sin(2.0 * np.pi * 9.0 * TIME),
+    14.0 * np.sign(np.sin(2.0 * np.pi * 5.0 * TIME)),
+)
+EVERYTHING = dict(
+    u_min=-8.0, dead_time=0.0013, dither=0.2, dither_frequency=120.0, coil=0.003, eddy=0.001, hysteresis=0.3,
+    positive=1.0, negative=0.85, overlap=0.1, friction__coulomb=0.6, friction__presliding=0.02,
+    friction__static_ratio=1.4, friction__stribeck_velocity=0.05, bristle_damping=0.002, flow_force=0.1,
+    pressure=70.0, disturbance__offset=0.1, drift__gain=0.05, drift__stiffness=0.1, natural_frequency=20.0,
+    lvdt__delay=0.0007, bits=12, hum=0.004, null_drift=0.01, warming=20.0, warming_time=0.2,
+)  # fmt: skip
+
+
+def drawn(random):
+    """A valve of the box of real ones."""
+    return dict(
+        natural_frequency=random.uniform(5.0, 60.0), damping=random.uniform(0.5, 1.2),
+        coil=random.uniform(0.0005, 0.006), hysteresis=random.uniform(0.0, 0.8),
+        positive=random.uniform(0.9, 1.1), negative=random.uniform(0.9, 1.1),
+        friction__coulomb=random.uniform(0.0, 1.4), friction__presliding=random.uniform(0.005, 0.04),
+        friction__static_ratio=random.uniform(1.0, 1.6),
+        friction__stribeck_velocity=random.uniform(0.01, 0.1),
+        disturbance__offset=random.uniform(-0.3, 0.3), flow_force=random.uniform(0.0, 0.15),
+        dead_time=random.uniform(0.0, 0.0015), overlap=random.uniform(-0.3, 0.3),
+    )  # fmt: skip
+
+
+class Si(NamedTuple):
+    """The same valve in SI units: R, L, N/A of each side, kg, N/m, N·s/m, and LuGre in N and m."""
+
+    resistance: float
+    inductance: float
+    force: tuple[float, float]  # N/A
+    threshold: float  # A
+    half_width: float  # A
+    mass: float
+    stiffness: float
+    damping: float
+    preload: float  # N
+    coulomb: float
+    static: float
+    stribeck: float  # m/s
+    bristles: float  # N/m
+    bristle_damping: float  # N·s/m
+    stops: tuple[float, float]  # m
+
+
+VOLT = 0.2e-3  # m of the spool per volt of LVDT
+MASS, RESISTANCE = 0.035, 2.7  # kg, Ω: they drop out of the volts
+
+
+def in_si(p):
+    """``p`` without eddy currents, dither and drifts as a machine of kilograms and amperes."""
+    s, m, f = p.spool, p.magnet, p.friction
+    newton = MASS * s.natural_frequency**2 * s.gain * VOLT  # of a volt at the input
+    stiffness = MASS * s.natural_frequency**2
+    return Si(
+        RESISTANCE, RESISTANCE * m.coil,
+        (newton * m.positive * RESISTANCE, newton * m.negative * RESISTANCE),
+        m.overlap / RESISTANCE, 0.5 * m.hysteresis / RESISTANCE, MASS,
+        stiffness + newton * s.flow_force / VOLT, 2.0 * s.damping * s.natural_frequency * MASS,
+        newton * s.offset, newton * f.coulomb, newton * f.static, f.stribeck_velocity * VOLT,
+        newton * f.stiffness / VOLT, newton * f.damping / VOLT, (s.low * VOLT, s.high * VOLT),
+    )  # fmt: skip
+
+
+def pieces(si, u, i0, b0, length):
+    """Times within ``length`` [s] at which the current on its way to u/R begins to drag, or a side acts."""
+    end, tau = u / si.resistance, si.inductance / si.resistance
+    sign = math.copysign(1.0, end - i0)
+    levels = [b0 + sign * si.half_width]
+    levels += [edge + sign * si.half_width for edge in (si.threshold, -si.threshold)]
+    found = []
+    for level in levels:
+        if (level - i0) * (end - level) > 0.0:
+            found.append(tau * math.log((end - i0) / (end - level)))
+    return [0.0, *sorted(t for t in found if 0.0 < t < length), length]
+
+
+def integrated(p, voltages):
+    """Position [V] at each sample: Radau in SI units from switch to switch, stops by events."""
+    si = in_si(p)
+    tau = si.inductance / si.resistance
+    x = np.zeros(3)  # m, m/s, bristles [m]
+    current = play = 0.0
+    dead, rows = p.amplifier.dead_time * p.period, [0.0]
+    before = [0.0, 0.0, *voltages]
+    whole = int(dead / p.period)
+    late = dead - whole * p.period
+    for k in range(len(voltages)):
+        parts = ((before[k + 1 - whole], late), (before[k + 2 - whole], p.period - late))
+        for asked, length in parts:
+            if length <= 1e-15:
+                continue
+            u = min(p.amplifier.u_max, max(p.amplifier.u_min, asked))
+            i0, b0 = current, play
+            marks = pieces(si, u, i0, b0, length)
+
+            def amperes(t, i0=i0, b0=b0, u=u):
+                i = u / si.resistance + (i0 - u / si.resistance) * math.exp(-t / tau)
+                return i, min(max(b0, i - si.half_width), i + si.half_width)
+
+            def rates(t, x, held, amperes=amperes):
+                b = amperes(t)[1]
+                push = si.force[0] * max(0.0, b - si.threshold) - si.force[1] * max(0.0, -b - si.threshold)
+                level = si.coulomb + si.static * math.exp(-((x[1] / si.stribeck) ** 2))
+                rate = x[1] - (si.bristles * abs(x[1]) / level * x[2] if level > 0.0 else 0.0)
+                rub = si.bristles * x[2] + si.bristle_damping * rate if level > 0.0 else 0.0
+                force = push + si.preload - si.stiffness * x[0] - si.damping * x[1] - rub
+                return [0.0 if held else x[1], 0.0 if held else force / si.mass, rate, force]
+
+            for begin, end in zip(marks[:-1], marks[1:], strict=True):
+                x = moved(si, rates, x, begin, end)
+            current, play = amperes(length)
+        rows.append(x[0] / VOLT)
+    return np.array(rows)
+
+
+def moved(si, rates, x, begin, end):
+    """State at ``end`` [s]; the spool that meets a stop rests there until the force turns."""
+    while end - begin > 1e-15:
+        at = next((stop for stop in si.stops if abs(x[0] - stop) < 1e-12), None)
+        held = at is not None and rates(begin, x, False)[3] * at >= 0.0
+        if held:
+            events = [lambda t, x, at=at: rates(t, x, True)[3] * at]
+        else:
+            events = [lambda t, x: x[0] - si.stops[1], lambda t, x: si.stops[0] - x[0]]
+        for event in events:
+            event.terminal, event.direction = True, -1.0 if held else 1.0
+        found = solve_ivp(
+            lambda t, x, held=held: rates(t, x, held)[:3], (begin, end), x, "Radau", events=events,
+            rtol=1e-8, atol=[1e-12, 1e-9, 1e-13],
+        )  # fmt: skip
+        assert found.success
+        x, begin = found.y[:, -1], max(found.t[-1], begin + 1e-12)
+        if found.status == 1 and not held:
+            x = np.array([min(max(x[0], si.stops[0]), si.stops[1]), 0.0, x[2]])
+    return x
+
+
+@pytest.mark.parametrize(
+    ("number", "motion", "more"),
+    [
+        (0, 0, {}),
+        (1, 1, {"friction__coulomb": 0.0, "hysteresis": 0.5, "overlap": 0.3}),
+        (2, 2, {"friction__coulomb": 1.0, "friction__presliding": 0.01, "bristle_damping": 0.001}),
+        (3, 3, {"stop_low": -4.0, "stop_high": 5.0, "u_min": -7.0}),
+        (4, 1, {"overlap": -0.4, "dead_time": 0.0006}),
+    ],
+)
+def test_stiff_integration_in_si_units_with_located_events_agrees(number, motion, more):
+    p = made(**{**drawn(np.random.default_rng(number)), **more})
+    given = MOTIONS[motion][:150]
+    found, exact = run(p, given)[:, 0], integrated(p, given)
+    assert np.max(np.abs(found - exact)) < 0.005 * np.ptp(exact)
+    finer = run(made(4, **{**drawn(np.random.default_rng(number)), **more}), given)[:, 0]
+    assert np.max(np.abs(finer - exact)) < 0.3 * np.max(np.abs(found - exact)) + 2e-5
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_half_the_substep_changes_no_result_by_one_percent(number):
+    chosen = drawn(np.random.default_rng(100 + number))
+    given = MOTIONS[number % 3]
+    coarse, fine = (run(made(finer, **chosen), given)[:, 0] for finer in (1, 2))
+    assert np.max(np.abs(coarse - fine)) < 0.01 * np.ptp(fine)
+
+
+def test_plain_python_and_the_compiled_step_give_the_same_bits():
+    p = made(**EVERYTHING)
+    plain, compiled = run(p, MOTIONS[0], solenoid.step), run(p, MOTIONS[0])
+    assert np.array_equal(plain, compiled) and np.ptp(plain[:, 0]) > 2.0
+    state, read = solenoid.initial(p), compile_function(solenoid.read)
+    for voltage in MOTIONS[0][:30]:
+        state = STEP(p, state, float(voltage))
+        assert solenoid.read(p, state, 0.3) == read(p, state, 0.3)
+
+
+# Closed forms
+
+
+def triangle(amplitude, samples):
+    quarter = np.linspace(0.0, amplitude, samples, endpoint=False)
+    one = np.concatenate([quarter, amplitude - quarter, -quarter, quarter - amplitude])
+    return np.concatenate([one, one])
+
+
+@pytest.mark.parametrize("width", [0.2, 1.0, 3.0])
+def test_the_slow_loop_has_the_width_and_the_area_of_a_parallelogram(width):
+    p = made(hysteresis=width, gain=0.8, natural_frequency=60.0, coil=0.0005, damping=1.0)
+    u = triangle(4.0, 4000)
+    x = run(p, u)[1:, 0]
+    up, down = x[16000 + 500], x[16000 + 8000 - 500]  # both at 0.5 V
+    rate, lag = 4.0 / (4000 * PERIOD), 0.0005 + 2.0 / (2.0 * np.pi * 60.0) - PERIOD
+    full = 0.8 * (width + 2.0 * rate * lag)
+    assert down - up == pytest.approx(full, rel=0.01)
+    u, x = u[-16000:], x[-16000:]
+    area = abs(np.sum(0.5 * (x + np.roll(x, 1)) * (u - np.roll(u, 1))))
+    assert area == pytest.approx(full * (8.0 - width), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("overlap", "voltage", "position"),
+    [(0.5, 2.0, 1.5), (0.5, -2.0, -0.9 * 1.5), (0.5, 0.4, 0.0), (0.0, -1.0, -0.9), (-0.5, 2.0, 2.5),
+     (-0.5, 0.2, 0.7 - 0.9 * 0.3), (-0.5, -2.0, -0.9 * 2.5)],
+)  # fmt: skip
+def test_each_side_has_its_gain_and_acts_from_the_overlap_on(overlap, voltage, position):
+    p = made(gain=1.0, positive=1.0, negative=0.9, overlap=overlap, natural_frequency=30.0)
+    assert run(p, [voltage] * 300)[-1, 0] == pytest.approx(position, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("low", "asked", "there"), [(0.0, -5.0, 0.0), (-3.0, -8.0, -3.0), (-3.0, 20.0, 10.0)]
+)
+def test_the_amplifier_limits_each_side_by_itself(low, asked, there):
+    p = made(gain=0.9, u_min=low, natural_frequency=30.0)
+    assert run(p, [asked] * 300)[-1, 0] == pytest.approx(0.9 * there, abs=1e-6)
+
+
+def test_below_the_level_friction_is_a_spring_of_the_presliding_stiffness():
+    p = made(gain=0.9, friction__coulomb=1.0, friction__presliding=0.01, natural_frequency=20.0)
+    x = run(p, np.linspace(0.0, 0.05, 2000))[-1, 0]
+    assert x == pytest.approx(0.05 / (1.0 / 0.9 + 1.0 / 0.01), rel=0.03)
+
+
+@pytest.mark.parametrize("velocity", [0.001, 0.02, 0.05, 0.2, 40.0, 2000.0, -0.05])
+def test_steady_sliding_rubs_at_stribeck_s_level(velocity):
+    f = made(
+        friction__coulomb=0.6, friction__static_ratio=1.5, friction__stribeck_velocity=0.05,
+        friction__presliding=0.01, bristle_damping=0.001,
+    ).friction  # fmt: skip
+    level = 0.6 * (1.0 + 0.5 * math.exp(-((velocity / 0.05) ** 2)))
+    motion, h = solenoid.Motion(velocity, 0.0, 0.0), 1e-4 / min(1.0, abs(velocity))
+    for _ in range(4000):
+        # Without mobility friction cannot change the velocity.
+        motion = solenoid.rub(f, h, 0.0, motion.bristle, velocity, velocity)
+    assert motion.velocity == pytest.approx(velocity, rel=1e-12)
+    assert motion.friction == pytest.approx(math.copysign(level, velocity), rel=1e-6)
+
+
+def test_at_constant_velocity_the_bristles_follow_the_exact_exponential():
+    f = made(friction__coulomb=0.6, friction__presliding=0.01).friction
+    h, velocity = 1e-5, 30.0
+    bristle, exact = 0.0, 0.0
+    for k in range(1, 200):
+        bristle = solenoid.rub(f, h, 0.0, bristle, velocity, velocity).bristle
+        exact = 0.01 * (1.0 - math.exp(-velocity * k * h / 0.01))
+        assert bristle == pytest.approx(exact, abs=1e-6)
+
+
+def test_slow_motion_with_friction_has_the_coulomb_width():
+    p = made(gain=1.0, friction__coulomb=0.5, friction__presliding=0.01, natural_frequency=40.0, coil=0.001)
+    u = triangle(3.0, 2000)
+    x = run(p, u)[1:, 0]
+    up, down = x[8000 + 1000], x[8000 + 3000]  # both at 1.5 V
+    assert u[9000] == pytest.approx(1.5) and u[11000] == pytest.approx(1.5)
+    assert down - up == pytest.approx(2.0 * 0.5, rel=0.03)
+
+
+@pytest.mark.parametrize("frequency", [2.0, 15.0, 40.0])
+def test_small_motions_without_friction_have_the_model_s_response(frequency):
+    chosen = dict(gain=0.9, coil=0.004, eddy=0.001, natural_frequency=15.0, flow_force=0.2, pressure=70.0,
+                  dead_time=0.0004, lvdt__delay=0.0011)  # fmt: skip
+    p = made(**chosen)
+    t = np.arange(round(40.0 / frequency / PERIOD)) * PERIOD
+    x = run(p, np.sin(2.0 * np.pi * frequency * t))[:-1, 0]
+    steady = t > 20.0 / frequency
+    z = np.exp(-2j * np.pi * frequency * t[steady])
+    found = np.linalg.lstsq(
+        np.stack([z.real, -z.imag, np.ones(len(z))], axis=1), x[steady], rcond=None
+    )[0]  # fmt: skip
+    s = 2j * np.pi * frequency
+    omega = 2.0 * np.pi * 15.0
+    stiff = 1.0 + 0.9 * 0.2 * 2.0
+    exact = 0.9 * omega**2 / (s**2 + 2.0 * 0.8 * omega * s + stiff * omega**2)
+    exact *= np.exp(-0.0004 * s) / ((0.004 * s + 1.0) * (0.001 * s + 1.0))
+    hold = (1.0 - np.exp(-s * PERIOD)) / (s * PERIOD)
+    assert found[1] + 1j * found[0] == pytest.approx(exact * hold, abs=0.004 * abs(exact))
+    like = solenoid_valve.linear(p)
+    assert like.lvdt.delay == pytest.approx(1.5)
+    linear = valve.initial(like)
+    for k, voltage in enumerate(np.sin(2.0 * np.pi * frequency * t[:200])):
+        assert linear.x.x0 == pytest.approx(run_without_dead_time(chosen, t, frequency)[k], abs=2e-3)
+        linear = valve.step(like, linear, float(voltage))
+
+
+def run_without_dead_time(chosen, t, frequency, known={}):  # noqa: B006 - a memory
+    if frequency not in known:
+        p = made(**{**chosen, "dead_time": 0.0})
+        known[frequency] = run(p, np.sin(2.0 * np.pi * frequency * t[:200]))[:, 0]
+    return known[frequency]
+
+
+def test_dead_time_of_whole_samples_shifts_the_motion():
+    bare, late = (run(made(**{**EVERYTHING, "dither": 0.0, "drift__gain": 0.0, "drift__stiffness": 0.0,
+                              "disturbance__offset": 0.0, "dead_time": dead}), MOTIONS[0])
+                  for dead in (0.0, 0.003))  # fmt: skip
+    assert late[3:, 0] == pytest.approx(bare[:-3, 0], abs=1e-9)
+
+
+def test_dither_narrows_the_loop_of_friction():
+    def width(dither):
+        p = made(gain=1.0, friction__coulomb=0.3, friction__presliding=0.01, natural_frequency=40.0,
+                 coil=0.001, dither=dither, dither_frequency=100.0)  # fmt: skip
+        u = triangle(3.0, 2000)
+        x = np.convolve(run(p, u)[1:, 0], np.full(10, 0.1), "same")
+        return x[8000 + 3000] - x[8000 + 1000]
+
+    assert width(1.0) < 0.3 * width(0.0)
+
+
+# LVDT
+
+
+def test_the_converter_has_its_steps_and_its_range():
+    p = made(bits=12, stop_high=20.0)
+    step = 20.0 / 4096.0
+    at = solenoid.initial(p)
+    for position in (0.001, 3.3333, -9.9999, 11.0, -11.0):
+        shown = solenoid.read(p, at._replace(x=valve.Row(position, 0.0, 0.0, 0.0)), 0.0)
+        assert shown / step == round(shown / step) and -10.0 <= shown <= 10.0 - step
+        assert abs(shown - min(10.0 - step, max(-10.0, position))) <= 0.5 * step + 1e-12
+
+
+def test_hum_noise_bias_drift_and_dead_time_add_up_in_the_reading():
+    p = made(hum=0.005, hum_frequency=50.0, lvdt__bias=0.1, lvdt__noise=0.01, null_drift=0.002, warming=30.0,
+             warming_time=10.0, lvdt__delay=0.0025)  # fmt: skip
+    state, rows = solenoid.initial(p), []
+    for k in range(400):
+        rows.append((state.time, state.x.x0, solenoid.read(p, state, 2.0)))
+        state = STEP(p, state, math.sin(30.0 * k * PERIOD))
+    t, x, shown = np.array(rows).T
+    late = np.interp(t - 0.0025, t, x)
+    rest = shown - late - 0.1 - 0.02 - 0.005 * np.sin(2.0 * np.pi * 50.0 * t)
+    assert rest == pytest.approx(0.06 * (1.0 - np.exp(-t / 10.0)), abs=2e-4)
+
+
+# Properties
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6), st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=60))
+def test_any_valve_stays_within_its_stops_and_its_bristles_below_their_level(seed, voltages):
+    p = made(**drawn(np.random.default_rng(seed)))
+    rows = run(p, np.repeat(voltages, 5))
+    assert np.all(np.isfinite(rows)) and np.all(np.abs(rows[:, 0]) <= 10.5)
+    f = p.friction
+    assert np.all(f.stiffness * np.abs(rows[:, 5]) <= (f.coulomb + f.static) * (1.0 + 1e-9))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.floats(-8.0, 8.0), min_size=1, max_size=6), st.integers(2, 4))
+def test_the_play_does_not_depend_on_the_rate(voltages, slower):
+    p = made(hysteresis=1.0, natural_frequency=50.0, coil=0.001)
+    quick, slow = (run(p, np.repeat(voltages, 100 * n))[-1, 4] for n in (1, slower))
+    play = 0.0
+    for voltage in voltages:
+        play = min(max(play, voltage - 0.5), voltage + 0.5)
+    assert quick == pytest.approx(play, abs=1e-9) and slow == pytest.approx(play, abs=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6), st.floats(-9.0, 9.0))
+def test_a_constant_voltage_brings_every_valve_to_rest(seed, voltage):
+    rows = run(made(**drawn(np.random.default_rng(seed))), [voltage] * 1500)
+    assert np.ptp(rows[-200:, 0]) < 1e-3
+
+
+# Parameters
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"u_min": 10.0}, "solenoid.u_min is 10 V; it must lie below u_max, 10 V"),
+        (
+            {"hysteresis": 30.0},
+            "solenoid.hysteresis is 30 V; it must be narrower than the 23.33 V of the stroke",
+        ),
+        ({"stop_low": 0.0, "stop_high": 0.0}, "solenoid.stop_low is 0 V; it must lie below"),
+        ({"overlap": 10.0}, "solenoid.overlap is 10 V; it must lie below the limit of the amplifier, 10 V"),
+        (
+            {"friction__coulomb": 0.1},
+            "friction.presliding is 0 V; the friction of the solenoid valve needs more",
+        ),
+        ({"bits": 12, "lvdt__resolution": 0.01}, "both give the step of the reading; set one to 0"),
+        (
+            {"flow_force": -0.7, "pressure": 70.0},
+            "flow_force is -1.4 V/V at solenoid.pressure; it must lie above",
+        ),
+    ],
+)
+def test_numbers_that_contradict_each_other_are_refused_in_one_sentence(changes, said):
+    with pytest.raises(ParameterError) as refused:
+        build.valve_params(values(**changes))
+    assert said in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_varied_valve_has_its_gain_its_speed_its_dead_time_and_its_friction():
+    base = values(**EVERYTHING)
+    faster = build.valve_params({**base, **registry.chosen(base).scaled(base, 1.2, 2.0)})
+    p = build.valve_params(base)
+    assert faster.spool.gain == pytest.approx(1.2 * p.spool.gain)
+    assert faster.spool.natural_frequency == pytest.approx(2.0 * p.spool.natural_frequency)
+    assert (faster.magnet.coil, faster.magnet.eddy) == pytest.approx((0.0015, 0.0005))
+    weak = registry.plant_of(p).varied(p, 0.2, 1.5, 0.5)
+    assert weak.spool.gain == pytest.approx(0.2 * p.spool.gain)
+    assert weak.sensor.lvdt.delay == pytest.approx(2.2) and weak.friction.coulomb == pytest.approx(0.3)
+    quiet = solenoid_valve.steady(solenoid_valve.quiet(p))
+    assert quiet.sensor.hum == quiet.sensor.null_drift == quiet.magnet.gain_drift == 0.0
+
+
+def test_a_running_valve_takes_another_dead_time_where_it_stands():
+    former, p = (made(**{**EVERYTHING, "dead_time": dead}) for dead in (0.0013, 0.0048))
+    state = solenoid.initial(former)
+    for _ in range(100):
+        state = STEP(former, state, 3.0)
+    on = solenoid_valve.resumed(former, p, state)
+    assert on.x == state.x and solenoid_valve.resumed(former, former, state) is state
+    for _ in range(6):
+        on = STEP(p, on, 3.0)
+    assert on.x.x0 == pytest.approx(state.x.x0, abs=0.1)
