@@ -150,8 +150,8 @@ def run_valve(
 ) -> Parts:
     """Run ``law`` on a plant from the states ``begin``, one sample per command [V]; returns the last states.
 
-    ``p``, ``begin``: of ``parts``, with the Params of any plant; ``noise``: standard normal numbers of the LVDT; ``signals`` (n×3) receives
-    SIGNALS [V], ``terms`` (n×m, or 0×m for none) the law's terms.
+    ``p``, ``begin``: of ``parts``, with the Params of any plant; ``noise``: standard normal numbers of the
+    LVDT; ``signals`` (n×3) receives SIGNALS [V], ``terms`` (n×m, or 0×m for none) the law's terms.
     """
     plant = registry.plant_of(p.plant).module
     loop = build(

@@ -79,11 +79,10 @@ def test_a_command_that_comes_to_rest_has_the_limit_of_rest():
 
 
 def test_scaled_model_has_its_poles_and_gain_scaled():
-    from valve_control.plant import models
-from valve_control.plant.models import MODELS
+    from valve_control.plant.models import MODELS, faster
 
     model = MODELS["fourth_order"]
-    fast = models.faster(model, 1.1, 1.25)
+    fast = faster(model, 1.1, 1.25)
     assert fast.static_gain == pytest.approx(1.1 * model.static_gain)
     assert np.sort(np.roots(fast.denominator)) == pytest.approx(1.25 * np.sort(np.roots(model.denominator)))
     assert np.sort(np.roots(fast.numerator)) == pytest.approx(1.25 * np.sort(np.roots(model.numerator)))

@@ -106,8 +106,8 @@ def try_out(plant: Plant, values: Values) -> None:
         ("model", model, TransferFunction),
     ):
         if type(value) is not kind:
-            given = type(value)
+            own = type(value)
             raise PlantError(
-                f"its {found} gives {given.__module__}.{given.__name__}; it must be "
+                f"its {found} gives {own.__module__}.{own.__name__}; it must be "
                 f"{kind.__module__}.{kind.__name__}"
             )

@@ -1,9 +1,9 @@
 """Simulates one sample of a valve with proportional solenoids as a pure step; docs/valve_model.md derives it.
 
 Amplifier, coil, magnet with hysteresis, spool with friction and stops, and LVDT, in volts of LVDT signal like
-the linear valve of ``valve``. The voltage is held over the sample, which is divided into substeps. Over each of
-them coil and spool are advanced by exact transition matrices, and bristles and velocity are solved together,
-implicitly, in closed form: no substep has to be as short as the time in which bristles straighten.
+the linear valve of ``valve``. The voltage is held over the sample, which is divided into substeps. Over each
+of them coil and spool are advanced by exact transition matrices, and bristles and velocity are solved
+together, implicitly, in closed form: no substep has to be as short as the time in which bristles straighten.
 """
 
 import math

@@ -21,9 +21,9 @@ from valve_control import closed_loop
 from valve_control.compiling import LANES, compile_function, explained
 from valve_control.laws.registry import LAWS
 from valve_control.laws.signals import Start
+from valve_control.parameters import linear_loop
 from valve_control.plant import registry, valve
 from valve_control.plant.plant import Plant
-from valve_control.parameters import linear_loop
 from valve_control.simulation import measures, singly
 from valve_control.simulation.measures import INDICES, Measures
 
