@@ -48,6 +48,20 @@ def test_a_trajectory_is_taken_for_the_reading_that_it_was_sent_for(ros, tmp_pat
     assert run.result["equal"], run.result["first_difference"]
 
 
+def test_the_solenoid_valve_equals_offline(ros, tmp_path):
+    settings = {
+        "controller": {"controller": "pid"},
+        "valve_simulator": {
+            "valve": "solenoid", "solenoid.hysteresis": 0.2, "solenoid.dead_time": 0.0007, "solenoid.bits": 12,
+            "friction.coulomb": 0.3, "friction.presliding": 0.02, "lvdt.delay": 0.0004, "lvdt.resolution": 0.0,
+            "solenoid.hum": 0.003,
+        },
+        "command_source": {"duration": 1.0},
+    }  # fmt: skip
+    run = run_lockstep("solenoid", CONFIG, settings, tmp_path)
+    assert run.result["equal"], run.result["first_difference"]
+
+
 class Disturbance:
     """Stops a node for a while in the middle of a run."""
 
