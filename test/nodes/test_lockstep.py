@@ -52,8 +52,10 @@ def test_the_solenoid_valve_equals_offline(ros, tmp_path):
     settings = {
         "controller": {"controller": "pid"},
         "valve_simulator": {
-            "valve": "solenoid", "solenoid.hysteresis": 0.2, "solenoid.dead_time": 0.0007, "solenoid.bits": 12,
-            "friction.coulomb": 0.3, "friction.presliding": 0.02, "lvdt.delay": 0.0004, "lvdt.resolution": 0.0,
+            "valve": "solenoid", "solenoid.hysteresis": 0.2, "solenoid.dead_time": 0.0007,
+            "solenoid.bits": 12,
+            "friction.coulomb": 0.3, "friction.presliding": 0.02, "lvdt.delay": 0.0004,
+            "lvdt.resolution": 0.0,
             "solenoid.hum": 0.003,
         },
         "command_source": {"duration": 1.0},
