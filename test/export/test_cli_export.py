@@ -64,10 +64,19 @@ def test_the_contract(run, tmp_path):
     assert done.returncode != 0 and "rows differ" in done.stdout
 
 
+SOLENOID = (
+    "--set", "valve=solenoid", "--set", "solenoid.hysteresis=0.2", "--set", "friction.coulomb=0.3",
+    "--set", "friction.presliding=0.02", "--set", "solenoid.dead_time=0.0007", "--set", "solenoid.dither=0.1",
+    "--set", "lvdt.delay=0.0004", "--set", "solenoid.bits=12", "--set", "solenoid.hum=0.003",
+    "--set", "solenoid.null_drift=0.001", "--set", "solenoid.warming=10.0", "--set", "solenoid.u_min=-3.0",
+)  # fmt: skip
+
+
 @compiles
 @pytest.mark.parametrize(
     "words", [["--plant", "valve", "--set", "lvdt.delay=0.0013", "--set", "friction.coulomb=1.0"],
               ["--plant", "axis", "--set", "pressure.delay=0.0013", "--set", "load.coulomb=100.0"],
+              ["--plant", "valve", *SOLENOID],
               ["--controller", "dcarc", "--float"]],
 )  # fmt: skip
 def test_a_valve_an_axis_and_a_law_in_float(run, tmp_path, words):
@@ -146,12 +155,12 @@ def test_what_cannot_be_done_is_one_sentence_and_nothing_is_written(
     assert os.listdir(tmp_path) == ["there"]
 
 
-@pytest.mark.parametrize("name", [*LAWS, "valve"])
+@pytest.mark.parametrize("name", [*LAWS, "fourth_order", "solenoid"])
 def test_a_setter_does_what_a_new_export_would(name):
     """For each parameter that can be set: its number in Params, and no other, is the value that is given."""
     chosen = (
-        unit.plant(defaults(VALVE))
-        if name == "valve"
+        unit.plant(updated(VALVE, defaults(VALVE), {"valve": name}))
+        if name not in LAWS
         else unit.law(updated(CONTROLLER, defaults(CONTROLLER), {"controller": name}))
     )
     found = settable.find(chosen)

@@ -35,7 +35,15 @@ EXAMPLE = {
     "lvdt.resolution": 0.0037,
     "lvdt.delay": 0.0013,
 }
-OPTIONS = [word for name, value in EXAMPLE.items() for word in ("--set", f"{name}={value}")]
+SOLENOID = {
+    "valve": "solenoid",
+    "solenoid.hysteresis": 0.2,
+    "solenoid.dead_time": 0.0007,
+    "solenoid.bits": 12,
+    "friction.coulomb": 0.3,
+    "friction.presliding": 0.02,
+    "lvdt.noise": 0.0056,
+}
 N = 1000
 COMMAND = np.where(np.arange(N) < 500, 3.0, -1.5 + np.sin(0.05 * np.arange(N)))
 
@@ -105,12 +113,17 @@ def test_fmpy_finds_nothing_wrong_and_simulates_it(exported, version, name):
     assert len(result) == 101 and np.all(np.isfinite(result[output]))
 
 
-@pytest.mark.parametrize(("version", "name"), [(2, "oarc"), (3, "dcarc")])
-def test_law_and_valve_together_equal_the_offline_run_to_the_last_bit(exported, tmp_path, version, name):
+@pytest.mark.parametrize(
+    ("version", "name", "valve"), [(2, "oarc", EXAMPLE), (3, "dcarc", EXAMPLE), (3, "oarc", SOLENOID)]
+)
+def test_law_and_valve_together_equal_the_offline_run_to_the_last_bit(
+    exported, tmp_path, version, name, valve
+):
     """At 1 kHz; each sample the law steps first, and the valve then gets its voltage."""
     law = Slave(exported(version, "--controller", name), tmp_path / "law")
-    plant = Slave(exported(version, "--plant", "valve", *OPTIONS), tmp_path / "valve")
-    values = updated(VALVE, defaults(VALVE), EXAMPLE)
+    options = [word for parameter, value in valve.items() for word in ("--set", f"{parameter}={value}")]
+    plant = Slave(exported(version, "--plant", "valve", *options), tmp_path / "valve")
+    values = updated(VALVE, defaults(VALVE), valve)
     wanted = offline.simulate(
         updated(CONTROLLER, defaults(CONTROLLER), {"controller": name}), values, COMMAND
     )

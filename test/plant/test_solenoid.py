@@ -140,7 +140,7 @@ def integrated(p, voltages):
         for asked, length in parts:
             if length <= 1e-15:
                 continue
-            u = min(p.amplifier.u_max, max(p.amplifier.u_min, asked))
+            u = min(p.u_max, max(p.amplifier.u_min, asked))
             i0, b0 = current, play
             marks = pieces(si, u, i0, b0, length)
 

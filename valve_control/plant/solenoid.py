@@ -26,7 +26,6 @@ class Amplifier(NamedTuple):
     """From the voltage that is asked for to that on the coil."""
 
     u_min: float  # V
-    u_max: float  # V
     dead_time: float  # periods
     dither: float  # V  amplitude of the sine that is added
     dither_rate: float  # rad/s
@@ -104,7 +103,7 @@ class Params(NamedTuple):
     friction: Friction
     sensor: Sensor
     substep: Substep
-    u_max: float  # V
+    u_max: float  # V  upper limit of the amplifier
     period: float  # s  ΔT
 
 
@@ -178,13 +177,17 @@ def design(
     spool: Spool,
     friction: Friction,
     sensor: Sensor,
+    u_max: float,
     period: float,
     finer: int = 1,
 ) -> Params:
-    """Valve at one sample ``period`` [s]; ``finer``: substeps for one that is short enough."""
+    """Valve at one sample ``period`` [s].
+
+    ``u_max``: upper limit of the amplifier [V]; ``finer``: substeps for one that is short enough.
+    """
     rate = amplifier.dither_rate if amplifier.dither > 0.0 else 0.0
     made = substep(magnet, spool, friction, rate, period, finer)
-    return Params(amplifier, magnet, spool, friction, sensor, made, amplifier.u_max, period)
+    return Params(amplifier, magnet, spool, friction, sensor, made, u_max, period)
 
 
 def initial(p: Params) -> State:
@@ -302,7 +305,7 @@ def advance(
     middle = time + 0.5 * s.length
     if p.amplifier.dither > 0.0:
         voltage += p.amplifier.dither * math.sin(p.amplifier.dither_rate * middle)
-    voltage = limited(voltage, p.amplifier.u_min, p.amplifier.u_max)
+    voltage = limited(voltage, p.amplifier.u_min, p.u_max)
     force = voltage + s.force * (x.x2 - voltage) + s.through * (x.x3 - voltage)
     current = voltage + s.current * (x.x3 - voltage)
     following = limited(play, force - 0.5 * m.hysteresis, force + 0.5 * m.hysteresis)

@@ -164,7 +164,6 @@ def build(values: Values, finer: int = 1) -> solenoid.Params:
     period = number(values, "sample_period")
     amplifier = solenoid.Amplifier(
         u_min=number(values, "solenoid.u_min"),
-        u_max=number(values, "u_max"),
         dead_time=number(values, "solenoid.dead_time") / period,
         dither=number(values, "solenoid.dither"),
         dither_rate=2.0 * math.pi * number(values, "solenoid.dither_frequency"),
@@ -179,7 +178,7 @@ def build(values: Values, finer: int = 1) -> solenoid.Params:
         gain_drift=number(values, "drift.gain"),
     )
     parts = (amplifier, magnet, _spool(values), _friction(values), _sensor(values))
-    return solenoid.design(*parts, period, finer)
+    return solenoid.design(*parts, number(values, "u_max"), period, finer)
 
 
 def transfer(magnet: solenoid.Magnet, spool: solenoid.Spool) -> TransferFunction:
@@ -249,6 +248,7 @@ def varied(params: solenoid.Params, gain: float, later: float, friction: float) 
             coulomb=friction * f.coulomb, static=friction * f.static, stiffness=friction * f.stiffness
         ),
         params.sensor._replace(lvdt=own._replace(delay=own.delay + later)),
+        params.u_max,
         params.period,
     )
 
