@@ -7,7 +7,7 @@ import pytest
 
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, stability
+from valve_control.parameters import build, linear_loop, stability
 from valve_control.parameters.table import CONTROLLER, VALVE
 from valve_control.plant.models import FOURTH_ORDER, faster
 
@@ -30,7 +30,7 @@ def test_an_unstable_loop_is_stable_when_its_gain_goes_the_way_that_is_said(gain
     params = law.build(updated(CONTROLLER, defaults(CONTROLLER), gains))
     text = stability.valve_warning(law, params, plant(0.5, speed))
     assert way in text and "unstable on this valve" in text
-    down, up = stability.stable_gains(law, params, plant(0.5, speed))
+    down, up = stability.stable_gains(law, params, linear_loop.linear_valves([plant(0.5, speed)]))
     change = up if way.startswith("raise") else -down
     assert f"stable with {abs(change)} dB" in text
     for decibel, stable in ((change, True), (change - change // abs(change), False)):

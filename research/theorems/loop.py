@@ -18,6 +18,7 @@ import scipy.linalg
 from research.theorems import bench
 from research.theorems.bench import Array, Progress
 from valve_control.laws import dcarc
+from valve_control.laws.dcarc_parts import Row
 from valve_control.parameter import Values, defaults, updated
 from valve_control.parameters import files
 from valve_control.parameters.table import CONTROLLER
@@ -28,7 +29,8 @@ Complex = npt.NDArray[np.complex128]
 PERIOD = 1e-3  # s
 ORDER = 4
 PAST = 4  # positions on their way to the reading that the observer has room for
-OBSERVER = ORDER + 1 + PAST
+STATES = len(Row._fields)  # of the model that the observer has room for
+OBSERVER = STATES + 1 + PAST
 GAIN, SPEED, DELAY, FLOW = (0.7, 1.4), (0.8, 1.25), (0.0, 1e-3), (-0.5, 0.5)  # -, -, s, V/V
 SCALES = (0.5, 1.0, 1.5, 2.0)
 CAUSES = ("gain", "poles", "zeros", "delay", "flow")
@@ -133,7 +135,7 @@ def model(poles: float, zeros: float) -> TransferFunction:
 
 
 class Feedback(NamedTuple):
-    """The law at rest as a linear system: ẑ⁺ = Φ·ẑ + Γ·y, u = -H·ẑ - J·y; d̂ = e5·(ẑ + L·(y - c·ẑ))."""
+    """The law at rest as a linear system: ẑ⁺ = Φ·ẑ + Γ·y, u = -H·ẑ - J·y; d̂ = e7·(ẑ + L·(y - c·ẑ))."""
 
     phi: Array
     gamma: Array
@@ -145,15 +147,15 @@ class Feedback(NamedTuple):
 
 def feedback(p: dcarc.Params) -> Feedback:
     """Observer and LQR of the law, from the numbers that its step uses."""
-    m, past = p.model, slice(ORDER + 1, OBSERVER)
+    m, past = p.model, slice(STATES + 1, OBSERVER)
     a, b, c = np.zeros((OBSERVER, OBSERVER)), np.zeros(OBSERVER), np.zeros(OBSERVER)
-    a[:ORDER, :ORDER] = (m.row0, m.row1, m.row2, m.row3)
-    b[:ORDER], b[ORDER + 1] = m.input, m.passing_input
-    a[ORDER + 1, :ORDER] = m.passing
-    for i in range(ORDER + 2, OBSERVER):
+    a[:STATES, :STATES] = (m.row0, m.row1, m.row2, m.row3, m.row4, m.row5)
+    b[:STATES], b[STATES + 1] = m.input, m.passing_input
+    a[STATES + 1, :STATES] = m.passing
+    for i in range(STATES + 2, OBSERVER):
         a[i, i - 1] = 1.0
-    a[:, ORDER] += b
-    a[ORDER, ORDER] = 1.0
+    a[:, STATES] += b
+    a[STATES, STATES] = 1.0
     c[0], c[past] = m.present, m.shown
     gain = np.concatenate([p.kalman.state, [p.kalman.disturbance], p.kalman.past])
     k = np.concatenate([p.feedback, [1.0], np.zeros(PAST)])
@@ -239,8 +241,8 @@ def shown_disturbance(law: Feedback, plants: Plants, gain: Array, z: Complex) ->
     count, size = plants.b.shape
     whole = closed(law, plants, gain)
     shown = np.zeros((count, size + OBSERVER))
-    shown[:, :size] = law.gain[ORDER] * plants.c
-    shown[:, size:] = np.eye(OBSERVER)[ORDER] - law.gain[ORDER] * law.c
+    shown[:, :size] = law.gain[STATES] * plants.c
+    shown[:, size:] = np.eye(OBSERVER)[STATES] - law.gain[STATES] * law.c
     pushed = np.zeros((count, size + OBSERVER, 1))
     pushed[:, :size, 0] = plants.b
     found = np.empty((count, len(z)), dtype=np.complex128)

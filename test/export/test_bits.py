@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from changed import controller
 from driven import COMPILERS, SANITIZERS, build, case, finite_share, in_c, in_python, random_params, same_bits
 
 from valve_control.laws.registry import LAWS
@@ -42,3 +43,22 @@ def test_a_thousand_sets_of_parameters_give_the_same_bits(tmp_path, name):
         assert same_bits(found, voltages) and same_bits(found_ends, ends)
         found, found_ends = in_c(law, program, sets[:20], case(2000, 1000, seed=6))
         assert same_bits(found, plain) and same_bits(found_ends, plain_ends)
+
+
+def test_dcarc_with_a_coil_in_its_model_has_the_same_bits(tmp_path):
+    """Third order without zeros, and the sixth order with three."""
+    law = LAWS["dcarc"]
+    models = (
+        ([48361.0], [0.0015, 1.46, 380.4, 48361.0]),
+        ([250.0, 185000.0, 70000000.0, 9.6e9], [0.002, 2.44, 1380.0, 399780.0, 38998000.0, 2.099e9, 2.25e10]),
+    )
+    sets = [
+        law.build(controller(dcarc__model="custom", dcarc__numerator=up, dcarc__denominator=down))
+        for up, down in models
+    ]
+    voltages, ends = in_python(law, sets, FEW, compiled=False)
+    compiled, compiled_ends = in_python(law, sets, FEW, compiled=True)
+    found, found_ends = in_c(law, build(law, tmp_path, COMPILERS[0]), sets, FEW)
+    assert finite_share(voltages) == 1.0
+    assert same_bits(found, voltages) and same_bits(found_ends, ends)
+    assert same_bits(compiled, voltages) and same_bits(compiled_ends, ends)

@@ -56,12 +56,13 @@ def test_the_inverse_stays_within_its_bound_on_the_worst_reference():
         p._replace(theta_min=p.theta_min._replace(gain=-1.0), theta_max=dcarc.NOTHING._replace(gain=1.0)),
         1.0, 0.0, 0.0,
     ) - sum(abs(v) for v in p.theta_min[1:7])  # fmt: skip
-    inner = dcarc.Inverse(0.0, 0.0)
+    inner = dcarc.Inverse(0.0, 0.0, 0.0, 0.0)
     peak = 0.0
     for _ in range(200):
         level = float(rng.choice([-1.0, 1.0]))
+        at = dcarc.Course(level, 0.0, 0.0, 0.0)
         for _ in range(int(rng.integers(1, 40))):
             middle = dcarc.moved(p.half, inner, level, 0.0)
-            peak = max(peak, abs(dcarc.combined(p.model_voltage, middle, level, 0.0, 0.0)))
+            peak = max(peak, abs(dcarc.combined(p.model_voltage, middle, at)))
             inner = dcarc.moved(p.full, inner, level, 0.0)
     assert 0.5 * bound < peak < bound

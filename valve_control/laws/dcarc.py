@@ -10,9 +10,13 @@ import math
 import sys
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from valve_control.laws import least_squares, reshaping
 from valve_control.laws.dcarc_parts import (
     Combination,
+    Course,
     Equivalent,
     Gains,
     Inverse,
@@ -34,6 +38,7 @@ from valve_control.parameter import Parameter, ParameterError, Table, Values, de
 from valve_control.plant import models
 from valve_control.plant.amplifier import saturate
 
+Array = npt.NDArray[np.float64]
 WEIGHTS = (
     "[gain -, bristle V, bristle V, bristle V, standstill V, flow force V/V, offset V, damping V/(V/s), "
     "inertia V/(V/s²)]"
@@ -87,7 +92,7 @@ class Params(NamedTuple):
 class Estimate(NamedTuple):
     """What the observer knows: state of the model, disturbance and past positions."""
 
-    state: Row  # position [V], velocity [V/s] and two inner states
+    state: Row  # position [V], velocity [V/s] and up to four inner states
     disturbance: float  # V  at the input, without what the compensation makes good
     past: Past  # V
 
@@ -111,7 +116,8 @@ class State(NamedTuple):
     """Reference, inverse of the model, bristles, observer and what is learned."""
 
     reference: reshaping.State
-    rate_before: float  # V/s  rate of the reference a sample ago
+    smooth: float  # V    the reference behind the filter that gives it a third derivative
+    rate_before: float  # V/s  rate of the latter a sample ago
     inverse: Inverse
     bristles: Bristles
     estimate: Estimate  # predicted for this sample
@@ -157,6 +163,8 @@ def corrected(p: Params, e: Estimate, innovation: float) -> Estimate:
             e.state.x1 + g.state.x1 * innovation,
             e.state.x2 + g.state.x2 * innovation,
             e.state.x3 + g.state.x3 * innovation,
+            e.state.x4 + g.state.x4 * innovation,
+            e.state.x5 + g.state.x5 * innovation,
         ),
         e.disturbance + g.disturbance * innovation,
         Past(
@@ -181,6 +189,8 @@ def predicted(p: Params, e: Estimate, voltage: float, explained: float) -> Estim
             dot(m.row1, x) + m.input.x1 * u,
             dot(m.row2, x) + m.input.x2 * u,
             dot(m.row3, x) + m.input.x3 * u,
+            dot(m.row4, x) + m.input.x4 * u,
+            dot(m.row5, x) + m.input.x5 * u,
         ),
         e.disturbance + explained,
         Past(dot(m.passing, x) + m.passing_input * u, e.past.first, e.past.second, e.past.third),
@@ -199,12 +209,15 @@ def desired(p: Params, s: State, accel: float) -> tuple[Weights, Bristles]:
     """Regressor φ in the middle of the coming period, and the bristles at its end.
 
     From the reference alone; ``accel`` [V/s²]: its acceleration from the next sample on. (11) has the rate of
-    the coming period, and the acceleration in the middle is the mean of those at both ends.
+    the coming period, and the acceleration in the middle is the mean of those at both ends, the jerk their
+    difference.
     """
-    reference, rate = s.reference
-    ahead = reference + 0.5 * p.period * rate
-    mean = 0.5 * (accel + (rate - s.rate_before) / p.period)
-    voltage = combined(p.model_voltage, moved(p.half, s.inverse, reference, rate), ahead, rate, mean)
+    reference, rate, accel = reshaping.smoothed(p.reshaping, s.reference, accel, s.smooth)
+    before = (rate - s.rate_before) / p.period
+    middle = Course(
+        reference + 0.5 * p.period * rate, rate, 0.5 * (accel + before), (accel - before) / p.period
+    )
+    voltage = combined(p.model_voltage, moved(p.half, s.inverse, reference, rate), middle)
     way, path = rate * p.period, math.sqrt(rate * rate + p.jitter * p.jitter) * p.period
     bristles = Bristles(
         dragged(s.bristles.first, way / p.presliding.first, path / p.presliding.first),
@@ -214,7 +227,17 @@ def desired(p: Params, s: State, accel: float) -> tuple[Weights, Bristles]:
     share = rate / p.standstill_rate
     standstill = bristles.second / (1.0 + share * share)
     return (
-        Weights(voltage, bristles.first, bristles.second, bristles.third, standstill, ahead, 1.0, rate, mean),
+        Weights(
+            voltage,
+            bristles.first,
+            bristles.second,
+            bristles.third,
+            standstill,
+            middle.reference,
+            1.0,
+            rate,
+            middle.accel,
+        ),
         bristles,
     )
 
@@ -253,6 +276,8 @@ def initial(p: Params, start: Start) -> State:
         s.state.x1 * position + m.state.x1 * v,
         s.state.x2 * position + m.state.x2 * v,
         s.state.x3 * position + m.state.x3 * v,
+        s.state.x4 * position + m.state.x4 * v,
+        s.state.x5 * position + m.state.x5 * v,
     )
     past = Past(
         position - v * ages.first,
@@ -262,12 +287,16 @@ def initial(p: Params, start: Start) -> State:
     )
     reference, rate = start.reference, start.reference_rate
     inverse = Inverse(
-        s.inverse.zeta * reference + m.inverse.zeta * rate, s.inverse.rate * reference + m.inverse.rate * rate
+        s.inverse.zeta * reference + m.inverse.zeta * rate,
+        s.inverse.rate * reference + m.inverse.rate * rate,
+        s.inverse.accel * reference + m.inverse.accel * rate,
+        s.inverse.jerk * reference + m.inverse.jerk * rate,
     )
     others = t.flow * reference + t.offset + t.damping * rate
     disturbance = s.voltage * position + m.voltage * v - (start.voltage - others) / (1.0 + t.gain)
     return State(
-        reshaping.State(reference, rate),
+        reshaping.State(reshaping.unsmoothed(p.reshaping, reference, rate), rate),
+        reference,
         rate,
         inverse,
         Bristles(0.0, 0.0, 0.0),
@@ -287,9 +316,9 @@ def step(
     the amplifier saturates, since the valve then does not follow the reference, of which the regressor is
     made, and while the reference rests.
     """
-    reference, rate = s.reference
-    accel = reshaping.acceleration(p.reshaping, s.reference, command)
-    phi, bristles = desired(p, s, accel)
+    shaping = reshaping.acceleration(p.reshaping, s.reference, command)
+    reference, rate, accel = reshaping.smoothed(p.reshaping, s.reference, shaping, s.smooth)
+    phi, bristles = desired(p, s, shaping)
 
     innovation = (
         measurement - p.model.present * s.estimate.state.x0 - past_dot(p.model.shown, s.estimate.past)
@@ -298,7 +327,8 @@ def step(
 
     scale = 1.0 + s.theta.gain
     others = least_squares.dot(s.theta, phi) - s.theta.gain * phi.gain
-    aim = combined(p.wanted, s.inverse, reference, 0.5 * (rate + s.rate_before), 0.0)
+    before = Course(reference, 0.5 * (rate + s.rate_before), (rate - s.rate_before) / p.period, 0.0)
+    aim = combined(p.wanted, s.inverse, before)
     feedback = aim - dot(p.feedback, estimate.state)
     unsaturated = scale * (phi.gain + feedback - estimate.disturbance) + others
     wanted = unsaturated + offset
@@ -315,7 +345,8 @@ def step(
     explained = least_squares.change(theta, s.theta, delayed) / scale
     burden = weighed(p, s, left)
     state = State(
-        reshaping.advance(p.reshaping, s.reference, accel),
+        reshaping.advance(p.reshaping, s.reference, shaping),
+        reference + rate * p.period,
         rate,
         moved(p.full, s.inverse, reference, rate),
         bristles,
@@ -358,12 +389,13 @@ def hold(p: Params, s: State, command: float, measurement: float, voltage: float
     The observer goes on with its model; ``measurement`` [V], a straight line between the readings before and
     after the gap, would tell it less.
     """
-    reference, rate = s.reference
-    accel = reshaping.acceleration(p.reshaping, s.reference, command)
-    phi, bristles = desired(p, s, accel)
+    shaping = reshaping.acceleration(p.reshaping, s.reference, command)
+    reference, rate, _ = reshaping.smoothed(p.reshaping, s.reference, shaping, s.smooth)
+    phi, bristles = desired(p, s, shaping)
     others = least_squares.dot(s.theta, phi) - s.theta.gain * phi.gain
     return State(
-        reshaping.advance(p.reshaping, s.reference, accel),
+        reshaping.advance(p.reshaping, s.reference, shaping),
+        reference + rate * p.period,
         rate,
         moved(p.full, s.inverse, reference, rate),
         bristles,
@@ -383,6 +415,15 @@ PARAMETERS: Table = (
         choices=("second_order", "fourth_order", "custom"),
     ),
     *models.custom_parameters("dcarc."),
+    Parameter(
+        "dcarc.smoothing",
+        0.001,
+        "s",
+        "time constant of a filter behind (8), for the third derivative of the reference that a model with "
+        "three more poles than zeros needs; without effect on other models",
+        1e-5,
+        0.1,
+    ),
     Parameter("dcarc.lvdt_noise", 0.0056, "V", "standard deviation of the LVDT's noise", 1e-6, 10.0),
     Parameter("dcarc.lvdt_resolution", 0.0037, "V", "step of the LVDT's converter", 0.0, 10.0),
     Parameter("dcarc.delay", 0.0, "s", "dead time of LVDT and bus, at most 4 sample periods", 0.0, 0.4),
@@ -509,9 +550,10 @@ def build(values: Values) -> Params:
     # A search makes spreads and noise small to calm the adaptation, which says nothing of the valve.
     usual, usual_noise = numbers(USUAL, "dcarc.theta_spread"), number(USUAL, "dcarc.fit_noise")
     assumed = Weights(*(max(s, u) if s > 0.0 else 0.0 for s, u in zip(spread, usual, strict=True)))
+    valve_model = models.chosen(values, "dcarc.model", "dcarc.")
     try:
         made = dcarc_design.design(
-            models.chosen(values, "dcarc.model", "dcarc."),
+            valve_model,
             period,
             number(values, "dcarc.delay"),
             number(values, "dcarc.lvdt_noise"),
@@ -549,13 +591,25 @@ def build(values: Values) -> Params:
         equivalent=made.equivalent,
         u_max=number(values, "u_max"),
         period=period,
-        reshaping=reshaping.build(values),
+        reshaping=reshaping.build(values)._replace(
+            smoothing=-math.expm1(-period / number(values, "dcarc.smoothing")) / period
+            if dcarc_design.excess(valve_model) > 2
+            else 0.0
+        ),
     )
 
 
 def model(p: Params) -> tuple[float, float, float]:
     """a1, a0 and b0 of the second-order model of the same slow behaviour."""
     return p.equivalent.a1, p.equivalent.a0, p.equivalent.b0
+
+
+def sampled_model(p: Params) -> tuple[Array, Array] | None:
+    """The model itself if it has three more poles than zeros, or order 5 or 6; None: ``model`` will do."""
+    m = p.model
+    if p.reshaping.smoothing == 0.0 and not any(m.row4):
+        return None
+    return np.array([m.row0, m.row1, m.row2, m.row3, m.row4, m.row5]), np.array(m.input)
 
 
 def without_adaptation(p: Params, s: State) -> tuple[Params, State]:
@@ -570,6 +624,7 @@ LAW = Law(
     parameters=PARAMETERS,
     build=build,
     model=model,
+    sampled_model=sampled_model,
     form=("dcarc.model", "dcarc.numerator", "dcarc.denominator", "dcarc.delay"),
     dead_time="dcarc.delay",
     linear=without_adaptation,

@@ -20,11 +20,14 @@ from valve_control.laws.dcarc_parts import (
     Row,
 )
 from valve_control.plant.models import TransferFunction
-from valve_control.plant.valve import realisation
+from valve_control.plant.valve import observability_form
 
 Array = npt.NDArray[np.float64]
 MOST_DELAY = 4  # sample periods
+MOST_POLES = 6
+EXCESS = (2, 3)  # more poles than zeros, as many as the reference has derivatives
 DOUBLINGS = 50  # of the terms of a sum, at most; enough for poles at 1 - 1e-14
+MOST_ZEROS = MOST_POLES - EXCESS[0]
 SLOWEST_ZERO = (
     10.0  # 1/s  zeros of the model must decay at least as fast, since the inverse has them as poles
 )
@@ -72,11 +75,11 @@ class Readings(NamedTuple):
 
 
 class Inverted(NamedTuple):
-    """Rows of coefficients of (ζ, …, its highest inner derivative, r, ṙ, r̈)."""
+    """Rows of coefficients of (ζ, …, its highest inner derivative, r, ṙ, r̈, …), e = n - m derivatives."""
 
-    rate: Array  # of the inner states, m×(m + 3)
+    rate: Array  # of the inner states, m×(m + e + 1)
     voltage: Array  # u_r
-    state: Array  # x_r, n×(m + 3)
+    state: Array  # x_r, n×(m + e + 1)
 
 
 class Reference(NamedTuple):
@@ -89,13 +92,40 @@ class Reference(NamedTuple):
     moving: Rest
 
 
-def sampled(a: Array, b: Array, period: float) -> tuple[Array, Array]:
-    """A and b of x' = a·x + b·u over one ``period`` [s] with u held, exactly."""
+def sampled(a: Array, b: Array, period: float, scale: Array) -> tuple[Array, Array]:
+    """A and b of x' = a·x + b·u over one ``period`` [s] with u held, exactly; ``scale``: sizes of x."""
     n = len(b)
     whole = np.zeros((n + 1, n + 1))
-    whole[:n, :n], whole[:n, n] = a, b
+    whole[:n, :n], whole[:n, n] = a * scale / scale[:, None], b / scale
     moved = scipy.linalg.expm(whole * period)
-    return moved[:n, :n], moved[:n, n]
+    return moved[:n, :n] / scale * scale[:, None], moved[:n, n] * scale
+
+
+def excess(model: TransferFunction) -> int:
+    """Poles less zeros."""
+    poles, zeros = (
+        len(np.trim_zeros(np.asarray(part), "f")) for part in (model.denominator, model.numerator)
+    )
+    return poles - zeros
+
+
+def balanced(model: TransferFunction) -> bool:
+    """Whether the numbers of ``model`` need to be balanced before the matrix exponential.
+
+    The models of order 2 to 4 with two fewer zeros do not.
+    """
+    n = len(observability_form(model)[1])
+    return n > 4 or excess(model) > EXCESS[0]
+
+
+def scale_of(model: TransferFunction) -> Array:
+    """Sizes of the states of the observability form: powers of a speed of the model's poles."""
+    a, _ = observability_form(model)
+    speeds = np.abs(np.linalg.eigvals(a))
+    speed = float(np.max(speeds))
+    if balanced(model):
+        speed = float(np.exp(np.mean(np.log(np.maximum(speeds, 1.0)))))
+    return np.array([max(speed, 1.0) ** i for i in range(len(a))])
 
 
 def check(model: TransferFunction) -> None:
@@ -103,10 +133,11 @@ def check(model: TransferFunction) -> None:
     numerator = np.trim_zeros(np.asarray(model.numerator, dtype=float), "f")
     denominator = np.trim_zeros(np.asarray(model.denominator, dtype=float), "f")
     order, zeros = len(denominator) - 1, len(numerator) - 1
-    if not 2 <= order <= 4 or order - zeros != 2:
+    if not EXCESS[0] <= order <= MOST_POLES or order - zeros not in EXCESS:
         raise DesignError(
-            f"the model of dcarc has {order} poles and {zeros} zeros; it must have 2 to 4 poles and two "
-            "fewer zeros, because the reference has two derivatives"
+            f"the model of dcarc has {order} poles and {zeros} zeros; it must have {EXCESS[0]} to "
+            f"{MOST_POLES} poles and two or three fewer zeros, because the reference has up to three "
+            "derivatives"
         )
     for zero in np.roots(numerator):
         if zero.real > -SLOWEST_ZERO or -zero.real < LEAST_DAMPING * abs(zero):
@@ -127,9 +158,9 @@ def inverted(model: TransferFunction) -> Inverted:
     a = np.trim_zeros(np.asarray(model.denominator, dtype=float), "f")[::-1]
     b, a = b / a[-1], a / a[-1]
     n, m = len(a) - 1, len(b) - 1
-    rows = np.zeros((n + 1, m + 3))  # row j: the j-th derivative of ζ
+    rows = np.zeros((n + 1, n + 1))  # row j: the j-th derivative of ζ
     rows[:m, :m] = np.eye(m)
-    for i in range(3):
+    for i in range(n - m + 1):
         rows[m + i, m + i] = 1.0
         rows[m + i] = (rows[m + i] - b[:m] @ rows[i : m + i]) / b[m]
     companion = np.diag(np.ones(n - 1), 1)
@@ -146,18 +177,19 @@ def readings(model: TransferFunction, period: float, delay: float) -> Readings:
     The reading y(k) is the position ``delay`` [s] before. With m = ⌈delay/period⌉, the first of m past
     positions is that between two samples at which a reading m - 1 samples later looks.
     """
-    a, b = realisation(model)
+    a, b = observability_form(model)
     n = len(b)
     periods = delay / period
     m = math.ceil(periods - 1e-9)
     size = n + 1 + m
-    transition, held = sampled(a, b, period)
+    scale = scale_of(model) if balanced(model) else np.ones(n)
+    transition, held = sampled(a, b, period, scale)
     whole, column, output = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     whole[:n, :n], whole[:n, n], whole[n, n] = transition, held, 1.0
     column[:n] = held
     output[n + m if m else 0] = 1.0
     if m:
-        within, pushed = sampled(a, b, (m - periods) * period)
+        within, pushed = sampled(a, b, (m - periods) * period, scale)
         whole[n + 1, :n], whole[n + 1, n], column[n + 1] = within[0], pushed[0], pushed[0]
         for i in range(n + 2, size):
             whole[i, i - 1] = 1.0
@@ -268,7 +300,7 @@ def jitter(o: Observed, gain: Array, feedback: Array, scale: Array) -> float:
 
 
 def _row(numbers: Array) -> Row:
-    return Row(*(float(v) for v in np.concatenate([numbers, np.zeros(4 - len(numbers))])))
+    return Row(*(float(v) for v in np.concatenate([numbers, np.zeros(MOST_POLES - len(numbers))])))
 
 
 def _past(numbers: Array) -> Past:
@@ -276,13 +308,14 @@ def _past(numbers: Array) -> Past:
 
 
 def _inverse(numbers: Array) -> Inverse:
-    return Inverse(*(float(v) for v in np.concatenate([numbers, np.zeros(2 - len(numbers))])))
+    return Inverse(*(float(v) for v in np.concatenate([numbers, np.zeros(MOST_ZEROS - len(numbers))])))
 
 
-def _combination(row: Array) -> Combination:
-    m = len(row) - 3
-    inner = np.concatenate([row[:m], np.zeros(2 - m)])
-    return Combination(*(float(v) for v in (*inner, *row[m:])))
+def _combination(row: Array, zeros: int) -> Combination:
+    """``row`` of coefficients as in ``Inverted``, of a model with so many ``zeros``."""
+    inner = np.concatenate([row[:zeros], np.zeros(MOST_ZEROS - zeros)])
+    reference = np.concatenate([row[zeros:], np.zeros(EXCESS[1] + 1 - len(row) + zeros)])
+    return Combination(*(float(v) for v in (*inner, *reference)))
 
 
 def _move(rate: Array, time: float) -> Move:
@@ -292,9 +325,8 @@ def _move(rate: Array, time: float) -> Move:
     whole[:m, : m + 1] = rate[:, : m + 1]
     whole[m, m + 1] = 1.0
     after = scipy.linalg.expm(whole * time)[:m]
-    zeta = _inverse(after[:, 0] if m > 0 else np.zeros(0))
-    rate_of_zeta = _inverse(after[:, 1] if m > 1 else np.zeros(0))
-    return Move(zeta, rate_of_zeta, _inverse(after[:, m]), _inverse(after[:, m + 1]))
+    zeta, first, second, third = (_inverse(after[:, i] if m > i else np.zeros(0)) for i in range(MOST_ZEROS))
+    return Move(zeta, first, second, third, _inverse(after[:, m]), _inverse(after[:, m + 1]))
 
 
 def _rest(of: Inverted, reference: float, rate: float) -> Rest:
@@ -305,7 +337,7 @@ def _rest(of: Inverted, reference: float, rate: float) -> Rest:
         # ζ = p + q·t in ζ' = a·ζ + b·r with r = reference + rate·t: a·q + b·rate = 0, a·p + b·reference = q.
         q = np.linalg.solve(of.rate[:, :m], -of.rate[:, m] * rate)
         inner[:] = np.linalg.solve(of.rate[:, :m], q - of.rate[:, m] * reference)
-    whole = np.concatenate([inner, [reference, rate, 0.0]])
+    whole = np.concatenate([inner, [reference, rate], np.zeros(of.voltage.size - m - 2)])
     return Rest(_row(of.state @ whole), _inverse(inner), float(of.voltage @ whole))
 
 
@@ -353,27 +385,29 @@ def design(
             f"dcarc.delay is {delay:g} s; at a sample period of {period:g} s it must be at most "
             f"{MOST_DELAY * period:g} s"
         )
-    n = readings(model, period, delay).order
+    n, zeros = readings(model, period, delay).order, len(at.of.rate)
     reading = math.sqrt(noise**2 + resolution**2 / 12.0)
     o = observed(model, period, delay, reading, input_noise, disturbance_rate * math.sqrt(period))
     m = len(o.a) - n - 1
-    speed = max(float(np.max(np.abs(np.linalg.eigvals(realisation(model)[0])))), 1.0)
-    sizes = np.array([speed**i for i in range(n)])
+    sizes = scale_of(model)
     scale = np.concatenate([sizes, [1.0], np.ones(m)])
     gain = kalman(o, scale)
     transition, held = o.a[:n, :n], o.b[:n]
     feedback = regulator(transition, held, voltage_weight, sizes)
     ages = np.array([delay - (m - i) * period for i in range(1, m + 1)])
     shown = np.array([0.0] * (m - 1) + [1.0] * min(m, 1))
-    full = np.zeros((4, n))
+    full = np.zeros((MOST_POLES, n))
     full[:n] = transition
+    rows = [_row(row) for row in full]
     passing = o.a[n + 1, :n] if m else np.zeros(n)
     return Design(
         model=Model(
-            row0=_row(full[0]),
-            row1=_row(full[1]),
-            row2=_row(full[2]),
-            row3=_row(full[3]),
+            row0=rows[0],
+            row1=rows[1],
+            row2=rows[2],
+            row3=rows[3],
+            row4=rows[4],
+            row5=rows[5],
             input=_row(held),
             passing=_row(passing),
             passing_input=float(o.b[n + 1]) if m else 0.0,
@@ -383,10 +417,10 @@ def design(
         ),
         kalman=Gains(_row(gain[:n]), float(gain[n]), _past(gain[n + 1 :])),
         feedback=_row(feedback),
-        wanted=_combination(feedback @ at.of.state),
+        wanted=_combination(feedback @ at.of.state, zeros),
         full=at.full,
         half=at.half,
-        model_voltage=_combination(at.of.voltage),
+        model_voltage=_combination(at.of.voltage, zeros),
         standing=at.standing,
         moving=at.moving,
         lag_share=1.0 / mean_lag(o, gain, n),

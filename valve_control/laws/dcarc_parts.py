@@ -4,12 +4,14 @@ from typing import NamedTuple
 
 
 class Row(NamedTuple):
-    """Four numbers: row of the transition matrix, input column, gains, or state; unused ones are 0.0."""
+    """Six numbers: row of the transition matrix, input column, gains, or state; unused ones are 0.0."""
 
     x0: float
     x1: float
     x2: float
     x3: float
+    x4: float
+    x5: float
 
 
 class Past(NamedTuple):
@@ -22,10 +24,12 @@ class Past(NamedTuple):
 
 
 class Inverse(NamedTuple):
-    """Inner states of the inverted model: ζ and its rate, 0.0 where the model has fewer zeros."""
+    """Inner states of the inverted model: ζ and its derivatives, 0.0 where the model has fewer zeros."""
 
     zeta: float
     rate: float
+    accel: float
+    jerk: float
 
 
 class Move(NamedTuple):
@@ -33,6 +37,8 @@ class Move(NamedTuple):
 
     zeta: Inverse  # of ζ
     rate: Inverse  # of its rate
+    accel: Inverse  # of its second derivative
+    jerk: Inverse  # of its third derivative
     reference: Inverse  # of the reference [V]
     reference_rate: Inverse  # of its rate [V/s]
 
@@ -42,9 +48,12 @@ class Combination(NamedTuple):
 
     zeta: float
     rate: float
+    accel: float
+    jerk: float
     reference: float
     reference_rate: float
     reference_accel: float
+    reference_jerk: float  # 0.0 with two more poles than zeros
 
 
 class Model(NamedTuple):
@@ -54,6 +63,8 @@ class Model(NamedTuple):
     row1: Row
     row2: Row
     row3: Row
+    row4: Row
+    row5: Row
     input: Row
     passing: Row  # position within the period that is the first of the past ones
     passing_input: float
@@ -88,7 +99,7 @@ class Equivalent(NamedTuple):
 
 def dot(row: Row, x: Row) -> float:
     """Scalar product."""
-    return row.x0 * x.x0 + row.x1 * x.x1 + row.x2 * x.x2 + row.x3 * x.x3
+    return row.x0 * x.x0 + row.x1 * x.x1 + row.x2 * x.x2 + row.x3 * x.x3 + row.x4 * x.x4 + row.x5 * x.x5
 
 
 def past_dot(a: Past, b: Past) -> float:
@@ -96,21 +107,36 @@ def past_dot(a: Past, b: Past) -> float:
     return a.first * b.first + a.second * b.second + a.third * b.third + a.fourth * b.fourth
 
 
-def combined(c: Combination, s: Inverse, reference: float, rate: float, accel: float) -> float:
-    """Linear combination ``c`` of inner states, reference [V] and its derivatives [V/s, V/s²]."""
+class Course(NamedTuple):
+    """The reference at one time, with its derivatives."""
+
+    reference: float  # V
+    rate: float  # V/s
+    accel: float  # V/s²
+    jerk: float  # V/s³
+
+
+def combined(c: Combination, s: Inverse, r: Course) -> float:
+    """Linear combination ``c`` of inner states and reference."""
     return (
         c.zeta * s.zeta
         + c.rate * s.rate
-        + c.reference * reference
-        + c.reference_rate * rate
-        + c.reference_accel * accel
+        + c.accel * s.accel
+        + c.jerk * s.jerk
+        + c.reference * r.reference
+        + c.reference_rate * r.rate
+        + c.reference_accel * r.accel
+        + c.reference_jerk * r.jerk
     )
 
 
 def moved(m: Move, s: Inverse, reference: float, rate: float) -> Inverse:
     """Inner states of the inverse after ``m``, from ``reference`` [V] and ``rate`` [V/s] before."""
-    a, b, c, d = m
+    a, b, c, d, e, f = m
+    x0, x1, x2, x3 = s
     return Inverse(
-        a.zeta * s.zeta + b.zeta * s.rate + c.zeta * reference + d.zeta * rate,
-        a.rate * s.zeta + b.rate * s.rate + c.rate * reference + d.rate * rate,
+        a.zeta * x0 + b.zeta * x1 + c.zeta * x2 + d.zeta * x3 + e.zeta * reference + f.zeta * rate,
+        a.rate * x0 + b.rate * x1 + c.rate * x2 + d.rate * x3 + e.rate * reference + f.rate * rate,
+        a.accel * x0 + b.accel * x1 + c.accel * x2 + d.accel * x3 + e.accel * reference + f.accel * rate,
+        a.jerk * x0 + b.jerk * x1 + c.jerk * x2 + d.jerk * x3 + e.jerk * reference + f.jerk * rate,
     )

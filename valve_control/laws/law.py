@@ -6,12 +6,16 @@ import types
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, get_type_hints
 
+import numpy as np
+import numpy.typing as npt
+
 from valve_control.laws import reshaping
 from valve_control.laws.free import Free, entries_of
 from valve_control.laws.projection import Theta
 from valve_control.laws.signals import Start
 from valve_control.parameter import Table, Value, Values, defaults
 
+Array = npt.NDArray[np.float64]
 PACKAGE = "valve_control"
 FIELDS = {"Params": ("u_max", "period"), "Terms": ("reference", "z1", "unsaturated_voltage")}
 FORMS = {
@@ -24,6 +28,10 @@ FORMS = {
 def unchanged(params: Any, state: Any) -> tuple[Any, Any]:
     """``params`` and ``state`` themselves, for a law whose step is linear as it is."""
     return params, state
+
+
+def by_slow_motion(params: Any) -> None:
+    """None, for a law whose loop is checked on (1) with what ``Law.model`` gives."""
 
 
 def always(params: Any) -> bool:
@@ -46,6 +54,9 @@ class Law(NamedTuple):
     build: Callable[[Values], Any]  # Params from the controller's values; raises ParameterError
     # a1 [1/s], a0 [1/s²] and b0 [1/s²] of the model that a set of Params believes in; None: no feedback
     model: Callable[[Any], tuple[float, float, float]] | None = None
+    # transition matrix (n×n) and input column (n) of the sampled model that a set of Params believes in,
+    # position first, where (1) leaves out what the loop needs; None: (1) with what ``model`` gives will do
+    sampled_model: Callable[[Any], tuple[Array, Array] | None] = by_slow_motion
     reshapes: Callable[[Any], bool] = always  # whether a set of Params follows a reshaped reference
     # command under which the law goes on as it is, from which a takeover lets the real one fade in
     steady_command: Callable[[Any, Start], float] = reshaped_steady_command

@@ -22,6 +22,7 @@ class Params(NamedTuple):
     max_accel: float  # V/s²   bound (6)
     period: float  # s      ΔT
     braking: float = 0.0  # 1.0: the reference brakes in time; 0.0: the paper's form
+    smoothing: float = 0.0  # 1/s  speed g of the filter behind (8), for a third derivative; 0.0: none
 
 
 class State(NamedTuple):
@@ -97,6 +98,7 @@ def not_braked(p: Params, command: float, reference: float, rate: float, next_ra
 
 def steady_command(p: Params, reference: float, rate: float) -> float:
     """Command [V] under which a reference [V] that moves at ``rate`` [V/s] keeps its rate, from (8)."""
+    reference = unsmoothed(p, reference, rate)
     command = reference + 2.0 * p.damping / p.natural_frequency * rate
     return not_braked(p, command, reference, rate, rate)
 
@@ -108,6 +110,8 @@ def command_of(p: Params, position: float, rate: float, accel: float) -> float:
     """
     wn = p.natural_frequency
     middle = rate + 0.5 * p.period * accel
+    position = unsmoothed(p, position, middle)
+    middle = unsmoothed(p, middle, accel)
     command = position + 2.0 * p.damping / wn * middle + accel / (wn * wn)
     return not_braked(p, command, position, middle, middle + accel * p.period)
 
@@ -115,6 +119,23 @@ def command_of(p: Params, position: float, rate: float, accel: float) -> float:
 def advance(p: Params, s: State, accel: float) -> State:
     """Reference at the next sample (11)."""
     return State(s.reference + s.rate * p.period, s.rate + accel * p.period)
+
+
+def smoothed(p: Params, s: State, accel: float, smooth: float) -> tuple[float, float, float]:
+    """Position [V], rate [V/s] and acceleration [V/s²] of a reference with a third derivative.
+
+    ``smooth`` [V]: its position, which a first-order filter makes of the reference ``s`` with ``accel``
+    [V/s²]. Without the filter it is the reference itself.
+    """
+    if p.smoothing > 0.0:
+        rate = p.smoothing * (s.reference - smooth)
+        return smooth, rate, p.smoothing * (s.rate - rate)
+    return s.reference, s.rate, accel
+
+
+def unsmoothed(p: Params, position: float, rate: float) -> float:
+    """Position [V] of the reference that the filter makes ``position`` [V] with ``rate`` [V/s] of."""
+    return position + rate / p.smoothing if p.smoothing > 0.0 else position
 
 
 MOST_LEAD = 0.1  # s

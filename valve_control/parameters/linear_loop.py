@@ -36,10 +36,10 @@ class LinearLaw(NamedTuple):
 class LinearValves(NamedTuple):
     """x⁺ = a·x + b·u and y(k + late) = now·x(k) + before·x(k-1), for each of N valves."""
 
-    a: Array  # N×4×4, with the flow force
-    b: Array  # N×4
-    now: Array  # N×4
-    before: Array  # N×4
+    a: Array  # N×m×m, with the flow force
+    b: Array  # N×m
+    now: Array  # N×m
+    before: Array  # N×m
     late: npt.NDArray[np.int64]  # N  whole periods of dead time
 
 
@@ -129,28 +129,34 @@ def linear_valves(given: Sequence[Any]) -> LinearValves:
     return LinearValves(a, held, now, before, late)
 
 
+def undelayed(a: Array, b: Array) -> LinearValves:
+    """One valve x⁺ = a·x + b·u whose reading is its first state."""
+    first = np.eye(len(b))[:1]
+    return LinearValves(a[None], b[None], first, np.zeros_like(first), np.zeros(1, dtype=np.int64))
+
+
 def transitions(law: LinearLaw, valves: LinearValves) -> Array:
     """Transition matrices (N×m×m) of the loops of ``law`` around each of N valves.
 
-    States: four of the valve, before·x(k-1), the readings on their way through the dead time, the law's.
+    States: m of the valve, before·x(k-1), the readings on their way through the dead time, the law's.
     """
-    n, count = len(law.b), len(valves.b)
+    n, (count, m) = len(law.b), valves.b.shape
     longest = int(np.max(valves.late))
-    own = 5 + longest
+    own = m + 1 + longest
     reading = np.zeros((count, own))
     each = np.arange(count)
     fresh = np.concatenate([valves.now, np.ones((count, 1)), np.zeros((count, longest))], axis=1)
     reading[each] = np.where((valves.late == 0)[:, None], fresh, 0.0)
     delayed = np.flatnonzero(valves.late > 0)
-    reading[delayed, 4 + valves.late[delayed]] = 1.0
+    reading[delayed, m + valves.late[delayed]] = 1.0
     matrix = np.zeros((count, own + n, own + n))
-    matrix[:, :4, :4] = valves.a
-    matrix[:, :4, :own] += law.d * valves.b[:, :, None] * reading[:, None, :]
-    matrix[:, :4, own:] = valves.b[:, :, None] * law.c
-    matrix[:, 4, :4] = valves.before
+    matrix[:, :m, :m] = valves.a
+    matrix[:, :m, :own] += law.d * valves.b[:, :, None] * reading[:, None, :]
+    matrix[:, :m, own:] = valves.b[:, :, None] * law.c
+    matrix[:, m, :m] = valves.before
     if longest:
-        matrix[:, 5, :own] = fresh
-        for i in range(6, own):
+        matrix[:, m + 1, :own] = fresh
+        for i in range(m + 2, own):
             matrix[:, i, i - 1] = 1.0
     matrix[:, own:, :own] = law.b[:, None] * reading[:, None, :]
     matrix[:, own:, own:] = law.a

@@ -14,6 +14,7 @@ import numpy as np
 from valve_control.laws.law import Law
 from valve_control.laws.signals import Start
 from valve_control.parameters import linear_loop
+from valve_control.parameters.linear_loop import LinearValves
 from valve_control.plant import registry, valve
 from valve_control.plant.models import TransferFunction
 
@@ -46,38 +47,51 @@ def spectral_radius(law: Law, params: Any, theta: tuple[float, ...]) -> float:
 
     ``theta``: a1 [1/s], a0 [1/s²] and b0 [1/s²] of that model.
     """
-    return abs(dominant_pole(law, params, _believed(params, theta)))
+    return abs(_pole(law, params, _simple(params, theta)))
 
 
-def _believed(params: Any, theta: tuple[float, ...]) -> valve.Params:
+def _simple(params: Any, theta: tuple[float, ...]) -> LinearValves:
     model = TransferFunction((theta[2],), (1.0, theta[0], theta[1]))
-    return valve.design(model, params.period, params.u_max, 1.0, FREE, IDEAL)
+    plant = valve.design(model, params.period, params.u_max, 1.0, FREE, IDEAL)
+    return linear_loop.linear_valves([plant])
+
+
+def _believed(law: Law, params: Any, gain: float) -> LinearValves:
+    """The model that ``law`` believes in, with so many times its gain."""
+    exact = law.sampled_model(params)
+    if exact is not None:
+        return linear_loop.undelayed(exact[0], gain * exact[1])
+    assert law.model is not None
+    a1, a0, b0 = law.model(params)
+    return _simple(params, (a1, a0, gain * b0))
+
+
+def _pole(law: Law, params: Any, valves: LinearValves) -> complex:
+    linear = linear_loop.linear_law(law, params, frozen=True)
+    return complex(linear_loop.dominant_poles(linear, valves)[0])
 
 
 def dominant_pole(law: Law, params: Any, plant: Any) -> complex:
     """The pole of largest modulus of the sampled loop around ``plant``, without its friction and noise."""
-    linear = linear_loop.linear_law(law, params, frozen=True)
-    return complex(linear_loop.dominant_poles(linear, linear_loop.linear_valves([plant]))[0])
+    return _pole(law, params, linear_loop.linear_valves([plant]))
 
 
 def warning(law: Law, params: Any) -> str:
     """One sentence if the sampled loop is unstable with b0 as assumed or 2 dB above it, else ""."""
     if law.model is None:
         return ""
-    theta = law.model(params)
-    radius = max(
-        spectral_radius(law, params, theta),
-        spectral_radius(law, params, (*theta[:2], GAIN_MARGIN * theta[2])),
-    )
+    believed = _believed(law, params, 1.0)
+    at_rest = abs(_pole(law, params, believed))
+    radius = max(at_rest, abs(_pole(law, params, _believed(law, params, GAIN_MARGIN))))
     if radius < 1.0:
         return ""
     told = (
         f"{law.name} with these gains is unstable, or within 2 dB of it, at a sample period of "
         f"{params.period:g} s (largest pole of the sampled loop: {radius:.3f})"
     )
-    if spectral_radius(law, params, theta) < 1.0:
+    if at_rest < 1.0:
         return f"{told}; {law.remedy}"
-    return f"{told}; {_advice(law, params, _believed(params, theta), law.remedy)}"
+    return f"{told}; {_advice(law, params, believed, law.remedy)}"
 
 
 def valve_warning(law: Law, params: Any, plant: Any) -> str:
@@ -86,14 +100,15 @@ def valve_warning(law: Law, params: Any, plant: Any) -> str:
         return _static_warning(law, params, plant)
     if registry.linear(plant).lvdt.delay > MOST_DELAY:
         return ""
-    pole = dominant_pole(law, params, plant)
+    valves = linear_loop.linear_valves([plant])
+    pole = _pole(law, params, valves)
     if abs(pole) <= STABLE:
         return ""
     frequency = abs(cmath.phase(pole)) / (2.0 * math.pi * params.period)
     return (
         f"{law.name} with these gains is unstable on this valve (largest pole of the sampled loop: "
-        f"{abs(pole):.3f}, at {frequency:.3g} Hz); {_advice(law, params, plant, 'lower the gains')}, or give "
-        "the law this valve's parameters"
+        f"{abs(pole):.3f}, at {frequency:.3g} Hz); {_advice(law, params, valves, 'lower the gains')}, or "
+        "give the law this valve's parameters"
     )
 
 
@@ -113,25 +128,29 @@ def _static_warning(law: Law, params: Any, plant: Any) -> str:
     )
 
 
-def stable_gains(law: Law, params: Any, plant: Any) -> tuple[int | None, int | None]:
+def stable_gains(law: Law, params: Any, valves: LinearValves) -> tuple[int | None, int | None]:
     """By how many dB the loop's gain has to fall, or to rise, until the unstable loop is stable; None: never.
 
-    The loop is cut at the voltage, as for its margins (tuning/margins.py).
+    ``valves``: one. The loop is cut at the voltage, as for its margins (tuning/margins.py).
     """
     linear = linear_loop.linear_law(law, params, frozen=True)
     steps = np.arange(1, FARTHEST + 1)
-    valves = linear_loop.linear_valves([plant] * (2 * FARTHEST))
     factors = 10.0 ** (np.concatenate([-steps, steps]) / 20.0)
-    poles = np.abs(
-        linear_loop.dominant_poles(linear, valves._replace(b=valves.b * factors[:, None]))
-    ).reshape(2, -1)
+    gained = valves._replace(
+        a=np.repeat(valves.a, len(factors), axis=0),
+        b=factors[:, None] * valves.b,
+        now=np.repeat(valves.now, len(factors), axis=0),
+        before=np.repeat(valves.before, len(factors), axis=0),
+        late=np.repeat(valves.late, len(factors)),
+    )
+    poles = np.abs(linear_loop.dominant_poles(linear, gained)).reshape(2, -1)
     down, up = (int(steps[np.argmax(row)]) if np.any(row) else None for row in poles <= STABLE)
     return down, up
 
 
-def _advice(law: Law, params: Any, plant: Any, lower: str) -> str:
-    """Which way the gains have to go until the loop around ``plant`` is stable; ``lower``: down."""
-    down, up = stable_gains(law, params, plant)
+def _advice(law: Law, params: Any, valves: LinearValves, lower: str) -> str:
+    """Which way the gains have to go until the loop around ``valves`` (one) is stable; ``lower``: down."""
+    down, up = stable_gains(law, params, valves)
     if down is not None and (up is None or down <= up):
         return f"it is stable with {down} dB less gain in the loop: {lower}"
     if up is not None:

@@ -96,6 +96,16 @@ def realisation(
             f"a valve model has order 2 to 4 and at least two more poles than zeros; "
             f"this one has {n} poles and {len(numerator) - 1} zeros"
         )
+    return observability_form(model)
+
+
+def observability_form(
+    model: TransferFunction,
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """``realisation`` of a model of any order with more poles than zeros."""
+    denominator = np.trim_zeros(np.asarray(model.denominator, dtype=float), "f")
+    numerator = np.trim_zeros(np.asarray(model.numerator, dtype=float), "f")
+    n = len(denominator) - 1
     a = denominator[1:] / denominator[0]
     c = np.concatenate([np.zeros(n - len(numerator)), numerator / denominator[0]])
     markov = np.zeros(n)

@@ -116,7 +116,13 @@ def undisturbed() -> valve.Params:
 
 
 def unreshaped(p: reshaping.Params, wanted: Array) -> Array:
-    """Command [V] whose reshaped reference (8)-(11) is ``wanted``, which has two samples more."""
+    """Command [V] whose reshaped reference (8)-(11) is ``wanted``, which has two samples more.
+
+    Where a filter behind (8) asks for a third one, ``wanted`` goes on straight.
+    """
+    if p.smoothing > 0.0:
+        rate = np.diff(wanted) / p.period
+        wanted = wanted + np.append(rate, rate[-1]) / p.smoothing
     rate = np.diff(wanted) / p.period
     accel = np.diff(rate) / p.period
     if p.braking > 0.0:
