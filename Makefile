@@ -17,7 +17,7 @@ ifndef ROS_DISTRO
 export AMENT_PREFIX_PATH := $(abspath $(VENV))
 endif
 
-.PHONY: help setup demo faults lockstep joiners paper theorems axis delta tuned bench test campaign browser lint docs clean
+.PHONY: help setup demo faults lockstep joiners paper theorems axis delta tuned bench test campaign browser lint quality docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
@@ -101,6 +101,9 @@ lint: $(STAMP)  ## ruff, mypy and the order of the rooms
 	@$(PYTHON) -m ruff format --check .
 	@$(PYTHON) -m mypy
 	@$(VENV)/bin/lint-imports --no-cache --no-logo
+
+quality: $(STAMP)  ## items of REP-2004 quality level 2, one line each
+	@$(PYTHON) .ci/quality.py
 
 docs: $(DOCS_STAMP)  ## the site of docs/, in out/docs/index.html
 	@$(PYTHON) -m sphinx -W --keep-going -q -b html -d out/doctrees docs out/docs

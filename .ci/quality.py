@@ -1,0 +1,120 @@
+"""Checks the items of REP-2004, level 2, that QUALITY_DECLARATION.md declares, and prints one line for each.
+
+The exit status is 1 if an item that is declared met is not, or one declared open is met. With ``--add`` it puts
+the two SPDX lines into source files that have none.
+"""
+
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+COMMENTS = {".py": "# {}\n", ".js": "// {}\n", ".c": "/* {} */\n", ".h": "/* {} */\n", ".css": "/* {} */\n"}
+LINES = ("SPDX-FileCopyrightText: 2026 valve_control developers", "SPDX-License-Identifier: Apache-2.0")
+ROW = re.compile(r"^\| (\d\.\d) \| (.+?) \| (met|open) \| (.+) \|$", re.M)
+
+
+def text(name: str) -> str:
+    """Contents of the file ``name`` of the repository, "" if there is none."""
+    path = ROOT / name
+    return path.read_text(encoding="utf-8") if path.exists() else ""
+
+
+def sources() -> Iterator[Path]:
+    """Source files under version control."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    for name in listed.splitlines():
+        path = ROOT / name
+        if path.suffix in COMMENTS and path.is_file() and path.stat().st_size:
+            yield path
+
+
+def unmarked() -> list[Path]:
+    """Source files without the SPDX lines in their first five lines."""
+    heads = ((path, path.read_text(encoding="utf-8").splitlines()[:5]) for path in sources())
+    return [path for path, head in heads if not all(any(line in row for row in head) for line in LINES)]
+
+
+def add() -> None:
+    """Put the SPDX lines into the files that have none."""
+    for path in unmarked():
+        before = path.read_text(encoding="utf-8")
+        first, _, rest = before.partition("\n") if before.startswith("#!") else ("", "", before)
+        lines = "".join(COMMENTS[path.suffix].format(line) for line in LINES)
+        path.write_text(f"{first}\n{lines}{rest}" if first else lines + rest, encoding="utf-8")
+        print(f"wrote {path.relative_to(ROOT)}")
+
+
+def version() -> str:
+    """Version in package.xml."""
+    return ElementTree.parse(ROOT / "package.xml").findtext("version", "")
+
+
+def section(title: str) -> bool:
+    """Whether the declaration has the section ``title``."""
+    return f"\n## {title}\n" in text("QUALITY_DECLARATION.md")
+
+
+def licences() -> bool:
+    """Whether LICENSE, package.xml and setup.py agree."""
+    return (
+        "Apache License" in text("LICENSE")
+        and "<license>Apache-2.0</license>" in text("package.xml")
+        and 'license="Apache-2.0"' in text("setup.py")
+    )
+
+
+def runs(*words: str) -> bool:
+    """Whether .ci/run and the target ``lint`` run all of ``words``."""
+    return all(word in text(".ci/run") + text("Makefile") for word in words)
+
+
+def justified() -> bool:
+    """Whether the table of dependencies has every package that setup.py installs."""
+    block = re.search(r"install_requires=\[(.*?)\]", text("setup.py"), re.S)
+    names = re.findall(r'"([A-Za-z0-9_-]+)', block.group(1)) if block else []
+    table = text("QUALITY_DECLARATION.md").partition("## Dependencies")[2]
+    return bool(names) and all(name in table for name in names if name != "setuptools")
+
+
+CHECKS: dict[str, Callable[[], bool]] = {
+    "1.1": lambda: section("Version policy"),
+    "1.2": lambda: int(version().split(".")[0]) >= 1,
+    "1.3": lambda: section("Public interface") and bool(text("test/interface.json")),
+    "2.1": lambda: "pull request" in text("CONTRIBUTING.md"),
+    "2.2": lambda: runs("make lint", "make test", "make campaign"),
+    "3.2": licences,
+    "3.3": lambda: not unmarked(),
+    "3.4": lambda: "QUALITY_DECLARATION.md" in text("README.md"),
+    "4.2": lambda: runs("coverage"),
+    "4.3": lambda: runs("ruff check", "ruff format --check"),
+    "4.4": lambda: runs("mypy", "lint-imports"),
+    "5.2": justified,
+}  # the other items are declarations of people
+
+
+def main() -> int:
+    """Print one line for each item of the declaration; returns the exit status."""
+    rows = ROW.findall(text("QUALITY_DECLARATION.md"))
+    wrong = 0
+    for item, requirement, state, evidence in rows:
+        checked = CHECKS.get(item)
+        found = "declared" if checked is None else "checked"
+        if checked is not None and checked() != (state == "met"):
+            found, wrong = "WRONG", wrong + 1
+        print(f"{item}  {state:<4}  {found:<8}  {requirement}: {evidence}")
+    missing = sorted(set(CHECKS) - {row[0] for row in rows})
+    if missing:
+        print(f"QUALITY_DECLARATION.md has no row for {', '.join(missing)}")
+    for path in unmarked():
+        print(f"{path.relative_to(ROOT)} has no SPDX lines (python .ci/quality.py --add)")
+    return 1 if wrong or missing or not rows else 0
+
+
+if __name__ == "__main__":
+    if "--add" in sys.argv[1:]:
+        add()
+    sys.exit(main())

@@ -1,0 +1,84 @@
+"""The public interface stays: names that users, launch files, bags and scripts hold on to.
+
+``python test/test_interface.py`` writes interface.json anew. A name that goes needs a new major version, see
+QUALITY_DECLARATION.md.
+"""
+
+import ast
+import importlib.util
+import json
+from pathlib import Path
+
+from valve_control.parameters.axis import ROS_NODES
+
+ROOT = Path(__file__).resolve().parents[1]
+RECORD = Path(__file__).with_name("interface.json")
+SUPERVISION = ROOT / "valve_control" / "supervision"
+
+
+def _generate():
+    spec = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "generate.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _conditions():
+    for path in sorted(SUPERVISION.glob("*.py")):
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(call, ast.Call) and len(call.args) >= 3:
+                name = getattr(call.func, "attr", getattr(call.func, "id", ""))
+                if name in ("report", "latch") and isinstance(call.args[1], ast.Constant):
+                    yield str(call.args[1].value)
+
+
+def _options(parser):
+    return sorted(option for action in parser._actions for option in action.option_strings)
+
+
+def interface():
+    """Parameters with their types, topics and services, conditions, command line, entry point groups."""
+    from valve_control.cli import command
+    from valve_control.laws import registry
+
+    return {
+        "parameters": {node: {p.name: p.type_name for p in table} for node, table in ROS_NODES.items()},
+        "topics and services": sorted(
+            f"{e.node} {e.kind} {e.name} {e.type_name}" for e in _generate().entities()
+        ),
+        "conditions": sorted(set(_conditions())),
+        "command line": {name: _options(p) for name, p in command.Commands().parsers.items()},
+        "entry point groups": [registry.GROUP],
+    }
+
+
+def _lost(before, now, path=""):
+    if isinstance(before, dict):
+        for name, value in before.items():
+            if not isinstance(now, dict) or name not in now:
+                yield f"{path}/{name}"
+            else:
+                yield from _lost(value, now[name], f"{path}/{name}")
+    elif isinstance(before, list):
+        yield from (f"{path}/{item}" for item in before if item not in now)
+    elif before != now:
+        yield f"{path}: {before} became {now}"
+
+
+def test_no_public_name_is_lost():
+    assert list(_lost(json.loads(RECORD.read_text(encoding="utf-8")), interface())) == []
+
+
+def test_a_lost_name_is_found():
+    now = {"parameters": {"controller": {"u_max": "string"}}, "conditions": ["b"]}
+    before = {"parameters": {"controller": {"u_max": "double", "bias": "double"}}, "conditions": ["a", "b"]}
+    assert list(_lost(before, now)) == [
+        "/parameters/controller/u_max: double became string",
+        "/parameters/controller/bias",
+        "/conditions/a",
+    ]
+
+
+if __name__ == "__main__":
+    RECORD.write_text(json.dumps(interface(), indent=1) + "\n", encoding="utf-8")
+    print(f"wrote {RECORD}")
