@@ -1,7 +1,9 @@
-"""Checks the items of REP-2004, level 2, that QUALITY_DECLARATION.md declares, and prints one line for each.
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Checks the items of REP-2004, level 2, that QUALITY_DECLARATION.md declares.
 
-The exit status is 1 if an item that is declared met is not, or one declared open is met. With ``--add`` it puts
-the two SPDX lines into source files that have none.
+The exit status is 1 if an item that is declared met is not, or one declared open is met. With ``--add`` it
+puts the two SPDX lines into source files that have none.
 """
 
 import re
