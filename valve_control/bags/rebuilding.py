@@ -11,7 +11,7 @@ from valve_control.bags.errors import BagError, NothingError
 from valve_control.bags.messages import CDR
 from valve_control.bags.metadata import Metadata
 from valve_control.bags.pages import Pages, Row, Value
-from valve_control.bags.writer import SQLITE_SCHEMA
+from valve_control.bags.storage import SQLITE_SCHEMA
 
 LOST_TOPIC = "/unknown_topic_{}"
 FEWEST = 2  # messages of a topic that nobody names, with less it is its number that is damaged

@@ -30,7 +30,8 @@ from valve_control.bags.rebuilding import rebuild
 from valve_control.bags.rewriting import rewrite
 from valve_control.bags.salvage import Salvage
 from valve_control.bags.sqlite import HEAD
-from valve_control.bags.writer import BUSY, SQLITE_SCHEMA, SUFFIXES, Lock, reason
+from valve_control.bags.storage import BUSY, SQLITE_SCHEMA
+from valve_control.bags.writer import SUFFIXES, Lock, reason
 
 SIDE_FILES = ("-wal", "-shm", "-journal")  # what SQLite leaves beside a database that was not closed
 KEPT = re.compile(r"(?P<name>.+\.(?:mcap|db3))\.damaged(?:\.(?P<number>\d+))?")

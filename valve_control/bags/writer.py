@@ -6,39 +6,18 @@ import sqlite3
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NoReturn, Protocol, Self
+from typing import NoReturn, Self
 
-from mcap.writer import CompressionType, Writer
-
-from valve_control.bags import metadata, repair
+from valve_control.bags import metadata
 from valve_control.bags.errors import BagError
 from valve_control.bags.metadata import Counted, File, Qos, TopicMetadata
+from valve_control.bags.storage import PENDING, SqliteStorage, Storage
 
-COMPRESSION = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
-LIBRARY = "valve_control"
-PENDING = 2**20  # bytes of messages that are held in memory at most
-OVERHEAD = 31  # bytes of an MCAP message record beside its data
-BUSY = 1.0  # s to wait for somebody who reads the database
-
-SQLITE_SCHEMA = """
-BEGIN;
-CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
-CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
-CREATE TABLE topics(
-    id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL,
-    offered_qos_profiles TEXT NOT NULL, type_description_hash TEXT NOT NULL);
-CREATE TABLE message_definitions(
-    id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
-    encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
-CREATE TABLE messages(
-    id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL, data BLOB NOT NULL);
-CREATE INDEX timestamp_idx ON messages (timestamp ASC);
-CREATE TABLE valve_control_times(message_id INTEGER PRIMARY KEY, publish_time INTEGER, sequence INTEGER);
-INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'jazzy');
-COMMIT;
-"""
+COMPRESSIONS = ("none", "zstd", "lz4")
+SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}
 
 
 def reason(error: Exception) -> str:
@@ -64,218 +43,17 @@ class Lock:
         os.close(self._descriptor)
 
 
-class Storage(Protocol):
-    """One storage file. ``write`` and ``size`` apart, all methods raise OSError or sqlite3.Error."""
-
-    path: Path
-    pending: int  # bytes of messages in memory
-
-    def add_topic(self, topic: TopicMetadata, definition: str) -> None:
-        """Add ``topic`` with the ``definition`` of its message type, "" if that is not known."""
-
-    def write(self, topic: str, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
-        """Buffer a message; times in ns."""
-
-    def size(self) -> int:
-        """Size of the file [bytes], with what is buffered."""
-
-    def flush(self) -> None:
-        """Write everything that is buffered."""
-
-    def finish(self, text: str) -> None:
-        """Finish the file after a flush; ``text``: the bag's metadata, to be stored in it."""
-
-    def abandon(self) -> None:
-        """After an error, go back to the last flush, and finish the file if that is possible."""
+def usual() -> str:
+    """Storage of a new bag: mcap, or sqlite3 where the package mcap is not installed."""
+    return "mcap" if find_spec("mcap") else "sqlite3"
 
 
-class Output:
-    """File for the MCAP writer: each flush is one write, and a failed one can be taken back."""
+def _storage(name: str, path: Path, compression: str) -> Storage:
+    if name == "sqlite3":
+        return SqliteStorage(path)
+    from valve_control.bags.mcap_storage import McapStorage
 
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("xb", buffering=0)
-        self._waiting: list[bytes] = []
-        self._position = 0
-        self.flushed = 0
-
-    def write(self, data: bytes) -> int:
-        """Buffer ``data``."""
-        self._waiting.append(data)
-        self._position += len(data)
-        return len(data)
-
-    def tell(self) -> int:
-        """Position after all buffered data."""
-        return self._position
-
-    def flush(self) -> None:
-        """Write what is buffered. Raises OSError."""
-        rest = memoryview(b"".join(self._waiting))
-        while rest:
-            rest = rest[self._file.write(rest) :]
-        self._waiting.clear()
-        self.flushed = self._position
-
-    def take_back(self) -> None:
-        """Truncate to the last successful flush, and close. Raises OSError."""
-        try:
-            self._file.truncate(self.flushed)
-        finally:
-            self._file.close()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-
-class McapStorage:
-    """An MCAP file of profile ros2."""
-
-    SUFFIX = ".mcap"
-
-    def __init__(self, path: Path, compression: str) -> None:
-        self.path = path
-        self.pending = 0
-        self._output = Output(path)
-        output: Any = self._output
-        self._writer: Any = Writer(output, chunk_size=2 * PENDING, compression=COMPRESSION[compression])
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        self._writer.start("ros2", LIBRARY)
-        self.flush()
-
-    def add_topic(self, topic: TopicMetadata, definition: str) -> None:
-        """Add a channel, and the schema of its type."""
-        if topic.type not in self._schemas:
-            self._schemas[topic.type] = self._writer.register_schema(
-                topic.type, "ros2msg" if definition else "", definition.encode()
-            )
-        self._channels[topic.name] = self._writer.register_channel(
-            topic.name,
-            topic.serialization_format,
-            self._schemas[topic.type],
-            {
-                "offered_qos_profiles": metadata.qos_text(topic.offered_qos_profiles),
-                "topic_type_hash": topic.type_description_hash,
-            },
-        )
-
-    def write(self, topic: str, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
-        """Add a message to the open chunk."""
-        self._writer.add_message(self._channels[topic], log_time, data, publish_time, sequence & 0xFFFFFFFF)
-        self.pending += OVERHEAD + len(data)
-
-    def size(self) -> int:
-        """Size of the file [bytes], with what is buffered."""
-        return self._output.tell() + self.pending
-
-    def flush(self) -> None:
-        """End the open chunk and write it."""
-        self._writer.flush()
-        self.pending = 0
-
-    def finish(self, text: str) -> None:
-        """Write summary and footer."""
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
-        self._writer.finish()
-        self._output.flush()
-        self._output.close()
-
-    def abandon(self) -> None:
-        """Go back to the last flush; indexes are made anew, since the writer's name unwritten messages."""
-        self._output.take_back()
-        repair.repair(self.path)
-
-
-class SqliteStorage:
-    """An SQLite database with rosbag2's schema 4, and a table of ours for source times and numbers."""
-
-    SUFFIX = ".db3"
-
-    def __init__(self, path: Path, compression: str) -> None:
-        self.path = path
-        self.pending = 0
-        self._topics: dict[str, int] = {}
-        self._types: set[str] = set()
-        self._messages: list[tuple[int, int, int, bytes]] = []
-        self._times: list[tuple[int, int, int]] = []
-        self._count = 0
-        self._size = 0
-        path.touch(exist_ok=False)
-        self._database = sqlite3.connect(path, timeout=BUSY, isolation_level=None)
-        self._database.execute("PRAGMA journal_mode=WAL")
-        self._database.execute("PRAGMA synchronous=NORMAL")
-        self._database.executescript(SQLITE_SCHEMA)
-
-    def add_topic(self, topic: TopicMetadata, definition: str) -> None:
-        """Add a row of topics, and one of message_definitions for its type."""
-        if definition and topic.type not in self._types:
-            self._types.add(topic.type)
-            self._database.execute(
-                "INSERT INTO message_definitions VALUES (?, ?, ?, ?, ?)",
-                (len(self._types), topic.type, "ros2msg", definition, topic.type_description_hash),
-            )
-        number = self._topics[topic.name] = len(self._topics) + 1
-        self._database.execute(
-            "INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)",
-            (
-                number,
-                topic.name,
-                topic.type,
-                topic.serialization_format,
-                metadata.qos_text(topic.offered_qos_profiles),
-                topic.type_description_hash,
-            ),
-        )
-
-    def write(self, topic: str, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
-        """Buffer a row of messages, and one of our source times and numbers."""
-        self._count += 1
-        self._messages.append((self._count, self._topics[topic], log_time, data))
-        self._times.append((self._count, publish_time, sequence))
-        self.pending += OVERHEAD + len(data)
-
-    def size(self) -> int:
-        """Size of the database [bytes] once its log is merged."""
-        return self._size + self.pending
-
-    def flush(self) -> None:
-        """Write what is buffered in one transaction."""
-        with self._database:
-            self._database.execute("BEGIN")
-            self._database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", self._messages)
-            self._database.executemany("INSERT INTO valve_control_times VALUES (?, ?, ?)", self._times)
-        self._messages.clear()
-        self._times.clear()
-        self.pending = 0
-        ((pages, page_size),) = self._database.execute(
-            "SELECT page_count, page_size FROM pragma_page_count(), pragma_page_size()"
-        )
-        self._size = pages * page_size
-
-    def finish(self, text: str) -> None:
-        """Store the metadata, and leave a single file without a log."""
-        self._database.execute(
-            "INSERT INTO metadata(metadata_version, metadata) VALUES (?, ?)", (metadata.VERSION, text)
-        )
-        self._single_file()
-
-    def abandon(self) -> None:
-        """Close the database; what is committed stays."""
-        self._single_file()
-
-    def _single_file(self) -> None:
-        try:
-            self._database.execute("PRAGMA journal_mode=DELETE")
-        except sqlite3.OperationalError:
-            # Somebody reads the file: all goes into it, and the log stays until that one closes it.
-            self._database.execute("PRAGMA wal_checkpoint(PASSIVE)")
-        finally:
-            self._database.close()
-
-
-STORAGES: dict[str, Callable[[Path, str], Storage]] = {"mcap": McapStorage, "sqlite3": SqliteStorage}
-SUFFIXES = {"mcap": McapStorage.SUFFIX, "sqlite3": SqliteStorage.SUFFIX}
+    return McapStorage(path, compression)
 
 
 class Tally:
@@ -469,7 +247,7 @@ class BagWriter:
         path = self.folder / f"{self.folder.name}_{len(self._files)}{suffix}"
         self._tally, self._kept = Tally(), Tally()
         try:
-            self._storage = STORAGES[self._storage_name](path, self._compression)
+            self._storage = _storage(self._storage_name, path, self._compression)
             for topic, definition in self._topics.values():
                 self._storage.add_topic(topic, definition)
         except (OSError, sqlite3.Error) as error:
@@ -543,9 +321,11 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 def check(storage: str, compression: str) -> None:
     """Raise BagError unless there is such a storage with such a compression."""
-    if storage not in STORAGES:
+    if storage not in SUFFIXES:
         raise BagError(f"storage is '{storage}'; it must be mcap or sqlite3")
-    if compression not in COMPRESSION:
+    if storage == "mcap" and usual() != "mcap":
+        raise BagError("storage mcap needs the Python package mcap (pip install mcap); sqlite3 needs none")
+    if compression not in COMPRESSIONS:
         raise BagError(f"compression is '{compression}'; it must be none, zstd or lz4")
     if storage == "sqlite3" and compression != "none":
         raise BagError(f"compression is '{compression}'; storage sqlite3 has none, storage mcap has")

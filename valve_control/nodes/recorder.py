@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from valve_control import parameter
 from valve_control.bags.errors import BagError
 from valve_control.bags.metadata import Qos, Span
-from valve_control.bags.writer import BagWriter, check
+from valve_control.bags.writer import BagWriter, check, usual
 from valve_control.nodes.adapter import (
     EVERYTHING,
     SAMPLES,
@@ -78,6 +78,7 @@ class Settings(NamedTuple):
 def settings(values: Values) -> Settings:
     """Settings from the recorder's values. Raises ParameterError."""
     storage, compression = word(values, "storage"), word(values, "compression")
+    storage = usual() if storage == "auto" else storage
     try:
         check(storage, compression)
     except BagError as error:

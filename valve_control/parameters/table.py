@@ -334,7 +334,13 @@ MANIFOLD: Table = (
 
 RECORDER: Table = (
     Parameter("bag", "", "", "folder to write, which must not exist; empty: valve_bag_<date>_<time> here"),
-    Parameter("storage", "mcap", "", "storage of the bag", choices=("mcap", "sqlite3")),
+    Parameter(
+        "storage",
+        "auto",
+        "",
+        "storage of the bag; auto: mcap, or sqlite3 where the Python package mcap is not installed",
+        choices=("auto", "mcap", "sqlite3"),
+    ),
     Parameter(
         "compression",
         "none",
