@@ -3,6 +3,7 @@
 import warnings
 from typing import Any
 
+import cma
 import numpy as np
 import numpy.typing as npt
 
@@ -13,8 +14,6 @@ def strategy(start: npt.NDArray[np.float64], step: float, seed: int, population:
     It stops when the costs of its generations agree to 1e-4. ``seed`` is that of numpy's global generator,
     which pycma draws from: the same calls in the same order give the same points.
     """
-    import cma
-
     options = {
         "seed": seed,
         "popsize": population,

@@ -4,26 +4,24 @@ import re
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import zstandard
 
 from valve_control.bags import metadata as bag_metadata
 from valve_control.bags.cdr import Decoder
 from valve_control.bags.errors import BagError
-from valve_control.bags.mcap import McapFile
 from valve_control.bags.messages import CDR, Block, Integers, Topic, absolute
 from valve_control.bags.placeholders import PlaceholderError, refuse
 from valve_control.bags.sqlite import HEAD, SqliteFile
 
+if TYPE_CHECKING:
+    from valve_control.bags.mcap import McapFile
+
 Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
-KINDS: dict[str, tuple[str, type[McapFile] | type[SqliteFile]]] = {
-    ".mcap": ("mcap", McapFile),
-    ".db3": ("sqlite3", SqliteFile),
-}
+KINDS = {".mcap": "mcap", ".db3": "sqlite3"}  # storage by suffix
 ZSTD = (".zstd", ".zst")
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 ADVICE = re.compile(r" \(valve-control bag recover [^)]*\)")  # does not help where rosbag2 compressed
@@ -225,7 +223,7 @@ class Bag:
 
     # How
 
-    def _open(self) -> list[McapFile | SqliteFile]:
+    def _open(self) -> "list[McapFile | SqliteFile]":
         if not self.path.exists():
             raise BagError(f"there is no bag {self.path}")
         if self.path.is_file():
@@ -310,7 +308,7 @@ class Bag:
                 )
         return [path for path in paths if path.exists()], ""
 
-    def _recognise(self, files: Sequence[McapFile | SqliteFile]) -> None:
+    def _recognise(self, files: "Sequence[McapFile | SqliteFile]") -> None:
         """Find out whether rosbag2 compressed the messages, where no metadata.yaml says it."""
         if self.compression:
             return
@@ -339,17 +337,26 @@ class Bag:
         known = self.topics[topic.name]
         return (known.type, known.encoding) == (topic.type, topic.encoding)
 
-    def _file(self, path: Path) -> McapFile | SqliteFile:
+    def _file(self, path: Path) -> "McapFile | SqliteFile":
         suffix = _plain_suffix(path)
         if suffix not in KINDS:
             raise BagError(
                 f"{path} is not a bag; a bag is a folder with metadata.yaml, an .mcap or a .db3 file"
             )
         refuse(path)
-        self.storage, kind = KINDS[suffix]
-        return kind(self._unpack(path) if path.suffix in ZSTD else path)
+        self.storage = KINDS[suffix]
+        plain = self._unpack(path) if path.suffix in ZSTD else path
+        if self.storage == "sqlite3":
+            return SqliteFile(plain)
+        try:
+            from valve_control.bags.mcap import McapFile
+        except ModuleNotFoundError as error:  # mcap brings zstandard and lz4 along
+            raise ModuleNotFoundError(str(error), name="mcap") from error
+        return McapFile(plain)
 
     def _unpack(self, path: Path) -> Path:
+        import zstandard
+
         if self._unpacked is None:
             self._unpacked = tempfile.TemporaryDirectory(prefix="valve_control-")
         plain = Path(self._unpacked.name) / path.stem
@@ -361,6 +368,8 @@ class Bag:
         return plain
 
     def _decompressed(self, block: Block) -> Block:
+        import zstandard
+
         decompress = zstandard.ZstdDecompressor().decompressobj
         parts, good = [], []
         for i, (at, size) in enumerate(zip(block.offset.tolist(), block.length.tolist(), strict=True)):
