@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks the items of REP-2004, level 2, that QUALITY_DECLARATION.md declares.
 
-The exit status is 1 if an item that is declared met is not, or one declared open is met. With ``--add`` it
-puts the two SPDX lines into source files that have none.
+The exit status is 1 if an item that is declared met is not, or one declared open is met. With ``--quiet``
+only these are printed. With ``--add`` it puts the two SPDX lines into source files that have none.
 """
 
 import re
@@ -98,8 +98,8 @@ CHECKS: dict[str, Callable[[], bool]] = {
 }  # the other items are declarations of people
 
 
-def main() -> int:
-    """Print one line for each item of the declaration; returns the exit status."""
+def main(quiet: bool) -> int:
+    """Print one line for each item of the declaration, ``quiet``: the wrong ones; returns the exit status."""
     rows = ROW.findall(text("QUALITY_DECLARATION.md"))
     wrong = 0
     for item, requirement, state, evidence in rows:
@@ -107,7 +107,8 @@ def main() -> int:
         found = "declared" if checked is None else "checked"
         if checked is not None and checked() != (state == "met"):
             found, wrong = "WRONG", wrong + 1
-        print(f"{item}  {state:<4}  {found:<8}  {requirement}: {evidence}")
+        if found == "WRONG" or not quiet:
+            print(f"{item}  {state:<4}  {found:<8}  {requirement}: {evidence}")
     missing = sorted(set(CHECKS) - {row[0] for row in rows})
     if missing:
         print(f"QUALITY_DECLARATION.md has no row for {', '.join(missing)}")
@@ -119,4 +120,4 @@ def main() -> int:
 if __name__ == "__main__":
     if "--add" in sys.argv[1:]:
         add()
-    sys.exit(main())
+    sys.exit(main("--quiet" in sys.argv[1:]))
