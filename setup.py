@@ -6,6 +6,7 @@ NAME = "valve_control"
 NODES = [
     "controller",
     "valve_simulator",
+    "valve_driver",
     "command_source",
     "manifold",
     "recorder",

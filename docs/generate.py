@@ -88,6 +88,7 @@ MEANINGS = {
     "goal_position": "position to which the axis is to move [m], limited in velocity, acceleration, jerk",
     "axis_goal": "where the axis is to be at this reading: position [m], velocity [m/s], acceleration [m/s²]",
     "~/stop": "0 V until `~/reset`, and no voltage from the valve's controller",
+    "~/enable": "switch the output of a real valve's amplifier on or off, as the parameter `enable` does",
     "~/load_parameters": "take `load_file` into use as one change, or refuse it as a whole",
 }
 ANY = {
@@ -164,8 +165,9 @@ def topics() -> str:
     text = (
         "# Topics and services\n\nThis page is made from the sources of the nodes. Names without a slash at "
         "their head are relative: each valve has a namespace of its own. `~` is the name of the node. Every "
-        "node also has ROS's own parameter services; `controller`, `valve_simulator` and "
-        "`axis_controller` are managed nodes and have the lifecycle services too (`~/change_state`, "
+        "node also has ROS's own parameter services; `controller`, `valve_simulator`, "
+        "`valve_driver` and `axis_controller` are managed nodes and have the lifecycle services too "
+        "(`~/change_state`, "
         "`~/get_state`).\n"
     )
     for node in ROS_NODES:

@@ -2,8 +2,17 @@
 
 import pytest
 
-from valve_control.parameter import ParameterError
-from valve_control.parameters.arguments import addressed, check, help_text, matches, refuse_stray, written
+from valve_control.parameter import ParameterError, defaults
+from valve_control.parameters.arguments import (
+    addressed,
+    check,
+    help_text,
+    matches,
+    refuse_stray,
+    values_of,
+    written,
+)
+from valve_control.parameters.drivers import VALVE_DRIVER
 from valve_control.parameters.table import COMMAND, CONTROLLER, MANIFOLD, VALVE
 
 ONE = {"/controller": CONTROLLER}
@@ -147,10 +156,30 @@ def test_file_for_the_node_of_another_valve_is_refused(tmp_path):
 
 def test_shared_files_are_taken_without_a_word(tmp_path, config):
     nodes = {**TWO, **ONE, "/valve_simulator": VALVE, "/command_source": COMMAND}
+    nodes["/valve_driver"] = VALVE_DRIVER
     for path in config.glob("*.yaml"):
         assert judged(tmp_path, nodes, path.read_text(encoding="utf-8")) == []
     shared = "/boom/controller: {ros__parameters: {u_max: 5.0}}\n/other: {ros__parameters: {speed: 1}}\n"
     assert judged(tmp_path, BOOM, shared) == []
+
+
+def test_values_of_a_command_line_are_those_that_ros_would_give_the_node(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text(
+        "/boom/valve_driver: {ros__parameters: {watchdog: 0.2, serial: {port: /dev/a, baud: 9600}}}\n"
+        "/arm/valve_driver: {ros__parameters: {watchdog: 0.3}}\n"
+    )
+    words = ["--ros-args", "-r", "__ns:=/boom", "--params-file", str(path), "-p", "serial.port:=7"]
+    found = values_of([*words, "-p", "/boom/valve_driver:sample_period:=0.002"], "valve_driver", VALVE_DRIVER)
+    changed = {name: value for name, value in found.items() if value != defaults(VALVE_DRIVER)[name]}
+    assert changed == {"watchdog": 0.2, "serial.port": "7", "serial.baud": 9600, "sample_period": 0.002}
+    for wrong, text in (
+        ("watchdog:=2", "write 120.0"),
+        ("watchdog:=[", "not a value"),
+        ("dog:=1.0", "no parameter"),
+    ):
+        with pytest.raises(ParameterError, match=text):
+            values_of(["--ros-args", "-p", wrong], "valve_driver", VALVE_DRIVER)
 
 
 def test_values_for_a_node_are_those_of_its_sections_the_last_one_counting(tmp_path):

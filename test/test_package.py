@@ -10,7 +10,7 @@ import pytest
 
 from valve_control import __version__
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import axis, build, files, table
+from valve_control.parameters import axis, build, drivers, files, table
 
 ROOT = Path(__file__).resolve().parents[1]
 COLCON = shutil.which("colcon", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
@@ -24,6 +24,8 @@ def test_config_files_load_and_build(path):
     build.law_params(values["controller"])
     build.valve_params(values["valve_simulator"])
     build.shape(values["command_source"])
+    t = axis.ROS_NODES["valve_driver"]
+    drivers.sides(updated(t, defaults(t), changes["valve_driver"]))
 
 
 def test_every_parameter_has_text_and_a_finite_range():

@@ -1,8 +1,11 @@
 """Drivers of other packages: entry points as pip leaves them, sound and broken."""
 
+import shutil
 import subprocess
 import sys
 import textwrap
+
+from examples import EXAMPLES
 
 SOUND = """
 from valve_control.drivers.driver import Kind
@@ -61,3 +64,45 @@ def test_broken_ones_are_left_out_with_the_reason(tmp_path):
         strict=True,
     ):  # fmt: skip
         assert "of the package card_driver is left out: " in sentence and words in sentence
+
+
+def test_the_example_of_the_docs_drives_files_of_counts(tmp_path):
+    """Half of full scale in both directions, the output at 0 V in the end, and a card without files."""
+    code = """
+        import sys, pathlib
+        from valve_control.drivers.driver import DriverError
+        from valve_control.drivers.registry import KINDS
+        from valve_control.parameter import defaults, updated
+        from valve_control.parameters import drivers
+        folder = pathlib.Path(sys.argv[1])
+        (folder / "in_voltage0_raw").write_text("16384")
+        values = updated(
+            drivers.VALVE_DRIVER, defaults(drivers.VALVE_DRIVER), {"driver": "iio", "iio.folder": str(folder)}
+        )
+        one = drivers.device(values)
+        one.open()
+        assert not (folder / "out_voltage0_raw").exists()
+        one.enable(True)
+        one.write(-5.0)
+        print(one.read().signal, (folder / "out_voltage0_raw").read_text().strip())
+        one.close()
+        print((folder / "out_voltage0_raw").read_text().strip(), KINDS["iio"].package)
+        (folder / "in_voltage0_raw").write_text("busy")
+        try:
+            drivers.device(values).open()
+        except DriverError as error:
+            print(error)
+    """
+    folder = tmp_path / "site"
+    shutil.copytree(EXAMPLES / "iio_card", folder)
+    info = folder / "valve_iio_card-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: valve_iio_card\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[valve_control.drivers]\niio = iio_card:KIND")
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code), str(tmp_path)],
+        capture_output=True, text=True, timeout=60, env={"PYTHONPATH": f"{folder}:."},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[:2] == ["5.0 -16384", "0 valve_iio_card"] and "gives no number" in lines[2]

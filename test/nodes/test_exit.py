@@ -27,7 +27,10 @@ print(json.dumps([status, threads]))
 
 ROOT = Path(__file__).resolve().parents[2]
 # Without which a node does not begin.
-NEEDED = {"axis_controller": ("--ros-args", "-p", "machine:=bench")}
+NEEDED = {
+    "axis_controller": ("--ros-args", "-p", "machine:=bench"),
+    "valve_driver": ("--ros-args", "-p", "autostart:=false"),
+}
 
 
 def start(name, *arguments, cwd=None):

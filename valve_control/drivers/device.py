@@ -25,7 +25,7 @@ class Device:
     def __init__(self, driver: Driver, position: Side, voltage: Side, period: float) -> None:
         """``period``: sample period [s]."""
         self._driver = driver
-        self._position, self._voltage = position, voltage
+        self.position, self.voltage = position, voltage
         self._pause = patience(period)
         self._gone: Condition | None = None
         self._retry_at = 0.0
@@ -36,7 +36,7 @@ class Device:
 
     def limit(self, position: Side, voltage: Side) -> None:
         """Use other limits."""
-        self._position, self._voltage = position, voltage
+        self.position, self.voltage = position, voltage
 
     def open(self) -> None:
         """Open the device with its output off. Raises DriverError."""
@@ -57,7 +57,7 @@ class Device:
 
     def write(self, voltage: float) -> None:
         """Give a finite ``voltage`` [V] within the limits, if the output is on."""
-        side = self._voltage
+        side = self.voltage
         if self._on and self._gone is None:
             try:
                 self._driver.write(side.scale.signal(max(side.low, min(side.high, voltage))))
@@ -81,7 +81,7 @@ class Device:
         if reading.lost:
             self.lost += reading.lost
             self._lost_until = time.monotonic() + LATCH
-        side = self._position
+        side = self.position
         volts = side.scale.volts(reading.signal)
         if side.low <= volts <= side.high:
             self._beyond = None
@@ -114,7 +114,7 @@ class Device:
             return (self._gone,)
         found = self._driver.conditions()
         if self._beyond is not None:
-            side = self._position
+            side = self.position
             text = f"the reading is {self._beyond:.4g} V, outside {side.low:g} to {side.high:g} V"
             found += (Condition("out_of_range", "degraded", text),)
         if time.monotonic() < self._lost_until:

@@ -83,7 +83,9 @@ class SerialCard:
 
     def _drop(self) -> None:
         """Forget what came until now."""
-        self._port.reset_input_buffer()
+        with suppress(BlockingIOError):
+            while os.read(self._port.fileno(), CHUNK):
+                pass
         self._receiver.clear()
         self._waiting.clear()
         self._expected = None

@@ -16,6 +16,7 @@ use_own_profile(os.environ)
 NODES = (
     "controller",
     "valve_simulator",
+    "valve_driver",
     "command_source",
     "manifold",
     "recorder",

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from valve_control.parameter import ParameterError, Table, Values, missing
+from valve_control.parameter import ParameterError, Table, Values, defaults, missing
 from valve_control.parameters import files
 from valve_control.parameters.axis import ROS_NODES
 from valve_control.parameters.table import is_of_ros
@@ -61,6 +61,22 @@ def written(arguments: Sequence[str], node: str, name: str) -> str | None:
         if setting.name == name and (not setting.node or matches(setting.node, node))
     ]
     return texts[-1] if texts else None
+
+
+def values_of(arguments: Sequence[str], name: str, table: Table) -> Values:
+    """Values of the node ``name`` under a command line, without ROS. Raises ParameterError."""
+    remapped = dict(text.split(":=", 1) for text in arguments if text.startswith(("__ns:=", "__node:=")))
+    node = f"{remapped.get('__ns', '').rstrip('/')}/{remapped.get('__node', name)}"
+    check(arguments, {node: table})
+    values = defaults(table)
+    for path in given(arguments).paths:
+        if any(matches(section.pattern, node) for section in files.sections(path)):
+            values.update(addressed(path, node, table))
+    for parameter in table:
+        text = written(arguments, node, parameter.name)
+        if text is not None:
+            values[parameter.name] = files.from_text(parameter, text)
+    return values
 
 
 def help_text(node: str, text: str, arguments: Sequence[str]) -> str:

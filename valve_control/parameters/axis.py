@@ -22,6 +22,7 @@ from valve_control.parameter import (
     word,
 )
 from valve_control.parameters import build, files
+from valve_control.parameters.drivers import VALVE_DRIVER
 from valve_control.parameters.table import AUTOSTART, NODES
 from valve_control.plant import axis, machine, registry, valve
 
@@ -197,7 +198,7 @@ AXIS_NODES: dict[str, Table] = {
     "valve_simulator": NODES["valve_simulator"],
     "controller": NODES["controller"],
 }
-ROS_NODES: dict[str, Table] = {**NODES, **AXIS_NODES}
+ROS_NODES: dict[str, Table] = {**NODES, **AXIS_NODES, "valve_driver": VALVE_DRIVER}
 
 
 def axis_params(values: Values) -> axis.Params:

@@ -55,6 +55,16 @@ def from_yaml(parameter: Parameter, value: Any) -> Value:
     return parameter.check(value)
 
 
+def from_text(parameter: Parameter, text: str) -> Value:
+    """Value of a word of a command line in the type that ROS would give it. Raises ParameterError."""
+    if isinstance(parameter.default, str):
+        return parameter.check(text)
+    try:
+        return from_yaml(parameter, yaml.safe_load(text))
+    except yaml.YAMLError as error:
+        raise ParameterError(f"'{text}' of {parameter.name} is not a value") from error
+
+
 def save(path: Path, node: str, values: Values) -> None:
     """Write ``values`` of ``node`` (its full name) as a ROS 2 parameter file. Raises OSError."""
     outputs.write(str(path), as_yaml({node: values}))

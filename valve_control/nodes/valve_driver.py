@@ -1,0 +1,353 @@
+"""Runs the node `valve_driver`: the LVDT of a real valve, and its amplifier, as topics.
+
+With --check it opens the device, reads for 2 s, tells noise, rate and losses, and writes nothing.
+"""
+
+import math
+import sys
+import time
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool
+
+from valve_control.drivers import trial
+from valve_control.drivers.device import Device
+from valve_control.drivers.driver import Condition, DriverError
+from valve_control.nodes import realtime
+from valve_control.nodes.adapter import (
+    NEWEST,
+    SAMPLES,
+    NumberSubscription,
+    ParameterSet,
+    diagnostics,
+    encoded,
+)
+from valve_control.nodes.lifecycle import Managed
+from valve_control.nodes.loop import run
+from valve_control.parameter import ParameterError, Values, number, word
+from valve_control.parameters import drivers
+from valve_control.parameters.arguments import refuse_stray, values_of
+from valve_control.parameters.drivers import LIVE, VALVE_DRIVER, Sides
+
+CHECK = "--check"
+NEVER = math.inf
+MOST_MISSING = 100  # readings that are published as NaN; a larger gap is silence, which the controller finds
+WINDOW = 1000  # samples of the timing statistics
+LEVELS = {"degraded": DiagnosticStatus.WARN, "safe": DiagnosticStatus.ERROR}
+SILENT = 3  # waits without a reading that make a condition
+
+
+class Built(NamedTuple):
+    """What is made of a set of values before it is taken into use."""
+
+    sides: Sides
+    device: Device | None  # None: the one in use stays
+    realtime: realtime.Request
+
+
+class ValveDriver(Managed):
+    """Publishes `spool_position`, takes `valve_voltage`.
+
+    One thread has the device: it waits for a reading, publishes it, waits for the voltage that answers it for
+    most of the sample period, gives it, and waits for the next reading.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("valve_driver", **options)
+        self._device: Device | None = None
+        self._open = False
+        self._refusal = ""
+        self._voltages: NumberSubscription | None = None
+        self._next = NEVER
+        self._begun = False
+        self._on = False  # the output, as the parameter enable has it
+        self._voltage = 0.0
+        self._voltage_at = -NEVER  # s, when the last one came
+        self._fed = False  # whether a voltage holds the output
+        self._position = math.nan
+        self._published = -NEVER  # s, the last reading
+        self._quiet = 0  # waits in a row without a reading
+        self._refused = 0.0  # the last voltage that was not finite
+        self._refused_until = -NEVER
+        self._said: tuple[Condition, ...] = ()
+        self._arrivals: deque[float] = deque(maxlen=WINDOW)
+        self._answers: deque[float] = deque(maxlen=WINDOW)  # s from a reading to its voltage
+        self._counts = dict.fromkeys(("late_voltages", "voltage_refused", "voltage_timeouts"), 0)
+        self._realtime: realtime.Request | None = None
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+        ParameterSet(self, VALVE_DRIVER, self._build, self._apply)
+        self.create_service(SetBool, "~/enable", self._on_enable)
+        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if self._values["autostart"]:
+            self.trigger_configure()
+            if self._refusal:
+                raise ParameterError(self._refusal)
+            self.trigger_activate()
+        else:
+            self.get_logger().info("unconfigured, waits for lifecycle transitions")
+
+    def _build(self, values: Values) -> Built:
+        if self._open:
+            changed = [name for name in values if name not in LIVE and values[name] != self._values[name]]
+            if changed:
+                raise ParameterError(
+                    f"{changed[0]} of an open device does not change; clean the node up first"
+                )
+        return Built(
+            drivers.sides(values),
+            None if self._open else drivers.device(values),
+            realtime.request(values),
+        )
+
+    def _apply(self, values: Values, built: Built) -> None:
+        self._values = values
+        self._device = built.device or self._device
+        assert self._device is not None
+        self._device.limit(*built.sides)
+        self._watchdog = number(values, "watchdog")
+        self._wait = number(values, "answer_share") * number(values, "sample_period")
+        if self.working and self._begun and self._on != (values["enable"] is True):
+            self._switch(values["enable"] is True)
+        if built.realtime != self._realtime:
+            self._realtime = built.realtime
+            realtime.obtain(built.realtime, self.get_logger().warning)
+
+    # Life
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Open the device; without it the node stays unconfigured."""
+        assert self._device is not None
+        try:
+            self._device.open()
+        except DriverError as error:
+            self._refusal = str(error)
+            if not self._values["autostart"]:
+                self.get_logger().error(self._refusal)
+            return TransitionCallbackReturn.FAILURE
+        self._open = True
+        return super().on_configure(state)
+
+    def open(self) -> None:
+        """Create publisher and subscription."""
+        self._voltages = NumberSubscription(self, "valve_voltage", NEWEST)
+        self._positions = self.create_publisher(Float64, "spool_position", SAMPLES)
+
+    def close(self) -> None:
+        """Destroy publisher and subscription, close the device."""
+        assert self._voltages is not None and self._device is not None
+        self._voltages.destroy()
+        self._voltages = None
+        self.destroy_publisher(self._positions)
+        self._device.close()
+        self._open = False
+        self._device = drivers.device(self._values)
+
+    def begin(self) -> None:
+        """Drop voltages that wait; the output is switched on at 0 V when the loop runs."""
+        assert self._voltages is not None
+        for _ in self._voltages.take():
+            pass
+        self._quiet = 0
+        self._said = ()
+        self._arrivals.clear()
+        self._begun = False
+        self._next = 0.0
+        self.get_logger().info(f"{word(self._values, 'driver')}: waiting for readings and valve_voltage")
+
+    def end(self) -> None:
+        """Switch the output off."""
+        self._switch(False)
+
+    def finish(self) -> None:
+        """Switch the output off and close the device from whatever state the node is in."""
+        super().finish()
+        if self._device is not None:
+            self._device.close()
+
+    def _switch(self, on: bool) -> None:
+        assert self._device is not None
+        self._on = on
+        self._device.enable(on)
+        self._voltage, self._fed, self._voltage_at = 0.0, False, -NEVER
+
+    # Work
+
+    def inputs(self) -> Sequence[NumberSubscription]:
+        """Subscription of the voltage, while one is waited for."""
+        return (self._voltages,) if self.working and self._voltages is not None else ()
+
+    def due(self) -> float:
+        """Time [s] from which the next reading is waited for without a voltage."""
+        return self._next if self.working else NEVER
+
+    def work(self) -> bool:
+        """Give the voltage, wait for the next reading and publish it."""
+        if not self.working:
+            return False
+        assert self._device is not None
+        if not self._begun:
+            self._begun = True
+            self._switch(self._values["enable"] is True)
+        if self._take_voltage():
+            self._answers.append(time.monotonic() - self._published)
+        else:
+            self._repeat()
+        reading = self._device.read()
+        if reading is None:
+            self._quiet += 1
+            self._next = 0.0
+            return True
+        self._quiet = 0
+        # One that comes as late as this is no answer to the reading that is published now.
+        self._counts["late_voltages"] += self._take_voltage()
+        for _ in range(min(reading.lost, MOST_MISSING)):
+            self._positions.publish(encoded(math.nan))
+        self._positions.publish(encoded(reading.signal))
+        self._position = reading.signal
+        self._published = time.monotonic()
+        self._arrivals.append(self._published)
+        self._next = self._published + self._wait
+        return True
+
+    def _take_voltage(self) -> bool:
+        """Give the newest voltage that has come; returns whether one has."""
+        assert self._voltages is not None and self._device is not None
+        waiting = [voltage for voltage, _ in self._voltages.take()]
+        if not waiting:
+            return False
+        taken = waiting[-1]
+        if not math.isfinite(taken):
+            self._counts["voltage_refused"] += 1
+            self._refused, self._refused_until = taken, time.monotonic() + 1.0
+            taken = 0.0
+        self._voltage, self._fed, self._voltage_at = taken, True, time.monotonic()
+        self._device.write(taken)
+        return True
+
+    def _repeat(self) -> None:
+        """Give the last voltage again, which the card's own watchdog waits for; 0 V after this one's time."""
+        assert self._device is not None
+        if self._fed and time.monotonic() - self._voltage_at > self._watchdog:
+            self._fed = False
+            self._voltage = 0.0
+            self._counts["voltage_timeouts"] += 1
+        self._device.write(self._voltage)
+
+    def report(self) -> None:
+        """Log and publish the conditions if they have changed."""
+        if self.working:
+            conditions = self._conditions()
+            if [c.name for c in conditions] != [c.name for c in self._said]:
+                self._announce(conditions)
+
+    def _conditions(self) -> tuple[Condition, ...]:
+        """What is wrong now, worst first."""
+        assert self._device is not None
+        found = self._device.conditions()
+        own: list[Condition] = []
+        if not self._on:
+            own.append(
+                Condition("disabled", "degraded", "the output is switched off by the parameter enable")
+            )
+        elif self._voltage_at > -NEVER and not self._fed:
+            text = f"no valve_voltage for {self._watchdog:g} s: the output is at 0 V"
+            own.append(Condition("no_voltage", "safe", text))
+        if time.monotonic() < self._refused_until:
+            text = f"valve_voltage is {self._refused}: 0 V is given instead"
+            own.append(Condition("voltage_not_finite", "degraded", text))
+        if self._quiet >= SILENT and "device_gone" not in {c.name for c in found}:
+            own.append(Condition("no_reading", "safe", "the device gives no readings"))
+        return tuple(sorted((*found, *own), key=lambda c: c.level, reverse=True))
+
+    def _announce(self, conditions: tuple[Condition, ...]) -> None:
+        before = {condition.name for condition in self._said}
+        for condition in conditions:
+            if condition.name in before:
+                continue
+            if condition.level == "safe":
+                self.get_logger().error(condition.text)
+            else:
+                self.get_logger().warning(condition.text)
+        if not conditions:
+            self.get_logger().info("ok")
+        self._said = conditions
+        self._diagnose()
+
+    # Services and diagnostics
+
+    def _on_enable(self, request: Any, response: Any) -> Any:
+        (result,) = self.set_parameters([Parameter("enable", value=bool(request.data))])
+        response.success = result.successful
+        response.message = result.reason or f"output {'on' if request.data else 'off'}"
+        return response
+
+    def _diagnose(self) -> None:
+        level, text = DiagnosticStatus.OK, "driving"
+        conditions: tuple[Condition, ...] = ()
+        if not self.working:
+            text = "inactive" if self._open else "unconfigured"
+        elif conditions := self._conditions():
+            level, text = LEVELS[conditions[0].level], "; ".join(c.text for c in conditions)
+        elif not self._fed:
+            text = "waiting for valve_voltage, the output is at 0 V"
+        self._diagnostics.publish(diagnostics(self, level, text, self._figures(conditions)))
+
+    def _figures(self, conditions: tuple[Condition, ...]) -> dict[str, Any]:
+        assert self._device is not None
+        device = self._device
+        values: dict[str, Any] = {
+            "driver": word(self._values, "driver"),
+            "conditions": ", ".join(condition.name for condition in conditions),
+            "readings": device.readings,
+            "lost": device.lost,
+            "reopened": device.reopened,
+            **self._counts,
+            "position_V": f"{self._position:.4f}",
+            "voltage_V": f"{self._voltage:.4f}",
+        }
+        if len(self._arrivals) > 1:
+            values["period_ms"] = f"{1e3 * np.mean(np.diff(self._arrivals)):.4f}"
+        for name, numbers in (("jitter_ms", self._jitter()), ("answer_ms", np.array(self._answers))):
+            if len(numbers):
+                ordered = np.sort(numbers) * 1e3
+                for label, share in (("p50", 0.5), ("p99", 0.99), ("max", 1.0)):
+                    values[f"{name}_{label}"] = f"{ordered[int(share * (len(ordered) - 1))]:.4f}"
+        return {**values, **realtime.obtained()}
+
+    def _jitter(self) -> Any:
+        """Deviations [s] of the periods between readings from the sample period."""
+        return np.abs(np.diff(self._arrivals) - number(self._values, "sample_period"))
+
+
+def check(arguments: Sequence[str]) -> int:
+    """Dry run with the parameters of a command line; returns the exit status."""
+    try:
+        refuse_stray(arguments)
+        values = values_of(arguments, "valve_driver", VALVE_DRIVER)
+        device = drivers.device(values)
+        tried = trial.run(device)
+    except (ParameterError, DriverError) as error:
+        print(f"valve_driver: {error}", file=sys.stderr)
+        return 2
+    print("\n".join(trial.told(tried, device, number(values, "sample_period"))))
+    return 0 if tried.volts else 1
+
+
+def main() -> int:
+    """Entry point of `ros2 run valve_control valve_driver`."""
+    words = sys.argv[1:]
+    if CHECK in words and not {"-h", "--help"} & set(words):
+        return check([word for word in words if word != CHECK])
+    return run(lambda: [ValveDriver()])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
