@@ -29,6 +29,7 @@ setup(
         (f"share/{NAME}/config/commands", glob("config/commands/*")),
         (f"share/{NAME}/config/layouts", glob("config/layouts/*")),
         (f"share/{NAME}/config/axis", glob("config/axis/*.yaml")),
+        (f"share/{NAME}/config/solenoid", glob("config/solenoid/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.xml")),
     ],
     package_data={NAME: ["py.typed", "nodes/*.xml", "export/*.c", "dashboard/*.js", "dashboard/*.css"]},
