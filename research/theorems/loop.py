@@ -155,6 +155,8 @@ def feedback(p: dcarc.Params) -> Feedback:
     for i in range(STATES + 2, OBSERVER):
         a[i, i - 1] = 1.0
     a[:, STATES] += b
+    a[:STATES, STATES] += m.force
+    a[STATES + 1, STATES] += m.passing_force
     a[STATES, STATES] = 1.0
     c[0], c[past] = m.present, m.shown
     gain = np.concatenate([p.kalman.state, [p.kalman.disturbance], p.kalman.past])

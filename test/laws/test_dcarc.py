@@ -554,14 +554,13 @@ def test_a_bristle_of_a_resting_spool_relaxes_by_the_jitter_and_a_fast_one_does_
     p = params()
     rest = dcarc.initial(p, REST)._replace(bristles=dcarc.Bristles(1.0, 1.0, 1.0))
     for _ in range(20):
-        _, bristles = dcarc.desired(p, rest, 0.0)
-        rest = rest._replace(bristles=bristles)
+        rest = rest._replace(bristles=dcarc.desired(p, rest, 0.0).bristles)
     for left, presliding in zip(rest.bristles, p.presliding, strict=True):
         assert left == pytest.approx((1.0 + PERIOD * p.jitter / presliding) ** -20, rel=1e-12)
         assert left == pytest.approx(math.exp(-20.0 * PERIOD * p.jitter / presliding), rel=0.35)
     moving = dcarc.initial(p, REST)._replace(reference=reshaping.State(0.0, 10.0))
     for _ in range(100):
-        moving = moving._replace(bristles=dcarc.desired(p, moving, 0.0)[1])
+        moving = moving._replace(bristles=dcarc.desired(p, moving, 0.0).bristles)
     assert np.allclose(moving.bristles, 1.0, atol=1e-3)
 
 

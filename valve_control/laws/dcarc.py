@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.laws import least_squares, reshaping
+from valve_control.laws import least_squares, magnet, reshaping
 from valve_control.laws.dcarc_parts import (
     Combination,
     Course,
@@ -33,6 +33,7 @@ from valve_control.laws.dcarc_parts import (
 from valve_control.laws.free import Free
 from valve_control.laws.law import Law
 from valve_control.laws.least_squares import NOTHING, Weights
+from valve_control.laws.projection import clip
 from valve_control.laws.signals import Start
 from valve_control.parameter import Parameter, ParameterError, Table, Values, defaults, number, numbers
 from valve_control.plant import models
@@ -47,6 +48,13 @@ CALM = 0.1  # s  after which a reference that has come to rest tells nothing mor
 MEMORY = 0.2  # s  over which the mean squares of the disturbance are taken
 ALLOWED = 1.5  # of the disturbance over what is assumed, in mean squares
 NAMES = ("gain", "bristle", "bristle", "bristle", "standstill", "flow force", "offset", "damping", "inertia")
+
+
+RESTING = magnet.Terms(0.0, 0.0, magnet.NONE, magnet.NONE)
+TURN = 0.25  # of the half width of the hysteresis, over which the direction of the force turns
+SPREAD = 0.5  # of the half width, standard deviation of its weight
+HIGHEST = 3.0  # half widths, up to which its weight may go
+SIDES = 0.5  # -  difference of the gains of both sides, up to which its weight may go
 
 
 class Bristles(NamedTuple):
@@ -83,6 +91,7 @@ class Params(NamedTuple):
     memory: float  # -      share of a sample in the mean squares of ``Burden``
     assumed: Weights  # variances of the initial weights from which the valve has left what is assumed
     assumed_variance: float  # V²     likewise of what the weights cannot explain
+    magnet: magnet.Params
     equivalent: Equivalent
     u_max: float  # V
     period: float  # s
@@ -124,6 +133,17 @@ class State(NamedTuple):
     fit: Fit
     burden: Burden
     theta: Weights
+    magnet: magnet.State
+
+
+class Desired(NamedTuple):
+    """What the reference asks for in the middle of the coming period."""
+
+    force: Weights  # regressor of the fit
+    voltage: Weights  # regressor of the compensation, led by the coil
+    bristles: Bristles  # at the end of the period
+    force_rate: float  # V/s  of the force that the voltage of the inverted model makes
+    magnet: magnet.Terms
 
 
 class Terms(NamedTuple):
@@ -181,19 +201,24 @@ def predicted(p: Params, e: Estimate, voltage: float, explained: float) -> Estim
 
     ``explained`` [V]: what the compensation makes good of the disturbance from now on.
     """
-    m, x = p.model, e.state
-    u = voltage + e.disturbance
+    m, x, d = p.model, e.state, e.disturbance
+    u = voltage + d
     return Estimate(
         Row(
-            dot(m.row0, x) + m.input.x0 * u,
-            dot(m.row1, x) + m.input.x1 * u,
-            dot(m.row2, x) + m.input.x2 * u,
-            dot(m.row3, x) + m.input.x3 * u,
-            dot(m.row4, x) + m.input.x4 * u,
-            dot(m.row5, x) + m.input.x5 * u,
+            dot(m.row0, x) + m.input.x0 * u + m.force.x0 * d,
+            dot(m.row1, x) + m.input.x1 * u + m.force.x1 * d,
+            dot(m.row2, x) + m.input.x2 * u + m.force.x2 * d,
+            dot(m.row3, x) + m.input.x3 * u + m.force.x3 * d,
+            dot(m.row4, x) + m.input.x4 * u + m.force.x4 * d,
+            dot(m.row5, x) + m.input.x5 * u + m.force.x5 * d,
         ),
-        e.disturbance + explained,
-        Past(dot(m.passing, x) + m.passing_input * u, e.past.first, e.past.second, e.past.third),
+        d + explained,
+        Past(
+            dot(m.passing, x) + m.passing_input * u + m.passing_force * d,
+            e.past.first,
+            e.past.second,
+            e.past.third,
+        ),
     )
 
 
@@ -205,10 +230,10 @@ def dragged(deflection: float, way: float, path: float) -> float:
     return (deflection + way) / (1.0 + path)
 
 
-def desired(p: Params, s: State, accel: float) -> tuple[Weights, Bristles]:
-    """Regressor φ in the middle of the coming period, and the bristles at its end.
+def desired(p: Params, s: State, accel: float) -> Desired:
+    """Regressors in the middle of the coming period, and the bristles at its end.
 
-    From the reference alone; ``accel`` [V/s²]: its acceleration from the next sample on. (11) has the rate of
+    The voltage of a force F is F + τ_c·dF/dt. From the reference alone; ``accel`` [V/s²]: its acceleration from the next sample on. (11) has the rate of
     the coming period, and the acceleration in the middle is the mean of those at both ends, the jerk their
     difference.
     """
@@ -225,21 +250,43 @@ def desired(p: Params, s: State, accel: float) -> tuple[Weights, Bristles]:
         dragged(s.bristles.third, way / p.presliding.third, path / p.presliding.third),
     )
     share = rate / p.standstill_rate
+    slow = 1.0 / (1.0 + share * share)
     standstill = bristles.second / (1.0 + share * share)
-    return (
-        Weights(
-            voltage,
-            bristles.first,
-            bristles.second,
-            bristles.third,
-            standstill,
-            middle.reference,
-            1.0,
-            rate,
-            middle.accel,
-        ),
-        bristles,
+    coil, lead = p.magnet.coil, p.magnet.lead
+    force, force_rate = voltage, 0.0
+    if p.magnet.on > 0.0 or coil > 0.0:
+        force, force_rate = magnet.forced(p.magnet, s.magnet, voltage, p.period)
+    fitted = Weights(
+        force,
+        bristles.first,
+        bristles.second,
+        bristles.third,
+        standstill,
+        middle.reference,
+        1.0,
+        rate,
+        middle.accel,
     )
+    compensated = fitted
+    if coil > 0.0:
+        second = bristles.second + lead * (bristles.second - s.bristles.second)
+        compensated = Weights(
+            voltage,
+            bristles.first + lead * (bristles.first - s.bristles.first),
+            second,
+            bristles.third + lead * (bristles.third - s.bristles.third),
+            second * slow,
+            middle.reference + coil * rate,
+            1.0,
+            rate + coil * middle.accel,
+            middle.accel + coil * middle.jerk,
+        )
+    extra = RESTING
+    if p.magnet.on > 0.0:
+        total = force + least_squares.dot(s.theta, fitted)
+        led = voltage + least_squares.dot(s.theta, compensated)
+        extra = magnet.terms(p.magnet, s.magnet, total, led)
+    return Desired(fitted, compensated, bristles, force_rate, extra)
 
 
 def motion(p: Params, s: State) -> float:
@@ -256,6 +303,10 @@ def weighed(p: Params, s: State, left: float) -> Burden:
     x, before = s.fit.regressor, s.burden
     found = left - least_squares.change(s.theta, p.theta_initial, x)
     assumed = p.assumed_variance + least_squares.dot(least_squares.product(p.assumed, x), x)
+    if p.magnet.on > 0.0:
+        m = s.magnet
+        found -= magnet.change(m.weights, p.magnet.initial, m.regressor)
+        assumed += magnet.dot(magnet.product(p.magnet.prior, m.regressor), m.regressor)
     return Burden(
         before.found + p.memory * (found * found - before.found),
         before.assumed + p.memory * (assumed - before.assumed),
@@ -304,6 +355,50 @@ def initial(p: Params, start: Start) -> State:
         Fit(NOTHING, p.prior, 0.0),
         Burden(0.0, p.fit_variance),
         t,
+        _started(p, inverse, reference, rate),
+    )
+
+
+def _started(p: Params, inverse: Inverse, reference: float, rate: float) -> magnet.State:
+    """The magnet in a steady motion of the reference, with its initial weights."""
+    m = p.magnet
+    force = combined(p.model_voltage, inverse, Course(reference, rate, 0.0, 0.0))
+    return magnet.State(force, 0.0, force, 0.0, m.initial, magnet.NONE, m.prior)
+
+
+def compensated(p: Params, s: State, d: Desired) -> float:
+    """Voltage [V] of the compensation without the gain's part."""
+    others = least_squares.dot(s.theta, d.voltage) - s.theta.gain * d.voltage.gain
+    if p.magnet.on > 0.0:
+        others += magnet.dot(s.magnet.weights, d.magnet.voltage)
+    return others
+
+
+def advanced(
+    p: Params, s: magnet.State, d: Desired, left: float, sharpness: float, fresh: float
+) -> magnet.State:
+    """The magnet a sample later, its weights fitted like the others to ``left`` [V] (as in ``step``)."""
+    m = p.magnet
+    if m.on == 0.0:
+        return magnet.State(
+            d.force.gain, d.force_rate, 0.0, 0.0, s.weights, s.regressor, s.variance
+        )
+    px = magnet.product(s.variance, s.regressor)
+    step, forget = left * sharpness, p.forget * fresh
+    return magnet.State(
+        d.force.gain,
+        d.force_rate,
+        d.magnet.total,
+        d.magnet.direction,
+        magnet.Pair(
+            clip(s.weights.direction - px.direction * step, m.lower.direction, m.upper.direction),
+            clip(s.weights.positive - px.positive * step, m.lower.positive, m.upper.positive),
+        ),
+        magnet.lagged(s.regressor, d.magnet.force, p.lag_share),
+        magnet.Pair(
+            least_squares.sharper(s.variance.direction, px.direction, sharpness, forget, m.prior.direction),
+            least_squares.sharper(s.variance.positive, px.positive, sharpness, forget, m.prior.positive),
+        ),
     )
 
 
@@ -318,7 +413,8 @@ def step(
     """
     shaping = reshaping.acceleration(p.reshaping, s.reference, command)
     reference, rate, accel = reshaping.smoothed(p.reshaping, s.reference, shaping, s.smooth)
-    phi, bristles = desired(p, s, shaping)
+    d = desired(p, s, shaping)
+    phi = d.voltage
 
     innovation = (
         measurement - p.model.present * s.estimate.state.x0 - past_dot(p.model.shown, s.estimate.past)
@@ -326,7 +422,7 @@ def step(
     estimate = corrected(p, s.estimate, innovation)
 
     scale = 1.0 + s.theta.gain
-    others = least_squares.dot(s.theta, phi) - s.theta.gain * phi.gain
+    others = compensated(p, s, d)
     before = Course(reference, 0.5 * (rate + s.rate_before), (rate - s.rate_before) / p.period, 0.0)
     aim = combined(p.wanted, s.inverse, before)
     feedback = aim - dot(p.feedback, estimate.state)
@@ -336,24 +432,31 @@ def step(
 
     delayed = s.fit.regressor
     px = least_squares.product(s.fit.variance, delayed)
-    sharpness = 1.0 / (p.fit_variance + least_squares.dot(px, delayed))
+    spread = p.fit_variance + least_squares.dot(px, delayed)
+    if p.magnet.on > 0.0:
+        spread += magnet.dot(magnet.product(s.magnet.variance, s.magnet.regressor), s.magnet.regressor)
+    sharpness = 1.0 / spread
     fresh = s.fit.moving if voltage == wanted else 0.0  # share of a sample that there is to learn from
     sharpness *= fresh
     left = scale * estimate.disturbance
     theta = least_squares.moved(s.theta, px, left * sharpness, p.theta_min, p.theta_max)
     variance = least_squares.learned(s.fit.variance, px, sharpness, p.forget * fresh, p.prior)
+    extra = advanced(p, s.magnet, d, left, sharpness, fresh)
     explained = least_squares.change(theta, s.theta, delayed) / scale
+    if p.magnet.on > 0.0:
+        explained += magnet.change(extra.weights, s.magnet.weights, s.magnet.regressor) / scale
     burden = weighed(p, s, left)
     state = State(
         reshaping.advance(p.reshaping, s.reference, shaping),
         reference + rate * p.period,
         rate,
         moved(p.full, s.inverse, reference, rate),
-        bristles,
+        d.bristles,
         predicted(p, estimate, (voltage - others) / scale, explained),
-        Fit(least_squares.lagged(delayed, phi, p.lag_share), variance, motion(p, s)),
+        Fit(least_squares.lagged(delayed, d.force, p.lag_share), variance, motion(p, s)),
         burden,
         theta,
+        extra,
     )
     terms = Terms(
         reference=reference,
@@ -391,18 +494,19 @@ def hold(p: Params, s: State, command: float, measurement: float, voltage: float
     """
     shaping = reshaping.acceleration(p.reshaping, s.reference, command)
     reference, rate, _ = reshaping.smoothed(p.reshaping, s.reference, shaping, s.smooth)
-    phi, bristles = desired(p, s, shaping)
-    others = least_squares.dot(s.theta, phi) - s.theta.gain * phi.gain
+    d = desired(p, s, shaping)
+    others = compensated(p, s, d)
     return State(
         reshaping.advance(p.reshaping, s.reference, shaping),
         reference + rate * p.period,
         rate,
         moved(p.full, s.inverse, reference, rate),
-        bristles,
+        d.bristles,
         predicted(p, s.estimate, (voltage - others) / (1.0 + s.theta.gain), 0.0),
-        Fit(least_squares.lagged(s.fit.regressor, phi, p.lag_share), s.fit.variance, motion(p, s)),
+        Fit(least_squares.lagged(s.fit.regressor, d.force, p.lag_share), s.fit.variance, motion(p, s)),
         s.burden,
         s.theta,
+        advanced(p, s.magnet, d, 0.0, 0.0, 0.0),
     )
 
 
@@ -423,6 +527,32 @@ PARAMETERS: Table = (
         "three more poles than zeros needs; without effect on other models",
         1e-5,
         0.1,
+    ),
+    Parameter(
+        "dcarc.coil",
+        0.0,
+        "s",
+        "lag of the force behind the voltage, one of the poles of a model with three more poles than zeros: the "
+        "disturbance is then a force, and the compensation leads it by the coil; 0.0: none",
+        0.0,
+        0.1,
+    ),
+    Parameter(
+        "dcarc.hysteresis",
+        0.0,
+        "V",
+        "half width of the magnet's hysteresis, initial weight of the direction of the force; 0.0: no such term",
+        0.0,
+        10.0,
+    ),
+    Parameter(
+        "dcarc.sides",
+        0.0,
+        "-",
+        "relative difference of the gains of two solenoids that is expected, standard deviation of the weight of "
+        "the positive part of the force; 0.0: no such term",
+        0.0,
+        1.0,
     ),
     Parameter("dcarc.lvdt_noise", 0.0056, "V", "standard deviation of the LVDT's noise", 1e-6, 10.0),
     Parameter("dcarc.lvdt_resolution", 0.0037, "V", "step of the LVDT's converter", 0.0, 10.0),
@@ -540,6 +670,21 @@ def _weights(values: Values) -> tuple[Weights, Weights, Weights, Weights]:
     return Weights(*start), Weights(*lower), Weights(*upper), Weights(*spread)
 
 
+def _magnet(values: Values, period: float) -> magnet.Params:
+    half, sides, coil = (number(values, f"dcarc.{name}") for name in ("hysteresis", "sides", "coil"))
+    most_sides = SIDES if sides > 0.0 else 0.0
+    return magnet.Params(
+        on=1.0 if half > 0.0 or sides > 0.0 else 0.0,
+        coil=coil,
+        lead=coil / period,
+        turn=TURN * half if half > 0.0 else 1.0,
+        initial=magnet.Pair(half, 0.0),
+        lower=magnet.Pair(0.0, -most_sides),
+        upper=magnet.Pair(HIGHEST * half, most_sides),
+        prior=magnet.Pair((SPREAD * half) ** 2, sides**2),
+    )
+
+
 def build(values: Values) -> Params:
     """Law from the controller's values. Raises ParameterError."""
     from valve_control.laws import dcarc_design  # scipy.linalg takes a while
@@ -561,6 +706,7 @@ def build(values: Values) -> Params:
             number(values, "dcarc.input_noise"),
             number(values, "dcarc.disturbance_rate"),
             number(values, "dcarc.voltage_weight"),
+            number(values, "dcarc.coil"),
         )
     except dcarc_design.DesignError as error:
         raise ParameterError(str(error)) from error
@@ -588,6 +734,7 @@ def build(values: Values) -> Params:
         memory=-math.expm1(-period / MEMORY),
         assumed=least_squares.product(assumed, assumed),
         assumed_variance=max(noise, usual_noise) ** 2,
+        magnet=_magnet(values, period),
         equivalent=made.equivalent,
         u_max=number(values, "u_max"),
         period=period,
@@ -614,7 +761,10 @@ def sampled_model(p: Params) -> tuple[Array, Array] | None:
 
 def without_adaptation(p: Params, s: State) -> tuple[Params, State]:
     """The law with its weights at rest."""
-    return p._replace(prior=NOTHING), s._replace(fit=s.fit._replace(variance=NOTHING))
+    still = p._replace(prior=NOTHING, magnet=p.magnet._replace(prior=magnet.NONE))
+    return still, s._replace(
+        fit=s.fit._replace(variance=NOTHING), magnet=s.magnet._replace(variance=magnet.NONE)
+    )
 
 
 LAW = Law(

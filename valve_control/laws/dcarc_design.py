@@ -109,6 +109,11 @@ def excess(model: TransferFunction) -> int:
     return poles - zeros
 
 
+def _from_force(model: TransferFunction, coil: float) -> TransferFunction:
+    """Position over a force that lags its voltage by ``coil`` [s]."""
+    return TransferFunction(tuple(np.polymul(model.numerator, [coil, 1.0]).tolist()), model.denominator)
+
+
 def balanced(model: TransferFunction) -> bool:
     """Whether the numbers of ``model`` need to be balanced before the matrix exponential.
 
@@ -171,41 +176,53 @@ def inverted(model: TransferFunction) -> Inverted:
 
 
 @functools.lru_cache(maxsize=32)
-def readings(model: TransferFunction, period: float, delay: float) -> Readings:
+def readings(model: TransferFunction, period: float, delay: float, coil: float = 0.0) -> Readings:
     """Model, disturbance and past positions in samples of ``period`` [s].
 
     The reading y(k) is the position ``delay`` [s] before. With m = ⌈delay/period⌉, the first of m past
-    positions is that between two samples at which a reading m - 1 samples later looks.
+    positions is that between two samples at which a reading m - 1 samples later looks. The disturbance is a
+    voltage, or a force that lags its voltage by ``coil`` [s].
     """
     a, b = observability_form(model)
+    _, f = observability_form(_from_force(model, coil)) if coil > 0.0 else (a, b)
     n = len(b)
     periods = delay / period
     m = math.ceil(periods - 1e-9)
     size = n + 1 + m
     scale = scale_of(model) if balanced(model) else np.ones(n)
     transition, held = sampled(a, b, period, scale)
+    pushed = sampled(a, f, period, scale)[1]
     whole, column, output = np.zeros((size, size)), np.zeros(size), np.zeros(size)
-    whole[:n, :n], whole[:n, n], whole[n, n] = transition, held, 1.0
+    whole[:n, :n], whole[:n, n], whole[n, n] = transition, pushed, 1.0
     column[:n] = held
     output[n + m if m else 0] = 1.0
     if m:
-        within, pushed = sampled(a, b, (m - periods) * period, scale)
-        whole[n + 1, :n], whole[n + 1, n], column[n + 1] = within[0], pushed[0], pushed[0]
+        rest = (m - periods) * period
+        within, part = sampled(a, b, rest, scale)
+        whole[n + 1, :n], column[n + 1] = within[0], part[0]
+        whole[n + 1, n] = sampled(a, f, rest, scale)[1][0]
         for i in range(n + 2, size):
             whole[i, i - 1] = 1.0
     return Readings(n, whole, column, output)
 
 
 def observed(
-    model: TransferFunction, period: float, delay: float, reading: float, input_noise: float, walk: float
+    model: TransferFunction,
+    period: float,
+    delay: float,
+    reading: float,
+    input_noise: float,
+    walk: float,
+    coil: float = 0.0,
 ) -> Observed:
     """``readings`` with noise.
 
     ``reading`` [V] and ``input_noise`` [V]: standard deviations; ``walk`` [V]: of the disturbance's step in
-    one period.
+    one period; ``coil`` [s]: lag of the force behind the voltage, 0.0 where both are one.
     """
-    n, a, b, c = readings(model, period, delay)
-    process = input_noise**2 * np.outer(b, b)
+    n, a, b, c = readings(model, period, delay, coil)
+    shaken = np.concatenate([a[:n, n], [0.0], a[n + 1 :, n]])
+    process = input_noise**2 * np.outer(shaken, shaken)
     process[n, n] += walk**2
     return Observed(a, b, c, process, reading**2)
 
@@ -373,13 +390,20 @@ def design(
     input_noise: float,
     disturbance_rate: float,
     voltage_weight: float,
+    coil: float,
 ) -> Design:
     """The law for ``model`` at ``period`` [s], with a reading ``delay`` [s] late.
 
     ``noise`` and ``resolution`` [V]: of the LVDT; ``input_noise`` [V], ``disturbance_rate`` [V/√s]: what the
-    Kalman filter assumes of the input; ``voltage_weight``: of LQR. Raises DesignError.
+    Kalman filter assumes of the input; ``voltage_weight``: of LQR; ``coil`` [s]: lag of the force behind the
+    voltage. Raises DesignError.
     """
     at = reference(model, period)
+    if coil > 0.0 and excess(model) <= EXCESS[0]:
+        raise DesignError(
+            f"dcarc.coil is {coil:g} s; the model must then have three more poles than zeros, of which the coil "
+            "is one, or dcarc.coil must be 0"
+        )
     if delay > MOST_DELAY * period * (1.0 + 1e-9):
         raise DesignError(
             f"dcarc.delay is {delay:g} s; at a sample period of {period:g} s it must be at most "
@@ -387,7 +411,7 @@ def design(
         )
     n, zeros = readings(model, period, delay).order, len(at.of.rate)
     reading = math.sqrt(noise**2 + resolution**2 / 12.0)
-    o = observed(model, period, delay, reading, input_noise, disturbance_rate * math.sqrt(period))
+    o = observed(model, period, delay, reading, input_noise, disturbance_rate * math.sqrt(period), coil)
     m = len(o.a) - n - 1
     sizes = scale_of(model)
     scale = np.concatenate([sizes, [1.0], np.ones(m)])
@@ -409,8 +433,10 @@ def design(
             row4=rows[4],
             row5=rows[5],
             input=_row(held),
+            force=_row(o.a[:n, n] - held),
             passing=_row(passing),
             passing_input=float(o.b[n + 1]) if m else 0.0,
+            passing_force=float(o.a[n + 1, n] - o.b[n + 1]) if m else 0.0,
             present=0.0 if m else 1.0,
             shown=_past(shown),
             ages=_past(ages),

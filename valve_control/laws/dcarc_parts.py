@@ -66,8 +66,10 @@ class Model(NamedTuple):
     row4: Row
     row5: Row
     input: Row
+    force: Row  # column of a disturbance at the force, less that of the voltage; 0.0 without a coil
     passing: Row  # position within the period that is the first of the past ones
     passing_input: float
+    passing_force: float
     present: float  # 1.0 if the reading shows the present position
     shown: Past  # 1.0 at the past position that the reading shows
     ages: Past  # s  of the past positions
