@@ -53,8 +53,9 @@ def test_dcarc_with_a_coil_in_its_model_has_the_same_bits(tmp_path):
         ([250.0, 185000.0, 70000000.0, 9.6e9], [0.002, 2.44, 1380.0, 399780.0, 38998000.0, 2.099e9, 2.25e10]),
     )
     sets = [
-        law.build(controller(dcarc__model="custom", dcarc__numerator=up, dcarc__denominator=down))
+        law.build(controller(dcarc__model="custom", dcarc__numerator=up, dcarc__denominator=down, **magnet))
         for up, down in models
+        for magnet in ({}, {"dcarc.coil": 0.0015, "dcarc.hysteresis": 0.1, "dcarc.sides": 0.1})
     ]
     voltages, ends = in_python(law, sets, FEW, compiled=False)
     compiled, compiled_ends = in_python(law, sets, FEW, compiled=True)

@@ -233,9 +233,9 @@ def dragged(deflection: float, way: float, path: float) -> float:
 def desired(p: Params, s: State, accel: float) -> Desired:
     """Regressors in the middle of the coming period, and the bristles at its end.
 
-    The voltage of a force F is F + τ_c·dF/dt. From the reference alone; ``accel`` [V/s²]: its acceleration from the next sample on. (11) has the rate of
-    the coming period, and the acceleration in the middle is the mean of those at both ends, the jerk their
-    difference.
+    The voltage of a force F is F + τ_c·dF/dt. All is from the reference; ``accel`` [V/s²]: its acceleration
+    from the next sample on. (11) has the rate of the coming period, and the acceleration in the middle is the
+    mean of those at both ends, the jerk their difference.
     """
     reference, rate, accel = reshaping.smoothed(p.reshaping, s.reference, accel, s.smooth)
     before = (rate - s.rate_before) / p.period
@@ -380,9 +380,7 @@ def advanced(
     """The magnet a sample later, its weights fitted like the others to ``left`` [V] (as in ``step``)."""
     m = p.magnet
     if m.on == 0.0:
-        return magnet.State(
-            d.force.gain, d.force_rate, 0.0, 0.0, s.weights, s.regressor, s.variance
-        )
+        return magnet.State(d.force.gain, d.force_rate, 0.0, 0.0, s.weights, s.regressor, s.variance)
     px = magnet.product(s.variance, s.regressor)
     step, forget = left * sharpness, p.forget * fresh
     return magnet.State(
@@ -532,7 +530,7 @@ PARAMETERS: Table = (
         "dcarc.coil",
         0.0,
         "s",
-        "lag of the force behind the voltage, one of the poles of a model with three more poles than zeros: the "
+        "lag of the force behind the voltage, a pole of a model with three more poles than zeros: the "
         "disturbance is then a force, and the compensation leads it by the coil; 0.0: none",
         0.0,
         0.1,
@@ -541,7 +539,8 @@ PARAMETERS: Table = (
         "dcarc.hysteresis",
         0.0,
         "V",
-        "half width of the magnet's hysteresis, initial weight of the direction of the force; 0.0: no such term",
+        "half width of the magnet's hysteresis, initial weight of the direction of the force; 0.0: no such "
+        "term",
         0.0,
         10.0,
     ),
@@ -549,8 +548,8 @@ PARAMETERS: Table = (
         "dcarc.sides",
         0.0,
         "-",
-        "relative difference of the gains of two solenoids that is expected, standard deviation of the weight of "
-        "the positive part of the force; 0.0: no such term",
+        "relative difference that is expected between the gains of two solenoids, standard deviation of the "
+        "weight of the positive part of the force; 0.0: no such term",
         0.0,
         1.0,
     ),
@@ -775,7 +774,7 @@ LAW = Law(
     build=build,
     model=model,
     sampled_model=sampled_model,
-    form=("dcarc.model", "dcarc.numerator", "dcarc.denominator", "dcarc.delay"),
+    form=("dcarc.model", "dcarc.numerator", "dcarc.denominator", "dcarc.coil", "dcarc.delay"),
     dead_time="dcarc.delay",
     linear=without_adaptation,
     free=(

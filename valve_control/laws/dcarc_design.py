@@ -401,8 +401,8 @@ def design(
     at = reference(model, period)
     if coil > 0.0 and excess(model) <= EXCESS[0]:
         raise DesignError(
-            f"dcarc.coil is {coil:g} s; the model must then have three more poles than zeros, of which the coil "
-            "is one, or dcarc.coil must be 0"
+            f"dcarc.coil is {coil:g} s; the model must then have three more poles than zeros, or dcarc.coil "
+            "must be 0"
         )
     if delay > MOST_DELAY * period * (1.0 + 1e-9):
         raise DesignError(

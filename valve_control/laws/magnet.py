@@ -1,9 +1,9 @@
 """What a magnet adds to the compensation of dcarc: direction of the force, and its positive part.
 
-The force lags the voltage by the coil, dF/dt = (u - F)/τ_c. A magnet with hysteresis holds its force until the
-voltage has passed a play of the half width h: the voltage for a force is F + h·sign(dF/dt). A bristle that the
-force drags along stands for the sign. Two solenoids of unequal gains need another voltage on one side: a share
-of the positive part of the force (docs/laws/dcarc.md).
+The force lags the voltage by the coil, dF/dt = (u - F)/τ_c. A magnet with hysteresis holds its force until
+the voltage has passed a play of the half width h: the voltage for a force is F + h·sign(dF/dt). A bristle
+that the force drags along stands for the sign. Two solenoids of unequal gains need another voltage on one
+side: a share of the positive part of the force (docs/laws/dcarc.md).
 """
 
 from typing import NamedTuple
@@ -65,7 +65,8 @@ def product(a: Pair, b: Pair) -> Pair:
 
 def change(after: Pair, before: Pair, x: Pair) -> float:
     """(``after`` - ``before``)ᵀ·x."""
-    return (after.direction - before.direction) * x.direction + (after.positive - before.positive) * x.positive
+    direction, positive = after.direction - before.direction, after.positive - before.positive
+    return direction * x.direction + positive * x.positive
 
 
 def lagged(x: Pair, towards: Pair, share: float) -> Pair:

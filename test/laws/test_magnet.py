@@ -1,0 +1,130 @@
+"""Terms of the magnet in dcarc: lag of the coil, hysteresis and unequal gains, on a valve made here."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.signal
+from changed import controller
+from hypothesis import given
+from hypothesis import strategies as st
+
+from valve_control.laws import dcarc, dcarc_design, magnet
+from valve_control.laws.signals import Start
+from valve_control.simulation import comparison
+
+PERIOD, SUBSTEPS = 0.001, 10
+COIL, GAIN, A1, A0 = 0.004, 0.9, 90.5, 3198.0  # 9 Hz
+MODEL = {
+    "dcarc.model": "custom",
+    "dcarc.numerator": [GAIN * A0],
+    "dcarc.denominator": [COIL, 1.0 + A1 * COIL, A1 + A0 * COIL, A0],
+}
+WIDE = {"reshaping.max_rate": 1e5, "reshaping.max_accel": 1e7}
+ALONE = {"dcarc.theta_spread": [0.0] * 9}  # the weights of the magnet alone learn
+LEARNS = {"dcarc.fit_noise": 0.4}
+
+
+def motion(samples):
+    """Two sines that swell, with the two samples more that ``unreshaped`` takes."""
+    t = np.arange(samples + 2) * PERIOD
+    swell = np.square(0.5 - 0.5 * np.cos(math.pi * np.minimum(t / 0.2, 1.0)))
+    return swell * (np.sin(4.0 * math.pi * t) + 0.3 * np.sin(12.6 * math.pi * t))
+
+
+def error(p, half=0.0, positive=1.0, coulomb=0.0, samples=3000):
+    """Rms error [V] of the last second and the last state of the law; bristles (Dahl) rub the spool."""
+    dt = PERIOD / SUBSTEPS
+    wanted = motion(samples)
+    s = dcarc.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
+    force = play = x = v = z = 0.0
+    share, errors = -math.expm1(-dt / COIL), []
+    for k, command in enumerate(comparison.unreshaped(p.reshaping, wanted)):
+        errors.append(x - wanted[k])
+        voltage, s, _ = dcarc.step(p, s, float(command), x, 0.0)
+        for _ in range(SUBSTEPS):
+            force += share * (voltage - force)
+            play = min(max(play, force - half), force + half)
+            pull = play * positive if play > 0.0 else play
+            stiff = A0 * GAIN * coulomb / 0.02 * dt
+            v = (v + dt * A0 * (GAIN * (pull - coulomb * z) - x)) / (1.0 + dt * A1 + dt * stiff)
+            z = (z + dt * v / 0.02) / (1.0 + dt * abs(v) / 0.02)
+            x += dt * v
+    return float(np.sqrt(np.mean(np.square(errors[-1000:])))), s
+
+
+def law(**changes):
+    return dcarc.build(controller(**MODEL, **WIDE, **changes))
+
+
+def test_a_disturbance_behind_the_coil_moves_the_model_like_a_force_on_the_spool():
+    """The observer's column of it against the step response of spool and spring alone."""
+    model = dcarc_design.TransferFunction(tuple(MODEL["dcarc.numerator"]), tuple(MODEL["dcarc.denominator"]))
+    made = dcarc_design.readings(model, PERIOD, 0.0, COIL)
+    x, found = np.append(np.zeros(3), 1.0), []
+    for _ in range(80):
+        found.append(x[0])
+        x = made.a @ x
+    times = np.arange(80) * PERIOD
+    _, expected = scipy.signal.step(([GAIN * A0], [1.0, A1, A0]), T=times)
+    assert np.allclose(found, expected, atol=1e-9)
+
+
+def test_friction_is_compensated_through_the_coil():
+    """A known bristle, led by the coil, against the same at the voltage, and against none."""
+    known = {
+        "dcarc.presliding": [0.008, 0.02, 0.05],
+        "dcarc.theta_initial": [0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        "dcarc.lvdt_noise": 0.0005,
+        "dcarc.lvdt_resolution": 0.0,
+        **ALONE,
+    }
+    none = {**known, "dcarc.theta_initial": [0.0] * 9}
+    errors = [error(law(**one), coulomb=0.8)[0] for one in ({**known, "dcarc.coil": COIL}, known, none)]
+    assert errors[0] < 0.75 * errors[1] and errors[1] < 0.25 * errors[2]
+
+
+def test_hysteresis_and_unequal_gains_are_learned():
+    """Twice the half width and 1.15 times the gain of one side: both weights find them, the error falls."""
+    magnets = {"dcarc.coil": COIL, "dcarc.hysteresis": 0.05, "dcarc.sides": 0.1, **LEARNS, **ALONE}
+    still, _ = error(law(**ALONE), half=0.1, positive=1.15)
+    learned, s = error(law(**magnets), half=0.1, positive=1.15)
+    assert learned < 0.25 * still
+    assert s.magnet.weights.direction == pytest.approx(0.1, rel=0.2)
+    assert s.magnet.weights.positive == pytest.approx(1.0 / 1.15 - 1.0, rel=0.2)
+
+
+def test_without_a_magnet_its_terms_stay_at_nothing():
+    p = law(**LEARNS)
+    assert p.magnet.on == 0.0
+    _, s = error(p, half=0.05, samples=300)
+    assert s.magnet.weights == s.magnet.variance == s.magnet.regressor == magnet.NONE
+
+
+@given(st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=40), st.floats(0.001, 1.0))
+def test_the_direction_stays_between_its_ends_and_follows_a_steady_force(forces, turn):
+    p = dcarc.build(controller()).magnet._replace(on=1.0, turn=turn, lead=0.0)
+    s = magnet.State(0.0, 0.0, 0.0, 0.0, magnet.NONE, magnet.NONE, magnet.NONE)
+    for total in forces:
+        t = magnet.terms(p, s, total, total)
+        assert -1.0 <= t.direction <= 1.0
+        assert t.force.positive == max(total, 0.0)
+        s = s._replace(total=total, direction=t.direction)
+    for _ in range(60):
+        t = magnet.terms(p, s, s.total + turn, 0.0)
+        s = s._replace(total=t.total, direction=t.direction)
+    assert s.direction == pytest.approx(1.0, abs=1e-9)
+
+
+def test_the_force_is_the_voltage_behind_the_coil():
+    """Trapezoidal rule against the exact response to a sine."""
+    p = law(dcarc__coil=COIL).magnet
+    s = magnet.State(0.0, 0.0, 0.0, 0.0, magnet.NONE, magnet.NONE, magnet.NONE)
+    w, found = 2.0 * math.pi * 10.0, []
+    for k in range(400):
+        force, rate = magnet.forced(p, s, math.sin(w * k * PERIOD), PERIOD)
+        s = s._replace(force=force, rate=rate)
+        found.append(force)
+    k = np.arange(400)
+    steady = np.imag(np.exp(1j * w * k * PERIOD) / (1.0 + 1j * w * COIL))
+    assert np.allclose(found[100:], steady[100:], atol=2e-4)
