@@ -36,7 +36,7 @@ def test_the_contract(run, tmp_path):
     }
     assert len((place / "README.md").read_text().splitlines()) == 10
     assert "bool oarc_set_lvdt_limit(oarc_watch_params_t *p, double value);" in header
-    assert "OARC_LVDT_DISAGREES" in header
+    assert "OARC_LVDT_DISAGREES" in header and "OARC_LIMIT_CYCLE" in header and "OARC_LVDT_HUM" in header
     rows = (place / "check.csv").read_text().splitlines()
     assert {row.split(",")[0] for row in rows[1:]} == {
         *("sample", "command", "point", "unpoint", "gone", "silence", "reset"),

@@ -13,7 +13,6 @@ from valve_control.parameters import build, files
 from valve_control.parameters.table import CONTROLLER, VALVE
 from valve_control.plant import valve
 from valve_control.supervision import oscillation
-from valve_control.supervision.record import Mode
 from valve_control.supervision.supervisor import Supervisor
 
 PERIOD = 0.001
@@ -59,11 +58,12 @@ def test_limit_cycle_of_the_shipped_laws_on_a_third_order_valve_is_reported(conf
     said, supervisor = supervised(values, THIRD_ORDER, step_at_quarter(0.3), 1500)
     reported = [(t, text) for t, text in said if "voltage oscillates at" in text]
     assert reported and reported[0][0] < 0.8
-    sentence = next(part for part in supervisor.reason.split("; ") if "oscillates" in part)
+    sentence = next(part for part in reported[0][1].split("; ") if "oscillates" in part)
     words = sentence.split()
     assert low < float(words[3]) < high and float(words[6]) == pytest.approx(10.0, abs=0.5)
     assert sentence.endswith("limit cycle of law and valve")
-    assert supervisor.mode is Mode.DEGRADED
+    assert any("at the limit of the voltage" in text for _, text in said)
+    assert supervisor.counts["safe_stops"] == 1
 
 
 def test_no_word_if_it_is_switched_off(config):

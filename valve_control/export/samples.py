@@ -26,7 +26,7 @@ from valve_control.supervision.trajectory import Motion
 COLUMNS = ("event", "a", "b", "c", "d", "e", "result", "state")
 COUNT = 3000  # samples
 WATCHED = (3000, 12000)  # samples of a run under the watch, within which it should last
-LASTING = 9.0  # s
+LASTING = 9.6  # s
 VALVE_VALUES = {
     "friction.coulomb": 1.16,
     "friction.static_ratio": 1.25,
@@ -36,6 +36,7 @@ VALVE_VALUES = {
     "lvdt.noise": 0.0056,
     "lvdt.resolution": 0.0037,
 }
+DEAD_TIME = 0.015  # s
 FADE = 0.98  # of a takeover's offset, for each sample
 
 
@@ -179,6 +180,7 @@ FAULTS = (
     Fault(7.50, 2, "jump"),
     Fault(7.00, 1, "reset"),
     Fault(8.00, 2, "reset"),
+    Fault(8.10, 1500, "old"),  # readings that are late
 )  # fmt: skip
 
 
@@ -195,12 +197,14 @@ def faulty(
     noise = random.standard_normal(count).tolist()
     lost = (random.random(count) < 0.01).tolist()
     number, shown, voltage = 0, 0.0, 0.0
+    readings: list[float] = []
     for k in range(count):
         t = k * plant.period
         now = {f.what for f in faults if 0 <= k - round(f.begin / plant.period) < f.samples}
         wanted = 0.4 * command(k, plant.period) if t < 1.0 else command(k, plant.period)
         if "not_finite_command" in now or "large_command" in now:
             wanted = math.nan if "not_finite_command" in now else 1e6
+        wanted = 0.3 if "old" in now else wanted
         spoken = k > 10 and k % 3 == 0
         if spoken and "no_command" not in now and supervisor.joins:
             supervisor.command(wanted, 3.0 * plant.period)
@@ -226,6 +230,8 @@ def faulty(
             voltage = supervisor.silence(0.03)
             yield "silence", (0.03,), supervisor, voltage
         reading = valve.read(plant, spool, noise[k])
+        readings.append(reading)
+        reading = readings[max(0, k - round(DEAD_TIME / plant.period))] if "old" in now else reading
         shown = shown if "frozen" in now else reading
         skipped = 3 if "late" in now else 50 if "gap" in now else int(lost[k])
         reading = -reading if "flipped" in now else 0.5 * reading if "half" in now else shown

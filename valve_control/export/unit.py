@@ -24,6 +24,7 @@ WATCHED = (
     "neutral_rate",
     "neutral_accel",
     "transfer_time",
+    "oscillation_limit",
     "reshaping.lead",
     "reshaping.lead_accel",
 )

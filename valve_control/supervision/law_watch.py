@@ -1,11 +1,11 @@
-"""Watches the law: reports long saturation, limit cycles of the voltage, and broken assumptions."""
+"""Watches the law: reports long saturation and broken assumptions."""
 
 import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from valve_control.parameter import Values, number
-from valve_control.supervision import conditions, oscillation
+from valve_control.supervision import conditions
 
 ASSUMPTIONS = {
     "lyapunov": "V2 is above its guaranteed bound: the valve has left the assumed parameter ranges or "
@@ -20,33 +20,24 @@ class Params(NamedTuple):
 
     u_max: float  # V
     saturation_limit: float  # s
-    cycling: oscillation.Params
     period: float  # s  ΔT
 
 
 def design(values: Values) -> Params:
     """Params from the controller's values."""
-    period = number(values, "sample_period")
     return Params(
         number(values, "u_max"),
         number(values, "saturation_limit"),
-        oscillation.Params(number(values, "oscillation_limit"), period),
-        period,
+        number(values, "sample_period"),
     )
 
 
 def step(
-    p: Params,
-    saturated_for: float,
-    cycle: oscillation.State,
-    said: conditions.State,
-    now: float,
-    voltage: float,
-    command: float,
-) -> tuple[float, oscillation.State, conditions.State]:
-    """Take in ``voltage`` and ``command`` [V] of the sample at ``now`` [s].
+    p: Params, saturated_for: float, said: conditions.State, voltage: float
+) -> tuple[float, conditions.State]:
+    """Take in the ``voltage`` [V] of one sample.
 
-    ``saturated_for`` [s] and ``cycle`` are remembered between two samples; ``said`` is what is reported.
+    ``saturated_for`` [s] is remembered between two samples; ``said`` is what is reported.
     """
     if abs(voltage) >= p.u_max:
         saturated_for = min(saturated_for + p.period, 2.0 * p.saturation_limit)
@@ -58,17 +49,7 @@ def step(
         saturated_for = max(0.0, saturated_for - p.period)
         if saturated_for == 0.0:
             said = conditions.clear(said, "saturation")
-    if p.cycling.amplitude > 0.0:
-        before = cycle.cycles
-        cycle = oscillation.step(p.cycling, cycle, now, voltage, command)
-        if cycle.cycles != before and oscillation.sustained(cycle):
-            text = (
-                f"voltage oscillates at {oscillation.frequency(cycle):.3g} Hz with "
-                f"{oscillation.amplitude(cycle):.2g} V: limit cycle of law and valve"
-            )
-            lasting = max(conditions.LATCH, 2.0 * cycle.length)
-            said = conditions.latch(said, "oscillation", text, now, lasting)
-    return saturated_for, cycle, said
+    return saturated_for, said
 
 
 def watched(fields: Sequence[str]) -> tuple[int, str] | None:

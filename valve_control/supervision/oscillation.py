@@ -26,6 +26,7 @@ class Params(NamedTuple):
 
     amplitude: float  # V  least amplitude that is reported, 0.0: none
     period: float  # s  ΔT
+    back: float = 0.0  # V  by which the voltage comes back from a turn, at least ``amplitude``
 
 
 class State(NamedTuple):
@@ -76,7 +77,7 @@ def step(p: Params, s: State, time: float, voltage: float, command: float) -> St
             s.rising, voltage, s.start, s.maximum_time, s.fall, s.cycles, s.since, s.length, s.height,
             command, moving, command_rising, command_extreme, turns, departures,
         )  # fmt: skip
-    if beyond >= -p.amplitude:
+    if beyond >= -max(p.amplitude, p.back):
         if command == s.command and moving == s.moving:
             return s
         return State(
@@ -101,7 +102,7 @@ def step(p: Params, s: State, time: float, voltage: float, command: float) -> St
             height += WEIGHT * (this_height - height)
         else:
             cycles, since, length, height = 1.0, maximum_time - this_length, this_length, this_height
-            turns = departures = 0.0
+            turns, departures = 0.0, 0.0
     return State(
         -s.rising, voltage, s.extreme, maximum_time, fall, cycles, since, length, height,
         command, moving, command_rising, command_extreme, turns, departures,
@@ -110,11 +111,14 @@ def step(p: Params, s: State, time: float, voltage: float, command: float) -> St
 
 def sustained(s: State) -> bool:
     """Whether the cycles in a row are an oscillation that the command does not explain."""
-    if s.cycles < CYCLES or s.maximum_time - s.since < LEAST:
-        return False
+    return s.cycles >= CYCLES and s.maximum_time - s.since >= LEAST and not explained(s)
+
+
+def explained(s: State) -> bool:
+    """Whether the command turned or set off about as often as the voltage."""
     turned = abs(s.turns - 2.0 * s.cycles) <= 2.0 * SHARE * s.cycles + 1.0
     set_off = abs(s.departures - s.cycles) <= SHARE * s.cycles + 1.0
-    return not turned and not set_off
+    return turned or set_off
 
 
 def frequency(s: State) -> float:

@@ -16,6 +16,8 @@ from valve_control.supervision import (
     command_course,
     command_watch,
     conditions,
+    cycle_watch,
+    lock_in,
     lvdt,
     lvdt_watch,
     oscillation,
@@ -80,6 +82,10 @@ class Memory:
     kept: tuple[str, tuple[float, ...] | None] = ("", None)  # law and its estimates before the start
     saturated_for: float = 0.0  # s
     cycle: oscillation.State = oscillation.NOTHING
+    swing: oscillation.State = oscillation.NOTHING  # the same, from one limit of the voltage to the other
+    probe: lock_in.State = lock_in.NOTHING  # of these cycles
+    source: str = ""  # of cycles that go on: oscillation, lvdt_hum, none
+    pause: cycle_watch.Pause = cycle_watch.NEVER  # after cycles at the limit of the voltage
     said: conditions.State = conditions.NOTHING
     motion: points.Motion = NO_MOTION  # wanted at this sample
     fading: bool = True  # whether an offset of ``transfer`` may be other than 0
@@ -120,9 +126,9 @@ def clear(m: Memory, name: str) -> None:
 
 
 @node_only
-def latch(m: Memory, name: str, text: str) -> None:
-    """Report an event of this moment for a while."""
-    tell(m, conditions.latch(m.said, name, text, m.now))
+def latch(m: Memory, name: str, text: str, lasting: float = conditions.LATCH) -> None:
+    """Report an event of this moment for ``lasting`` [s]."""
+    tell(m, conditions.latch(m.said, name, text, m.now, lasting))
 
 
 @node_only
@@ -139,8 +145,7 @@ def count(m: Memory, name: str) -> None:
 
 
 @node_only
-def forget_voltage(m: Memory) -> None:
-    """Drop what the voltages until now have shown of saturation and limit cycles."""
-    m.cycle = oscillation.NOTHING  # switching on and off is no limit cycle of law and valve
+def forget_saturation(m: Memory) -> None:
+    """Drop what the voltages until now have shown of saturation."""
     m.saturated_for = 0.0
     clear(m, "saturation")

@@ -218,9 +218,7 @@ class Supervisor:
         """Watch a step of the law for what is only reported."""
         self._terms = terms
         p = self._watch_law
-        m.saturated_for, m.cycle, said = law_watch.step(
-            p, m.saturated_for, m.cycle, m.said, m.now, voltage, m.effective
-        )
+        m.saturated_for, said = law_watch.step(p, m.saturated_for, m.said, voltage)
         if said is not m.said:
             tell(m, said)
         if abs(voltage) >= p.u_max:

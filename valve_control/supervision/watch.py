@@ -25,8 +25,11 @@ from valve_control.supervision import (
     command_course,
     command_watch,
     conditions,
+    cycle_watch,
+    lock_in,
     lvdt,
     lvdt_watch,
+    oscillation,
     plausibility,
     rate,
 )
@@ -37,7 +40,7 @@ from valve_control.supervision.record import (
     clear,
     count,
     expire,
-    forget_voltage,
+    forget_saturation,
     latch,
     node_only,
     report,
@@ -46,7 +49,7 @@ from valve_control.supervision.record import (
 BOTH = "spool_command is ignored while spool_trajectory commands"
 PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
 TOLD = (
-    *("samples", "sequence", "pace", "kept", "saturated_for", "cycle", "said", "name", "changed", "counts"),
+    *("samples", "sequence", "pace", "kept", "saturated_for", "said", "name", "changed", "counts"),
 )  # of the memory, what C leaves out
 
 
@@ -56,6 +59,7 @@ class Params(NamedTuple):
     law: Any  # of the law
     command: command_watch.Params
     lvdt: lvdt_watch.Params
+    cycles: cycle_watch.Params  # of the voltage
     lead: command_lead.Params | None  # of the command
     transfer: bumpless_transfer.Params
     joining: command_course.Params | None  # of commands
@@ -68,10 +72,20 @@ class Params(NamedTuple):
 def design(values: Values, law: Any, answered: bool = True) -> Params:
     """Params from the controller's values and the Params of its ``law``. Raises ParameterError."""
     reshaped = LAWS[word(values, "controller")].reshapes(law)
+    watched = lvdt_watch.design(values, law)
+    probation = lvdt_watch.PROBATION * number(values, "lvdt.disturbance") or math.inf
     return Params(
         law,
         command_watch.design(values),
-        lvdt_watch.design(values, law),
+        watched,
+        cycle_watch.Params(
+            oscillation.Params(number(values, "oscillation_limit"), watched.period),
+            cycle_watch.between(law.u_max, watched.period),
+            cycle_watch.between(min(law.u_max, probation), watched.period),
+            lock_in.Model(watched.judge.a1, watched.judge.a0, watched.judge.b0, watched.period),
+            watched.hold_off,
+            watched.hold_off_limit,
+        ),
         command_lead.build(values, reshaped),
         bumpless_transfer.design(number(values, "transfer_time"), number(values, "sample_period")),
         command_course.design(values),
@@ -245,6 +259,7 @@ def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
 def reset(p: Params, m: Memory) -> None:
     """Set estimates and filters to their start, without a bump, and drop doubts about the LVDT."""
     end_doubt(m)
+    m.pause = cycle_watch.NEVER
     m.former = None
     if m.law is not None:
         take_over(p, m, None, True)
@@ -273,7 +288,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
         report(m, "lvdt_period", rate.text(p.lvdt.pace, m.pace))
     applied = m.voltage
     if m.trust.blocked != "":
-        back = recover(p, m, reading, gap > 0 or unpaced)
+        back = recover(p, m, reading, gap > 0 or unpaced or m.now < m.pause.until)
         if not back:
             m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
             return applied
@@ -287,6 +302,8 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
     if m.evidence is not None and m.evidence.held == 0.0:
         confront(p, m)
+    if m.law is not None and p.cycles.cycling.amplitude > 0.0:
+        watch_cycles(p, m, reading, voltage)
     return voltage
 
 
@@ -347,6 +364,8 @@ def confront(p: Params, m: Memory) -> None:
     if p.lvdt.comparison is None or m.evidence is None or m.trust.blocked != "" or not p.answered:
         return
     found, doubt = plausibility.verdict(p.lvdt.comparison, m.evidence, m.trust.doubt)
+    if found == "gain" and max(m.cycle.cycles, m.swing.cycles) >= cycle_watch.BEGUN:
+        return  # even cycles have a gain of their own if readings are late
     if found != "":
         report(
             m,
@@ -363,6 +382,58 @@ def end_doubt(m: Memory) -> None:
     """Trust the LVDT again."""
     m.trust = m.trust._replace(doubt=plausibility.TRUST)
     clear(m, "lvdt_doubted")
+
+
+# Cycles of the voltage
+
+
+def watch_cycles(p: Params, m: Memory, reading: float, voltage: float) -> None:
+    """Look for even cycles in the ``voltage`` [V] after ``reading`` [V], and measure them while they last."""
+    cycles, swings, rising = m.cycle.cycles, m.swing.cycles, m.cycle.command_rising
+    m.cycle = oscillation.step(p.cycles.cycling, m.cycle, m.now, voltage, m.effective)
+    full = p.cycles.full if m.trust.doubt.times == 0.0 else p.cycles.doubted
+    if abs(voltage) >= full.amplitude or m.cycle.command_rising != rising:
+        m.swing = oscillation.step(full, m.swing, m.now, voltage, m.effective)
+    if m.probe.frequency > 0.0:
+        m.probe = lock_in.step(m.probe, voltage, reading, p.lvdt.period)
+    if m.cycle.cycles != cycles:
+        judge_cycles(p, m, m.cycle, full.amplitude)
+    if m.swing.cycles != swings and m.law is not None:
+        judge_cycles(p, m, m.swing, full.amplitude)
+
+
+def judge_cycles(p: Params, m: Memory, cycle: oscillation.State, high: float) -> None:
+    """Report ``cycle`` after one more in a row, and its source; ``high`` [V]: amplitude of saturated ones.
+
+    Switch off if they stay saturated.
+    """
+    if max(m.cycle.cycles, m.swing.cycles) < cycle_watch.BEGUN:
+        m.probe = lock_in.NOTHING
+        m.source = ""
+    if cycle.cycles < cycle_watch.BEGUN or oscillation.explained(cycle):
+        return
+    if m.probe.frequency == 0.0:
+        m.probe = lock_in.begun(1.0 / cycle.length, p.lvdt.period)
+        return
+    if not oscillation.sustained(cycle) or not lock_in.finished(m.probe):
+        return
+    found = lock_in.found(p.cycles.model, m.probe)
+    m.source = cycle_watch.source(cycle, found, high)
+    tell_cycles(m, cycle, found)
+    if p.answered and oscillation.amplitude(cycle) >= high and cycle_watch.lasts(cycle):
+        report(m, "limit_cycle", cycle_watch.stop_text(m.source, cycle, found))
+        m.pause = cycle_watch.paused(p.cycles, m.pause, m.now)
+        switch_off(p, m, "limit_cycle", False)
+
+
+@node_only
+def tell_cycles(m: Memory, cycle: oscillation.State, found: lock_in.Found) -> None:
+    """Report ``cycle`` under the name of its source."""
+    text, lasting = cycle_watch.text(m.source, cycle, found), cycle_watch.lasting(cycle)
+    if m.source == cycle_watch.HUM:
+        latch(m, "lvdt_hum", text, lasting)
+    else:
+        latch(m, "oscillation", text, lasting)
 
 
 # Off and on again
@@ -389,7 +460,11 @@ def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
     m.transfer = bumpless_transfer.NOTHING
     m.fading = False
     m.lead = None
-    forget_voltage(m)
+    m.cycle = oscillation.NOTHING  # switching on and off is no limit cycle of law and valve
+    m.swing = oscillation.NOTHING
+    m.probe = lock_in.NOTHING
+    m.source = ""
+    forget_saturation(m)
 
 
 def recover(p: Params, m: Memory, reading: float, anew: bool) -> bool:

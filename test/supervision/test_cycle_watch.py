@@ -1,0 +1,145 @@
+"""Even cycles of the voltage: their source is measured, and those at its limit are stopped."""
+
+import cmath
+import math
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from valve_control.parameter import defaults, updated
+from valve_control.parameters import build, files
+from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.plant import valve
+from valve_control.supervision import cycle_watch, lock_in
+from valve_control.supervision.supervisor import Supervisor
+
+PERIOD = 1e-3  # s
+TUNED = [
+    (law, shipped) for law in ("arc", "oarc", "dcarc", "pid") for shipped in ("d3fxe", "d3fxe_experiment")
+]
+
+
+class Loop:
+    """A supervisor with shipped gains on their valve, whose readings can come late or with a hum."""
+
+    def __init__(self, config, law, shipped, **plant):
+        gains = files.load(str(config / "tuned" / f"{shipped}_{law}.yaml"))["controller"]
+        self.values = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, **gains})
+        self.supervisor = Supervisor()
+        self.supervisor.apply(self.values, build.law_params(self.values))
+        own = files.load(str(config / f"{shipped}.yaml"))["valve_simulator"]
+        self.p = build.valve_params(updated(VALVE, defaults(VALVE), {**own, **plant}))
+        self.s = valve.initial(self.p)
+        self.random = np.random.default_rng(1)
+        self.readings, self.voltages, self.said = [], [], []
+
+    def run(self, samples, command, late=0, hum=(0.0, 0.0)):
+        """``late`` [samples]; ``hum``: amplitude [V] and frequency [Hz]."""
+        for _ in range(samples):
+            t = len(self.readings) * PERIOD
+            self.supervisor.command(command(t))
+            reading = valve.read(self.p, self.s, self.random.standard_normal())
+            self.readings.append(reading + hum[0] * math.sin(2.0 * math.pi * hum[1] * t))
+            reading = self.readings[max(0, len(self.readings) - 1 - late)]
+            self.voltages.append(self.supervisor.sample(reading, len(self.readings)))
+            self.said += [text for text in self.supervisor.conditions.values() if text not in self.said]
+            self.s = valve.step(self.p, self.s, self.voltages[-1])
+        return self
+
+
+def sine(amplitude, frequency):
+    return lambda t: amplitude * math.sin(2.0 * math.pi * frequency * t)
+
+
+@pytest.mark.parametrize(("law", "shipped"), TUNED)
+def test_readings_that_are_late_end_in_0_v_and_the_dead_time_is_said(config, law, shipped):
+    """A limit cycle at the limit of the voltage is off within 2 s, and then less and less often on."""
+    loop = Loop(config, law, shipped).run(700, sine(1.0, 1.5))
+    assert loop.said == [] or law == "arc"
+    loop.run(6000, sine(1.0, 1.5), late=10)
+    stopped = [text for text in loop.said if "at the limit of the voltage" in text]
+    assert stopped and "dead time" in stopped[0]
+    late = float(re.search(r"about (\S+) ms later", stopped[0])[1])
+    assert 4.0 < late < 16.0
+    on = np.abs(loop.voltages[700:]) > 0.0
+    assert np.mean(on[:2000]) > 0.1
+    assert np.mean(on[-2000:]) < 0.7
+
+
+@pytest.mark.parametrize("frequency", [50.0, 60.0])
+@pytest.mark.parametrize(("law", "shipped"), TUNED)
+def test_hum_of_the_mains_is_named(config, law, shipped, frequency):
+    """40 mV: the sentence has its frequency, its amplitude and the reading as the source."""
+    loop = Loop(config, law, shipped, **{"lvdt.noise": 0.002})
+    loop.run(300, sine(0.5, 0.5)).run(1300, sine(0.5, 0.5), hum=(0.04, frequency))
+    said = [text for text in loop.said if "oscillates" in text]
+    assert said and "limit cycle" not in said[0]
+    assert f"(mains: {frequency:.0f} Hz) come in through the LVDT reading" in said[0]
+    amplitude = float(re.search(r": (\S+) mV", said[0])[1])
+    assert 24.0 < amplitude < 56.0
+    assert loop.supervisor.counts["safe_stops"] == 0
+
+
+def test_a_pause_after_cycles_ends_with_reset(config):
+    loop = Loop(config, "pid", "d3fxe")
+    while "limit_cycle" not in loop.supervisor.conditions:
+        loop.run(1, sine(1.0, 1.5), late=10)
+        assert len(loop.voltages) < 5000
+    assert set(loop.run(290, sine(1.0, 1.5)).voltages[-289:]) == {0.0}
+    loop.run(400, sine(1.0, 1.5))
+    assert "limit_cycle" not in loop.supervisor.conditions
+    loop.supervisor.memory.pause = cycle_watch.Pause(9.0, math.inf)
+    loop.supervisor.reset()
+    assert loop.supervisor.memory.pause == cycle_watch.NEVER
+
+
+@given(
+    st.floats(20.0, 120.0),
+    st.floats(-0.03, 0.03),
+    st.floats(0.5, 3.0),
+    st.floats(0.0, 0.7),
+    st.floats(-2.0, 2.0),
+)
+@settings(deadline=None, max_examples=60)
+def test_lock_in_measures_gain_lag_and_frequency(frequency, off, gain, turn, mean):
+    """Against the frequency response of the model; ``off``: error of the assumed frequency."""
+    p = lock_in.Model(40.0, 1200.0, 1200.0, PERIOD)
+    omega = 2.0 * math.pi * frequency
+    answer = (
+        p.b0
+        / (p.a0 - omega**2 + 1j * omega * p.a1)
+        * gain
+        * cmath.exp(-0.5j * omega * PERIOD - 2j * math.pi * turn)
+    )
+    s, k = lock_in.begun(frequency * (1.0 + off), PERIOD), 0
+    while not lock_in.finished(s):
+        wave = cmath.exp(1j * (omega * k * PERIOD + 0.7))
+        s = lock_in.step(s, mean + wave.real, mean + (answer * wave).real, PERIOD)
+        k += 1
+    found = lock_in.found(p, s)
+    assert found.frequency == pytest.approx(frequency, rel=3e-3)
+    assert found.gain == pytest.approx(gain, rel=0.04)
+    assert (found.lag * frequency - turn + 0.5) % 1.0 - 0.5 == pytest.approx(0.0, abs=0.02)
+
+
+def test_lock_in_finds_a_hum_beside_the_answer_of_the_valve():
+    p = lock_in.Model(40.0, 1200.0, 1200.0, PERIOD)
+    omega = 2.0 * math.pi * 50.0
+    answer = p.b0 / (p.a0 - omega**2 + 1j * omega * p.a1) * cmath.exp(-0.5j * omega * PERIOD)
+    s, k = lock_in.begun(50.0, PERIOD), 0
+    while not lock_in.finished(s):
+        wave = cmath.exp(1j * omega * k * PERIOD)
+        s = lock_in.step(s, 2.0 * wave.real, (2.0 * answer * wave + 0.02j * wave).real, PERIOD)
+        k += 1
+    assert lock_in.found(p, s).hum == pytest.approx(0.02, rel=1e-3)
+
+
+def test_cycles_that_a_quick_command_brings_about_are_not_stopped(config):
+    """A square wave and a fast sine that saturate the voltage at each turn."""
+    for command in (lambda t: math.copysign(3.0, math.sin(40.0 * t)), sine(2.9, 15.0)):
+        loop = Loop(config, "oarc", "d3fxe").run(2500, command)
+        assert np.mean(np.abs(loop.voltages) > 9.0) > 0.1
+        assert loop.supervisor.counts["safe_stops"] == 0 and not [t for t in loop.said if "oscillates" in t]
