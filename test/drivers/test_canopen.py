@@ -10,14 +10,15 @@ from valve_control.drivers import canopen_states as states
 from valve_control.drivers.can_bus import CanNode
 from valve_control.drivers.canopen_408 import GRACE, KIND, PARAMETERS
 from valve_control.drivers.driver import DriverError
-from valve_control.parameter import defaults, updated
+from valve_control.parameter import ParameterError, defaults, updated
 
 PERIOD = 0.01  # s
 
 
 def driver(valve, **changes):
     usual = {"interface": "slcan", "channel": valve.address, "node": 5, "adapter_pause": 0.0}
-    named = {f"canopen.{name}": value for name, value in {**usual, **changes}.items()}
+    patient = {"sdo_timeout": 1.0, "watchdog": 0.5, "heartbeat": 0.2}  # of a busy machine
+    named = {f"canopen.{name}": value for name, value in {**usual, **patient, **changes}.items()}
     return KIND.make(updated(PARAMETERS, defaults(PARAMETERS), named), PERIOD, 0.0)
 
 
@@ -56,6 +57,11 @@ def activate(made, valve):
     assert not {c.name for c in made.conditions() if c.level == "safe"}
 
 
+def taken(made, number):
+    """So many readings, those that come in time."""
+    return [until(made.read, "a reading") for _ in range(number)]
+
+
 def names(made):
     return {c.name: c.level for c in made.conditions()}
 
@@ -75,14 +81,14 @@ def test_nothing_moves_before_enable_and_the_valve_is_off_at_the_end(valve):
     made = driver(valve)
     made.open()
     made.write(20.0)
-    assert made.read() == (0.0, 0) and valve.order("state") == "INIT 0.0000 PRE-OPERATIONAL"
+    assert made.read() == (0.0, 0) and names(made) == {"polled": "degraded"}
+    assert valve.order("state") == "INIT 0.0000 PRE-OPERATIONAL"
     activate(made, valve)
-    readings = [made.read() for _ in range(100)]
+    readings = taken(made, 100)
     # Model (3): 0.83 V/V. 3277 of 16384 counts are 2 V.
     assert readings[-1].signal == pytest.approx(16.7, abs=0.5)
     made.enable(False)
-    readings = [made.read() for _ in range(5)]
-    assert all(readings) and valve.order("state") == "DISABLED 0.0000 OPERATIONAL", "readings go on"
+    assert taken(made, 5) and valve.order("state") == "DISABLED 0.0000 OPERATIONAL", "readings go on"
     activate(made, valve)
     made.close()
     assert valve.order("state") == "INIT 0.0000 PRE-OPERATIONAL"
@@ -175,6 +181,13 @@ def test_a_missing_library_is_named_with_its_extra(valve, monkeypatch):
     monkeypatch.setitem(sys.modules, "canopen", None)
     with pytest.raises(DriverError, match=r"needs canopen and python-can; .*'valve_control\[canopen\]'"):
         driver(valve).open()
+
+
+def test_a_bus_that_is_too_slow_for_the_sample_period_is_refused():
+    values = updated(PARAMETERS, defaults(PARAMETERS), {"canopen.bitrate": 125000})
+    KIND.make(values, 0.0021, 0.0)
+    with pytest.raises(ParameterError, match="up to 2 ms, longer than sample_period, 1 ms"):
+        KIND.make(values, 0.001, 0.0)
 
 
 def test_an_error_frame_of_socketcan_tells_bus_off():

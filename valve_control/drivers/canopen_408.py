@@ -11,22 +11,22 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from valve_control.drivers import canopen_states as states
-from valve_control.drivers.driver import Condition, DriverError, Kind, Reading, missing, patience
+from valve_control.drivers.canopen_setup import configure, find
+from valve_control.drivers.driver import Condition, Driver, DriverError, Kind, Reading, missing, patience
 from valve_control.drivers.ticks import Lately, Ticks
-from valve_control.parameter import Parameter, Values
+from valve_control.parameter import Parameter, ParameterError, Values, number
 
 if TYPE_CHECKING:
     from valve_control.drivers.can_bus import CanNode
 
 NAME = "canopen"
-PROFILE = 408
 SYNC = 0x80
 OPERATIONAL, BOOTED = 5, 0  # in a heartbeat
 POLL = 0.01  # s between two readings by SDO, at least
 PATIENCE = 3  # unanswered requests in a row before the node counts as gone
 GRACE = 0.5  # s for the way to ACTIVE
 HEARTBEATS = 2.5  # periods without one after which it is lost
-INVALID, NO_REMOTE = 1 << 31, 1 << 30  # bits of a PDO's identifier
+FRAMES = 55 + 98 + 98  # bits of SYNC and both PDOs, stuffed at worst, with the spaces behind them
 DATA = struct.Struct("<Hh")  # control word and set point; status word and actual value
 
 PARAMETERS = (
@@ -96,36 +96,14 @@ class Valve408:
             **pause,
         )
         try:
-            node.command("PRE-OPERATIONAL")
-            self._find(node)
-        except (DriverError, LookupError) as error:
+            self._reference = find(node, p)
+        except DriverError:
             self.close()
-            raise DriverError(str(error)) from error
+            raise
         node.on(0x180 + p["node"], self._on_actual)
         node.on_heartbeat(self._on_heartbeat)
         node.on_emergency(self._on_emergency)
         self._ticks = Ticks(max(POLL, self._period))
-
-    def _find(self, node: "CanNode") -> None:
-        try:
-            profile = node.get(0x1000, 0, "I") & 0xFFFF
-        except DriverError:
-            raise DriverError(
-                f"node {node.node} does not answer on {self._p['channel']}; check canopen.node, "
-                "canopen.bitrate, supply, wiring and terminating resistors"
-            ) from None
-        if profile != PROFILE:
-            raise DriverError(f"node {node.node} has the device profile {profile}; it must have {PROFILE}")
-        self._reference = self._p["reference"]
-        if not self._reference:
-            try:
-                self._reference = node.get(0x6311, 1, "h")
-            except LookupError as error:
-                raise DriverError(f"{error}; set canopen.reference to its counts of 100 %") from error
-            if self._reference <= 0:
-                raise DriverError(
-                    f"node {node.node} has {self._reference} in 0x6311:01; set canopen.reference"
-                )
 
     # What comes from the valve
 
@@ -173,44 +151,13 @@ class Valve408:
         self._reached = False
 
     def _configure(self, node: "CanNode") -> None:
-        """Set modes, PDOs and watchdogs in pre-operational, then start the exchange."""
-        p = self._p
-        self._running, self._unwatched = False, False
-        node.command("PRE-OPERATIONAL")
-        node.bus_off = False
-        try:
-            node.put(0x6040, 0, "H", 0)
-            for index, name in ((0x6042, "device_mode"), (0x6043, "control_mode")):
-                if p[name]:
-                    node.put(index, 0, "b", p[name])
-            kind = 1 if p["on_sync"] else 255
-            self._map(node, 0x1400, 0x200, kind, (0x6040_00_10, 0x6300_01_10))
-            self._map(node, 0x1800, 0x180, 1, (0x6041_00_10, 0x6301_01_10))
-            node.put(0x1017, 0, "H", round(1e3 * p["heartbeat"]))
-        except LookupError as error:
-            raise DriverError(str(error)) from error
-        node.pump(0.0)
-        node.command("OPERATIONAL")
+        """Configure the valve and start the exchange of PDOs."""
+        self._running = False
+        self._unwatched = not configure(node, self._p) and self._p["watchdog"] > 0.0
         self._faults = {}
         self._status, self._lost, self._lost_lately = 0b1000, 0, Lately()
         self._running = True
         self._ticks = Ticks(self._period)
-
-    def _map(self, node: "CanNode", index: int, base: int, kind: int, objects: tuple[int, ...]) -> None:
-        """Configure the first PDO of one direction: transmission type and mapped objects."""
-        identifier = base + node.node
-        node.put(index, 1, "I", identifier | INVALID | NO_REMOTE)
-        node.put(index, 2, "B", kind)
-        if index == 0x1400:
-            try:
-                node.put(index, 5, "H", round(1e3 * self._p["watchdog"]))
-            except LookupError:
-                self._unwatched = self._p["watchdog"] > 0.0
-        node.put(index + 0x200, 0, "B", 0)
-        for sub, mapped in enumerate(objects, 1):
-            node.put(index + 0x200, sub, "I", mapped)
-        node.put(index + 0x200, 0, "B", len(objects))
-        node.put(index, 1, "I", identifier | NO_REMOTE)
 
     # Exchange
 
@@ -334,6 +281,15 @@ class Valve408:
             found.append(
                 Condition("pdo_lost", "degraded", f"{self._lost_lately.count} actual values did not come")
             )
+        if self._node is not None and not self._running:
+            found.append(
+                Condition(
+                    "polled",
+                    "degraded",
+                    "before enable the actual value is asked for by SDO, at "
+                    "most 100 times a second; losses of PDOs do not show",
+                )
+            )
         if self._unwatched:
             found.append(
                 Condition("no_watchdog", "degraded", "the valve does not watch its set point (0x1400:05): it "
@@ -342,11 +298,23 @@ class Valve408:
         return tuple(found)
 
 
+def make(values: Values, period: float, off: float) -> Driver:
+    """Driver from the values of `PARAMETERS`. Raises ParameterError if the bus is too slow."""
+    bitrate = int(number(values, "canopen.bitrate"))
+    needed = FRAMES / bitrate
+    if needed > period:
+        raise ParameterError(
+            f"canopen.bitrate is {bitrate} bit/s; SYNC and two PDOs take up to {1e3 * needed:.2g} ms, longer "
+            f"than sample_period, {1e3 * period:g} ms"
+        )
+    return Valve408(values, period, off)
+
+
 KIND = Kind(
     name=NAME,
     text="a valve with CANopen, device profile CiA 408",
     parameters=PARAMETERS,
-    make=Valve408,
+    make=make,
     extra=NAME,
     volts="%",
 )
