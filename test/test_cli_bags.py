@@ -99,6 +99,26 @@ def test_compare_bags(run, bags, tmp_path):
     assert (tmp_path / "c.png").read_bytes()[:4] == b"\x89PNG"
 
 
+def test_the_signals_of_a_bag_as_a_table_are_the_bag(run, bags, tmp_path):
+    """What ``--csv`` writes can be analysed, replayed and compared with the bag."""
+    log = tmp_path / "log.csv"
+    assert run("analyze", bags / "arc", "--csv", log, "--to", "1.1").status == 0
+    parts = ("spool_command=command_V", "spool_position=measurement_V", "valve_voltage=voltage_V")
+    maps = [word for part in parts for word in ("--map", part.replace("=", "=log.csv:"))]
+    done = run("analyze", log, *maps)
+    assert done.status == 0 and "log.csv: csv, " in done.out and "0 s by column time_s" in done.out, done.err
+    done = run("replay", log, *maps, "--json", "-")
+    about = json.loads(done.out)
+    assert about["bit_equal"] is True and about["samples"] == len(log.read_text().splitlines()) - 1
+    assert run("analyze", bags / "oarc", "--csv", log).status == 0
+    done = run("compare", bags / "oarc", log, *maps, "--json", "-")
+    bag, table = json.loads(done.out)["runs"]
+    assert table["shift_s"] == pytest.approx(0.0, abs=1e-3) and bag["name"] == "oarc", done.err
+    assert table["indices"]["e_rms"] == pytest.approx(bag["indices"]["e_rms"], rel=1e-12)
+    done = run("bag", "recover", log)
+    assert done.status == 2 and "is not of a bag" in done.err
+
+
 def test_compare_lays_the_motions_over_each_other(run, tmp_path):
     """The same sine after 0.2 s and after 1.1 s of rest; during the second, the LVDT is lost for a while."""
     for name, rest, lost in (("early", 200, 0), ("late", 1100, 60)):

@@ -48,6 +48,24 @@ def test_topics_are_published_at_their_times_and_faster(tmp_path, run):
         assert result.elapsed * rate >= 0.599
 
 
+@pytest.mark.alone
+def test_a_table_is_published_in_volts(tmp_path, run):
+    """Milliampere of a logger, as the topics of the signals, each command before the reading of its row."""
+    commands = 0.01 * np.arange(600.0)
+    log = tmp_path / "log.csv"
+    rows = np.column_stack([np.arange(600.0), (np.array(run.readings) + 15.0) / 1.25, commands])
+    np.savetxt(log, rows, delimiter=";", header="t_ms;lvdt;wanted", comments="", fmt="%.17g")
+    maps = ["time=t_ms*0.001", "spool_position=lvdt@4..20mA", "spool_command=wanted"]
+    with process("recorder", ["-p", f"bag:={tmp_path / 'again'}"], tmp_path / "recorder.log"):
+        result = player.play(str(log), maps, None, 1.0, False, quiet=True)
+    heard = again(tmp_path / "again")
+    assert result.published == 1200 and result.elapsed >= 0.599
+    assert np.allclose(heard["/spool_position"], run.readings, rtol=0.0, atol=1e-12)
+    assert np.array_equal(heard["/spool_command"], commands)
+    with pytest.raises(BagError, match="is a table, which has no topics"):
+        player.play(str(log), maps, ["/lvdt"], 1.0, False, quiet=True)
+
+
 def again(path):
     from valve_control.bags.bag import Bag
 

@@ -1,4 +1,4 @@
-"""Opens a bag from any recorder: a folder with or without metadata.yaml, or a single file."""
+"""Opens a bag from any recorder: a folder with or without metadata.yaml, a single file, or a table."""
 
 import re
 import tempfile
@@ -15,9 +15,13 @@ from valve_control.bags.errors import BagError
 from valve_control.bags.messages import CDR, Block, Integers, Topic, absolute
 from valve_control.bags.placeholders import PlaceholderError, refuse
 from valve_control.bags.sqlite import HEAD, SqliteFile
+from valve_control.bags.table import KINDS as TABLES
+from valve_control.bags.table import TableFile
 
 if TYPE_CHECKING:
     from valve_control.bags.mcap import McapFile
+
+    File = McapFile | SqliteFile | TableFile
 
 Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
@@ -135,6 +139,17 @@ class Bag:
             raise BagError(f"{self.path} has no topics that can be read{reasons}")
 
     @property
+    def table(self) -> TableFile | None:
+        """The table that is read as a bag, None of others."""
+        return next((file for file in self._files if isinstance(file, TableFile)), None)
+
+    def use_times(self, times: Integers, clock: str) -> None:
+        """Give the rows of a table their ``times`` [ns], by the ``clock`` of this name."""
+        assert self.table is not None
+        self.table.use_times(times, clock)
+        self.topics = {topic.name: topic for topic in self.table.topics}
+
+    @property
     def size(self) -> int:
         """Bytes of all files."""
         return sum(file.size for file in self._files)
@@ -147,6 +162,8 @@ class Bag:
     @property
     def begin(self) -> int:
         """Log time [ns] of the first message, 0 if there are none; not of one hours from all near it."""
+        if self.table is not None:
+            return int(self.table.times[0]) if len(self.table.times) else 0
         # A piece may hold nothing: messages of channels that a damaged file does not describe.
         firsts = (next((b for b in file.blocks() if len(b.topic)), None) for file in self._files)
         return min((stretch(block.log_time)[0] for block in firsts if block is not None), default=0)
@@ -170,6 +187,8 @@ class Bag:
         for file in self._files:
             names = [t.name if self._is_known(self._as_told(t)) else "" for t in file.topics]
             wanted = [i for i, name in enumerate(names) if name in topics]
+            if isinstance(file, TableFile):
+                file.wanted = wanted
             for block in file.blocks(start, end, told):
                 block = block._replace(place=before + block.place)
                 before = int(block.place[-1]) + 1 if len(block.place) else before
@@ -223,7 +242,7 @@ class Bag:
 
     # How
 
-    def _open(self) -> "list[McapFile | SqliteFile]":
+    def _open(self) -> "list[File]":
         if not self.path.exists():
             raise BagError(f"there is no bag {self.path}")
         if self.path.is_file():
@@ -236,7 +255,7 @@ class Bag:
             (p for p in self.path.iterdir() if _plain_suffix(p) in KINDS), key=lambda p: (len(p.name), p.name)
         )
         paths, flaw = self._listed(found)
-        files: list[McapFile | SqliteFile] = []
+        files: list[File] = []
         refused = []
         for path in paths:
             try:
@@ -308,7 +327,7 @@ class Bag:
                 )
         return [path for path in paths if path.exists()], ""
 
-    def _recognise(self, files: "Sequence[McapFile | SqliteFile]") -> None:
+    def _recognise(self, files: "Sequence[File]") -> None:
         """Find out whether rosbag2 compressed the messages, where no metadata.yaml says it."""
         if self.compression:
             return
@@ -337,11 +356,15 @@ class Bag:
         known = self.topics[topic.name]
         return (known.type, known.encoding) == (topic.type, topic.encoding)
 
-    def _file(self, path: Path) -> "McapFile | SqliteFile":
+    def _file(self, path: Path) -> "File":
         suffix = _plain_suffix(path)
+        if path.suffix.lower() in TABLES:
+            self.storage = TABLES[path.suffix.lower()]
+            return TableFile(path)
         if suffix not in KINDS:
             raise BagError(
-                f"{path} is not a bag; a bag is a folder with metadata.yaml, an .mcap or a .db3 file"
+                f"{path} is not a bag; a bag is a folder with metadata.yaml, an .mcap or a .db3 file, or a "
+                f"table of numbers ({', '.join(TABLES)})"
             )
         refuse(path)
         self.storage = KINDS[suffix]

@@ -23,10 +23,13 @@ class Topic(NamedTuple):
     definition: str = ""
     type_hash: str = ""
     qos: tuple[dict[str, Any], ...] = ()  # offered by each publisher; () if unknown
+    flaw: str = ""  # why a column of a table cannot be used, "" if it can
 
     @property
     def unreadable(self) -> str:
         """Why its messages cannot be read, whatever is in them; "" if they can."""
+        if self.flaw:
+            return self.flaw
         if self.encoding != CDR:
             kind = self.type or "no type"
             encoding = f"is serialized as {self.encoding}" if self.encoding else "names no serialization"

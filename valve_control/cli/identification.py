@@ -265,7 +265,10 @@ def _triangle(arguments: argparse.Namespace) -> "Experiment":
     """The friction test: of the simulated valve, or out of a bag."""
     if arguments.friction == "":
         return _simulated(arguments, True)
-    told = {"bag": arguments.friction, "start": None, "end": None}
+    from valve_control.recordings import tables
+
+    maps = tables.maps_of(arguments.friction, arguments.map, [arguments.bag, arguments.friction])
+    told = {"bag": arguments.friction, "start": None, "end": None, "map": maps}
     return _recorded(argparse.Namespace(**{**vars(arguments), **told}))
 
 
@@ -321,7 +324,7 @@ def _simulated(arguments: argparse.Namespace, triangle: bool = False) -> "Experi
 
 def _recorded(arguments: argparse.Namespace) -> "Experiment":
     from valve_control.identification import recorded
-    from valve_control.recordings import recording
+    from valve_control.recordings import recording, tables
 
     for name in SIMULATED:
         if getattr(arguments, name) not in (None, []):
@@ -330,9 +333,9 @@ def _recorded(arguments: argparse.Namespace) -> "Experiment":
             )
     if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
         raise ParameterError(f"--to {arguments.end:g} lies not after --from {arguments.start:g}")
-    loaded = recording.load(
-        arguments.bag, arguments.map, arguments.start, arguments.end, clock=arguments.clock
-    )
+    paths = [path for path in (arguments.bag, arguments.friction) if path]
+    maps = tables.maps_of(arguments.bag, arguments.map, paths)
+    loaded = recording.load(arguments.bag, maps, arguments.start, arguments.end, clock=arguments.clock)
     if not loaded.valves:
         raise BagError(f"{arguments.bag} has no topic of a valve")
     valve = recording.chosen(arguments.bag, loaded.valves, arguments.of)

@@ -26,7 +26,11 @@ SHOW_PROGRESS = 20_000_000  # bytes of a bag from which on reading it shows prog
 
 def _bag_options() -> Parser:
     options = Parser(add_help=False)
-    options.add_argument("bag", metavar="BAG", help="folder with metadata.yaml, or an .mcap or .db3 file")
+    options.add_argument(
+        "bag",
+        metavar="BAG",
+        help="folder with metadata.yaml, an .mcap or .db3 file, or a table: .csv or MATLAB's .mat",
+    )
     group = options.add_argument_group("what is read")
     group.add_argument(
         "--map",
@@ -36,7 +40,8 @@ def _bag_options() -> Parser:
         help="what plays the part of spool_command, spool_position or valve_voltage: any number of any "
         "message, such as spool_position=/joint_states.position[0]*250 (volts per unit after *, with an "
         "offset *1.25-15; or one of the words @%%, @0..10V, @4..20mA); boom/spool_position=... for a valve "
-        "named boom; again for more",
+        "named boom; of a table: spool_position=COLUMN*1.25-15, time=COLUMN*0.001 in seconds or "
+        "time=row*0.001 at 1 kHz, and FILE:COLUMN where several are read; again for more",
     )
     group.add_argument(
         "--from", dest="start", type=float, metavar="S", help="begin this long after the bag's beginning [s]"
@@ -145,12 +150,13 @@ def _told(bag: "Bag") -> Callable[[int], None]:
 
 
 def _load(arguments: argparse.Namespace, path: str, journals: bool = False) -> "Recording":
-    from valve_control.recordings import recording
+    from valve_control.recordings import recording, tables
 
     start, end = getattr(arguments, "start", None), getattr(arguments, "end", None)
     if start is not None and end is not None and end <= start:
         raise ParameterError(f"--to {end:g} lies not after --from {start:g}")
-    return recording.load(path, arguments.map, start, end, _told, journals, arguments.clock)
+    maps = tables.maps_of(path, arguments.map, getattr(arguments, "bags", [path]))
+    return recording.load(path, maps, start, end, _told, journals, arguments.clock)
 
 
 def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveAnalysis":

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -23,6 +24,7 @@ from valve_control.recordings.clocks import decide, without_strays
 from valve_control.recordings.mapping import find_valves
 from valve_control.recordings.recording import Valve, align, chosen, load
 
+Integers = npt.NDArray[np.int64]
 MEET = 10.0  # s to wait for somebody who listens
 SETTLE = 0.5  # s in which discovery becomes mutual
 ANSWER = 5.0  # s to wait for a voltage in lockstep
@@ -38,6 +40,16 @@ class Played(NamedTuple):
     late: float  # s, p99 of the delay behind the recorded time
     answers: list[float]  # V, lockstep: voltage to each reading
     differing: int | None  # of them, from the recorded voltage, bit for bit
+
+
+class _Track(NamedTuple):
+    """Messages that are published on one topic."""
+
+    topic: str
+    type: str
+    time: Integers  # ns
+    place: Integers  # among all messages of the recording
+    messages: list[bytes]
 
 
 def play(
@@ -91,39 +103,24 @@ def _timed(
     start: float | None, end: float | None, quiet: bool, clock: str | None,
 ) -> Played:  # fmt: skip
     bag = Bag(path)
-    if topics is None:
-        parts = ("spool_command", "spool_position")
-        valves = find_valves(bag, maps).values()
-        topics = sorted({v.sources[part].topic for v in valves for part in parts if part in v.sources})
-    for name in topics:
-        if bag.topic(name).unreadable:
-            raise BagError(f"{path} cannot be played: {bag.topic(name).unreadable}")
-    begin = bag.begin
-    series = bag.read(
-        {},
-        raw=topics,
-        start=None if start is None else begin + round(start * 1e9),
-        end=None if end is None else begin + round(end * 1e9),
-    )
-    notes: list[str] = []
-    series = without_strays(series, notes)
-    ruling = decide(series, [topics], clock, path)
-    series = ruling.read(series)
-    for note in (*notes, *ruling.notes):
-        node.get_logger().warning(note)
+    if bag.table is not None:
+        tracks = _columns(path, maps, topics, start, end, clock)
+    else:
+        tracks = _topics(node, bag, maps, topics, start, end, clock)
     try:
         publishers = {
-            name: node.create_publisher(message_class(bag.topic(name).type), name, SAMPLES) for name in topics
+            track.topic: node.create_publisher(message_class(track.type), track.topic, SAMPLES)
+            for track in tracks
         }
     except LookupError as error:
         raise BagError(f"{path} cannot be played: {error}") from error
-    if not any(len(entry.raw) for entry in series.values()):
-        raise BagError(f"{path} has no message on {', '.join(topics)}")
-    times = np.concatenate([entry.publish_time for entry in series.values()])
-    owner = np.repeat(np.arange(len(series)), [len(entry.raw) for entry in series.values()])
-    number = np.concatenate([np.arange(len(entry.raw)) for entry in series.values()])
-    order = np.argsort(times, kind="stable")
-    outputs = [(publishers[name], entry.raw) for name, entry in series.items()]
+    if not any(len(track.messages) for track in tracks):
+        raise BagError(f"{path} has no message on {', '.join(publishers)}")
+    times = np.concatenate([track.time for track in tracks])
+    owner = np.repeat(np.arange(len(tracks)), [len(track.messages) for track in tracks])
+    number = np.concatenate([np.arange(len(track.messages)) for track in tracks])
+    order = np.lexsort((np.concatenate([track.place for track in tracks]), times))
+    outputs = [(publishers[track.topic], track.messages) for track in tracks]
     _meet(publishers)
     due = ((times[order] - times[order[0]]) * 1e-9 / rate).tolist()
     delays = []
@@ -143,6 +140,57 @@ def _timed(
     elapsed = time.monotonic() - began
     time.sleep(DRAIN)
     return Played(len(due), elapsed, float(np.percentile(delays, 99)), [], None)
+
+
+def _topics(
+    node: Node, bag: Bag, maps: Sequence[str], topics: Sequence[str] | None, start: float | None,
+    end: float | None, clock: str | None,
+) -> list[_Track]:  # fmt: skip
+    """Messages of ``topics`` of a bag, of the valves' commands and positions if none are named."""
+    if topics is None:
+        parts = ("spool_command", "spool_position")
+        valves = find_valves(bag, maps).values()
+        topics = sorted({v.sources[part].topic for v in valves for part in parts if part in v.sources})
+    for name in topics:
+        if bag.topic(name).unreadable:
+            raise BagError(f"{bag.path} cannot be played: {bag.topic(name).unreadable}")
+    begin = bag.begin
+    series = bag.read(
+        {},
+        raw=topics,
+        start=None if start is None else begin + round(start * 1e9),
+        end=None if end is None else begin + round(end * 1e9),
+    )
+    notes: list[str] = []
+    series = without_strays(series, notes)
+    ruling = decide(series, [topics], clock, bag.path)
+    for note in (*notes, *ruling.notes):
+        node.get_logger().warning(note)
+    return [
+        _Track(name, bag.topic(name).type, one.publish_time, one.place, one.raw)
+        for name, one in ruling.read(series).items()
+    ]
+
+
+def _columns(
+    path: str, maps: Sequence[str], topics: Sequence[str] | None, start: float | None, end: float | None,
+    clock: str | None,
+) -> list[_Track]:  # fmt: skip
+    """Commands and positions [V] of a table's valves, for the topics of these signals."""
+    if topics is not None:
+        raise BagError(f"{path} is a table, which has no topics; --map tells its command and its position")
+    return [
+        _Track(
+            f"{valve.topics.namespace}/{part}",
+            "std_msgs/msg/Float64",
+            valve.signals[part].time,
+            valve.signals[part].place,
+            [encoded(value) for value in valve.signals[part].value.tolist()],
+        )
+        for valve in load(path, maps, start, end, clock=clock).valves.values()
+        for part in ("spool_command", "spool_position")
+        if part in valve.signals
+    ]
 
 
 def _in_lockstep(node: Node, valve: Valve, quiet: bool) -> Played:

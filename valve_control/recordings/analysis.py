@@ -29,6 +29,7 @@ from valve_control.recordings.parameters import Change
 from valve_control.recordings.recording import ESTIMATES, Aligned, Recording, State, Valve, align, at_time
 
 Floats = npt.NDArray[np.float64]
+EPOCH = 10**17  # ns; a table whose times begin before it (1973) has its own zero
 LEAPS = 5  # of one recording that are named
 NONE = Indices(np.nan, np.nan, np.nan, np.nan, np.nan)
 
@@ -304,7 +305,9 @@ def about_bag(result: Analysis) -> dict[str, Any]:
         "bytes": bag.size,
         "version": bag.version,
         "distribution": bag.distribution or None,
-        "start": datetime.datetime.fromtimestamp(begin * 1e-9, datetime.UTC).isoformat(),
+        "start": f"{max(begin, bag.begin) * 1e-9:.6g} s"
+        if bag.table is not None and begin < EPOCH
+        else datetime.datetime.fromtimestamp(begin * 1e-9, datetime.UTC).isoformat(),
         "duration_s": (end - begin) * 1e-9,
         "clock": result.recording.clock.name,
         "topics": {name: topic.type for name, topic in sorted(bag.topics.items())},

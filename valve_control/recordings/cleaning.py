@@ -54,10 +54,13 @@ def seconds(stamp: Integers, begin: int | Integers = 0) -> Floats:
     return (stamp - begin).astype(np.float64) * 1e-9
 
 
-def clean(sources: Mapping[str, Source], series: Mapping[str, Series], problems: list[str]) -> Cleaned:
+def clean(
+    sources: Mapping[str, Source], series: Mapping[str, Series], problems: list[str], rows: bool = False
+) -> Cleaned:
     """Put the signals of one valve in order; what is left out is named in ``problems``.
 
-    ``series``: their publish_time is of the clock of the recording.
+    ``series``: their publish_time is of the clock of the recording; ``rows``: they are columns of a table, of
+    which a row has one stamp.
     """
     raw = {part: _samples(source, series[source.topic], problems) for part, source in sources.items()}
     raw = _one_stretch(raw, problems)
@@ -67,10 +70,13 @@ def clean(sources: Mapping[str, Source], series: Mapping[str, Series], problems:
         recorded = {part: one._replace(time=ties.times[part]) for part, one in recorded.items()}
         name = recorded["spool_position"].topic
         by = "in the order of the file" if len(ties.places) else "one after the other within a stamp"
-        problems.append(
+        note = (
             f"stamps on {name} have a resolution of {1e3 * ties.resolution:.4g} ms, which is too coarse for "
             f"latency, jitter and gaps; messages are paired {by}"
         )
+        if rows and not ties.several:
+            note = "command, reading and voltage of a row count as those of one sample; no latency is told"
+        problems.append(note)
     timed = {part: _one_publisher(samples, problems) for part, samples in recorded.items()}
     usable = {}
     for part, samples in timed.items():

@@ -10,6 +10,7 @@ from scipy.ndimage import median_filter
 
 from valve_control.bags.bag import FAR, Series, edges, stretch
 from valve_control.bags.errors import BagError
+from valve_control.bags.table import TableFile
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -73,6 +74,13 @@ def steps_back(time: Integers, sequence: Integers) -> Integers:
     intervals = np.diff(time)
     usual = float(np.median(intervals)) if in_order(sequence) else np.inf
     return np.flatnonzero(intervals < -min(SMALL_DISORDER * 1e9, BACK * max(usual, 0.0)))
+
+
+def of_table(table: TableFile, wanted: str | None) -> Clock:
+    """The clock of a table's rows. Raises BagError if another is ``wanted``."""
+    if wanted is not None:
+        raise BagError(f"--clock {wanted}: {table.path} is a table, whose rows have one time ({table.clock})")
+    return Clock(table.clock, np.nan, np.nan, ())
 
 
 def decide(

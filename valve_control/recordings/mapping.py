@@ -8,6 +8,7 @@ from valve_control.bags.bag import Bag
 from valve_control.bags.cdr import Decoder, normal
 from valve_control.bags.errors import BagError
 from valve_control.drivers.scaling import Scale, ScaleError, parse
+from valve_control.recordings.tables import empty_notes, is_of, split_file, take_times, topic_of
 
 PARTS = ("spool_command", "spool_position", "valve_voltage")
 TRAJECTORY = "spool_trajectory"  # plays the part of the command where there are no others
@@ -52,14 +53,8 @@ class ValveTopics(NamedTuple):
 
 def parse_map(text: str) -> tuple[str, str, Source]:
     """``[valve/]part=/topic[.field][*factor±offset or @word]`` as valve, part and source. Raises BagError."""
-    left, equals, right = text.partition("=")
-    valve, _, part = left.strip().rpartition("/")
-    if not equals or part not in PARTS or not right.strip():
-        raise BagError(
-            "--map takes part=/topic.field with part spool_command, spool_position or valve_voltage, "
-            f"not '{text}'"
-        )
-    scaled = SCALED.fullmatch(right.strip())
+    valve, part, right = _role(text)
+    scaled = SCALED.fullmatch(right)
     try:
         if scaled is None:
             raise ScaleError("a scale follows its topic, as in /topic.field*1.25-15 or /topic.field@4..20mA")
@@ -70,11 +65,31 @@ def parse_map(text: str) -> tuple[str, str, Source]:
     topic, _, field = source.partition(".")
     topic = topic if topic.startswith("/") else f"/{topic}"
     normal(field or "data")
-    return (
-        valve if valve.strip("/") == ONLY else valve.strip("/") or ONLY,
-        part,
-        Source(topic, field or "data", scale),
-    )
+    return valve, part, Source(topic, field or "data", scale)
+
+
+def _role(text: str) -> tuple[str, str, str]:
+    """Valve and part that the map ``text`` names, and what it gives them. Raises BagError."""
+    left, equals, right = text.partition("=")
+    valve, _, part = left.strip().rpartition("/")
+    if not equals or part not in PARTS or not right.strip():
+        raise BagError(
+            "--map takes part=/topic.field with part spool_command, spool_position or valve_voltage, "
+            f"not '{text}' (of a table: part=COLUMN, and time=COLUMN)"
+        )
+    return valve if valve.strip("/") == ONLY else valve.strip("/") or ONLY, part, right.strip()
+
+
+def _mapped(bag: Bag, text: str) -> tuple[str, str, Source]:
+    """Valve, part and source in ``bag`` that the map ``text`` names. Raises BagError."""
+    valve, part, right = _role(text)
+    if bag.table is not None:
+        topic, scale = topic_of(bag.table, text)
+        return valve, part, Source(topic, "data", scale)
+    file, _ = split_file(right)
+    if file and not is_of(bag.path, file):
+        raise BagError(f"--map {text}: {file} is not what is read, which is {bag.path}")
+    return parse_map(text)
 
 
 def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
@@ -83,6 +98,7 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     Raises BagError if there is none, a mapped topic or field does not exist, or one of their topics cannot be
     read at all.
     """
+    maps = take_times(bag, maps)
     sources: dict[str, dict[str, Source]] = {}
     left_out: list[str] = []
     for name in bag.topics:
@@ -106,7 +122,7 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
             parts["spool_command"] = Source(name, POSITION)
     mapped: dict[tuple[str, str], str] = {}
     for text in maps:
-        valve, part, source = parse_map(text)
+        valve, part, source = _mapped(bag, text)
         if mapped.setdefault((valve, part), text) != text:
             before = mapped[valve, part]
             raise BagError(f"--map {text}: {part} of {valve} is mapped already, by --map {before}")
@@ -123,15 +139,28 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
         raise BagError(f"{bag.path} has no topic of a valve that can be read: {'; '.join(left_out)}")
     bag.problems += left_out
     if not sources:
-        topics = ", ".join(f"{t.name} ({t.type})" for t in bag.topics.values())
-        raise BagError(
-            f"{bag.path} has no spool_command, spool_position or valve_voltage; it has {topics}; name what "
-            "plays their parts with --map spool_position=/topic.field"
-        )
+        raise BagError(_nothing(bag))
+    if bag.table is not None:
+        used = [source.topic for parts in sources.values() for source in parts.values()]
+        bag.problems += empty_notes(bag.table, used)
     return {
         valve: ValveTopics(valve, _namespace(valve), parts, *_own_topics(bag, _namespace(valve)))
         for valve, parts in sorted(sources.items())
     }
+
+
+def _nothing(bag: Bag) -> str:
+    """That no topic plays the part of a signal, and which could."""
+    if bag.table is not None:
+        return (
+            f"{bag.path} has no column spool_command, spool_position or valve_voltage; it has "
+            f"{bag.table.listed}; name the columns that play their parts with --map spool_position=COLUMN"
+        )
+    topics = ", ".join(f"{t.name} ({t.type})" for t in bag.topics.values())
+    return (
+        f"{bag.path} has no spool_command, spool_position or valve_voltage; it has {topics}; name what "
+        "plays their parts with --map spool_position=/topic.field"
+    )
 
 
 def _namespace(valve: str) -> str:

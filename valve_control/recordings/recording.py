@@ -13,7 +13,7 @@ from valve_control.bags.cdr import UNDECODABLE, Decoder, jazzy
 from valve_control.bags.errors import BagError
 from valve_control.recordings import modes, parameters
 from valve_control.recordings.cleaning import Samples, clean, seconds
-from valve_control.recordings.clocks import Clock, decide, without_strays
+from valve_control.recordings.clocks import Clock, decide, of_table, without_strays
 from valve_control.recordings.mapping import STATE_TYPE, ValveTopics, find_valves
 from valve_control.supervision.journal import Block, block
 from valve_control.supervision.state_snapshot import Account, account
@@ -76,6 +76,7 @@ class Valve(NamedTuple):
     doubts: list[str]  # those of them that are about the signals' messages
     clock: Clock  # of all times
     coarse: bool  # whether stamps do not tell latency, jitter and gaps
+    rows: bool = False  # whether the signals are columns of a table, which tells no latency
 
     @property
     def lockstep(self) -> bool:
@@ -148,7 +149,7 @@ def load(
         series |= bag.read({}, raw=raw, end=last)
     found: list[str] = []
     series = without_strays(series, found)
-    ruling = decide(series, groups, clock, path)
+    ruling = of_table(bag.table, clock) if bag.table is not None else decide(series, groups, clock, path)
     if ruling.source and ruling.apart and (start is not None or end is not None):
         # The part that was read is one of times of recording.
         found.clear()
@@ -172,7 +173,9 @@ def load(
         nodes = {name: node.from_time(first) for name, node in nodes.items()}
     said = modes.words([series[name] for name in diagnostics], bag.problems)
     valves = {
-        name: _valve(valve, series, labels.get(valve.state, []), nodes, said, since, ruling)
+        name: _valve(
+            valve, series, labels.get(valve.state, []), nodes, said, since, ruling, bag.table is not None
+        )
         for name, valve in topics.items()
     }
     if not any(len(s.time) for valve in valves.values() for s in valve.signals.values()):
@@ -239,9 +242,10 @@ def _valve(
     said: dict[str, list[modes.Word]],
     since: int,
     clock: Clock,
+    rows: bool,
 ) -> Valve:
     problems: list[str] = []
-    cleaned = clean(topics.sources, series, problems)
+    cleaned = clean(topics.sources, series, problems, rows)
     doubts = list(problems)
     signals = cleaned.usable
     kinds: dict[str, Any] = {}
@@ -257,11 +261,11 @@ def _valve(
     for part in ("spool_command", "spool_position", "valve_voltage"):
         if part not in signals:
             problems.append(f"{topics.name} has no {part}; what needs it is left out")
-    if topics.state == "":
+    if topics.state == "" and not rows:
         problems.append(f"{topics.name} has no ~/state of its controller: no estimates and no V2")
     journal = _journal(series.get(topics.journal), problems)
     accounts = _accounts(series.get(topics.memory))
-    if "controller" not in kinds and not accounts:
+    if "controller" not in kinds and not accounts and not rows:
         problems.append(f"{topics.name}: the bag has no parameters of its controller")
     for node in kinds.values():
         if node.missing and not (accounts and node.kind == "controller"):
@@ -284,7 +288,8 @@ def _valve(
         problems=problems,
         doubts=doubts,
         clock=clock,
-        coarse=cleaned.ties is not None,
+        coarse=cleaned.ties is not None and (cleaned.ties.several or not rows),
+        rows=rows,
     )
 
 
@@ -339,7 +344,7 @@ def align(valve: Valve) -> Aligned:
         after = np.searchsorted(voltages.time, stamp[later], side="right")
         answer = voltages.time[np.minimum(after, len(voltages.time) - 1)]
         answered = (answer > stamp[later]) & (answer <= until[later]) & (own == later)
-        if not valve.coarse:
+        if not (valve.coarse or valve.rows):
             latency = seconds(answer[answered], stamp[answered])
         missed = ~answered
         seen = np.where(answered, answer, stamp)
@@ -363,7 +368,7 @@ def align(valve: Valve) -> Aligned:
         measurement=measurement[first:],
         voltage=voltage[first:],
         latency=latency,
-        unanswered=None if valve.coarse else int(np.count_nonzero(missed[first:])),
+        unanswered=None if valve.coarse or valve.rows else int(np.count_nonzero(missed[first:])),
         wall=not valve.lockstep,
     )
 

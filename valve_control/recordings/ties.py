@@ -46,6 +46,7 @@ class Ties(NamedTuple):
     times: dict[str, Integers]  # ns, by part
     places: Integers  # of the readings, if the order in the file counts
     vague: bool  # whether nothing tells between which readings the commands came
+    several: bool  # whether readings share their stamps among themselves, not only with other signals
 
     def of(self, time: Integers, place: Integers) -> Integers:
         """Times [ns] of messages with the stamps ``time`` by their ``place`` between the readings.
@@ -79,7 +80,7 @@ def untied(signals: Mapping[str, Messages]) -> Ties | None:
     ordered = several and answers is not None and _interleaved(readings.place, answers.place)
     times = {part: _spread(one) for part, one in signals.items()}
     places = readings.place if ordered else readings.place[:0]
-    ties = Ties(usual_step(readings.time), times, places, False)
+    ties = Ties(usual_step(readings.time), times, places, False, several)
     counted, lead = _numbers(readings), times["spool_position"]
     period = round(float(np.median(np.diff(lead))))
     numbers = np.concatenate([[counted[0] - 1], counted, [counted[-1] + 1]])

@@ -1,0 +1,325 @@
+"""Tables of numbers, text and MATLAB files, read as bags: the same run as a bag is the reference."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made import Run, write
+from scipy.io import savemat
+
+from valve_control.bags import columns
+from valve_control.bags.errors import BagError
+from valve_control.recordings.analysis import analyze
+from valve_control.recordings.recording import align, load
+from valve_control.recordings.tables import maps_of
+
+PLAIN = ["spool_command=command", "spool_position=lvdt", "valve_voltage=u"]
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    run = Run()
+    run.move(900)
+    valve = load(write(tmp_path_factory.mktemp("reference") / "bag", run.messages)).valves["valve"]
+    return align(valve)
+
+
+def rows(reference):
+    """Time [s], command, reading and voltage [V] of each sample, from an odd zero."""
+    time = 12.5 + np.arange(len(reference.time)) * 1e-3
+    return np.column_stack([time, reference.command, reference.measurement, reference.voltage])
+
+
+def text(table, separator=",", comma=False, form="%.17g"):
+    lines = [separator.join(form % number for number in row) for row in table.tolist()]
+    return "\n".join(line.replace(".", ",") if comma else line for line in lines) + "\n"
+
+
+HEADER = "time_s,command,lvdt,u\n"
+TEXTS = {
+    "plain": (lambda t: HEADER + text(t), PLAIN),
+    "semicolons and decimal commas, as a German spreadsheet": (
+        lambda t: "sep=;\r\n" + "Zeit [s];Soll;Weg;U\r\n" + text(t, ";", True).replace("\n", "\r\n"),
+        ["spool_command=Soll", "spool_position=Weg", "valve_voltage=U"],
+    ),
+    "tabs, no header, milliseconds": (
+        lambda t: text(t * [1e3, 1, 1, 1], "\t"),
+        ["time=1*0.001", "spool_command=2", "spool_position=3", "valve_voltage=4"],
+    ),
+    "spaces, a remark as header": (
+        lambda t: "% logged by hand\n# time command lvdt u\n" + text(t, "  "),
+        PLAIN,
+    ),
+    "spaces and decimal commas": (
+        lambda t: "t c y u\n" + text(t, " ", True),
+        ["spool_command=c", "spool_position=y", "valve_voltage=u"],
+    ),
+    "sample period": (lambda t: "command,lvdt,u\n" + text(t[:, 1:]), [*PLAIN, "time=row*0.001+3"]),
+    "milliampere with offset": (
+        lambda t: (
+            "time_s,command,lvdt_mA,u\n" + text(np.column_stack([t[:, :2], (t[:, 2] + 15) / 1.25, t[:, 3]]))
+        ),
+        ["spool_command=command", "spool_position=log.csv:lvdt_mA*1.25-15", "valve_voltage=u"],
+    ),
+    "head of an oscilloscope, units below the names": (
+        lambda t: "Model,DPO2014\nInterval,0.001\n\nTime,Ch A,Ch B,Ch C\n(s),(V),(V),(V)\n\n" + text(t),
+        ["spool_command=Ch A", "spool_position=Ch B", "valve_voltage=Ch C"],
+    ),
+    "names with the signs of scales and topics, quoted": (
+        lambda t: 'time,"cmd, wanted",a*b-2.x,/boom/u [V]\n' + text(t),
+        ["spool_command=cmd, wanted", "spool_position=a*b-2.x", "valve_voltage=/boom/u [V]*1"],
+    ),
+    "text beside the numbers, commas at the ends": (
+        lambda t: (
+            "clock,time_s,command,lvdt,u,\n"
+            + "".join(f"2026-11-27 10:00:00,{line},\n" for line in text(t).splitlines())
+        ),
+        PLAIN,
+    ),
+    "UTF-16 of a spreadsheet": (lambda t: "\ufeff" + HEADER.replace(",", "\t") + text(t, "\t"), PLAIN),
+    "a mark of the byte order, a name with a degree sign": (
+        lambda t: "\ufefftime_s,command,lvdt,u,T [°C]\n" + text(np.column_stack([t, t[:, 0]])),
+        PLAIN,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_a_text_gives_the_signals_of_the_bag(tmp_path, reference, kind):
+    make, maps = TEXTS[kind]
+    path = tmp_path / "log.csv"
+    path.write_bytes(make(rows(reference)).encode("utf-16-le" if "UTF-16" in kind else "utf-8"))
+    same(path, maps, reference, 1e-12)
+
+
+def same(path, maps, reference, tolerance=0.0):
+    """That the table ``path`` is the run that the reference is."""
+    valve = load(path, maps).valves["valve"]
+    found = align(valve)
+    for name in ("command", "measurement", "voltage"):
+        assert np.allclose(getattr(found, name), getattr(reference, name), rtol=0.0, atol=tolerance), name
+    assert np.allclose(found.time, np.arange(len(reference.time)) * 1e-3, atol=2e-9)
+    assert len(found.latency) == 0 and found.unanswered is None
+    return valve
+
+
+MATLAB = {
+    "vectors": (
+        lambda t: {"t": t[:, 0], "command": t[:, 1], "lvdt": t[:, 2], "u": t[:, 3], "Ts": 1e-3, "note": "x"},
+        PLAIN,
+    ),
+    "a matrix": (
+        lambda t: {"data": t},
+        ["time=data(:,1)", "spool_command=data(:,2)", "spool_position=data(:,3)", "valve_voltage=4"],
+    ),
+    "a structure, as Simulink saves it": (
+        lambda t: {
+            "out": {
+                "time": t[:, 0],
+                "signals": [{"values": t[:, k], "label": "s"} for k in (1, 2, 3)],
+            },
+        },
+        [
+            "time=out.time",
+            "spool_command=out.signals(1).values",
+            "spool_position=out.signals(2).values",
+            "valve_voltage=out.signals(3).values",
+        ],
+    ),
+    "integers of a converter": (
+        lambda t: {"k": np.arange(len(t), dtype=np.uint16), "c": t[:, 1], "y": t[:, 2], "u": t[:, 3]},
+        ["time=k*1e-3", "spool_command=c", "spool_position=y", "valve_voltage=u"],
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", MATLAB)
+def test_a_matlab_file_gives_the_signals_of_the_bag(tmp_path, reference, kind):
+    make, maps = MATLAB[kind]
+    savemat(tmp_path / "log.mat", make(rows(reference)))
+    same(tmp_path / "log.mat", maps, reference)
+
+
+def test_a_coarse_time_keeps_the_rows_together(tmp_path, reference):
+    """Ten rows have one stamp, and the command stands behind the reading."""
+    table = rows(reference)
+    table[:, 0] = np.round(table[:, 0], 2)
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,lvdt,u,command\n" + text(table[:, [0, 2, 3, 1]]))
+    found = align(load(path, PLAIN).valves["valve"])
+    count = len(reference.time)
+    assert count - 25 < len(found.time) <= count
+    first = count - len(found.time)
+    assert np.array_equal(found.measurement, reference.measurement[first:])
+    assert np.array_equal(found.command, reference.command[first:])
+    assert np.array_equal(found.voltage[:-1], reference.voltage[first:-1])
+
+
+def test_empty_cells_are_no_messages(tmp_path, reference):
+    """A command that a logger writes at 100 Hz is held between its rows."""
+    table = rows(reference)
+    lines = [
+        f"{t:.17g},{c if k % 10 == 0 else ''},{y:.17g},{u:.17g}"
+        for k, (t, c, y, u) in enumerate(table.tolist())
+    ]
+    path = tmp_path / "log.csv"
+    path.write_text(HEADER + "\n".join(lines))
+    recording = load(path, PLAIN)
+    found = align(recording.valves["valve"])
+    assert np.array_equal(found.command, np.repeat(reference.command[::10], 10)[: len(found.command)])
+    assert any("command is empty in 810 of 900 rows" in note for note in recording.problems)
+
+
+def test_indices_are_those_of_the_bag(tmp_path, reference):
+    path = tmp_path / "log.csv"
+    path.write_text(HEADER + text(rows(reference)))
+    result = analyze(load(path, PLAIN)).valves["valve"]
+    error = reference.measurement - reference.command
+    assert result.parts[0].indices.e_rms == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=1e-12)
+    assert result.timing["spool_position"].gaps == 0 and result.timing["spool_position"].lost is None
+    assert result.timing["spool_position"].rate_hz == pytest.approx(1000.0)
+
+
+def test_a_column_of_a_namespace_is_a_valve_of_its_own(tmp_path, reference):
+    table = rows(reference)
+    path = tmp_path / "log.csv"
+    path.write_text("time,boom/spool_position,boom/spool_command\n" + text(table[:, [0, 2, 1]]))
+    assert list(load(path).valves) == ["boom"]
+
+
+GOOD = HEADER + "0,0,0,0\n0.001,0,1,0\n0.002,0,2,0\n"
+REFUSED = {
+    "no such column": (
+        GOOD,
+        ["spool_position=lvdt_mA*2"],
+        "has no column lvdt_mA; it has time_s, command, lvdt, u",
+    ),
+    "no number": (GOOD.replace("0.001,0,1", "0.001,0,one"), PLAIN, "column lvdt holds 'one' in line 3"),
+    "no number far below": (
+        HEADER + "".join(f"{k},0,{'x1' if k == 700 else 1},0\n" for k in range(900)),
+        PLAIN,
+        "column lvdt holds 'x1' in line 702",
+    ),
+    "a ragged row": (GOOD + "0.003,0,1\n", PLAIN, "line 5 has 3 entries, line 2 has 4"),
+    "time that runs backwards": (
+        GOOD + "0.001,0,1,0\n",
+        PLAIN,
+        "backwards from row 3 to row 4, from 0.002 to 0.001",
+    ),
+    "a time that is missing": (GOOD + ",0,1,0\n", PLAIN, "no time in row 4"),
+    "a time that stands": (GOOD.replace("0.001", "0").replace("0.002", "0"), PLAIN, "same time"),
+    "time without its factor": (
+        "stamp,y\n1790000000000000000,1\n1790000000001000000,2\n",
+        ["spool_position=y"],
+        "1e-9",
+    ),
+    "no time at all": ("a,b\n1,2\n3,4\n", ["spool_position=a"], "--map time=COLUMN"),
+    "several times": ("t,time,y\n1,2,3\n3,4,3\n", ["spool_position=y"], "t, time may be times"),
+    "two columns of one name": (
+        "time,y,y\n0,1,2\n1,1,2\n",
+        ["spool_position=y"],
+        "2 columns y; take one by its number",
+    ),
+    "no part": (GOOD, [], "name the columns that play their parts with --map spool_position=COLUMN"),
+    "a scale that is none": (GOOD, ["spool_position=lvdt*0"], "is no scale"),
+    "another file": (GOOD, ["spool_position=other.csv:lvdt"], "other.csv is not the table that is read"),
+    "time twice": (GOOD, [*PLAIN, "time=row*1", "time=time_s"], "mapped already, by --map time=row"),
+    "no numbers": ("a,b\nc,d\n", PLAIN, "no table of numbers"),
+    "nothing": ("", PLAIN, "is empty"),
+    "commas that may be thousands": (
+        "time\ty\n0\t1,250\n1\t1,350\n",
+        ["spool_position=y"],
+        "decimals or thousands",
+    ),
+    "a comma among points": ("time\ty\n0.5\t1.25\n1.5\t1,35\n", ["spool_position=y"], "line 3, with a comma"),
+    "one row": ("time,y\n1,2\n", ["spool_position=y"], "1 row"),
+    "no text": (b"time,y\n\0\0\0", PLAIN, "is no text"),
+    "an empty column": ("time,y\n1,\n2,\n", ["spool_position=y"], "column y holds nothing"),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_a_table_that_cannot_be_used_is_refused_in_one_sentence(tmp_path, kind):
+    content, maps, words = REFUSED[kind]
+    path = tmp_path / "log.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(BagError) as caught:
+        load(path, maps)
+    said = str(caught.value)
+    assert words in said and "\n" not in said and (str(path) in said or said.startswith("--map "))
+
+
+def test_a_bad_column_that_nobody_needs_does_no_harm(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(GOOD.replace("0.002,0,2,0", "0.002,n.a.,2,off"))
+    recording = load(path, ["spool_position=lvdt"])
+    assert recording.valves["valve"].signals["spool_position"].value.tolist() == [0.0, 1.0, 2.0]
+
+
+def test_matlab_files_that_cannot_be_used(tmp_path):
+    cases = {
+        "hdf5": (
+            b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\x02IM" + b"\x89HDF\r\n\x1a\n",
+            "with the option -v7",
+        ),
+        "torn": (
+            b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\x01IM" + b"\x0f\0\0\0\xff\0\0\0abc",
+            "not a MATLAB file",
+        ),
+        "words": (b"time,y\n1,2\n" * 20, "not a MATLAB file"),
+    }
+    for name, (content, words) in cases.items():
+        path = tmp_path / f"{name}.mat"
+        path.write_bytes(content)
+        with pytest.raises(BagError, match=words):
+            load(path, PLAIN)
+    savemat(tmp_path / "none.mat", {"Ts": 1.0, "name": "valve"})
+    with pytest.raises(BagError, match=r"has no vector of numbers; it has Ts \(float\), name \(str\)"):
+        load(tmp_path / "none.mat", PLAIN)
+    savemat(tmp_path / "lengths.mat", {"time": np.arange(5.0), "y": np.arange(4.0), "c": np.arange(5.0) * 1j})
+    for column, words in (("y", "4 rows and the time 5"), ("c", "complex")):
+        with pytest.raises(BagError, match=words):
+            load(tmp_path / "lengths.mat", [f"spool_position={column}"])
+
+
+def test_options_that_a_table_cannot_have(tmp_path, reference):
+    path = tmp_path / "log.csv"
+    path.write_text(GOOD)
+    with pytest.raises(BagError, match="rows have one time"):
+        load(path, PLAIN, clock="publish")
+    run = Run()
+    run.move(30)
+    with pytest.raises(BagError, match="has times of its own"):
+        load(write(tmp_path / "bag", run.messages), ["time=row*0.001"])
+
+
+def test_maps_of_several_files():
+    maps = ["time=row*0.001", "spool_position=a.csv:y", "spool_position=b.csv:x", "spool_command=c"]
+    assert maps_of("runs/a.csv", maps, ["runs/a.csv", "b.csv", "bag"]) == [maps[0], maps[1], maps[3]]
+    assert maps_of("bag", maps, ["runs/a.csv", "b.csv", "bag"]) == [maps[3]]
+    assert maps_of("a.csv", maps, ["a.csv"]) == maps  # and the map of b.csv is refused when it is read
+
+
+numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    table=st.integers(2, 4).flatmap(
+        lambda n: st.lists(st.lists(numbers, min_size=n, max_size=n), min_size=2)
+    ),
+    separator=st.sampled_from([";", "\t", ",", " "]),
+    comma=st.booleans(),
+    header=st.booleans(),
+)
+def test_any_table_comes_back_or_is_doubted(tmp_path_factory, table, separator, comma, header):
+    """Never another number than the one that was written."""
+    comma = comma and separator != ","
+    path = tmp_path_factory.getbasetemp() / "any.csv"
+    names = separator.join("abcd"[: len(table[0])]) + "\n" if header else ""
+    path.write_text(names + text(np.array(table), separator, comma))
+    found = columns.read(path)
+    assert len(found) == len(table[0])
+    for column, wanted in zip(found, np.array(table).T, strict=True):
+        assert column.flaw or np.array_equal(column.values, wanted)
+        assert not column.flaw or (comma and "thousands" in column.flaw)

@@ -1,0 +1,182 @@
+"""Maps the columns of a table: its times, and what plays the parts of a valve."""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.bags.bag import Bag
+from valve_control.bags.errors import BagError
+from valve_control.bags.table import KINDS, TableFile
+from valve_control.drivers.scaling import Scale, ScaleError, parse
+
+TIME = "time"
+ROW = "row"  # the number of a row from 0, as in time=row*0.001
+OF_FILE = re.compile(rf"(?P<file>[^:]+(?:{'|'.join(map(re.escape, KINDS))})):(?P<column>.+)", re.IGNORECASE)
+SCALED = re.compile(r"(?P<column>.+?)\s*(?P<scale>@[^@]+|\*[^*]+)")
+USUAL = re.compile(
+    r"(?:time|t|zeit|(?P<stamp>(?:time)?stamp))(?:[\s_]*[\[(]\s*|[\s_]+|$)(?P<unit>s|sec|ms|us|µs|ns|)\s*[\])]?",
+    re.IGNORECASE,
+)
+UNITS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+LONGEST = 9e9  # s, as long as nanoseconds can be counted
+
+
+def split_file(right: str, named: Sequence[str] = ()) -> tuple[str, str]:
+    """``FILE:column`` as name of the table ("" without one) and the rest; ``named``: columns' own names."""
+    found = OF_FILE.fullmatch(right)
+    return (
+        ("", right) if found is None or right in named else (found["file"].strip(), found["column"].strip())
+    )
+
+
+def is_of(path: Path, file: str) -> bool:
+    """Whether ``file``, as a user named it, is the table ``path``."""
+    return file in ("", str(path), path.name)
+
+
+def maps_of(path: str, maps: Sequence[str], paths: Sequence[str]) -> list[str]:
+    """Those of the ``maps`` that are for ``path`` where all of ``paths`` are read.
+
+    Left out are maps that name another of the files, and times where ``path`` is no table.
+    """
+    kept = []
+    for text in maps:
+        left, _, right = text.partition("=")
+        file, _ = split_file(right.strip())
+        others = [Path(other) for other in paths if other != path]
+        if file and not is_of(Path(path), file) and any(is_of(other, file) for other in others):
+            continue
+        if left.strip() == TIME and not is_table(path) and any(map(is_table, paths)):
+            continue
+        kept.append(text)
+    return kept
+
+
+def is_table(path: Path | str) -> bool:
+    """Whether the name ``path`` is that of a table."""
+    return Path(path).suffix.lower() in KINDS
+
+
+def column_of(table: TableFile, text: str) -> tuple[str, Scale]:
+    """Column and scale that the map ``text`` names behind its ``=``: ``[FILE:]column[*factor±offset]``.
+
+    A column is taken by its exact name, or by its number from 1. Raises BagError.
+    """
+    right = text.partition("=")[2].strip()
+    file, right = split_file(right, [column.name for column in table.columns])
+    if not is_of(table.path, file):
+        raise BagError(f"--map {text}: {file} is not the table that is read, which is {table.path}")
+    if table.named(right):
+        return right, Scale(1.0)
+    found = SCALED.fullmatch(right)
+    if found is None:
+        return right, Scale(1.0)
+    try:
+        return found["column"], parse(found["scale"].removeprefix("@"))
+    except ScaleError as error:
+        raise BagError(f"--map {text}: {error}") from None
+
+
+def topic_of(table: TableFile, text: str) -> tuple[str, Scale]:
+    """Topic of the column that the map ``text`` names, and its scale. Raises BagError."""
+    name, scale = column_of(table, text)
+    return table.topics[table.column(name)].name, scale
+
+
+def take_times(bag: Bag, maps: Sequence[str]) -> list[str]:
+    """The ``maps`` of parts; those of the time tell when the rows of a table were taken.
+
+    Without such a map a column with a usual name is taken. Raises BagError.
+    """
+    timed = [text for text in dict.fromkeys(maps) if text.partition("=")[0].strip() == TIME]
+    rest = [text for text in maps if text not in timed]
+    table = bag.table
+    if table is None:
+        if timed:
+            raise BagError(f"--map {timed[0]}: {bag.path} has times of its own; only a table's are mapped")
+        return rest
+    if len(timed) > 1:
+        raise BagError(f"--map {timed[1]}: the time is mapped already, by --map {timed[0]}")
+    name, scale = column_of(table, timed[0]) if timed else _usual(table)
+    if name == ROW and not table.named(ROW):
+        values = np.arange(_rows(table, rest), dtype=np.float64)
+        clock = f"{ROW}{scale}"
+    else:
+        column = table.columns[table.column(name)]
+        if column.flaw:
+            raise BagError(f"{bag.path}: {column.flaw}")
+        values = column.values
+        clock = f"column {name}{scale if scale != Scale(1.0) else ''}"
+    if not timed:
+        bag.problems.append(f"the time is {clock}, in seconds; --map time=COLUMN*FACTOR takes another")
+    _check(bag.path, values, scale, clock)
+    bag.use_times(np.round((values * scale.factor + scale.offset) * 1e9).astype(np.int64), clock)
+    return rest
+
+
+def _usual(table: TableFile) -> tuple[str, Scale]:
+    """The only column whose name is that of a time. Raises BagError if there is none, or several."""
+    times = [
+        (column.name, named)
+        for column in table.columns
+        if (named := USUAL.fullmatch(column.name)) and not column.flaw
+    ]
+    found = [
+        (name, Scale(UNITS[named["unit"].lower()]))
+        for name, named in times
+        if not named["stamp"] or all(other["stamp"] for _, other in times)
+    ]
+    if len(found) == 1:
+        return found[0]
+    several = f"{', '.join(name for name, _ in found)} may be times; " if found else ""
+    raise BagError(
+        f"{table.path}: {several}say when its rows were taken: --map time=COLUMN*FACTOR in seconds, or "
+        f"--map time=row*PERIOD; its columns are {table.listed}"
+    )
+
+
+def _rows(table: TableFile, maps: Sequence[str]) -> int:
+    """Rows of the first column that is mapped, or of most columns."""
+    for text in maps:
+        return len(table.columns[table.column(column_of(table, text)[0])].values)
+    return max(
+        Counter(len(column.values) for column in table.columns).items(), key=lambda entry: entry[::-1]
+    )[0]
+
+
+def empty_notes(table: TableFile, topics: Sequence[str]) -> list[str]:
+    """Where cells of the columns ``topics`` are empty, in words."""
+    return [
+        f"{topic.name.removeprefix('/')} is empty in {np.count_nonzero(~column.filled)} of "
+        f"{len(column.filled)} rows"
+        for topic, column in zip(table.topics, table.columns, strict=True)
+        if topic.name in topics and not column.filled.all()
+    ]
+
+
+def _check(path: Path, values: npt.NDArray[np.float64], scale: Scale, clock: str) -> None:
+    """Raise BagError unless ``values`` times ``scale`` are times of rows one after the other."""
+    if len(values) < 2:
+        raise BagError(f"{path} has {len(values)} row(s); a recording needs more")
+    unknown = np.flatnonzero(~np.isfinite(values))
+    if len(unknown):
+        raise BagError(f"{path} has no time in row {unknown[0] + 1} ({clock}); each row needs one")
+    times = values * scale.factor + scale.offset
+    back = np.flatnonzero(np.diff(times) < 0.0)
+    if len(back):
+        at = int(back[0])
+        raise BagError(
+            f"{path}: the time runs backwards from row {at + 1} to row {at + 2}, from {times[at]:.10g} to "
+            f"{times[at + 1]:.10g} s ({clock}); sort the rows, or cut the file there"
+        )
+    if times[-1] == times[0]:
+        raise BagError(f"{path}: all rows have the same time, {times[0]:.10g} s ({clock})")
+    if np.max(np.abs(times)) > LONGEST:
+        raise BagError(
+            f"{path}: the time reaches {times[int(np.argmax(np.abs(times)))]:.3g} s ({clock}); give its "
+            "factor to seconds, as in --map time=stamp_ns*1e-9"
+        )
