@@ -22,9 +22,10 @@ def test_shipped_gains_do_not_overshoot_steps(found, valve, law):
     assert max(found[f"{valve}_{law}.yaml"].overshoot) <= 0.05
 
 
-def test_arc_rests_at_the_command_in_spite_of_the_offset_of_the_experiments_valve(found):
-    """With bounds of θ4 below the valve's offset it stands 36 mV off."""
-    assert found["d3fxe_experiment_arc.yaml"].rest < 0.008
+@pytest.mark.parametrize("law", ("arc", "oarc"))
+def test_adaptive_laws_rest_at_the_command_in_spite_of_the_offset_of_the_experiments_valve(found, law):
+    """With bounds of θ4 below the valve's offset they stand 36 and 19 mV off."""
+    assert found[f"d3fxe_experiment_{law}.yaml"].rest < 0.008
 
 
 def test_the_table_of_the_docs_is_that_of_the_command(found):
