@@ -356,6 +356,18 @@ def test_dither_narrows_the_loop_of_friction():
     assert width(1.0) < 0.3 * width(0.0)
 
 
+@pytest.mark.parametrize(("overlap", "factor"), [(0.0, 1.0), (-0.5, 2.0)])
+def test_around_zero_both_sides_of_an_underlapped_magnet_act(overlap, factor):
+    p = made(gain=0.9, positive=1.0, negative=0.8, overlap=overlap, natural_frequency=30.0)
+    x = [run(p, [voltage] * 300)[-1, 0] for voltage in (0.2, -0.2)]
+    assert (x[0] - x[1]) / 0.4 == pytest.approx(factor * 0.9 * 0.9, rel=1e-6)
+    like = solenoid_valve.linear(p)
+    state = valve.initial(like)
+    for _ in range(300):
+        state = valve.step(like, state, 0.2)
+    assert state.x.x0 == pytest.approx(factor * 0.9 * 0.9 * 0.2, rel=1e-6)
+
+
 # LVDT
 
 

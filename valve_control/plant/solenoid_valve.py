@@ -223,6 +223,8 @@ def linear(params: solenoid.Params) -> valve.Params:
         gain=spool.gain / stiff,
     )
     made = transfer(params.magnet, with_flow)
+    if params.magnet.overlap < 0.0:
+        made = made.scaled(2.0)  # underlap: both sides act around 0 V
     own = params.sensor.lvdt._replace(delay=delay)
     return valve.design(made, params.period, params.u_max, 1.0, d, own)
 
