@@ -1,5 +1,6 @@
 """CANopen, CiA 408: the driver against a valve in another process, behind slcan on a pseudo-terminal."""
 
+import signal
 import sys
 import time
 
@@ -158,6 +159,7 @@ def test_a_valve_that_cannot_watch_its_set_point_is_told_all_the_time():
      (("5", "402"), {}, "node 5 has the device profile 402; it must have 408"),
      (("5", "408", "0x6311:1"), {}, "refuses object 0x6311:01.*set canopen.reference"),
      (("5",), {"interface": "no_such"}, r"no CAN bus /dev/pts/\d+ \(no_such\)"),
+     (("5",), {"interface": "kvaser"}, r"no CAN bus /dev/pts/\d+ \(kvaser\)"),
      (("5",), {"channel": "/dev/no_such"}, r"no CAN bus /dev/no_such \(slcan\)")],
 )  # fmt: skip
 def test_a_wrong_bus_or_node_is_named(words, changes, said):
@@ -174,6 +176,23 @@ def test_an_adapter_that_is_pulled_out_is_told():
         for _ in range(50):
             made.read()
     made.close()
+
+
+def test_an_adapter_that_takes_no_frames_is_told_and_holds_nothing_up():
+    with device("valve_408", "5", "408", "", str(PERIOD)) as valve:
+        made = driver(valve)
+        made.open()
+        activate(made, valve)
+        valve.child.send_signal(signal.SIGSTOP)
+        longest = 0.0
+        with pytest.raises(DriverError, match="the CAN bus does not take frames"):
+            while True:  # until the line is full
+                before = time.monotonic()
+                for _ in range(20):
+                    made.write(0.0)
+                longest = max(longest, time.monotonic() - before)
+        assert longest < 1.0
+        made.close()
 
 
 def test_a_missing_library_is_named_with_its_extra(valve, monkeypatch):

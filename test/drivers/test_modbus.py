@@ -99,7 +99,7 @@ def test_a_device_that_dies_is_told_and_opened_anew_when_it_is_back():
     with pytest.raises(DriverError, match="closed the connection"):
         valve.read()
     valve.close()
-    with pytest.raises(DriverError, match=r"no Modbus device answers at 127\.0\.0\.1:\d+, unit 1,"):
+    with pytest.raises(DriverError, match=r"no Modbus device answers at 127\.0\.0\.1:\d+ \(unit 1\);"):
         valve.open()
     with device("valve_modbus", io.address, str(PERIOD)):
         valve.open()
@@ -109,7 +109,7 @@ def test_a_device_that_dies_is_told_and_opened_anew_when_it_is_back():
 
 @pytest.mark.parametrize(
     ("changes", "words"),
-    [({"unit": 9}, "unit 9, refuses input register 3: exception"),
+    [({"unit": 9}, r"\(unit 9\) refuses input register 3: exception"),
      ({"input": 4}, r"refuses input register 4: exception 2 \(no such address\)"),
      ({"input": 4, "input_kind": "holding"}, "refuses holding register 4"),
      ({"host": "no.such.host.invalid"}, "no Modbus device answers at no.such.host.invalid")],

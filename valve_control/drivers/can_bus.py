@@ -20,7 +20,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from valve_control.drivers.driver import DriverError
 
 BUS_OFF = 0x40  # in the identifier of an error frame
-SYNC = 0x80
+SEND_TIMEOUT = 0.05  # s
 
 
 class Client(SdoClient):
@@ -40,6 +40,15 @@ class Client(SdoClient):
         return answer
 
 
+class Network(canopen.Network):
+    """A network that does not wait for ever for an adapter that takes no frames."""
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Send a frame. Raises CanError if it is not taken in time."""
+        frame = can.Message(arbitration_id=can_id, is_extended_id=False, data=data, is_remote_frame=remote)
+        self.bus.send(frame, timeout=SEND_TIMEOUT)
+
+
 class CanNode:
     """The bus, and the one node on it that is spoken to."""
 
@@ -51,13 +60,13 @@ class CanNode:
         self.bus_off = False
         try:
             self._bus = can.Bus(**bus)
-        except (can.CanError, OSError, ValueError, ImportError) as error:
+        except Exception as error:  # the makers' libraries raise all kinds of errors
             raise DriverError(f"no CAN bus {bus['channel']} ({bus['interface']}): {error}") from error
         try:
             self._fileno = self._bus.fileno()
         except (NotImplementedError, can.CanError):
             self._fileno = -1
-        self._network = canopen.Network(self._bus)
+        self._network = Network(self._bus)
         self._remote = canopen.RemoteNode(node, canopen.ObjectDictionary())
         self._sdo = Client(0x600 + node, 0x580 + node, self._remote.object_dictionary)
         self._sdo.RESPONSE_TIMEOUT, self._sdo.pump = sdo_timeout, self.pump

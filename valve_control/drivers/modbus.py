@@ -150,7 +150,7 @@ class ModbusTcp:
 
     @property
     def _where(self) -> str:
-        return f"{self._p['host']}:{self._p['port']}, unit {self._p['unit']},"
+        return f"{self._p['host']}:{self._p['port']} (unit {self._p['unit']})"
 
     @property
     def _input(self) -> str:
