@@ -161,3 +161,34 @@ def test_shipped_gains_are_stable_within_the_limit(name, config):
                 spool = valve.step(plant, spool, voltage)
             largest = np.abs(position)
             assert max(largest[-500:]) < 1e-3 * max(largest[:500]), (factor, gain)
+
+
+def arrivals(made, seconds, size, began=0, jitter=0.0, held_up=0.0):
+    """Readings in bursts of ``size``; ``held_up``: share of them before which the process stands still."""
+    random = np.random.default_rng(1)
+    seen, said = 0.0, set()
+    for k in range(began, began + round(seconds / PERIOD)):
+        due = (k // size + 1) * size * PERIOD + jitter * abs(random.standard_normal())
+        due += 0.008 * (random.random() < held_up)
+        now = max(due, seen + 2e-4)  # a reading is answered within 0.2 ms
+        made.command(0.0)
+        made.sample(1e-4 * (k % 2), k, now - seen)
+        seen = now
+        said |= set(made.conditions)
+    return said
+
+
+@pytest.mark.parametrize("size", [2, 4, 10])
+def test_bursts_of_readings_are_reported_and_the_word_ends_with_them(size):
+    made = supervisor()
+    assert "lvdt_bursts" in arrivals(made, 4.0, size)
+    assert made.mode is Mode.DEGRADED
+    several = float(made.conditions["lvdt_bursts"].split("of about ")[1].split(",")[0])
+    assert several == pytest.approx(size, rel=0.1)
+    arrivals(made, 0.3, 1, 4000)
+    assert "lvdt_bursts" not in made.conditions
+
+
+def test_jitter_and_standstills_are_no_bursts():
+    """Readings late by 0.3 ms rms, and 8 ms in which nothing is answered 20 times a second."""
+    assert "lvdt_bursts" not in arrivals(supervisor(), 4.0, 1, jitter=3e-4, held_up=0.02)

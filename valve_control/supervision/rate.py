@@ -3,6 +3,9 @@
 The time between readings is averaged over windows; of the last windows the middle one counts, so that a few
 standstills of sender or receiver, each of which falls into one window or two, are no false alarm. A small
 deviation must last: a sender that is held up for a while makes good what it lacks.
+
+Readings may keep their mean period and still come in bursts: a driver or a network collects several and hands
+them on together. Each voltage but the last of a burst is then replaced before the spool can move.
 """
 
 from typing import NamedTuple
@@ -12,6 +15,8 @@ WINDOWS = 9  # the middle of them counts
 LEAST = 20  # readings in a window
 REPORTED = 0.02  # relative deviation that is reported
 LASTING = 20  # windows for which a deviation below the limit lasts before it is reported
+QUICK = 0.4  # of the sample period; a reading that comes sooner after the one before is in a burst with it
+CROWDED = 0.4  # share of readings that come quickly, from which a window has bursts; two at a time make 0.5
 CALMED = 0.75  # of a limit, below which it counts as kept again
 
 
@@ -30,6 +35,9 @@ class State(NamedTuple):
     means: tuple[float, ...]  # s, oldest first
     off: int  # windows for which they have been off on the same side; negative: too short
     level: int  # 0: as expected, 1: reported, 2: beyond the limit
+    quick: int = 0  # readings of the open window that came quickly
+    share: float = 0.0  # of quick readings in the last window
+    crowded: int = 0  # windows in a row with bursts, at most LASTING
 
 
 UNKNOWN = State(0.0, 0, (), 0, 0)
@@ -39,17 +47,21 @@ def step(p: Params, s: State, elapsed: float, periods: int) -> State:
     """State after one more reading, ``elapsed`` [s] after the one ``periods`` before it (0.0 s: unknown)."""
     if elapsed == 0.0:
         return s
-    time, count, means, off, level = s
+    time, count, means, off, level, quick, share, crowded = s
     time, count = time + elapsed, count + periods
+    if elapsed < QUICK * p.period:
+        quick += 1
     if count < LEAST or time < WINDOW:
-        return State(time, count, means, off, level)
-    means = (*s.means[1 - WINDOWS :], time / count)
+        return State(time, count, means, off, level, quick, share, crowded)
+    means = (*means[1 - WINDOWS :], time / count)
+    share = quick / count
+    crowded = min(crowded + 1, LASTING) if share > CROWDED else 0
     period = _middle(means)
     if period == 0.0:
-        return State(0.0, 0, means, 0, s.level)
+        return State(0.0, 0, means, 0, level, 0, share, crowded)
     deviation = period / p.period - 1.0
     off = 0
-    if abs(deviation) > (CALMED * REPORTED if s.level > 0 else REPORTED):
+    if abs(deviation) > (CALMED * REPORTED if level > 0 else REPORTED):
         side = 1 if deviation > 0.0 else -1
         off = side * (min(abs(s.off), LASTING) + 1 if s.off * side > 0 else 1)
     level = 0
@@ -57,12 +69,23 @@ def step(p: Params, s: State, elapsed: float, periods: int) -> State:
         level = 2
     elif off != 0 and (abs(off) > LASTING or s.level > 0):
         level = 1
-    return State(0.0, 0, means, off, level)
+    return State(0.0, 0, means, off, level, 0, share, crowded)
 
 
 def interrupted(s: State) -> State:
     """State after a silence, whose time says nothing of the period."""
-    return State(0.0, 0, s.means, s.off, s.level)
+    return State(0.0, 0, s.means, s.off, s.level, 0, s.share, s.crowded)
+
+
+def bursts(s: State) -> bool:
+    """Whether readings have come in bursts for long enough to be reported."""
+    return s.crowded >= LASTING
+
+
+def bursts_text(p: Params, s: State) -> str:
+    """One sentence about the bursts of the last window."""
+    several, every = 1.0 / (1.0 - s.share), 1e3 * p.period / (1.0 - s.share)
+    return f"LVDT readings come in bursts of about {several:.2g}, one burst in {every:.2g} ms"
 
 
 def measured(s: State) -> float:

@@ -85,6 +85,7 @@ class Supervisor:
         if former is not None and made.lvdt.period != former.lvdt.period:
             m.pace = rate.UNKNOWN
             clear(m, "lvdt_rate")
+            clear(m, "lvdt_bursts")
         if (
             former is None
             or former.lead is None
@@ -200,15 +201,25 @@ class Supervisor:
             lost = 0 if "lvdt_publishers" in m.said.texts else sequence - last - 1
             m.counts["lvdt_lost"] += lost
         m.samples += 1
+        before = m.pace.means
         pace = rate.step(p.lvdt.pace, m.pace, elapsed, 1 + lost)
         changed, m.pace = pace.level != m.pace.level, pace
         if changed:
             clear(m, "lvdt_rate")
             if pace.level == 1:
                 report(m, "lvdt_rate", rate.text(p.lvdt.pace, pace))
+        if pace.means is not before:
+            self._tell_bursts(pace)
         voltage = self._sample(p, m, reading, lost, elapsed, pace.level == 2)
         self._hand_out(voltage)
         return voltage
+
+    def _tell_bursts(self, pace: rate.State) -> None:
+        """Report whether readings come in bursts, after a window of their period."""
+        if not rate.bursts(pace):
+            clear(self.memory, "lvdt_bursts")
+        elif pace.share < 1.0:
+            report(self.memory, "lvdt_bursts", rate.bursts_text(self._params.lvdt.pace, pace))
 
     def _hand_out(self, voltage: float) -> None:
         give, self._give = self._give, unused
