@@ -107,7 +107,7 @@ def lag_build(given):
 
 
 def lag_plant(**changes):
-    module = types.ModuleType("test_registry")
+    module = types.ModuleType("test_plants")
     for part in (Params, State, initial, read, step):
         setattr(module, part.__name__, part)
     share = solenoid_valve.PARAMETERS[0]._replace(name="lag.share", default=0.1)
@@ -147,7 +147,7 @@ def test_a_plant_of_another_package_runs_in_the_loop(monkeypatch):
         ({"build": lambda given: given["gone"]}, "its first step fails: KeyError: 'gone'"),
         (
             {"linear": lambda params: params},
-            "its linear gives test_registry.Params; it must be valve_control.plant.valve.Params",
+            "its linear gives test_plants.Params; it must be valve_control.plant.valve.Params",
         ),
         ({"module": None}, "its first step fails"),
     ],
