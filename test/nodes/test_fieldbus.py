@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 import rclpy
-from bench import LIMIT, process
+from bench import LIMIT, call, process
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Float64
+from std_srvs.srv import SetBool
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "drivers"))
 from spool import device
@@ -68,17 +70,34 @@ def test_voltage_and_reading_pass_and_the_end_is_off(ros, tmp_path, kind):
         assert valve.order("state") == off
 
 
-def test_a_can_valve_goes_off_by_itself_when_the_node_is_killed(ros, tmp_path):
+def test_a_fault_of_a_can_valve_is_told_and_a_killed_node_leaves_it_off(ros, tmp_path):
     module, started, settings, address, _, on = KINDS["canopen"]
     voltage = ros.create_publisher(Float64, "valve_voltage", 10)
+    told = []
+    ros.create_subscription(DiagnosticArray, "/diagnostics", lambda m: told.append(m.status[0]), 10)
+
+    def until(condition, what):
+        end = time.monotonic() + LIMIT
+        while not condition():
+            assert time.monotonic() < end, f"{what} not within {LIMIT} s"
+            voltage.publish(Float64(data=2.0))
+            rclpy.spin_once(ros, timeout_sec=PERIOD)
+
+    def emergency():
+        values = {pair.key: pair.value for pair in told[-1].values} if told else {}
+        return "emergency" in values.get("conditions", "") and told[-1].level == DiagnosticStatus.ERROR
+
     with device(module, *started) as valve:
         arguments = words((*settings, f"{address}:={valve.address}"))
         with process("valve_driver", arguments, tmp_path / "d.log") as node:
-            end = time.monotonic() + LIMIT
-            while valve.order("state") != on:
-                assert time.monotonic() < end
-                voltage.publish(Float64(data=2.0))
-                rclpy.spin_once(ros, timeout_sec=PERIOD)
+            until(lambda: valve.order("state") == on, "2 V at the valve")
+            valve.order("emergency 3100")
+            until(emergency, "the condition")
+            assert "emergency 0x3100 (Voltage)" in told[-1].message
+            until(lambda: valve.order("state").startswith("DISABLED 0.0000"), "the valve off")
+            for wanted in (False, True):
+                assert call(ros, SetBool, "/valve_driver/enable", SetBool.Request(data=wanted)).success
+            until(lambda: valve.order("state") == on, "2 V again")
             node.kill()
             killed = time.monotonic()
             while not valve.order("state").startswith("FAULT 0.0000"):
