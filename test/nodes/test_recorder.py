@@ -226,6 +226,9 @@ def test_ends_quietly_without_anything_to_record(ros, tmp_path, number):
         (["bag:=new", "storage:=sqlite3", "compression:=zstd"], 2, "storage sqlite3 has none"),
         (["bag:=new", "storage:=hdf5"], 2, "'hdf5'"),
         (["bag:=new", "flush_period:=2.0"], 2, "flush_period"),
+        (["bag:=new", "box.keep:=3"], 2, "box.keep has no effect where black_box is false"),
+        (["black_box:=true", "max_size:=3.0"], 2, "max_size has no effect where black_box is true"),
+        (["black_box:=true", "box.seconds:=0.5"], 2, "box.seconds"),
         (["bag:=new", "min_free:=1000000.0"], 1, "less than min_free, 1e+06 MB"),
     ],
 )

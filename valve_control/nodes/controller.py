@@ -559,6 +559,7 @@ class Controller(Managed):
         values: dict[str, Any] = {
             "controller": supervisor.name,
             "mode": supervisor.mode.name.lower(),
+            "conditions": ", ".join(supervisor.conditions),
             "samples": supervisor.samples,
             **supervisor.counts,
             "overruns": self._overruns,

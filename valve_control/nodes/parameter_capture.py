@@ -66,6 +66,14 @@ class Question:
         self._node.destroy_client(self._get)
 
 
+def applied(values: dict[str, Parameter], event: ParameterEvent) -> None:
+    """Take the changes of ``event`` into the ``values`` of its node."""
+    for parameter in (*event.new_parameters, *event.changed_parameters):
+        values[parameter.name] = parameter
+    for parameter in event.deleted_parameters:
+        values.pop(parameter.name, None)
+
+
 class ParameterCapture:
     """Passes each node's parameters to ``write`` as one serialized ParameterEvent."""
 
@@ -111,7 +119,7 @@ class ParameterCapture:
             values = self._values[name] = {parameter.name: parameter for parameter in parameters}
             # What changed while the answer was on its way is newer, or the same.
             for event in question.events:
-                self._apply(values, event)
+                applied(values, event)
             question.destroy()
             del self._questions[name]
             self._write_one(name)
@@ -130,14 +138,7 @@ class ParameterCapture:
         if event.node in self._questions:
             self._questions[event.node].events.append(event)
         if event.node in self._values:
-            self._apply(self._values[event.node], event)
-
-    @staticmethod
-    def _apply(values: dict[str, Parameter], event: ParameterEvent) -> None:
-        for parameter in (*event.new_parameters, *event.changed_parameters):
-            values[parameter.name] = parameter
-        for parameter in event.deleted_parameters:
-            values.pop(parameter.name, None)
+            applied(self._values[event.node], event)
 
     def write_all(self) -> None:
         """Write the parameters of all nodes as they are now."""

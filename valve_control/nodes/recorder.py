@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, NoReturn, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
 
 from valve_control import parameter
 from valve_control.bags.errors import BagError
@@ -28,6 +29,7 @@ from valve_control.nodes.adapter import (
     diagnostics,
     number_of,
 )
+from valve_control.nodes.black_box import BlackBox, Limits
 from valve_control.nodes.definitions import Definition, Definitions, message_class
 from valve_control.nodes.loop import Failure, Worker, run
 from valve_control.nodes.parameter_capture import EVENTS, ParameterCapture
@@ -35,6 +37,7 @@ from valve_control.parameter import ParameterError, Values, items, word
 from valve_control.parameters.table import RECORDER
 
 T = TypeVar("T", bound=tuple[Any, ...])
+DIAGNOSTICS = "/diagnostics"
 EVENT_TYPE = "rcl_interfaces/msg/ParameterEvent"
 # What is recorded unless ``topics`` says otherwise, with the types that the nodes of this package use.
 CASCADE: Mapping[str, str] = {
@@ -47,7 +50,7 @@ CASCADE: Mapping[str, str] = {
     r"(.*/)?goal_position": "std_msgs/msg/Float64",
     r".*/controller/(state|journal)": "std_msgs/msg/Float64MultiArray",
     r".*/controller/memory": "std_msgs/msg/String",
-    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
     "/clock": "rosgraph_msgs/msg/Clock",
 }
 CONTROLLER = re.compile(r".*/controller/(state|journal)")  # topics that a valve's controller publishes
@@ -73,6 +76,7 @@ class Settings(NamedTuple):
     flush_period: float  # s
     min_free: float  # bytes
     report_period: float  # s
+    box: Limits | None  # of the black box, None where everything is recorded
 
 
 def settings(values: Values) -> Settings:
@@ -91,8 +95,10 @@ def settings(values: Values) -> Settings:
         except re.error as error:
             raise ParameterError(f"topics has '{text}', which is no regular expression: {error}") from error
     bag = word(values, "bag")
+    box = _box(values)
+    name = "black_box" if box is not None else unused(time.strftime("valve_bag_%Y%m%d_%H%M%S"))
     return Settings(
-        folder=Path(bag).expanduser() if bag else unused(time.strftime("valve_bag_%Y%m%d_%H%M%S")),
+        folder=Path(bag).expanduser() if bag else Path(name),
         storage=storage,
         compression=compression,
         patterns=patterns,
@@ -102,6 +108,26 @@ def settings(values: Values) -> Settings:
         flush_period=parameter.number(values, "flush_period"),
         min_free=parameter.number(values, "min_free") * MB,
         report_period=parameter.number(values, "report_period"),
+        box=box,
+    )
+
+
+def _box(values: Values) -> Limits | None:
+    """Limits of the black box, None where it is not wanted. Raises ParameterError for what has no effect."""
+    wanted = values["black_box"] is True
+    for entry in RECORDER:
+        of_box = entry.name.startswith("box.")
+        idle = of_box != wanted and (of_box or entry.name in ("max_size", "max_duration"))
+        if idle and values[entry.name] != entry.default:
+            state = "true" if wanted else "false"
+            raise ParameterError(f"{entry.name} has no effect where black_box is {state}")
+    if not wanted:
+        return None
+    return Limits(
+        seconds=parameter.number(values, "box.seconds"),
+        after=parameter.number(values, "box.after"),
+        keep=round(parameter.number(values, "box.keep")),
+        max_bytes=round(parameter.number(values, "box.max_size") * MB),
     )
 
 
@@ -226,18 +252,18 @@ class Recorder(Worker):
         self._strangers: dict[str, dict[bytes, str]] = {}  # topic → publisher of another type → what is said
         self._overlooked: dict[str, str] = {}  # what a controller takes and no pattern names → what is said
         self._gone: list[str] = []  # finished files that are no longer there
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, SAMPLES)
         self._definitions = Definitions()
         self._failed = False
         self._unnumbered = False  # whether there is a topic whose messages have no numbers
         if reason := self._short_of_room(use.folder.absolute().parent):
             raise Failure(reason)
-        try:
-            self._writer = BagWriter(
-                use.folder, use.storage, use.max_bytes, use.max_seconds, use.compression, self._on_new_file
-            )
-        except BagError as error:
-            raise ParameterError(str(error)) from error
+        self._writer: BagWriter | BlackBox
+        if use.box is not None:
+            self._writer = BlackBox(use.folder, use.storage, use.compression, use.box, self._tell)
+            self.create_service(Trigger, "~/save_box", self._on_save)
+        else:
+            self._writer = self._begin(use)
         self._captured = ParameterCapture(self, self._write_parameters)
         self._record(EVENTS, EVENT_TYPE)
         now = time.monotonic()
@@ -246,7 +272,16 @@ class Recorder(Worker):
         self._report_at = now + use.report_period
         self._status_at = now
         self._reported = (now, time.process_time(), 0)
-        self.get_logger().info(f"records into {use.folder.absolute()}")
+        how = f"keeps the last {use.box.seconds:g} s for bags" if use.box is not None else "records into"
+        self.get_logger().info(f"{how} {use.folder.absolute()}")
+
+    def _begin(self, use: Settings) -> BagWriter:
+        try:
+            return BagWriter(
+                use.folder, use.storage, use.max_bytes, use.max_seconds, use.compression, self._on_new_file
+            )
+        except BagError as error:
+            raise ParameterError(str(error)) from error
 
     def _fixed(self, values: Values) -> Settings:
         if self._values and values != self._values:
@@ -312,6 +347,8 @@ class Recorder(Worker):
             self.get_logger().warning(UNKNOWN)
         if topic.name == EVENTS:
             self._captured.observe(data)
+        if topic.name == DIAGNOSTICS and isinstance(self._writer, BlackBox):
+            self._writer.observe(data)
         self._writer.write(topic.name, received, info["source_timestamp"] or received, number, data)
 
     def _write_parameters(self, data: bytes) -> None:
@@ -319,7 +356,8 @@ class Recorder(Worker):
         self._writer.write(EVENTS, now, now, 0, self._definitions.trimmed(data, EVENT_TYPE))
 
     def _on_new_file(self) -> None:
-        self.get_logger().info(f"goes on in {self._writer.path.name}")
+        if isinstance(self._writer, BagWriter):
+            self.get_logger().info(f"goes on in {self._writer.path.name}")
         self._captured.write_all()
 
     def _short_of_room(self, folder: Path) -> str:
@@ -369,6 +407,9 @@ class Recorder(Worker):
                 for info in infos:
                     self._look_at_controller(info.node_name, info.node_namespace)
         self._captured.look()
+        if isinstance(self._writer, BlackBox):
+            infos = self.get_publishers_info_by_topic(DIAGNOSTICS)
+            self._writer.look({f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos})
 
     def _look_at_controller(self, name: str, namespace: str) -> None:
         """Warn of signals that a controller takes under other names than those that are recorded."""
@@ -471,17 +512,35 @@ class Recorder(Worker):
         said += self._overlooked.values()
         if said:
             level, text = DiagnosticStatus.WARN, "; ".join(sorted(said))
+        if isinstance(self._writer, BlackBox) and self._writer.doubt:
+            level, text = DiagnosticStatus.WARN, self._writer.doubt
         if self._gone:
             level, text = DiagnosticStatus.ERROR, f"files of the bag were removed: {', '.join(self._gone)}"
         self._diagnostics.publish(diagnostics(self, level, text, self._figures()))
 
     def _figures(self) -> dict[str, Any]:
-        return {
+        about = {
             "bag": self._settings.folder.absolute(),
             "topics": len(self._topics),
             "messages": self._writer.message_count,
             "lost": self._lost(),
         }
+        return about | self._writer.figures() if isinstance(self._writer, BlackBox) else about
+
+    # The black box
+
+    def _tell(self, text: str, wrong: bool) -> None:
+        if wrong:
+            self.get_logger().error(text)
+        else:
+            self.get_logger().warning(text)
+        self._publish_status()
+
+    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        assert isinstance(self._writer, BlackBox)
+        folder = self._writer.save("asked for")
+        response.success, response.message = True, f"{folder.absolute()} will be written"
+        return response
 
     def deliver(self) -> None:
         """Wait until the reason of the end has arrived."""
@@ -513,10 +572,13 @@ class Recorder(Worker):
             self.get_logger().warning(
                 f"the bag lacks the parameters of {name}, which did not answer; it has their changes"
             )
-        files = f"{self._writer.files} file{'s' if self._writer.files != 1 else ''}"
-        self.get_logger().info(
-            f"{self._writer.message_count} messages in {files} of {self._settings.folder.absolute()}"
-        )
+        if isinstance(self._writer, BlackBox):
+            self.get_logger().info(self._writer.text)
+        else:
+            files = f"{self._writer.files} file{'s' if self._writer.files != 1 else ''}"
+            self.get_logger().info(
+                f"{self._writer.message_count} messages in {files} of {self._settings.folder.absolute()}"
+            )
         if error is not None:
             raise error
 

@@ -360,6 +360,17 @@ RECORDER: Table = (
     Parameter("flush_period", 0.25, "s", "at most this much is lost if the recorder is killed", 0.02, 1.0),
     Parameter("min_free", 64.0, "MB", "room on the disk at which the recording is ended", 0.0, 1e6),
     Parameter("report_period", 5.0, "s", "time between two lines about the progress", 0.1, 1e6),
+    Parameter(
+        "black_box",
+        False,
+        "",
+        "keep the last seconds in memory; they become a bag when a controller reports a condition or falls "
+        "silent, or ~/save_box is called; bag is then the beginning of the bags' names (empty: black_box)",
+    ),
+    Parameter("box.seconds", 10.0, "s", "black box: time before what happened", 1.0, 600.0),
+    Parameter("box.after", 2.0, "s", "black box: time after what happened", 0.0, 60.0),
+    Parameter("box.keep", 10, "", "black box: number of bags that are kept, the newest", 1, 10_000),
+    Parameter("box.max_size", 100.0, "MB", "black box: memory for messages", 1.0, 10_000.0),
 )
 
 DASHBOARD: Table = (
