@@ -101,6 +101,8 @@ class ValveSimulator(Managed):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._diagnose, clock=steady)
         self.create_timer(WATCH_GRAPH, self._watch_graph, clock=steady)
+        for sentence in registry.REFUSED:
+            self.get_logger().warning(sentence)
         if self._values["autostart"]:
             self.autostart()
 
