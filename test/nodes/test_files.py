@@ -72,7 +72,7 @@ def test_files_of_all_commands(tmp_path, monkeypatch):
     for name, arguments in commands.items():
         paths.append(tmp_path / f"{name}.yaml")
         assert main([*arguments, "--output", paths[-1].name]) == 0, name
-    several = ("manifold.yaml", "arm.yaml")  # files of several valves
+    several = ("manifold.yaml", "arm.yaml", "valve_driver.yaml")  # files of several valves, and of a real one
     paths += [p for p in sorted(files.config_folder().glob("*.yaml")) if p.name not in several]
     for path, got in zip(paths, read_by_nodes(*paths), strict=True):
         meant = files.load(str(path))

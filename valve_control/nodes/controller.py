@@ -1,4 +1,8 @@
-"""Runs the node `controller`: for each LVDT reading one step of the law and one voltage."""
+"""Runs the node `controller`: for each LVDT reading one step of the law and one voltage.
+
+With the parameter driver (one of `valve_driver`) it has the device itself: the reading comes from it and the
+voltage goes to it in one thread, and the topics follow. It then has the parameters of `valve_driver` too.
+"""
 
 import math
 import os
@@ -6,6 +10,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +19,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
 from std_srvs.srv import Trigger
 
@@ -82,6 +88,8 @@ class Controller(Managed):
     ``alone``: whether the process has no other node.
     """
 
+    table = CONTROLLER
+
     def __init__(self, warms: bool = True, alone: bool = True, **options: Any) -> None:
         super().__init__("controller", **options)
         self._supervisor = Supervisor()
@@ -118,7 +126,7 @@ class Controller(Managed):
         self._unnumbered = False  # whether the middleware has numbered no reading
         self._realtime: realtime.Request | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
-        ParameterSet(self, CONTROLLER, self._build, self._apply, alone)
+        ParameterSet(self, self.table, self._build, self._apply, alone)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save_parameters", self._on_save)
         self.create_service(Trigger, "~/load_parameters", self._on_load)
@@ -129,8 +137,7 @@ class Controller(Managed):
         if self._values["autostart"]:
             self.autostart()
 
-    @staticmethod
-    def _build(values: Values) -> Built:
+    def _build(self, values: Values) -> Built:
         chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
         return Built(build.law_params(values), realtime.request(values), named_terms(chosen))
 
@@ -194,10 +201,14 @@ class Controller(Managed):
         qos = SAMPLES if self._lockstep else NEWEST
         self._commands = NumberSubscription(self, "spool_command", qos)
         self._trajectories = PointSubscription(self, "spool_trajectory", qos)
-        self._readings = NumberSubscription(self, "spool_position", qos)
+        self._readings = self._source(qos)
         self._pairing = Pairing(self._next_command, self._use_paired) if self._lockstep else None
         self._waiting, self._look_at = None, NEVER
         self._met = self._uncommanded = False
+
+    def _source(self, qos: QoSProfile) -> NumberSubscription:
+        """Readings of the LVDT with their numbers."""
+        return NumberSubscription(self, "spool_position", qos)
 
     def _unsubscribe(self) -> None:
         assert self._readings is not None
@@ -423,7 +434,7 @@ class Controller(Managed):
         waited = now - self._waits_since
         if self._pairing.anew(number):
             self._met = False
-        self._met = self._met or waited > MEET or acquainted(self, self._voltages, "spool_position")
+        self._met = self._met or waited > MEET or self._acquainted()
         if not self._met:
             return False
         if self._pairing.complete(number):
@@ -442,6 +453,10 @@ class Controller(Managed):
             f"lockstep: no command for reading {number} within {waited:.2g} s; goes on without waiting"
         )
         return True
+
+    def _acquainted(self) -> bool:
+        """Whether who gives the readings will hear the voltages."""
+        return acquainted(self, self._voltages, "spool_position")
 
     # What is around
 
@@ -507,7 +522,7 @@ class Controller(Managed):
         name = word(self._values, "load_file") or word(self._values, "save_file")
         path = Path(name).expanduser().absolute()
         try:
-            values = arguments.addressed(str(path), self.get_fully_qualified_name(), CONTROLLER)
+            values = arguments.addressed(str(path), self.get_fully_qualified_name(), self.table)
             changes = {n: value for n, value in values.items() if value != self._values[n]}
             if changes:
                 wanted = [Parameter(n, value=value) for n, value in changes.items()]
@@ -548,11 +563,13 @@ class Controller(Managed):
         self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
-        supervisor = self._supervisor
-        level, text = LEVELS[supervisor.mode], supervisor.reason
+        self._diagnostics.publish(diagnostics(self, *self._status(), self._figures()))
+
+    def _status(self) -> tuple[bytes, str]:
+        """Level and sentence of the diagnostics."""
         if not self.working:
-            level, text = DiagnosticStatus.OK, "inactive" if self._readings is not None else "unconfigured"
-        self._diagnostics.publish(diagnostics(self, level, text, self._figures()))
+            return DiagnosticStatus.OK, "inactive" if self._readings is not None else "unconfigured"
+        return LEVELS[self._supervisor.mode], self._supervisor.reason
 
     def _figures(self) -> dict[str, Any]:
         supervisor = self._supervisor
@@ -593,7 +610,9 @@ class Controller(Managed):
 
 def main() -> int:
     """Entry point of `ros2 run valve_control controller`."""
-    return run(lambda: [Controller()])
+    if arguments.looked_up(sys.argv[1:], "controller", "driver") is None:
+        return run(lambda: [Controller()])
+    return run(import_module("valve_control.nodes.device_controller").make)  # which imports this module
 
 
 if __name__ == "__main__":

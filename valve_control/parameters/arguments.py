@@ -63,10 +63,30 @@ def written(arguments: Sequence[str], node: str, name: str) -> str | None:
     return texts[-1] if texts else None
 
 
+def _own_name(arguments: Sequence[str], name: str) -> str:
+    """Full name of the node ``name`` under a command line."""
+    remapped = dict(text.split(":=", 1) for text in arguments if text.startswith(("__ns:=", "__node:=")))
+    return f"{remapped.get('__ns', '').rstrip('/')}/{remapped.get('__node', name)}"
+
+
+def looked_up(arguments: Sequence[str], name: str, parameter: str) -> object:
+    """What a command line and its files give a ``parameter`` of the node ``name``, None: nothing."""
+    node = _own_name(arguments, name)
+    found: object = written(arguments, node, parameter)
+    for path in given(arguments).paths if found is None else ():
+        try:
+            sections = files.sections(path)
+        except ParameterError:
+            continue  # told when the node starts
+        for section in sections:
+            if matches(section.pattern, node):
+                found = section.values.get(parameter, found)
+    return found
+
+
 def values_of(arguments: Sequence[str], name: str, table: Table) -> Values:
     """Values of the node ``name`` under a command line, without ROS. Raises ParameterError."""
-    remapped = dict(text.split(":=", 1) for text in arguments if text.startswith(("__ns:=", "__node:=")))
-    node = f"{remapped.get('__ns', '').rstrip('/')}/{remapped.get('__node', name)}"
+    node = _own_name(arguments, name)
     check(arguments, {node: table})
     values = defaults(table)
     for path in given(arguments).paths:

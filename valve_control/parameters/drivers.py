@@ -3,24 +3,53 @@
 from typing import NamedTuple
 
 from valve_control.drivers.device import Device, Side
+from valve_control.drivers.driver import Driver, Kind
 from valve_control.drivers.registry import KINDS, LEFT_OUT
 from valve_control.drivers.scaling import Scale, ScaleError, parse
+from valve_control.drivers.simulated import SimulatedValve
 from valve_control.laws.common import SAMPLE_PERIOD
-from valve_control.parameter import Parameter, ParameterError, Table, Values, number, word
-from valve_control.parameters.table import AUTOSTART, REALTIME
+from valve_control.parameter import Parameter, ParameterError, Table, Values, defaults, number, word
+from valve_control.parameters import build
+from valve_control.parameters.table import AUTOSTART, NODE_ONLY, REALTIME, VALVE
 
 SCALE = (
     "V, -10..10V, %, 0..10V or 4..20mA, or *factor±offset in volts, such as *1.25-15; empty: as its driver "
     "has it"
 )
+SIMULATED: Table = tuple(
+    parameter._replace(name=f"simulated.{parameter.name}")
+    for parameter in VALVE
+    if parameter.name not in NODE_ONLY and parameter.name != "sample_period"
+) + (
+    Parameter(
+        "simulated.paced",
+        True,
+        "",
+        "one sample per period of real time; false: the next as soon as it is asked for",
+    ),
+)
+
+
+def _simulated(values: Values, period: float, off: float) -> Driver:
+    own = {p.name.removeprefix("simulated."): values[p.name] for p in SIMULATED}
+    plant = {**defaults(VALVE), **own, "sample_period": period}
+    del plant["paced"]
+    return SimulatedValve(build.valve_params(plant), int(number(plant, "seed")), own["paced"] is True)
+
+
+DRIVERS: dict[str, Kind] = {
+    **KINDS,
+    "simulated": Kind("simulated", "the valve of valve_simulator, in the process", SIMULATED, _simulated),
+}
 DRIVER = Parameter(
     "driver",
     "serial",
     "",
     "kind of the device that has amplifier and LVDT",
-    choices=tuple(KINDS),
+    choices=tuple(DRIVERS),
     left_out=tuple(LEFT_OUT.items()),
 )
+KINDS_PARAMETERS: Table = tuple(p for kind in DRIVERS.values() for p in kind.parameters)
 SIDES: Table = (
     Parameter("position.scale", "", "", f"signal of the LVDT: {SCALE}"),
     Parameter("position.reversed", False, "", "other polarity of the LVDT"),
@@ -55,8 +84,9 @@ VALVE_DRIVER: Table = (
     ),
     AUTOSTART,
     *REALTIME,
-    *(parameter for kind in KINDS.values() for parameter in kind.parameters),
+    *KINDS_PARAMETERS,
 )
+DEVICE: Table = (DRIVER, *SIDES, *KINDS_PARAMETERS)  # of a controller that has the device itself
 LIVE = frozenset(
     {"enable", "watchdog", "answer_share", "position.low", "position.high", "voltage.low", "voltage.high"}
     | {parameter.name for parameter in REALTIME}
@@ -72,7 +102,7 @@ class Sides(NamedTuple):
 
 def sides(values: Values) -> Sides:
     """Scales and limits from the parameters' values. Raises ParameterError."""
-    kind = KINDS[word(values, "driver")]
+    kind = DRIVERS[word(values, "driver")]
     made = []
     for name in Sides._fields:
         low, high = number(values, f"{name}.low"), number(values, f"{name}.high")
@@ -94,5 +124,5 @@ def device(values: Values) -> Device:
     """Device, still closed, from the parameters' values. Raises ParameterError."""
     position, voltage = sides(values)
     period = number(values, "sample_period")
-    driver = KINDS[word(values, "driver")].make(values, period, voltage.scale.signal(0.0))
+    driver = DRIVERS[word(values, "driver")].make(values, period, voltage.scale.signal(0.0))
     return Device(driver, position, voltage, period)

@@ -1,0 +1,222 @@
+"""A controller that has the device itself: reading, law and voltage in one thread, the topics afterwards."""
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64
+
+from valve_control.drivers.device import Device
+from valve_control.drivers.driver import Condition, DriverError
+from valve_control.nodes.adapter import SAMPLES, PolledSubscription, acquainted, encoded
+from valve_control.nodes.controller import COMMANDING, NEVER, WARMING, Built, Controller
+from valve_control.parameter import ParameterError, Values, word
+from valve_control.parameters import drivers
+from valve_control.parameters.drivers import DEVICE, LIVE
+from valve_control.parameters.table import CONTROLLER
+
+LEVELS = {"degraded": DiagnosticStatus.WARN, "safe": DiagnosticStatus.ERROR}
+OWN = frozenset(parameter.name for parameter in CONTROLLER)
+MOST_MISSING = 100  # lost readings that are published as NaN
+
+
+class DeviceReadings:
+    """Readings of a device in the form of a subscription's."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._number = 0
+        self.held = False  # lockstep: a reading waits for its command, and the device is not asked
+        self.fresh: list[float] = []  # V, to be published; NaN: lost or not valid
+
+    def take(self) -> Iterator[tuple[float, dict[str, Any]]]:
+        """Wait for the next reading; nothing if none comes in time."""
+        reading = None if self.held else self._device.read()
+        if reading is not None:
+            self._number += reading.lost + 1
+            self.fresh += [math.nan] * min(reading.lost, MOST_MISSING)
+            self.fresh.append(reading.signal)
+            info = {"publication_sequence_number": self._number, "source_timestamp": time.time_ns()}
+            yield reading.signal, info
+
+    def destroy(self) -> None:
+        """Do nothing: the device is not the subscription's."""
+
+
+class DeviceController(Controller):
+    """The controller with a device; it publishes `spool_position` and `valve_voltage` after each sample.
+
+    For part of a period after a reading it serves others and warms its caches; then it waits for the next.
+    """
+
+    table = CONTROLLER + DEVICE
+
+    def __init__(self, **options: Any) -> None:
+        self._device: Device | None = None  # None: it is not open
+        self._device_values: Values = {}
+        self._refusal = ""
+        self._ready_at = 0.0  # s, from when on the next reading is waited for
+        self._begun = False
+        self._given: list[float] = []  # V, to be published
+        self._told: tuple[Condition, ...] = ()
+        super().__init__(**options)
+
+    def _build(self, values: Values) -> Built:
+        former = self._device_values
+        fixed = [n for n in former if n not in OWN | LIVE or n == "sample_period"]
+        changed = [name for name in fixed if values[name] != former[name]]
+        if self._device is not None and changed:
+            raise ParameterError(f"{changed[0]} of an open device does not change; clean the node up first")
+        drivers.device(values)
+        return super()._build(values)
+
+    def _apply(self, values: Values, built: Built) -> None:
+        self._device_values = values
+        if self._device is not None:
+            self._device.limit(*drivers.sides(values))
+        super()._apply({name: value for name, value in values.items() if name in OWN}, built)
+
+    # Life
+
+    def autostart(self) -> None:
+        """Configure and activate. Raises ParameterError if the device cannot be opened."""
+        self.trigger_configure()
+        if self._refusal:
+            raise ParameterError(self._refusal)
+        self.trigger_activate()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Open the device; without it the node stays unconfigured."""
+        device = drivers.device(self._device_values)
+        try:
+            device.open()
+        except DriverError as error:
+            self._refusal = str(error)
+            self.get_logger().error(self._refusal)
+            return TransitionCallbackReturn.FAILURE
+        self._device, self._refusal = device, ""
+        return super().on_configure(state)
+
+    def open(self) -> None:
+        """Create publishers and subscriptions."""
+        super().open()
+        self._positions = self.create_publisher(Float64, "spool_position", SAMPLES)
+
+    def _source(self, qos: QoSProfile) -> Any:
+        assert self._device is not None
+        self._from_device = DeviceReadings(self._device)
+        return self._from_device
+
+    def close(self) -> None:
+        """Destroy publishers and subscriptions, close the device."""
+        super().close()
+        self.destroy_publisher(self._positions)
+        assert self._device is not None
+        self._device.close()
+        self._device = None
+
+    def begin(self) -> None:
+        """Start from rest; the output is switched on when the loop runs."""
+        self._begun, self._ready_at, self._told = False, 0.0, ()
+        super().begin()
+        self._from_device.fresh.clear()
+
+    def end(self) -> None:
+        """Give 0 V and switch the output off."""
+        super().end()
+        assert self._device is not None
+        self._device.enable(False)
+        self._publish_signals()
+
+    def finish(self) -> None:
+        """Switch off and close the device from whatever state the node is in."""
+        super().finish()
+        if self._device is not None:
+            self._device.close()
+
+    # Work
+
+    def inputs(self) -> Sequence[PolledSubscription]:
+        """Subscriptions of commands, in lockstep while a reading waits for one."""
+        return super().inputs() if self._waiting is not None else ()
+
+    def due(self) -> float:
+        """Time [s] from which the next reading is waited for."""
+        return super().due() if self._waiting is not None else self._ready_at if self.working else NEVER
+
+    def work(self) -> bool:
+        """Wait for the next reading, and answer it."""
+        if not self.working:
+            return False
+        assert self._device is not None
+        if not self._begun:
+            self._begun = True
+            self._device.enable(True)
+        if self._warm_at <= time.monotonic():
+            self._warm_caches()
+        before = self._supervisor.samples
+        self._from_device.held = self._waiting is not None
+        worked = super().work()
+        answered = self._supervisor.samples != before and not self._lockstep
+        self._ready_at = self._arrivals[-1] + WARMING * self._period if answered else 0.0
+        return worked or self._waiting is None
+
+    def _publish(self, voltage: float) -> None:
+        assert self._device is not None
+        self._device.write(voltage)
+        self._published = time.time_ns()
+        self._given.append(voltage)
+
+    def _publish_signals(self) -> None:
+        """Publish readings and voltages that the topics do not have yet; not a reading without its answer."""
+        fresh = self._from_device.fresh
+        answered = len(fresh) if self._waiting is None else len(fresh) - 1
+        for reading in fresh[:answered]:
+            self._positions.publish(encoded(reading))
+        for voltage in self._given:
+            self._voltages.publish(encoded(voltage))
+        del fresh[:answered]
+        self._given.clear()
+
+    def report(self) -> None:
+        """Publish the sample on the topics, then what a controller reports."""
+        if self._device is not None:
+            self._publish_signals()
+            conditions = self._device.conditions() if self.working else ()
+            if [c.name for c in conditions] != [c.name for c in self._told]:
+                self._tell(conditions)
+        super().report()
+
+    def _tell(self, conditions: tuple[Condition, ...]) -> None:
+        """Log new conditions of the device, and publish them at once."""
+        before = {condition.name for condition in self._told}
+        for condition in conditions:
+            if condition.name not in before:
+                self.get_logger().warning(f"device: {condition.text}")
+        self._told = conditions
+        self._publish_diagnostics()
+
+    def _acquainted(self) -> bool:
+        return any(acquainted(self, self._positions, topic) for topic in COMMANDING)
+
+    def _status(self) -> tuple[bytes, str]:
+        level, text = super()._status()
+        levels = [level, *(LEVELS[condition.level] for condition in self._told)]
+        return max(levels), "; ".join([text, *(condition.text for condition in self._told)])
+
+    def _figures(self) -> dict[str, Any]:
+        values = {**super()._figures(), "driver": word(self._device_values, "driver")}
+        values["conditions"] = ", ".join(condition.name for condition in self._told)
+        if self._device is not None:
+            values["lost"] = self._device.lost
+            values["reopened"] = self._device.reopened
+        return values
+
+
+def make() -> list[DeviceController]:
+    """Create the node."""
+    return [DeviceController()]
