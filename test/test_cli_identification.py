@@ -217,6 +217,10 @@ def test_stepped_sine_in_a_bag_with_and_without_parameters(run, tmp_path):
             ],
             "which is what friction gives while it holds a spool",
         ),
+        (["--characteristic", "curve.csv"], "comes from the slow triangle of --friction; give that too"),
+        (["--friction", "--characteristic", "curve.pdf"], ".png or .svg"),
+        (["--sensor-delay", "-0.001"], "--sensor-delay is -0.001 s; it must lie between 0 and 1 s"),
+        (["--second-order", "18,0.8,1", "--sensor-delay", "0.001"], "so it takes no --sensor-delay"),
         (["--delay", "5"], "--delay takes no number, because the dead time is estimated"),
         (["--settle", "-1"], "--settle"),
         (["--settle", "inf"], "--settle is inf s; it must be finite"),
@@ -295,10 +299,17 @@ def test_friction_comes_from_a_triangle_and_goes_into_simulate(run, tmp_path):
     given = [f"friction.{name}={value}" for name, value in rubbing.items()]
     settings = [part for text in (*given, "lvdt.noise=0.005") for part in ("--set", text)]
     status, out, err = run(
-        "identify", *QUICK, *settings, "--friction", "--output", "valve.yaml", "--json", "r.json"
+        "identify", *QUICK, *settings, "--friction", "--output", "valve.yaml", "--json", "r.json",
+        "--characteristic", "curve.csv", "--characteristic", "curve.svg", "--characteristic", "curve.json",
     )  # fmt: skip
     assert status == 0, err
-    found = json.loads((tmp_path / "r.json").read_text())["friction"]
+    whole = json.loads((tmp_path / "r.json").read_text())
+    found, curve = whole["friction"], whole["characteristic"]
+    assert json.loads((tmp_path / "curve.json").read_text()) == curve
+    assert abs(curve["hysteresis"]["value"] - 1.6) < 0.03 and abs(curve["overlap"]["value"]) < 0.02
+    rows = np.genfromtxt(tmp_path / "curve.csv", delimiter=",", names=True)
+    assert len(rows) == 100 and (tmp_path / "curve.svg").read_text().startswith("<?xml")
+    assert "characteristic: gain 0." in out and "stops: not reached below, not reached above" in out
     assert abs(found["coulomb"] - 0.8) < 0.02
     assert abs(found["presliding"] / 0.02 - 1.0) < 0.12
     assert "friction: Coulomb 0." in out

@@ -15,6 +15,7 @@ from valve_control.parameter import ParameterError, Values, defaults, number, up
 from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
+    from valve_control.identification.characteristic import Characteristic
     from valve_control.identification.experiment import Experiment
     from valve_control.identification.friction import Friction
     from valve_control.identification.rational import Fit
@@ -22,12 +23,14 @@ if TYPE_CHECKING:
     from valve_control.identification.result import Identification
 
 SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
+CURVE_TABLES = (".csv", ".json")
 FRICTION_ROUNDS = 2  # the friction needs the model, and the model the friction
 MEASURED = (
     "bag", "valve", "scenario", "command", "duration", "seed", "params_file", "friction", "settle", "band",
-    "order", "zeros", "delay", "weighting", "csv", "figure",
+    "order", "zeros", "delay", "sensor_delay", "weighting", "csv", "figure",
+    "characteristic",
 )  # fmt: skip
-USUAL = {"settle": 0.4, "weighting": "likelihood"}
+USUAL = {"settle": 0.4, "sensor_delay": 0.0, "weighting": "likelihood"}
 BAG_ONLY = ("map", "of", "start", "end", "clock")
 
 
@@ -99,6 +102,14 @@ def add_commands(commands: Any) -> None:
     group.add_argument("--zeros", type=int, metavar="N", help="zeros of that model (order - 2)")
     group.add_argument("--delay", action="store_true", help="estimate a dead time too")
     group.add_argument(
+        "--sensor-delay",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="what of the dead time is the sensor's (0 s); the rest is the actuator's, and readings alone do "
+        "not tell the two apart",
+    )
+    group.add_argument(
         "--weighting",
         choices=WEIGHTINGS,
         default=USUAL["weighting"],
@@ -110,6 +121,14 @@ def add_commands(commands: Any) -> None:
     )
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     output.add_argument("--csv", metavar="FILE", help="measured response as CSV")
+    output.add_argument(
+        "--characteristic",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="with --friction: characteristic curve in both directions, 100 points, as CSV, JSON, PNG or "
+        "SVG; again for more",
+    )
     output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
     identify.set_defaults(run=_identify)
     compensator.add_commands(commands)
@@ -117,9 +136,9 @@ def add_commands(commands: Any) -> None:
 
 def _identify(arguments: argparse.Namespace) -> int:
     from valve_control import outputs
-    from valve_control.identification import experiment, friction, result
+    from valve_control.identification import dead_time, result
 
-    check_outputs(arguments, [arguments.output, arguments.csv], [arguments.figure])
+    _check_curve(arguments)
     if arguments.second_order is not None:
         return _given(arguments)
     _check_order(arguments)
@@ -128,6 +147,7 @@ def _identify(arguments: argparse.Namespace) -> int:
             f"--delay takes no number, because the dead time is estimated; leave out {arguments.bag} (a "
             "simulated valve gets its own with --set lvdt.delay=SECONDS)"
         )
+    dead_time.check(arguments.sensor_delay)
     if not 0.0 <= arguments.settle < float("inf"):
         raise ParameterError(f"--settle is {arguments.settle:g} s; it must be finite and not negative")
     band = None
@@ -149,24 +169,14 @@ def _identify(arguments: argparse.Namespace) -> int:
             f"the friction test has a sample period of {triangle.period:g} s, the other one of "
             f"{tested.period:g} s; they must agree"
         )
-    measured = experiment.estimate(tested, arguments.settle, band)
-    fits, told = _fits(arguments, tested, measured)
-    progress(2)
-    rubbing = None
-    if triangle is not None:
-        for done in range(FRICTION_ROUNDS):
-            rubbing = friction.friction(triangle, friction.lag_of(fits[-1].model, fits[-1].delay))
-            slipping = friction.without(tested, rubbing) if tested.segments else tested
-            measured = experiment.estimate(slipping, arguments.settle, band)
-            fits, told = _fits(arguments, tested, measured)
-            progress(3 + done)
-    found = _found(arguments, tested, measured, fits, told, rubbing)
+    found = _rounds(arguments, tested, triangle, band, progress)
     wanted: list[tuple[str | None, Callable[[], str | bytes]]] = [
         (arguments.output, lambda: result.yaml_text(found)),
-        (arguments.csv, lambda: result.csv_text(measured)),
+        (arguments.csv, lambda: result.csv_text(found.measured)),
         (arguments.figure, lambda: result.bode_figure(found, arguments.figure)),
         (arguments.json if arguments.json != "-" else None, lambda: outputs.as_json(result.as_dict(found))),
     ]
+    wanted += [(path, lambda path=path: _curve(found, path)) for path in arguments.characteristic]  # type: ignore[misc]
     made = [(path, make()) for path, make in wanted if path is not None]
     if arguments.output is not None:
         result.check_parameters(result.parameters(found))
@@ -261,6 +271,57 @@ def _check_friction(arguments: argparse.Namespace) -> None:
         )
 
 
+def _rounds(
+    arguments: argparse.Namespace,
+    tested: "Experiment",
+    triangle: "Experiment | None",
+    band: tuple[float, float] | None,
+    progress: Progress,
+) -> "Identification":
+    """What both tests give: the friction needs the lag of the model, and the model what friction leaves."""
+    from valve_control.identification import characteristic, experiment, friction
+
+    measured = experiment.estimate(tested, arguments.settle, band)
+    fits, told = _fits(arguments, tested, measured)
+    progress(2)
+    rubbing, curve = None, None
+    if triangle is not None:
+        for done in range(FRICTION_ROUNDS):
+            lag = friction.lag_of(fits[-1].model, fits[-1].delay)
+            rubbing, curve = characteristic.with_friction(triangle, lag)
+            slipping = friction.without(tested, rubbing) if tested.segments else tested
+            measured = experiment.estimate(slipping, arguments.settle, band)
+            fits, told = _fits(arguments, tested, measured)
+            progress(3 + done)
+    return _found(arguments, tested, measured, fits, told, rubbing, curve)
+
+
+def _check_curve(arguments: argparse.Namespace) -> None:
+    """Check the files that come out. Raises ParameterError."""
+    tables = [path for path in arguments.characteristic if Path(path).suffix.lower() in CURVE_TABLES]
+    drawings = [path for path in arguments.characteristic if path not in tables]
+    check_outputs(arguments, [arguments.output, arguments.csv, *tables], [arguments.figure, *drawings])
+    if arguments.characteristic and arguments.friction is None:
+        raise ParameterError("--characteristic comes from the slow triangle of --friction; give that too")
+
+
+def _curve(found: "Identification", path: str) -> str | bytes:
+    """The characteristic curve as the file ``path``. Raises ParameterError if there is none."""
+    from valve_control import outputs
+    from valve_control.identification import characteristic
+
+    if found.curve is None:
+        raise ParameterError(
+            "there is no characteristic curve: the slow triangle moved the spool to one side alone"
+        )
+    ending = Path(path).suffix.lower()
+    if ending == ".csv":
+        return characteristic.csv_text(found.curve)
+    if ending == ".json":
+        return outputs.as_json(characteristic.as_dict(found.curve))
+    return characteristic.figure(found.curve, path)
+
+
 def _triangle(arguments: argparse.Namespace) -> "Experiment":
     """The friction test: of the simulated valve, or out of a bag."""
     if arguments.friction == "":
@@ -349,8 +410,18 @@ def _found(
     fits: list["Fit"],
     told: list[str],
     rubbing: "Friction | None",
+    curve: "Characteristic | None",
 ) -> "Identification":
-    from valve_control.identification import experiment, first_gains, friction, lvdt, result, theta
+    from valve_control.identification import (
+        characteristic,
+        dead_time,
+        experiment,
+        first_gains,
+        friction,
+        lvdt,
+        result,
+        theta,
+    )
 
     second = fits[0]
     notes = [*tested.notes, *measured.notes, *told]
@@ -359,11 +430,14 @@ def _found(
     notes += experiment.range_notes(measured, second, best, arguments.bag is None)
     if rubbing is not None:
         notes += friction.offset_notes(rubbing)
+    if curve is not None:
+        notes += characteristic.notes(curve, tested.u_max)
     suggestion = theta.suggest(measured, second, best, tested.u_max)
     readings = lvdt.observe(tested.position)
     model, delay, late = first_gains.with_dead_time(measured, best, arguments.weighting)
+    sensor = arguments.sensor_delay
     gains = first_gains.first(
-        first_gains.Valve(model, delay, suggestion, readings, measured.period, tested.u_max, rubbing)
+        first_gains.Valve(model, delay, suggestion, readings, measured.period, tested.u_max, rubbing, sensor)
     )
     return result.Identification(
         source=tested.source,
@@ -374,8 +448,9 @@ def _found(
         lvdt=readings,
         gains=gains.values,
         u_max=tested.u_max,
-        notes=(*notes, *late, *gains.notes),
+        notes=(*notes, *late, *dead_time.notes(delay, sensor), *gains.notes),
         friction=rubbing,
+        curve=curve,
     )
 
 

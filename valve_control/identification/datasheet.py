@@ -47,7 +47,9 @@ def second_order(frequency: float, damping: float, static_gain: float, valve: Va
     model = TransferFunction((static_gain * omega**2,), (1.0, 2.0 * damping * omega, omega**2))
     delay = number(valve, "lvdt.delay")
     readings = Lvdt(number(valve, "lvdt.noise"), number(valve, "lvdt.resolution"))
-    known = first_gains.Valve(model, delay, theta.around(model, u_max), readings, period, u_max)
+    known = first_gains.Valve(
+        model, delay, theta.around(model, u_max), readings, period, u_max, sensor_delay=delay
+    )
     gains = first_gains.first(known)
     return Datasheet(
         f"not measured: {frequency:g} Hz, damping {damping:g}, static gain {static_gain:g} V/V",

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+from valve_control.identification import dead_time
 from valve_control.identification.friction import Friction
 from valve_control.identification.lvdt import Lvdt
 from valve_control.identification.rational import Fit, check_worth, fit
@@ -55,6 +56,7 @@ class Valve(NamedTuple):
     period: float  # s
     u_max: float  # V
     friction: Friction | None = None  # None: not tested
+    sensor_delay: float = 0.0  # s  what of the dead time is the sensor's; the rest is the actuator's
 
 
 def with_dead_time(
@@ -249,7 +251,7 @@ def dcarc_values(known: Valve, share: float = 1.0) -> Values:
             "dcarc.model": "custom",
             "dcarc.numerator": list(known.model.numerator),
             "dcarc.denominator": list(known.model.denominator),
-            "dcarc.delay": known.delay,
+            **dead_time.of_dcarc(known.delay, known.sensor_delay),
             "dcarc.lvdt_noise": max(known.lvdt.noise, QUIETEST),
             "dcarc.lvdt_resolution": known.lvdt.resolution,
             "dcarc.voltage_weight": number(own, "dcarc.voltage_weight") * gain**2 / share**2,

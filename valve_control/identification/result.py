@@ -7,8 +7,9 @@ import numpy as np
 
 from valve_control import outputs
 from valve_control.analysis.figures import COLOURS, bode_axes
-from valve_control.identification import bode, first_gains, rational
+from valve_control.identification import bode, characteristic, first_gains, rational
 from valve_control.identification.bode import Corners, Root
+from valve_control.identification.characteristic import Characteristic
 from valve_control.identification.friction import Friction
 from valve_control.identification.lvdt import Lvdt
 from valve_control.identification.rational import Fit
@@ -40,6 +41,7 @@ class Identification(NamedTuple):
     u_max: float  # V
     notes: tuple[str, ...]
     friction: Friction | None = None  # None: not tested
+    curve: Characteristic | None = None  # None: not tested, or to one side alone
 
 
 def polynomial(coefficients: tuple[float, ...]) -> str:
@@ -124,6 +126,7 @@ def text(found: Identification) -> str:
         f"LVDT: noise {1e3 * found.lvdt.noise:.3g} mV, "
         + (f"steps of {1e3 * found.lvdt.resolution:.3g} mV" if found.lvdt.resolution else "no steps"),
         *([] if found.friction is None else [friction_text(found.friction)]),
+        *([] if found.curve is None else [characteristic.text(found.curve)]),
         *(f"note: {note}" for note in found.notes),
     ]
     return "\n".join(lines)
@@ -300,6 +303,7 @@ def as_dict(found: Identification) -> dict[str, Any]:
         "theta": theta_dict(found.theta),
         "lvdt": found.lvdt._asdict(),
         **({} if found.friction is None else {"friction": found.friction._asdict()}),
+        **({} if found.curve is None else {"characteristic": characteristic.as_dict(found.curve)}),
         "gains": found.gains,
         "notes": list(found.notes),
     }

@@ -1,0 +1,150 @@
+"""The characteristic curve: overlap, two gains, null, play and stops of a static valve come back."""
+
+import json
+
+import numpy as np
+import pytest
+
+from valve_control.identification import characteristic, experiment, friction
+from valve_control.identification.experiment import Experiment
+from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameters import build
+from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.plant.models import FOURTH_ORDER
+
+PERIOD = 0.001
+LAG = friction.lag_of(FOURTH_ORDER, 0.0)
+
+
+def triangle(**changes):
+    return build.commands(experiment.test_values({**friction.TEST, **changes}, PERIOD))
+
+
+def played(voltage, half):
+    """Play of the ``half`` width: the output rests until the input has gone through it."""
+    out = np.empty_like(voltage)
+    b = 0.0
+    for k, u in enumerate(voltage.tolist()):
+        b = min(max(b, u - half), u + half)
+        out[k] = b
+    return out
+
+
+def with_overlap(u, low, high):
+    return np.where(u > high, u - high, np.where(u < low, u - low, 0.0))
+
+
+def static(positive=0.9, negative=0.9, low=0.0, high=0.0, play=0.0, stop=9.0, noise=0.003, bias=0.0):
+    """A valve without dynamics; its curve is known exactly."""
+    voltage = triangle()
+    force = with_overlap(played(voltage, play), low, high)
+    position = np.clip(np.where(force > 0.0, positive, negative) * force, -stop, stop) + bias
+    position += noise * np.random.default_rng(3).standard_normal(len(voltage))
+    return Experiment("", PERIOD, voltage, position, (), 10.0, ())
+
+
+def close(found, value, least=0.004):
+    """Whether ``value`` lies within twice the bound of ``found``, which is narrow."""
+    return abs(found.value - value) < max(2.0 * found.bound, least) and found.bound < 0.02
+
+
+@pytest.mark.parametrize(
+    "valve",
+    [
+        {},
+        {"low": -0.3, "high": 0.3},
+        {"positive": 0.9, "negative": 0.78},
+        {"play": 0.1},
+        {"low": -0.2, "high": 0.5, "positive": 1.05, "negative": 0.8, "play": 0.15},
+    ],
+)
+def test_the_static_curve_comes_back(valve):
+    found = characteristic.characteristic(static(**valve), -0.5 * PERIOD)
+    given = {"positive": 0.9, "negative": 0.9, "low": 0.0, "high": 0.0, "play": 0.0, **valve}
+    assert close(found.positive.gain, given["positive"]) and close(found.negative.gain, given["negative"])
+    assert close(found.overlap, given["high"] - given["low"])
+    assert close(found.null, 0.5 * (given["high"] + given["low"]))
+    assert close(found.hysteresis, 2.0 * given["play"])
+    assert found.positive.stop is None and found.negative.stop is None
+    assert found.lopsided == ("low" in valve or "negative" in valve)
+    assert len(found.voltage) == characteristic.POINTS
+    force = with_overlap(found.voltage - given["play"], given["low"], given["high"])
+    rising = np.where(force > 0.0, given["positive"], given["negative"]) * force
+    inner = np.abs(found.voltage) < 3.5
+    assert found.rising[inner] == pytest.approx(rising[inner], abs=0.02)
+
+
+def test_a_stop_is_told_on_its_side():
+    found = characteristic.characteristic(static(positive=0.95, negative=0.8, stop=3.3), -0.5 * PERIOD)
+    assert found.positive.stop.value == pytest.approx(3.3, abs=0.002) and found.negative.stop is None
+    assert close(found.positive.gain, 0.95)
+
+
+def test_friction_and_lag_of_a_whole_valve():
+    """Model (3) with friction of 0.6 V: hysteresis of 1.2 V, one gain, no overlap, null at its offset."""
+    valve = {
+        "friction.coulomb": 0.6,
+        "friction.presliding": 0.02,
+        "disturbance.offset": 0.2,
+        "lvdt.noise": 0.005,
+    }
+    done = experiment.simulated(
+        defaults(CONTROLLER),
+        updated(VALVE, defaults(VALVE), valve),
+        experiment.test_values(friction.TEST, PERIOD),
+    )
+    found = characteristic.characteristic(done, LAG)
+    assert found.hysteresis.value == pytest.approx(1.2, abs=0.01)
+    assert found.positive.gain.value == pytest.approx(FOURTH_ORDER.static_gain, rel=0.003)
+    assert not found.lopsided and found.null.value == pytest.approx(-0.2, abs=0.005)
+    assert friction.friction(done, LAG).coulomb == pytest.approx(0.5 * found.hysteresis.value, abs=0.006)
+    (note,) = characteristic.notes(found, 10.0 / 2.0)
+    assert "the null is at -0.2" in note and "a bias of the LVDT moves it too" in note
+
+
+@pytest.mark.parametrize(
+    ("valve", "coulomb", "null"),
+    [
+        ({"low": -0.3, "high": 0.3}, 0.0, 0.0),
+        ({"positive": 0.9, "negative": 0.77}, 0.0, 0.0),
+        ({"low": -0.1, "high": 0.4, "play": 0.1}, 0.1, 0.15),
+    ],
+)
+def test_overlap_and_unequal_gains_are_no_friction(valve, coulomb, null):
+    """Before: an overlap of 0.6 V was a friction of 0.3 V, and gains 15 % apart an offset of 0.2 V."""
+    one = static(**valve)
+    bare = friction.friction(one, 0.0)
+    assert max(abs(bare.coulomb - coulomb), abs(bare.offset + null)) > 0.1
+    found, curve = characteristic.with_friction(one, 0.0)
+    assert curve.lopsided
+    assert found.coulomb == pytest.approx(coulomb, abs=0.01)
+    assert found.offset == pytest.approx(-null, abs=0.01)
+
+
+def test_an_even_valve_keeps_its_friction_and_one_side_has_no_curve():
+    one = static(play=0.2)
+    assert characteristic.with_friction(one, 0.0)[0] == friction.friction(one, 0.0)
+    lifted = one._replace(position=one.position + 9.0)
+    found, curve = characteristic.with_friction(lifted, 0.0)
+    assert curve is None and found.coulomb == pytest.approx(0.2, abs=0.01)
+
+
+def test_tables_and_drawing():
+    found = characteristic.characteristic(static(low=-0.3, high=0.3), 0.0)
+    rows = np.genfromtxt(characteristic.csv_text(found).splitlines(), delimiter=",", names=True)
+    assert len(rows) == characteristic.POINTS
+    assert np.all(np.diff(rows["voltage_v"]) > 0.0)
+    told = json.loads(json.dumps(characteristic.as_dict(found)))
+    assert told["overlap"]["value"] == pytest.approx(0.6, abs=0.01) and len(told["rising"]) == len(rows)
+    assert characteristic.figure(found, "curve.svg").startswith(b"<?xml")
+    (note,) = characteristic.notes(found, 10.0)
+    assert "overlap of 0.6" in note
+    assert "overlap 0.6" in characteristic.text(found)
+
+
+def test_what_shows_no_curve_is_refused():
+    one = static()
+    with pytest.raises(ParameterError, match="does not move below 0 V"):
+        characteristic.characteristic(one._replace(position=np.maximum(one.position, 0.0)), 0.0)
+    with pytest.raises(ParameterError, match="does not follow|does not move"):
+        characteristic.characteristic(one._replace(position=-one.position), 0.0)

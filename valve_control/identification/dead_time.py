@@ -1,0 +1,70 @@
+"""Divides the dead time of a response between actuator and sensor, which readings alone do not tell apart.
+
+The dead time of the actuator lies before the spool: the true spool is late by it, and so is the reading. That
+of the sensor lies behind the spool: the reading alone is late. A law that takes one for the other holds the
+true spool off by the dead time in question.
+"""
+
+from typing import NamedTuple
+
+from valve_control.parameter import ParameterError, Values
+from valve_control.parameters.table import CONTROLLER
+
+ACTUATOR = "dcarc.actuator_delay"
+LONGEST = 1.0  # s
+
+
+class DeadTime(NamedTuple):
+    """A dead time by its places."""
+
+    sensor: float  # s
+    actuator: float  # s
+
+
+def check(sensor: float) -> None:
+    """Raise ParameterError unless ``sensor`` [s] can be a dead time of a sensor."""
+    if not 0.0 <= sensor <= LONGEST:
+        raise ParameterError(
+            f"--sensor-delay is {sensor:g} s; it must lie between 0 and {LONGEST:g} s (an LVDT with its "
+            "converter has 0.0001 to 0.001 s)"
+        )
+
+
+def divided(total: float, sensor: float) -> DeadTime:
+    """A ``total`` dead time [s] of which the ``sensor`` [s] has its own, and the actuator the rest."""
+    behind = min(total, sensor)
+    return DeadTime(behind, total - behind)
+
+
+def of_dcarc(total: float, sensor: float) -> Values:
+    """Parameters of dcarc for a ``total`` dead time [s]; all counts as the sensor's if it has but one."""
+    if not _split():
+        return {"dcarc.delay": total}
+    own = divided(total, sensor)
+    return {"dcarc.delay": own.sensor, ACTUATOR: own.actuator}
+
+
+def notes(total: float, sensor: float) -> list[str]:
+    """Where a ``total`` dead time [s] is counted, and the error that a wrong choice makes, as sentences."""
+    made = []
+    if sensor > total:
+        made.append(
+            f"the response shows {1e3 * total:.3g} ms of dead time in all, less than the "
+            f"{1e3 * sensor:.3g} ms that --sensor-delay gives the sensor"
+        )
+    own = divided(total, sensor)
+    if own.actuator <= 0.0:
+        return made
+    late = f"{1e3 * own.actuator:.3g} ms"
+    made.append(
+        f"{late} of dead time count as the actuator's (--sensor-delay says how much is the sensor's): "
+        "readings alone do not tell the two apart, and where the choice is wrong the true spool stands off "
+        f"by its velocity times {late}"
+    )
+    if not _split():
+        made[-1] += "; dcarc has one dead time, takes it for the sensor's, and so holds the spool late by it"
+    return made
+
+
+def _split() -> bool:
+    return ACTUATOR in (p.name for p in CONTROLLER)
