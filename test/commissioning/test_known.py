@@ -55,7 +55,7 @@ def test_zeros_that_cannot_be_inverted_leave_a_model_of_lower_order():
 
 @pytest.mark.parametrize(
     ("model", "delay"),
-    [(SLOW, 0.0023), (SLOW, 0.0045), (TransferFunction((1500.0,), (1.0, 59.0, 1657.0)), 0.006)],
+    [(SLOW, 0.0045), (TransferFunction((1500.0,), (1.0, 59.0, 1657.0)), 0.006)],
 )
 def test_more_dead_time_than_dcarc_takes_goes_into_the_poles(model, delay):
     """Its gains were left out where a second order came with more than four periods."""
@@ -64,6 +64,14 @@ def test_more_dead_time_than_dcarc_takes_goes_into_the_poles(model, delay):
     assert len(values["dcarc.denominator"]) == 3 and values["dcarc.delay"] <= 4.0 * PERIOD
     assert "dcarc gets a model of order 2 with 4 ms of dead time" in found.notes[0]
     assert np.max(np.abs(loop_poles(values, model, delay / PERIOD))) < 1.0
+
+
+def test_a_third_order_without_zeros_goes_to_dcarc_as_it_is():
+    """Before: a model of order 2 with 4 ms of dead time."""
+    values = controller_values(known(SLOW, "dcarc", 0.0023), "dcarc")
+    assert values["dcarc.denominator"] == list(SLOW.denominator)
+    assert values["dcarc.delay"] == pytest.approx(0.0023)
+    assert np.max(np.abs(loop_poles(values, SLOW, 2.3))) < 1.0
 
 
 def test_a_law_without_a_model_of_its_own_in_the_first_gains_gets_none():
