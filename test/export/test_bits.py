@@ -55,7 +55,15 @@ def test_dcarc_with_a_coil_in_its_model_has_the_same_bits(tmp_path):
     sets = [
         law.build(controller(dcarc__model="custom", dcarc__numerator=up, dcarc__denominator=down, **magnet))
         for up, down in models
-        for magnet in ({}, {"dcarc.coil": 0.0015, "dcarc.hysteresis": 0.1, "dcarc.sides": 0.1})
+        for magnet in (
+            {},
+            {
+                "dcarc.coil": 0.0015,
+                "dcarc.hysteresis": 0.1,
+                "dcarc.sides": 0.1,
+                "dcarc.actuator_delay": 0.0013,
+            },
+        )
     ]
     voltages, ends = in_python(law, sets, FEW, compiled=False)
     compiled, compiled_ends = in_python(law, sets, FEW, compiled=True)

@@ -488,6 +488,7 @@ def test_a_model_that_cannot_be_taken_is_refused_in_one_sentence(numerator, deno
     ("changes", "words"),
     [
         ({"dcarc.delay": 0.0041}, ["dcarc.delay is 0.0041 s", "at most 0.004 s"]),
+        ({"dcarc.actuator_delay": 0.0041}, ["dcarc.actuator_delay is 0.0041 s", "at most 0.004 s"]),
         ({"dcarc.coil": 0.003}, ["dcarc.coil is 0.003 s", "three more poles than zeros"]),
         ({"dcarc.theta_min": [-1.0, *[-1.0] * 8]}, ["dcarc.theta_min[0] (gain)", "above -1"]),
         ({"dcarc.theta_initial": [0.0] * 6 + [2.0, 0.0, 0.0]}, ["dcarc.theta_initial[6] (offset) is 2"]),

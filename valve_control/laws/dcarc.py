@@ -70,7 +70,9 @@ class Params(NamedTuple):
 
     model: Model
     kalman: Gains
-    feedback: Row  # K of LQR
+    feedback: Row  # K of LQR, on the state when the voltage begins to act
+    waiting: Past  # the same on voltages that have not acted yet
+    unexplained: float  # the same on the disturbance
     wanted: Combination  # K·x_r
     full: Move  # over one period
     half: Move  # over half a period
@@ -104,6 +106,7 @@ class Estimate(NamedTuple):
     state: Row  # position [V], velocity [V/s] and up to four inner states
     disturbance: float  # V  at the input, without what the compensation makes good
     past: Past  # V
+    held: Past  # V  voltages of the samples before, on the model
 
 
 class Fit(NamedTuple):
@@ -193,6 +196,7 @@ def corrected(p: Params, e: Estimate, innovation: float) -> Estimate:
             e.past.third + g.past.third * innovation,
             e.past.fourth + g.past.fourth * innovation,
         ),
+        e.held,
     )
 
 
@@ -202,8 +206,11 @@ def predicted(p: Params, e: Estimate, voltage: float, explained: float) -> Estim
     ``explained`` [V]: what the compensation makes good of the disturbance from now on.
     """
     m, x, d = p.model, e.state, e.disturbance
-    u = voltage + d
-    return Estimate(
+    acting = voltage
+    if m.waits > 0.0:
+        acting = m.direct * voltage + past_dot(m.acting, e.held)
+    u = acting + d
+    following = Estimate(
         Row(
             dot(m.row0, x) + m.input.x0 * u + m.force.x0 * d,
             dot(m.row1, x) + m.input.x1 * u + m.force.x1 * d,
@@ -219,6 +226,28 @@ def predicted(p: Params, e: Estimate, voltage: float, explained: float) -> Estim
             e.past.second,
             e.past.third,
         ),
+        Past(voltage, e.held.first, e.held.second, e.held.third),
+    )
+    if m.waits > 0.0:
+        return begun(m, following, past_dot(m.leaving, e.held))
+    return following
+
+
+def begun(m: Model, e: Estimate, voltage: float) -> Estimate:
+    """Estimate ``e`` with the ``voltage`` [V] that acts at the beginning of the period."""
+    x, c = e.state, m.early
+    return Estimate(
+        Row(
+            x.x0 + c.x0 * voltage,
+            x.x1 + c.x1 * voltage,
+            x.x2 + c.x2 * voltage,
+            x.x3 + c.x3 * voltage,
+            x.x4 + c.x4 * voltage,
+            x.x5 + c.x5 * voltage,
+        ),
+        e.disturbance,
+        Past(e.past.first + m.passing_early * voltage, e.past.second, e.past.third, e.past.fourth),
+        e.held,
     )
 
 
@@ -344,14 +373,15 @@ def initial(p: Params, start: Start) -> State:
         s.inverse.jerk * reference + m.inverse.jerk * rate,
     )
     others = t.flow * reference + t.offset + t.damping * rate
-    disturbance = s.voltage * position + m.voltage * v - (start.voltage - others) / (1.0 + t.gain)
+    sent = (start.voltage - others) / (1.0 + t.gain)
+    disturbance = s.voltage * position + m.voltage * v - sent
     return State(
         reshaping.State(reshaping.unsmoothed(p.reshaping, reference, rate), rate),
         reference,
         rate,
         inverse,
         Bristles(0.0, 0.0, 0.0),
-        Estimate(state, disturbance, past),
+        Estimate(state, disturbance, past, Past(sent, sent, sent, sent)),
         Fit(NOTHING, p.prior, 0.0),
         Burden(0.0, p.fit_variance),
         t,
@@ -424,6 +454,8 @@ def step(
     before = Course(reference, 0.5 * (rate + s.rate_before), (rate - s.rate_before) / p.period, 0.0)
     aim = combined(p.wanted, s.inverse, before)
     feedback = aim - dot(p.feedback, estimate.state)
+    if p.model.waits > 0.0:
+        feedback -= past_dot(p.waiting, estimate.held) + p.unexplained * estimate.disturbance
     unsaturated = scale * (phi.gain + feedback - estimate.disturbance) + others
     wanted = unsaturated + offset
     voltage = saturate(wanted, p.u_max)
@@ -556,6 +588,14 @@ PARAMETERS: Table = (
     Parameter("dcarc.lvdt_noise", 0.0056, "V", "standard deviation of the LVDT's noise", 1e-6, 10.0),
     Parameter("dcarc.lvdt_resolution", 0.0037, "V", "step of the LVDT's converter", 0.0, 10.0),
     Parameter("dcarc.delay", 0.0, "s", "dead time of LVDT and bus, at most 4 sample periods", 0.0, 0.4),
+    Parameter(
+        "dcarc.actuator_delay",
+        0.0,
+        "s",
+        "dead time of bus and amplifier before the valve, at most 4 sample periods",
+        0.0,
+        0.4,
+    ),
     Parameter(
         "dcarc.input_noise",
         1.2,
@@ -706,6 +746,7 @@ def build(values: Values) -> Params:
             number(values, "dcarc.disturbance_rate"),
             number(values, "dcarc.voltage_weight"),
             number(values, "dcarc.coil"),
+            number(values, "dcarc.actuator_delay"),
         )
     except dcarc_design.DesignError as error:
         raise ParameterError(str(error)) from error
@@ -713,6 +754,8 @@ def build(values: Values) -> Params:
         model=made.model,
         kalman=made.kalman,
         feedback=made.feedback,
+        waiting=made.waiting,
+        unexplained=made.unexplained,
         wanted=made.wanted,
         full=made.full,
         half=made.half,
@@ -740,7 +783,8 @@ def build(values: Values) -> Params:
         reshaping=reshaping.build(values)._replace(
             smoothing=-math.expm1(-period / number(values, "dcarc.smoothing")) / period
             if dcarc_design.excess(valve_model) > 2
-            else 0.0
+            else 0.0,
+            dead_time=number(values, "dcarc.actuator_delay"),
         ),
     )
 
@@ -751,11 +795,20 @@ def model(p: Params) -> tuple[float, float, float]:
 
 
 def sampled_model(p: Params) -> tuple[Array, Array] | None:
-    """The model itself if it has three more poles than zeros, or order 5 or 6; None: ``model`` will do."""
+    """The model itself, with the voltages on their way to it as more states; None: ``model`` will do.
+
+    That is the case with two more poles than zeros, order 2 to 4 and no dead time of the actuator.
+    """
     m = p.model
-    if p.reshaping.smoothing == 0.0 and not any(m.row4):
+    if p.reshaping.smoothing == 0.0 and not any(m.row4) and m.waits == 0.0:
         return None
-    return np.array([m.row0, m.row1, m.row2, m.row3, m.row4, m.row5]), np.array(m.input)
+    n, held = len(m.input), len(m.acting)
+    a, b = np.zeros((n + held, n + held)), np.zeros(n + held)
+    a[:n, :n] = [m.row0, m.row1, m.row2, m.row3, m.row4, m.row5]
+    a[:n, n:] = np.outer(m.input, m.acting) + np.outer(m.early, m.leaving)
+    a[n + 1 :, n:-1] = np.eye(held - 1)
+    b[:n], b[n] = m.direct * np.array(m.input), 1.0
+    return a, b
 
 
 def without_adaptation(p: Params, s: State) -> tuple[Params, State]:
@@ -774,7 +827,14 @@ LAW = Law(
     build=build,
     model=model,
     sampled_model=sampled_model,
-    form=("dcarc.model", "dcarc.numerator", "dcarc.denominator", "dcarc.coil", "dcarc.delay"),
+    form=(
+        "dcarc.model",
+        "dcarc.numerator",
+        "dcarc.denominator",
+        "dcarc.coil",
+        "dcarc.delay",
+        "dcarc.actuator_delay",
+    ),
     dead_time="dcarc.delay",
     linear=without_adaptation,
     free=(

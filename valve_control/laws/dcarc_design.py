@@ -44,6 +44,8 @@ class Design(NamedTuple):
     model: Model
     kalman: Gains
     feedback: Row
+    waiting: Past
+    unexplained: float
     wanted: Combination
     full: Move
     half: Move
@@ -371,6 +373,57 @@ def reference(model: TransferFunction, period: float) -> Reference:
     )
 
 
+class Waiting(NamedTuple):
+    """The way of the voltage to the valve: periods that it waits, and what it does then."""
+
+    periods: int  # whole ones
+    input: Array  # n  column of the voltage that acts at the end of a period
+    early: Array  # n  of the one before, which acts at its beginning
+    late: float  # of the first on the position that is the first of the past ones
+    passing_early: float  # of the one before
+    transition: Array  # n×n  over the dead time
+    held: Array  # n×MOST_DELAY  of the voltages before, until the one of now begins to act
+    pushed: Array  # n  of the disturbance until then
+
+
+def waiting(model: TransferFunction, period: float, coil: float, dead_time: float, age: float) -> Waiting:
+    """Dead time of the actuator [s]: the voltage sent at a sample acts from so much later on, for a ``period``.
+
+    ``age`` [s]: of the first of the past positions, at the next sample; see ``readings`` for ``coil``.
+    """
+    a, b = observability_form(model)
+    _, f = observability_form(_from_force(model, coil)) if coil > 0.0 else (a, b)
+    scale = scale_of(model)
+    periods = math.floor(dead_time / period + 1e-9)
+    begin = max(dead_time - periods * period, 0.0)  # of the later voltage within a period
+    whole, full = sampled(a, b, period, scale)
+    until, before = sampled(a, b, begin, scale)
+    after, then = sampled(a, b, period - begin, scale)
+    seen = period - age  # within a period
+    if seen > begin:
+        rest, last = sampled(a, b, seen - begin, scale)
+        first = rest @ before
+    else:
+        last, first = np.zeros(len(b)), sampled(a, b, seen, scale)[1]
+    held = np.zeros((len(b), MOST_DELAY + 1))
+    power = np.eye(len(b))
+    for i in range(periods):
+        held[:, i] = power @ full
+        power = whole @ power
+    held[:, periods] = power @ before
+    transition, pushed = power @ until, sampled(a, f, dead_time, scale)[1]
+    return Waiting(
+        periods,
+        then,
+        after @ before,
+        float(last[0]),
+        float(first[0]),
+        transition,
+        held[:, :MOST_DELAY],
+        pushed,
+    )
+
+
 @functools.lru_cache(maxsize=32)
 def equivalent(model: TransferFunction) -> Equivalent:
     """Second-order model with the static gain and the two slowest poles of ``model``."""
@@ -391,12 +444,13 @@ def design(
     disturbance_rate: float,
     voltage_weight: float,
     coil: float,
+    dead_time: float,
 ) -> Design:
     """The law for ``model`` at ``period`` [s], with a reading ``delay`` [s] late.
 
     ``noise`` and ``resolution`` [V]: of the LVDT; ``input_noise`` [V], ``disturbance_rate`` [V/√s]: what the
     Kalman filter assumes of the input; ``voltage_weight``: of LQR; ``coil`` [s]: lag of the force behind the
-    voltage. Raises DesignError.
+    voltage; ``dead_time`` [s]: of the actuator. Raises DesignError.
     """
     at = reference(model, period)
     if coil > 0.0 and excess(model) <= EXCESS[0]:
@@ -407,6 +461,11 @@ def design(
     if delay > MOST_DELAY * period * (1.0 + 1e-9):
         raise DesignError(
             f"dcarc.delay is {delay:g} s; at a sample period of {period:g} s it must be at most "
+            f"{MOST_DELAY * period:g} s"
+        )
+    if dead_time > MOST_DELAY * period * (1.0 + 1e-9):
+        raise DesignError(
+            f"dcarc.actuator_delay is {dead_time:g} s; at a sample period of {period:g} s it must be at most "
             f"{MOST_DELAY * period:g} s"
         )
     n, zeros = readings(model, period, delay).order, len(at.of.rate)
@@ -424,6 +483,10 @@ def design(
     full[:n] = transition
     rows = [_row(row) for row in full]
     passing = o.a[n + 1, :n] if m else np.zeros(n)
+    wait = waiting(model, period, coil, dead_time, ages[0] if m else 0.0)
+    acting, late = held, float(o.b[n + 1]) if m else 0.0
+    if dead_time > 0.0:
+        acting, late = wait.input, wait.late
     return Design(
         model=Model(
             row0=rows[0],
@@ -432,17 +495,25 @@ def design(
             row3=rows[3],
             row4=rows[4],
             row5=rows[5],
-            input=_row(held),
-            force=_row(o.a[:n, n] - held),
+            input=_row(acting),
+            force=_row(o.a[:n, n] - acting),
             passing=_row(passing),
-            passing_input=float(o.b[n + 1]) if m else 0.0,
-            passing_force=float(o.a[n + 1, n] - o.b[n + 1]) if m else 0.0,
+            passing_input=late if m else 0.0,
+            passing_force=float(o.a[n + 1, n]) - late if m else 0.0,
+            waits=1.0 if dead_time > 0.0 else 0.0,
+            direct=1.0 if wait.periods == 0 else 0.0,
+            acting=_past(np.eye(MOST_DELAY + 1)[wait.periods][1:]),
+            leaving=_past(np.eye(MOST_DELAY + 2)[wait.periods + 1][1 : MOST_DELAY + 1]),
+            early=_row(wait.early),
+            passing_early=wait.passing_early if m else 0.0,
             present=0.0 if m else 1.0,
             shown=_past(shown),
             ages=_past(ages),
         ),
         kalman=Gains(_row(gain[:n]), float(gain[n]), _past(gain[n + 1 :])),
-        feedback=_row(feedback),
+        feedback=_row(feedback @ wait.transition if dead_time > 0.0 else feedback),
+        waiting=_past(feedback @ wait.held),
+        unexplained=float(feedback @ wait.pushed),
         wanted=_combination(feedback @ at.of.state, zeros),
         full=at.full,
         half=at.half,

@@ -15,7 +15,7 @@ class Row(NamedTuple):
 
 
 class Past(NamedTuple):
-    """Positions on their way to the reading, the newest first, or a number for each of them."""
+    """Positions on their way to the reading, or voltages to the valve, the newest first, or their factors."""
 
     first: float
     second: float
@@ -70,6 +70,12 @@ class Model(NamedTuple):
     passing: Row  # position within the period that is the first of the past ones
     passing_input: float
     passing_force: float
+    waits: float  # 1.0 if the voltage acts later than it is sent
+    direct: float  # 1.0 if the voltage of now acts at the end of the period
+    acting: Past  # 1.0 at the voltage before that acts there
+    leaving: Past  # 1.0 at the voltage before that acts at its beginning
+    early: Row  # column of the latter
+    passing_early: float
     present: float  # 1.0 if the reading shows the present position
     shown: Past  # 1.0 at the past position that the reading shows
     ages: Past  # s  of the past positions

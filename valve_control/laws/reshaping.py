@@ -22,6 +22,7 @@ class Params(NamedTuple):
     max_accel: float  # V/s²   bound (6)
     period: float  # s      ΔT
     braking: float = 0.0  # 1.0: the reference brakes in time; 0.0: the paper's form
+    dead_time: float = 0.0  # s    by which the spool follows the reference later, of the actuator
     smoothing: float = 0.0  # 1/s  speed g of the filter behind (8), for a third derivative; 0.0: none
 
 
@@ -106,9 +107,12 @@ def steady_command(p: Params, reference: float, rate: float) -> float:
 def command_of(p: Params, position: float, rate: float, accel: float) -> float:
     """Command [V] under which the reference follows ``position`` [V] with its two derivatives: (8), inverted.
 
-    The Euler step (11) holds the rate over a period, so that its own rate is that of the middle of it.
+    The Euler step (11) holds the rate over a period, so that its own rate is that of the middle of it. The
+    reference is ahead by the dead time of the actuator.
     """
     wn = p.natural_frequency
+    position += (rate + 0.5 * accel * p.dead_time) * p.dead_time
+    rate += accel * p.dead_time
     middle = rate + 0.5 * p.period * accel
     position = unsmoothed(p, position, middle)
     middle = unsmoothed(p, middle, accel)

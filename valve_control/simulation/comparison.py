@@ -118,11 +118,17 @@ def undisturbed() -> valve.Params:
 def unreshaped(p: reshaping.Params, wanted: Array) -> Array:
     """Command [V] whose reshaped reference (8)-(11) is ``wanted``, which has two samples more.
 
-    Where a filter behind (8) asks for a third one, ``wanted`` goes on straight.
+    Where a filter behind (8), or a dead time of the actuator, asks for more, ``wanted`` goes on straight.
     """
+    if p.dead_time > 0.0:
+        more = math.ceil(p.dead_time / p.period)
+        longer = np.concatenate([wanted, wanted[-1] + (wanted[-1] - wanted[-2]) * np.arange(1, more + 1)])
+        steps = np.arange(len(wanted)) + p.dead_time / p.period
+        wanted = np.interp(steps, np.arange(len(longer)), longer)
     if p.smoothing > 0.0:
         rate = np.diff(wanted) / p.period
         wanted = wanted + np.append(rate, rate[-1]) / p.smoothing
+    p = p._replace(dead_time=0.0, smoothing=0.0)
     rate = np.diff(wanted) / p.period
     accel = np.diff(rate) / p.period
     if p.braking > 0.0:
