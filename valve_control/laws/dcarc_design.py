@@ -387,7 +387,7 @@ class Waiting(NamedTuple):
 
 
 def waiting(model: TransferFunction, period: float, coil: float, dead_time: float, age: float) -> Waiting:
-    """Dead time of the actuator [s]: the voltage sent at a sample acts from so much later on, for a ``period``.
+    """Dead time of the actuator [s]: a voltage acts so much later than it is sent, for one ``period``.
 
     ``age`` [s]: of the first of the past positions, at the next sample; see ``readings`` for ``coil``.
     """
