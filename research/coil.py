@@ -1,0 +1,158 @@
+"""``python -m research.coil``: dcarc on three solenoid valves, with more and more of the magnet in the law.
+
+The model is the valve's own, motions are known ahead, the gains are the same on all valves. Prints the table
+of docs/laws/dcarc.md as Markdown.
+"""
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from research import running
+from valve_control.cli.common import Parser, write_json
+
+if TYPE_CHECKING:
+    from valve_control.parameter import Values
+
+
+class Valve(NamedTuple):
+    """What differs between the valves."""
+
+    frequency: float  # Hz
+    damping: float  # -
+    coil: float  # s
+    hysteresis: float  # V  full width
+    coulomb: float  # V
+
+
+GAIN, SIDE = 0.9, 1.1  # V/V and -: gain of one side, and times as much on the other
+VALVES = {
+    "A": Valve(9.0, 0.8, 0.004, 0.2, 0.5),
+    "B": Valve(35.0, 0.7, 0.0015, 0.2, 0.4),
+    "C": Valve(7.0, 0.9, 0.003, 0.1, 1.2),
+}
+TERMS = ("dcarc.coil", "dcarc.hysteresis", "dcarc.sides")
+LAWS = ("coil in the model, disturbance a voltage", *TERMS)
+
+
+class Measured(NamedTuple):
+    """One law on one valve."""
+
+    error: float  # V  geometric mean of the true e_rms on the motions
+    chatter: float  # -  mean c_u
+
+
+def plant(valve: Valve) -> "Values":
+    """Values of the simulator for ``valve``."""
+    from valve_control.parameter import defaults, updated
+    from valve_control.parameters.table import VALVE
+
+    own = {
+        "valve": "solenoid",
+        "solenoid.natural_frequency": valve.frequency,
+        "solenoid.damping": valve.damping,
+        "solenoid.coil": valve.coil,
+        "solenoid.hysteresis": valve.hysteresis,
+        "solenoid.gain": GAIN,
+        "solenoid.positive": SIDE,
+        "solenoid.bits": 12,
+        "solenoid.hum": 0.003,
+        "lvdt.noise": 0.003,
+        "lvdt.resolution": 0.0,
+        "flow_force": 0.05,
+        "disturbance.offset": 0.1,
+        "friction.coulomb": valve.coulomb,
+        "friction.static_ratio": 1.3,
+        "friction.stribeck_velocity": 0.02,
+        "friction.presliding": 0.02,
+    }
+    return updated(VALVE, defaults(VALVE), own)
+
+
+def controller(valve: Valve, terms: Sequence[str]) -> "Values":
+    """Values of dcarc that knows ``valve``, with those of TERMS that are in ``terms``."""
+    import numpy as np
+
+    from valve_control.parameter import defaults, updated
+    from valve_control.parameters.table import CONTROLLER
+    from valve_control.simulation.comparison import NO_LIMITS
+
+    w, gain = 2.0 * math.pi * valve.frequency, 0.5 * (1.0 + SIDE) * GAIN
+    known = {"dcarc.coil": valve.coil, "dcarc.hysteresis": 0.5 * valve.hysteresis, "dcarc.sides": SIDE - 1.0}
+    own = {
+        **NO_LIMITS,
+        "controller": "dcarc",
+        "dcarc.model": "custom",
+        "dcarc.numerator": [gain * w * w],
+        "dcarc.denominator": np.polymul([1.0, 2.0 * valve.damping * w, w * w], [valve.coil, 1.0]).tolist(),
+        "dcarc.lvdt_noise": 0.004,
+        "dcarc.lvdt_resolution": 0.0049,
+        "dcarc.input_noise": 0.5,
+        "dcarc.disturbance_rate": 4.0,
+        "dcarc.voltage_weight": 0.02,
+        "dcarc.presliding": [0.008, 0.02, 0.05],
+        "dcarc.theta_initial": [0.0, 0.0, valve.coulomb, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        "dcarc.theta_spread": [0.1, 0.15, 0.15, 0.15, 0.15, 0.1, 0.2, 0.0, 0.0],
+        "dcarc.fit_noise": 0.4,
+        "dcarc.forgetting": 0.05,
+        **{term: known[term] for term in terms},
+    }
+    return updated(CONTROLLER, defaults(CONTROLLER), own)
+
+
+def measured(valve: Valve, terms: Sequence[str], motions: Sequence[str] = ()) -> Measured:
+    """Run dcarc with ``terms`` on ``valve`` and the ``motions`` of ``compare``; (): all of them."""
+    import numpy as np
+
+    from valve_control.analysis.indices import rms
+    from valve_control.laws import dcarc
+    from valve_control.simulation import comparison, offline
+
+    values = controller(valve, terms)
+    p = dcarc.build(values)
+    errors, chatter = [], []
+    for name, wanted in comparison.motions().items():
+        if motions and name not in motions:
+            continue
+        run = offline.simulate(values, plant(valve), comparison.unreshaped(p.reshaping, wanted))
+        errors.append(rms(run.position - wanted[:-2]))
+        chatter.append(run.indices.c_u)
+    return Measured(float(np.exp(np.mean(np.log(errors)))), float(np.mean(chatter)))
+
+
+def table(found: Sequence[Sequence[Measured]]) -> list[str]:
+    """Markdown with one row for each of LAWS, one column for each of VALVES: e_rms in mV and c_u."""
+    lines = [f"| law | {' | '.join(VALVES)} |", "|---" * (len(VALVES) + 1) + "|"]
+    for i, (law, row) in enumerate(zip(LAWS, found, strict=True)):
+        name = law if i == 0 else f"`{law}`" if i == 1 else f"with `{law}` too"
+        lines.append(
+            f"| {name} | " + " | ".join(f"{1e3 * m.error:.1f} ({m.chatter:.2f})" for m in row) + " |"
+        )
+    return lines
+
+
+def _options() -> Parser:
+    parser = running.options(
+        "coil", "dcarc on three solenoid valves, with more and more of the magnet in the law."
+    )
+    parser.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
+    return parser
+
+
+def _coil(arguments: argparse.Namespace) -> None:
+    found = [[measured(valve, TERMS[:i]) for valve in VALVES.values()] for i in range(len(LAWS))]
+    if arguments.json != "-":
+        print("\n".join(table(found)))
+    rows = [{name: m._asdict() for name, m in zip(VALVES, row, strict=True)} for row in found]
+    write_json(arguments, dict(zip(LAWS, rows, strict=True)))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the measurement; returns the exit status."""
+    return running.run(_options(), _coil, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
