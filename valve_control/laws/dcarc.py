@@ -410,6 +410,8 @@ def advanced(
     """The magnet a sample later, its weights fitted like the others to ``left`` [V] (as in ``step``)."""
     m = p.magnet
     if m.on == 0.0:
+        if m.coil == 0.0:
+            return s
         return magnet.State(d.force.gain, d.force_rate, 0.0, 0.0, s.weights, s.regressor, s.variance)
     px = magnet.product(s.variance, s.regressor)
     step, forget = left * sharpness, p.forget * fresh

@@ -107,12 +107,16 @@ class Equivalent(NamedTuple):
 
 def dot(row: Row, x: Row) -> float:
     """Scalar product."""
-    return row.x0 * x.x0 + row.x1 * x.x1 + row.x2 * x.x2 + row.x3 * x.x3 + row.x4 * x.x4 + row.x5 * x.x5
+    a0, a1, a2, a3, a4, a5 = row
+    x0, x1, x2, x3, x4, x5 = x
+    return a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3 + a4 * x4 + a5 * x5
 
 
 def past_dot(a: Past, b: Past) -> float:
     """Scalar product."""
-    return a.first * b.first + a.second * b.second + a.third * b.third + a.fourth * b.fourth
+    a0, a1, a2, a3 = a
+    b0, b1, b2, b3 = b
+    return a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3
 
 
 class Course(NamedTuple):
