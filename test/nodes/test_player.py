@@ -66,6 +66,20 @@ def test_a_table_is_published_in_volts(tmp_path, run):
         player.play(str(log), maps, ["/lvdt"], 1.0, False, quiet=True)
 
 
+def test_messages_with_one_stamp_are_published_in_the_order_of_the_recording():
+    """Ten readings and their commands share each stamp of a clock of 10 ms."""
+    count = 30
+    stamps = np.arange(count) // 10 * 10_000_000
+    places = np.arange(count)
+    tracks = [
+        player.Track("/spool_position", "", stamps, 2 * places + 1, [b""] * count),
+        player.Track("/spool_command", "", stamps, 2 * places, [b""] * count),
+    ]
+    times, owner, number = player.in_turn(tracks)
+    assert owner.tolist() == [1, 0] * count and number.tolist() == np.repeat(places, 2).tolist()
+    assert np.all(np.diff(times) >= 0)
+
+
 def again(path):
     from valve_control.bags.bag import Bag
 

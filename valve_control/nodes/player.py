@@ -15,7 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 from tqdm import tqdm
 
-from valve_control.bags.bag import Bag
+from valve_control.bags.bag import Bag, Series
 from valve_control.bags.errors import BagError
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
 from valve_control.nodes.definitions import message_class
@@ -23,6 +23,7 @@ from valve_control.nodes.transport import check_log_folder
 from valve_control.recordings.clocks import decide, without_strays
 from valve_control.recordings.mapping import find_valves
 from valve_control.recordings.recording import Valve, align, chosen, load
+from valve_control.recordings.stamps import fields, retimed
 
 Integers = npt.NDArray[np.int64]
 MEET = 10.0  # s to wait for somebody who listens
@@ -42,7 +43,7 @@ class Played(NamedTuple):
     differing: int | None  # of them, from the recorded voltage, bit for bit
 
 
-class _Track(NamedTuple):
+class Track(NamedTuple):
     """Messages that are published on one topic."""
 
     topic: str
@@ -116,18 +117,15 @@ def _timed(
         raise BagError(f"{path} cannot be played: {error}") from error
     if not any(len(track.messages) for track in tracks):
         raise BagError(f"{path} has no message on {', '.join(publishers)}")
-    times = np.concatenate([track.time for track in tracks])
-    owner = np.repeat(np.arange(len(tracks)), [len(track.messages) for track in tracks])
-    number = np.concatenate([np.arange(len(track.messages)) for track in tracks])
-    order = np.lexsort((np.concatenate([track.place for track in tracks]), times))
+    times, owner, number = in_turn(tracks)
     outputs = [(publishers[track.topic], track.messages) for track in tracks]
     _meet(publishers)
-    due = ((times[order] - times[order[0]]) * 1e-9 / rate).tolist()
+    due = ((times - times[0]) * 1e-9 / rate).tolist()
     delays = []
     began = time.monotonic()
     with tqdm(total=due[-1], unit="s", disable=quiet, ascii=not sys.stderr.isatty(), mininterval=1.0,
               bar_format="live {bar} {n:.1f}/{total:.1f} s") as progress:  # fmt: skip
-        for moment, k, i in zip(due, owner[order].tolist(), number[order].tolist(), strict=True):
+        for moment, k, i in zip(due, owner.tolist(), number.tolist(), strict=True):
             pause = began + moment - time.monotonic()
             if pause > 0.0:
                 time.sleep(pause)
@@ -142,10 +140,22 @@ def _timed(
     return Played(len(due), elapsed, float(np.percentile(delays, 99)), [], None)
 
 
+def in_turn(tracks: Sequence[Track]) -> tuple[Integers, Integers, Integers]:
+    """Time [ns] of each message, index of its track, and its number there, in the order of publication.
+
+    Messages with the same time stand in the order of the recording.
+    """
+    times = np.concatenate([track.time for track in tracks])
+    owner = np.repeat(np.arange(len(tracks)), [len(track.messages) for track in tracks])
+    number = np.concatenate([np.arange(len(track.messages)) for track in tracks])
+    order = np.lexsort((np.concatenate([track.place for track in tracks]), times))
+    return times[order], owner[order], number[order]
+
+
 def _topics(
     node: Node, bag: Bag, maps: Sequence[str], topics: Sequence[str] | None, start: float | None,
     end: float | None, clock: str | None,
-) -> list[_Track]:  # fmt: skip
+) -> list[Track]:  # fmt: skip
     """Messages of ``topics`` of a bag, of the valves' commands and positions if none are named."""
     if topics is None:
         parts = ("spool_command", "spool_position")
@@ -155,32 +165,42 @@ def _topics(
         if bag.topic(name).unreadable:
             raise BagError(f"{bag.path} cannot be played: {bag.topic(name).unreadable}")
     begin = bag.begin
-    series = bag.read(
-        {},
-        raw=topics,
-        start=None if start is None else begin + round(start * 1e9),
-        end=None if end is None else begin + round(end * 1e9),
-    )
+    first = None if start is None else begin + round(start * 1e9)
+    last = None if end is None else begin + round(end * 1e9)
+    stamped = fields(bag, topics, clock)
     notes: list[str] = []
-    series = without_strays(series, notes)
-    ruling = decide(series, [topics], clock, bag.path)
+    if stamped:
+        series = without_strays(bag.read(stamped, raw=topics), notes)
+        series, ruling = retimed(series, stamped, decide(series, [topics], None, bag.path), topics)
+        series = _part({name: series[name] for name in topics}, start, end)
+    else:
+        series = without_strays(bag.read({}, raw=topics, start=first, end=last), notes)
+        ruling = decide(series, [topics], clock, bag.path)
     for note in (*notes, *ruling.notes):
         node.get_logger().warning(note)
     return [
-        _Track(name, bag.topic(name).type, one.publish_time, one.place, one.raw)
+        Track(name, bag.topic(name).type, one.publish_time, one.place, one.raw)
         for name, one in ruling.read(series).items()
     ]
+
+
+def _part(series: dict[str, Series], start: float | None, end: float | None) -> dict[str, Series]:
+    """``series`` from ``start`` to ``end`` [s] after the first of all."""
+    begin = min(int(one.publish_time.min()) for one in series.values() if len(one.publish_time))
+    time = {name: (one.publish_time - begin) * 1e-9 for name, one in series.items()}
+    low, high = 0.0 if start is None else start, np.inf if end is None else end
+    return {name: one.pick((time[name] >= low) & (time[name] < high)) for name, one in series.items()}
 
 
 def _columns(
     path: str, maps: Sequence[str], topics: Sequence[str] | None, start: float | None, end: float | None,
     clock: str | None,
-) -> list[_Track]:  # fmt: skip
+) -> list[Track]:  # fmt: skip
     """Commands and positions [V] of a table's valves, for the topics of these signals."""
     if topics is not None:
         raise BagError(f"{path} is a table, which has no topics; --map tells its command and its position")
     return [
-        _Track(
+        Track(
             f"{valve.topics.namespace}/{part}",
             "std_msgs/msg/Float64",
             valve.signals[part].time,

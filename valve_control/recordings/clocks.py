@@ -30,7 +30,7 @@ SPIKE = 5  # messages in a row, of which two may stand apart
 class Clock(NamedTuple):
     """The clock that all times of a recording are of."""
 
-    name: str  # log_time or publish_time
+    name: str  # log_time, publish_time, header.stamp, /clock, or that of a table
     speed: float  # of publish_time over log_time, NaN where it is not known
     offset: float  # s  of publish_time from log_time, NaN where it is not known
     notes: tuple[str, ...]
@@ -47,7 +47,7 @@ class Clock(NamedTuple):
 
     def read(self, series: Mapping[str, Series]) -> dict[str, Series]:
         """``series`` whose publish_time is of this clock, so that nothing is taken from the other."""
-        if self.source:
+        if self.name != "log_time":
             return dict(series)
         return {name: one._replace(publish_time=one.log_time) for name, one in series.items()}
 

@@ -15,6 +15,7 @@ from valve_control.recordings import modes, parameters
 from valve_control.recordings.cleaning import Samples, clean, seconds
 from valve_control.recordings.clocks import Clock, decide, of_table, without_strays
 from valve_control.recordings.mapping import STATE_TYPE, ValveTopics, find_valves
+from valve_control.recordings.stamps import fields, retimed
 from valve_control.supervision.journal import Block, block
 from valve_control.supervision.state_snapshot import Account, account
 
@@ -115,7 +116,8 @@ def load(
 
     ``told`` takes the opened bag and returns a function that is called with the number of bytes read since
     its last call; ``journals``: load the controllers' journals too, which only a shadow replay needs;
-    ``clock``: log or publish, whose times are taken for all (default: publish, if it is fit for all signals).
+    ``clock``: log, publish, header (stamps in headers) or /clock (a simulated clock), whose times are taken
+    for all (default: publish, if it is fit for all signals).
     Raises BagError if nothing can be analysed.
     """
     bag = Bag(path)
@@ -141,7 +143,13 @@ def load(
     last = None if end is None else begin + nanoseconds(end, "--to")
     hears = told(bag) if told else None
     groups = [[source.topic for source in valve.sources.values()] for valve in topics.values()]
-    if start is None:
+    signals = [name for group in groups for name in group]
+    stamped = fields(bag, signals, clock) if bag.table is None else {}
+    for name, names in stamped.items():
+        wanted.setdefault(name, []).extend(names)
+    if stamped:
+        series = bag.read(wanted, raw=raw, sparse=states, told=hears)
+    elif start is None:
         series = bag.read(wanted, raw=raw, sparse=states, end=last, told=hears)
     else:
         # What is known of the nodes counts from the bag's beginning, whatever part is asked for.
@@ -149,11 +157,19 @@ def load(
         series |= bag.read({}, raw=raw, end=last)
     found: list[str] = []
     series = without_strays(series, found)
-    ruling = of_table(bag.table, clock) if bag.table is not None else decide(series, groups, clock, path)
-    if ruling.source and ruling.apart and (start is not None or end is not None):
-        # The part that was read is one of times of recording.
-        found.clear()
-        series = without_strays(bag.read(wanted, raw=raw, sparse=states), found)
+    if bag.table is not None:
+        ruling = of_table(bag.table, clock)
+    else:
+        ruling = decide(series, groups, None if stamped else clock, path)
+    if stamped:
+        series, ruling = retimed(series, stamped, ruling, signals)
+        series = without_strays(series, found)
+    apart = ruling.source and ruling.apart
+    if (apart or stamped) and (start is not None or end is not None):
+        if apart:
+            # The part that was read is one of times of recording.
+            found.clear()
+            series = without_strays(bag.read(wanted, raw=raw, sparse=states), found)
         sent = [series[name].publish_time for group in groups for name in group]
         begin = min(int(time.min()) for time in sent if len(time))
         first = begin + nanoseconds(start or 0.0, "--from")
