@@ -178,9 +178,10 @@ def _topics(
         ruling = decide(series, [topics], clock, bag.path)
     for note in (*notes, *ruling.notes):
         node.get_logger().warning(note)
+    read = ruling.read(series)
     return [
-        Track(name, bag.topic(name).type, one.publish_time, one.place, one.raw)
-        for name, one in ruling.read(series).items()
+        Track(name, bag.topic(name).type, read[name].publish_time, read[name].place, read[name].raw)
+        for name in topics
     ]
 
 
