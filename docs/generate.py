@@ -80,6 +80,7 @@ MEANINGS = {
     "/clock": "simulated time, in lockstep only",
     "~/reset": "estimates, filters and doubts about the LVDT go to their start; of an axis: hold the "
     "position, and activate the valve's controller",
+    "~/save_box": "black box: write the last seconds as a bag; the answer names it",
     "~/save_parameters": "write the running parameters, with the present estimates, to `save_file`",
     "joint_states": "position of the axis [m] under the name of its joint, the clock of the upper level",
     "pressure_a": "absolute pressure in the room that drives the piston out [Pa]",
