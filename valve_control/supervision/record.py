@@ -20,6 +20,7 @@ from valve_control.supervision import (
     lock_in,
     lvdt,
     lvdt_watch,
+    noise_watch,
     oscillation,
     plausibility,
     rate,
@@ -86,6 +87,7 @@ class Memory:
     probe: lock_in.State = lock_in.NOTHING  # of these cycles
     source: str = ""  # of cycles that go on: oscillation, lvdt_hum, none
     pause: cycle_watch.Pause = cycle_watch.NEVER  # after cycles at the limit of the voltage
+    noise: noise_watch.State = noise_watch.NOTHING  # of the readings
     said: conditions.State = conditions.NOTHING
     motion: points.Motion = NO_MOTION  # wanted at this sample
     fading: bool = True  # whether an offset of ``transfer`` may be other than 0

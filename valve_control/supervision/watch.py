@@ -29,6 +29,7 @@ from valve_control.supervision import (
     lock_in,
     lvdt,
     lvdt_watch,
+    noise_watch,
     oscillation,
     plausibility,
     rate,
@@ -60,6 +61,7 @@ class Params(NamedTuple):
     command: command_watch.Params
     lvdt: lvdt_watch.Params
     cycles: cycle_watch.Params  # of the voltage
+    noise: noise_watch.Params  # of the readings
     lead: command_lead.Params | None  # of the command
     transfer: bumpless_transfer.Params
     joining: command_course.Params | None  # of commands
@@ -85,6 +87,11 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
             lock_in.Model(watched.judge.a1, watched.judge.a0, watched.judge.b0, watched.period),
             watched.hold_off,
             watched.hold_off_limit,
+        ),
+        noise_watch.design(
+            watched.judge.b0,
+            watched.period,
+            1.0 if watched.comparison is None else watched.comparison.block,
         ),
         command_lead.build(values, reshaped),
         bumpless_transfer.design(number(values, "transfer_time"), number(values, "sample_period")),
@@ -301,6 +308,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, reading)
     m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
     if m.evidence is not None and m.evidence.held == 0.0:
+        watch_noise(p, m, applied)
         confront(p, m)
     if m.law is not None and p.cycles.cycling.amplitude > 0.0:
         watch_cycles(p, m, reading, voltage)
@@ -357,6 +365,24 @@ def bridge(p: Params, m: Memory, gap: int, reading: float) -> None:
 def has_leapt(m: Memory) -> bool:
     """Whether readings that are being bridged leapt: after a gap they would be taken for motion."""
     return m.trust.bridged > 0 and m.jumped_until >= 0.0
+
+
+def watch_noise(p: Params, m: Memory, applied: float) -> None:
+    """Measure the noise of the readings after a block at whose end ``applied`` [V] is on."""
+    standing = m.judged.standing
+    m.noise = noise_watch.step(p.noise, m.noise, standing.second, standing.grain, applied)
+    tell_noise(m)
+
+
+@node_only
+def tell_noise(m: Memory) -> None:
+    """Report the noise of the readings after a window of it, or that it is calm again."""
+    if m.noise.blocks > 0.0:
+        return
+    if noise_watch.is_loud(m.noise):
+        report(m, "lvdt_noise", noise_watch.text(m.noise))
+    else:
+        clear(m, "lvdt_noise")
 
 
 def confront(p: Params, m: Memory) -> None:
