@@ -9,7 +9,7 @@ from changed import controller
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.laws import dcarc, dcarc_design, magnet
+from valve_control.laws import command_lead, dcarc, dcarc_design, magnet, reshaping
 from valve_control.laws.signals import Start
 from valve_control.parameters import stability
 from valve_control.simulation import comparison
@@ -178,3 +178,17 @@ def test_the_loop_with_a_dead_time_has_the_poles_of_filter_and_regulator(delay):
     ]
     assert poles[0] == pytest.approx(poles[1], abs=1e-5)
     assert stability.warning(dcarc.LAW, p) == ""
+
+
+def test_the_lead_that_the_docs_name_leaves_no_lag_behind_a_ramp():
+    """2·ξ_n/ω_n + 1/g + τ_a: the reference is where the command will be when the voltage acts."""
+    delay, rate = 0.0013, 5.0
+    changes = {**MODEL, **WIDE, **ALONE, "dcarc.actuator_delay": delay}
+    p = dcarc.build(controller(**changes))
+    lead = reshaping.lag(controller(**changes)) + 1.0 / p.reshaping.smoothing + delay
+    ramp = np.arange(400) * PERIOD * rate
+    led = command_lead.applied(command_lead.build(controller(**changes, reshaping__lead=lead), True), ramp)
+    s = dcarc.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
+    for command in led:
+        _, s, terms = dcarc.step(p, s, float(command), 0.0, 0.0)
+    assert terms.reference == pytest.approx(ramp[-1] + rate * delay, abs=1e-6)
