@@ -523,7 +523,7 @@ class Controller(Managed):
         path = Path(name).expanduser().absolute()
         try:
             values = arguments.addressed(str(path), self.get_fully_qualified_name(), self.table)
-            changes = {n: value for n, value in values.items() if value != self._values[n]}
+            changes = {n: value for n, value in values.items() if value != self._values.get(n)}
             if changes:
                 wanted = [Parameter(n, value=value) for n, value in changes.items()]
                 result = self.set_parameters_atomically(wanted)
