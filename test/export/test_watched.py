@@ -51,8 +51,9 @@ def test_the_contract(run, tmp_path):
 
 
 @compiles
-def test_commands_that_are_joined(run):
-    words = ("--controller", "pid", "--watch", "--set", "command.interpolation=linear", "--output", "made")
+@pytest.mark.parametrize("kind", ["linear", "bridge"])
+def test_commands_that_are_joined(run, kind):
+    words = ("--controller", "pid", "--watch", "--set", f"command.interpolation={kind}", "--output", "made")
     assert run("export", *words)[0] == 0
     done = check("made")
     assert done.returncode == 0 and "rows equal to the last bit" in done.stdout, done.stdout + done.stderr

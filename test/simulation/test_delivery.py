@@ -34,10 +34,20 @@ def test_lag_at_100_hz_is_that_of_the_table_in_cascade(kind, late):
 
 
 def test_uneven_commands_come_twice_and_not_at_all():
-    got = delivery.received(values(), TIMES, Delivery(0.001, 0.0007)).values
+    got = delivery.received(values(command__bridge=0.0), TIMES, Delivery(0.001, 0.0007)).values
     steps = np.round(np.diff(got) / 0.001)
     assert set(steps) >= {0.0, 1.0, 2.0} and np.all(steps >= 0.0)
     assert np.max(np.abs(got - TIMES)) < 0.0021
+
+
+def test_uneven_commands_are_bridged():
+    """Within half a sample of the motion on average, and with a quarter of the steps' unevenness."""
+    held, bridged = (
+        delivery.received(values(command__bridge=time), TIMES, Delivery(0.001, 0.0007)).values - TIMES
+        for time in (0.0, 0.006)
+    )
+    assert abs(np.mean(bridged[50:])) < 0.0005 and np.max(np.abs(bridged)) < 0.0021
+    assert np.std(np.diff(bridged[50:])) < 0.5 * np.std(np.diff(held[50:]))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from slow import PERIOD, bare, lag, run, settings
 from valve_control.analysis.indices import rms
 from valve_control.laws import registry
 from valve_control.parameters import build
-from valve_control.supervision import command_course
+from valve_control.supervision import command_course, late_commands
 from valve_control.supervision.record import Mode
 from valve_control.supervision.supervisor import Supervisor
 
@@ -126,7 +126,7 @@ def test_extrapolation_stays_within_the_command_limit(commands, every):
     assert np.all(np.abs(followed(EXTRAPOLATE, commands, every, every * len(commands) + 5)) <= 10.0)
 
 
-@pytest.mark.parametrize("interval", [0.0, -0.01, command_course.LONGEST * 1.01, math.inf])
+@pytest.mark.parametrize("interval", [0.0, -0.01, late_commands.LONGEST * 1.01, math.inf])
 def test_a_command_without_a_time_to_join_it_by_counts_at_once(interval):
     s = command_course.taken(LINEAR, None, 1.0, 0.0, 0.0)
     s = command_course.taken(LINEAR, s, 2.0, interval, 0.01)

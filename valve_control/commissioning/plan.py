@@ -34,6 +34,7 @@ def limiting(before: Values, limits: Limits) -> Values:
         "command_limit": limits.voltage,
         "command_timeout": SILENCE if timeout == 0.0 else min(timeout, SILENCE),
         "command.interpolation": "hold",
+        "command.bridge": 0.0,
         "reshaping.lead": 0.0,
     }
 

@@ -37,8 +37,18 @@ CONTROLLER: Table = (
         "hold",
         "",
         "between commands that are slower than the LVDT, by their time stamps: hold; linear: a straight line "
-        "to the newest, which takes a command period; extrapolate: to where the next one will be",
-        choices=("hold", "linear", "extrapolate"),
+        "to the newest, which takes a command period; extrapolate: to where the next one will be; bridge: "
+        "along the course of the last ones, see command.bridge",
+        choices=("hold", "linear", "extrapolate", "bridge"),
+    ),
+    Parameter(
+        "command.bridge",
+        0.006,
+        "s",
+        "time for which a command or point of a trajectory that is late is bridged by the course of those "
+        "before; then the last one holds; 0.0: it holds at once",
+        0.0,
+        0.1,
     ),
     Parameter(
         "transfer_time",

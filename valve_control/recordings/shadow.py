@@ -84,7 +84,8 @@ class _Replay:
         self._left_out: list[str] = []
         self._faithful = not overrides
         self._supervisor = Supervisor()
-        self._values = defaults(CONTROLLER)
+        # In recordings that do not have this parameter yet a late command was held.
+        self._values = {**defaults(CONTROLLER), "command.bridge": 0.0}
         self._supervisor.apply(self._values, build.law_params(self._values))
         self._supervisor.answered = self._faithful and self.exact
 

@@ -1,8 +1,9 @@
 """Delivers the commands of an upper level to a simulated controller as a node gets them.
 
 The upper level sends the wanted motion every command period; each message is early or late on its way, and
-the controller takes at each sample those that have come. It holds the newest, or joins them as
-``command.interpolation`` says, with the node's own functions.
+the controller takes at each sample those that have come. It holds the newest, joins them as
+``command.interpolation`` says, or bridges those that are late (``command.bridge``), with the node's own
+functions.
 """
 
 import functools
@@ -14,7 +15,7 @@ import numpy.typing as npt
 from valve_control.compiling import compile_function
 from valve_control.laws import command_lead
 from valve_control.parameter import ParameterError, Values, number, word
-from valve_control.supervision import command_course
+from valve_control.supervision import command_course, late_commands
 
 Array = npt.NDArray[np.float64]
 TOGETHER = 1e-9  # s  within which a message counts as come at the time of a sample
@@ -37,7 +38,7 @@ class Received(NamedTuple):
 
 def check(values: Values, delivery: Delivery) -> None:
     """Raise ParameterError for a ``delivery`` that cannot be, at the sample period of ``values``."""
-    period, most = number(values, "sample_period"), command_course.LONGEST
+    period, most = number(values, "sample_period"), late_commands.LONGEST
     if not period <= delivery.period <= most:
         raise ParameterError(
             f"--command-period is {delivery.period:g} s; it must lie between the sample period, "
@@ -53,11 +54,22 @@ def check(values: Values, delivery: Delivery) -> None:
 def received(values: Values, wanted: Array, delivery: Delivery) -> Received:
     """Commands at each sample for the ``wanted`` motion [V], one entry a sample; not limited yet."""
     kind, limit = word(values, "command.interpolation"), number(values, "command_limit")
-    return _received(wanted.tobytes(), delivery, kind, limit, number(values, "sample_period"))
+    period, bridging = number(values, "sample_period"), late_commands.design(values)
+    in_time = delivery.jitter == 0.0 and delivery.period == period
+    if bridging is not None and not bridging.every and in_time:
+        bridging = None
+    return _received(wanted.tobytes(), delivery, kind, limit, period, bridging)
 
 
 @functools.lru_cache(maxsize=64)
-def _received(wanted: bytes, delivery: Delivery, kind: str, limit: float, period: float) -> Received:
+def _received(
+    wanted: bytes,
+    delivery: Delivery,
+    kind: str,
+    limit: float,
+    period: float,
+    bridging: late_commands.Params | None,
+) -> Received:
     course = command_course.design(
         {"command.interpolation": kind, "command_limit": limit, "sample_period": period}
     )
@@ -69,6 +81,8 @@ def _received(wanted: bytes, delivery: Delivery, kind: str, limit: float, period
     arrivals = np.maximum.accumulate(sent + late)
     commands = np.interp(sent, np.arange(n) * period, motion)
     taken_at = np.ceil((arrivals - TOGETHER) / period).clip(0).astype(int)
+    if course is None and bridging is not None:
+        return Received(_bridged(bridging, taken_at, commands, delivery.period, n), None)
     if course is None:
         newest = np.searchsorted(taken_at, np.arange(n), side="right") - 1
         return Received(commands[newest], None)
@@ -83,6 +97,23 @@ def _received(wanted: bytes, delivery: Delivery, kind: str, limit: float, period
         assert state is not None, "the first command comes with the first sample"
         values[i], rates[i] = command_course.value(state, i * period), command_course.rate(state, i * period)
     return Received(values, rates)
+
+
+def _bridged(
+    p: late_commands.Params, taken_at: npt.NDArray[np.int64], commands: Array, interval: float, n: int
+) -> Array:
+    """The ``commands`` [V], taken at these samples, at each of ``n`` samples; late ones are bridged."""
+    values = np.empty(n)
+    state: late_commands.State | None = None
+    k = 0
+    for i in range(n):
+        now = i * p.period
+        while k < len(commands) and taken_at[k] <= i:
+            state = late_commands.taken(p, state, float(commands[k]), interval if k else 0.0, now)
+            k += 1
+        assert state is not None, "the first command comes with the first sample"
+        values[i] = late_commands.value(p, state, now)
+    return values
 
 
 def led(lead: command_lead.Params | None, got: Received) -> Array:

@@ -9,11 +9,9 @@ from typing import NamedTuple
 from valve_control.laws.projection import clip
 from valve_control.parameter import Values, number, word
 from valve_control.plant.amplifier import saturate
+from valve_control.supervision.late_commands import LONGEST, joined
 
-LONGEST = 0.1  # s between two commands of one course; one that comes later begins anew
-UNEVEN = 0.02  # s  early or late by which a command still belongs to the course
 STEEPER = 6.0  # from one line to the next, of a motion
-SMOOTHING = 0.1  # share of what a command comes early or late that counts
 
 
 class Params(NamedTuple):
@@ -41,7 +39,7 @@ class State(NamedTuple):
 def design(values: Values) -> Params | None:
     """Course with the parameters of the controller, None for commands that hold until the next one."""
     kind = word(values, "command.interpolation")
-    if kind == "hold":
+    if kind not in ("linear", "extrapolate"):
         return None
     return Params(kind == "extrapolate", number(values, "command_limit"), number(values, "sample_period"))
 
@@ -71,12 +69,6 @@ def beside(rate: float, slope: float) -> float:
     """``rate`` [V/s] as far as a motion may have it next to this ``slope`` [V/s]; a step has none."""
     most = STEEPER * abs(slope)
     return clip(rate, -most, most)
-
-
-def joined(due: float, interval: float, arrival: float) -> float:
-    """When [s] a message is due that was sent ``interval`` [s] after the one that was due at ``due`` [s]."""
-    late = arrival - due - interval
-    return arrival if abs(late) > max(interval, UNEVEN) else due + interval + SMOOTHING * late
 
 
 def value(s: State, now: float) -> float:

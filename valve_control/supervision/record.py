@@ -17,6 +17,7 @@ from valve_control.supervision import (
     command_watch,
     conditions,
     cycle_watch,
+    late_commands,
     lock_in,
     lvdt,
     lvdt_watch,
@@ -76,6 +77,7 @@ class Memory:
     effective: float = math.nan  # V  the same, as the law got it, none before the first
     transfer: bumpless_transfer.State = bumpless_transfer.NOTHING
     course: command_course.State | None = None  # of commands that are joined
+    upper: late_commands.State | None = None  # commands, and how they go on while one is late
     trajectory: points.State | None = None  # instead of commands
     lead: command_lead.State | None = None  # of the command, none without it or without the law
     law: Any | None = None  # state of the law, none while it does not have the valve

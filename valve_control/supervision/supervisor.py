@@ -95,6 +95,8 @@ class Supervisor:
             m.lead = None
         if made.joining is None:
             m.course = None
+        if made.late is None or former is None or former.late is None or former.late.every != made.late.every:
+            m.upper = None
         m.voltage = saturate(m.voltage, self._watch_law.u_max)
         m.command = command_watch.limited(made.command, m.command)
         self._use_law(values, params, None if former is None else former.law)
@@ -302,7 +304,7 @@ class Supervisor:
     @property
     def joins(self) -> bool:
         """Whether the time between two commands counts."""
-        return self.values["command.interpolation"] != "hold"
+        return self._params.joining is not None or (self._params.late is not None and self._params.late.every)
 
     @property
     def has_trajectory(self) -> bool:

@@ -26,6 +26,7 @@ from valve_control.supervision import (
     command_watch,
     conditions,
     cycle_watch,
+    late_commands,
     lock_in,
     lvdt,
     lvdt_watch,
@@ -65,6 +66,7 @@ class Params(NamedTuple):
     lead: command_lead.Params | None  # of the command
     transfer: bumpless_transfer.Params
     joining: command_course.Params | None  # of commands
+    late: late_commands.Params | None  # how commands that are late are bridged
     reshapes: bool  # whether the law follows a reshaped reference
     probation: float  # V  limit of the voltage while readings are doubted
     lockstep: bool  # whether the law starts as offline, wherever spool and command are
@@ -96,6 +98,7 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
         command_lead.build(values, reshaped),
         bumpless_transfer.design(number(values, "transfer_time"), number(values, "sample_period")),
         command_course.design(values),
+        late_commands.design(values),
         reshaped and hasattr(law, "reshaping"),
         lvdt_watch.PROBATION * number(values, "lvdt.disturbance"),
         bool(values["lockstep"]),
@@ -192,6 +195,10 @@ def command(p: Params, m: Memory, value: float, interval: float) -> None:
         arrival = m.now + p.joining.period
         limited = saturate(value, p.joining.limit)
         m.course = command_course.taken(p.joining, m.course, limited, interval, arrival)
+        m.upper = None
+    elif p.late is not None:
+        limited = saturate(value, p.late.limit)
+        m.upper = late_commands.taken(p.late, m.upper, limited, interval, m.now + p.late.period)
     renew(p, m, value)
 
 
@@ -208,8 +215,9 @@ def trajectory(p: Params, m: Memory, point: points.Motion, interval: float) -> b
         return False
     before = m.trajectory if follows else None
     arrival = m.now + p.command.period
-    m.trajectory = points.taken(before, point, interval, arrival, p.command.period)
+    m.trajectory = points.taken(p.late, before, point, interval, arrival, p.command.period)
     m.course = None
+    m.upper = None
     renew(p, m, point.position)
     return True
 
@@ -247,6 +255,7 @@ def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
     ``stalled``: readings have come, but this process stood still.
     """
     m.now += elapsed
+    m.upper = None
     m.trust = m.trust._replace(sound=0)
     if m.trust.blocked == "" and m.law is not None:
         leapt = has_leapt(m)
@@ -278,7 +287,10 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     A reading that is not finite is bridged as one that cannot be believed. ``elapsed`` [s]: real time since
     the one before, 0 if it is not known; ``unpaced``: readings come at a wrong period.
     """
+    before = m.now
     m.now += (1 + min(lost, p.lvdt.hold_samples)) * p.lvdt.period
+    if lost > 0 and m.upper is not None:
+        m.upper = late_commands.after_gap(m.upper, before, m.now)
     expire(m)
     if m.now > m.jumped_until:
         m.jumped_until = NEVER
@@ -486,6 +498,7 @@ def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
     m.transfer = bumpless_transfer.NOTHING
     m.fading = False
     m.lead = None
+    m.upper = None
     m.cycle = oscillation.NOTHING  # switching on and off is no limit cycle of law and valve
     m.swing = oscillation.NOTHING
     m.probe = lock_in.NOTHING
@@ -588,7 +601,8 @@ def hold(p: Params, m: Memory, gap: int, reading: float) -> None:
     for i in range(1, gap + 1):
         between = m.measurement + i * slope
         now = m.now - (gap + 1 - i) * p.lvdt.period
-        if m.course is not None or m.trajectory is not None:
+        moves_on = p.late is not None and p.late.every and m.upper is not None
+        if m.course is not None or m.trajectory is not None or moves_on:
             follow(p, m, now)
         elif newest is not None and used is not None and m.command.homing is None:
             m.command = m.command._replace(value=used + i * (newest - used) / (gap + 1))
@@ -636,10 +650,12 @@ def fade(p: Params, m: Memory) -> None:
 def follow(p: Params, m: Memory, now: float) -> None:
     """The command in force is that of trajectory or course at ``now`` [s], if there is one."""
     if m.trajectory is not None:
-        m.motion = points.motion(m.trajectory, now, p.command.limit)
+        m.motion = points.motion(p.late, m.trajectory, now, p.command.limit)
         m.command = m.command._replace(value=m.motion.position)
     elif m.course is not None and p.joining is not None:
         m.command = m.command._replace(value=saturate(command_course.value(m.course, now), p.joining.limit))
+    elif m.upper is not None and p.late is not None and m.command.homing is None:
+        m.command = m.command._replace(value=late_commands.value(p.late, m.upper, now))
 
 
 def take_in(p: Params, m: Memory, now: float) -> None:
