@@ -35,6 +35,8 @@ VALVES = {
 }
 TERMS = ("dcarc.coil", "dcarc.hysteresis", "dcarc.sides")
 LAWS = ("coil in the model, disturbance a voltage", *TERMS)
+ALONE = "the same, command alone"
+FAST = 700.0  # rad/s  natural frequency of the reshaping for a command alone
 
 
 class Measured(NamedTuple):
@@ -102,21 +104,38 @@ def controller(valve: Valve, terms: Sequence[str]) -> "Values":
     return updated(CONTROLLER, defaults(CONTROLLER), own)
 
 
-def measured(valve: Valve, terms: Sequence[str], motions: Sequence[str] = ()) -> Measured:
-    """Run dcarc with ``terms`` on ``valve`` and the ``motions`` of ``compare``; (): all of them."""
+def led(values: "Values") -> "Values":
+    """``values`` with a fast reshaping, and the lead that makes up for all of its lag."""
+    from valve_control.laws import dcarc, reshaping
+    from valve_control.parameter import updated
+    from valve_control.parameters.table import CONTROLLER
+
+    fast = updated(CONTROLLER, values, {"reshaping.natural_frequency": FAST, "reshaping.lead_accel": 1.0})
+    lag = reshaping.lag(fast) + 1.0 / dcarc.build(fast).reshaping.smoothing
+    return updated(CONTROLLER, fast, {"reshaping.lead": lag})
+
+
+def measured(
+    valve: Valve, terms: Sequence[str], motions: Sequence[str] = (), alone: bool = False
+) -> Measured:
+    """Run dcarc with ``terms`` on ``valve`` and the ``motions`` of ``compare``; (): all of them.
+
+    ``alone``: they are not known ahead.
+    """
     import numpy as np
 
     from valve_control.analysis.indices import rms
     from valve_control.laws import dcarc
     from valve_control.simulation import comparison, offline
 
-    values = controller(valve, terms)
+    values = led(controller(valve, terms)) if alone else controller(valve, terms)
     p = dcarc.build(values)
     errors, chatter = [], []
     for name, wanted in comparison.motions().items():
         if motions and name not in motions:
             continue
-        run = offline.simulate(values, plant(valve), comparison.unreshaped(p.reshaping, wanted))
+        sent = wanted[:-2] if alone else comparison.unreshaped(p.reshaping, wanted)
+        run = offline.simulate(values, plant(valve), sent)
         errors.append(rms(run.position - wanted[:-2]))
         chatter.append(run.indices.c_u)
     return Measured(float(np.exp(np.mean(np.log(errors)))), float(np.mean(chatter)))
@@ -125,8 +144,8 @@ def measured(valve: Valve, terms: Sequence[str], motions: Sequence[str] = ()) ->
 def table(found: Sequence[Sequence[Measured]]) -> list[str]:
     """Markdown with one row for each of LAWS, one column for each of VALVES: e_rms in mV and c_u."""
     lines = [f"| law | {' | '.join(VALVES)} |", "|---" * (len(VALVES) + 1) + "|"]
-    for i, (law, row) in enumerate(zip(LAWS, found, strict=True)):
-        name = law if i == 0 else f"`{law}`" if i == 1 else f"with `{law}` too"
+    names = [LAWS[0], f"`{LAWS[1]}`", *(f"with `{term}` too" for term in LAWS[2:]), ALONE]
+    for name, row in zip(names, found, strict=True):
         lines.append(
             f"| {name} | " + " | ".join(f"{1e3 * m.error:.1f} ({m.chatter:.2f})" for m in row) + " |"
         )
@@ -143,10 +162,11 @@ def _options() -> Parser:
 
 def _coil(arguments: argparse.Namespace) -> None:
     found = [[measured(valve, TERMS[:i]) for valve in VALVES.values()] for i in range(len(LAWS))]
+    found.append([measured(valve, TERMS, alone=True) for valve in VALVES.values()])
     if arguments.json != "-":
         print("\n".join(table(found)))
     rows = [{name: m._asdict() for name, m in zip(VALVES, row, strict=True)} for row in found]
-    write_json(arguments, dict(zip(LAWS, rows, strict=True)))
+    write_json(arguments, dict(zip((*LAWS, ALONE), rows, strict=True)))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
