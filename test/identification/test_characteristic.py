@@ -74,6 +74,29 @@ def test_the_static_curve_comes_back(valve):
     assert found.rising[inner] == pytest.approx(rising[inner], abs=0.02)
 
 
+@pytest.mark.parametrize(
+    ("half", "coulomb", "presliding"),
+    [(0.1, 0.0, 0.0), (0.1, 0.3, 0.02), (0.3, 0.3, 0.03), (0.05, 1.0, 0.02)],
+)
+def test_the_turn_tells_play_from_friction(half, coulomb, presliding):
+    """Play before model (3) with friction: the sum within 1 mV, the shares within 0.03 V."""
+    valve = {"friction.coulomb": coulomb, "friction.presliding": max(presliding, 0.02), "lvdt.noise": 0.005}
+    voltage = triangle()
+    done = experiment.simulated(
+        defaults(CONTROLLER),
+        updated(VALVE, defaults(VALVE), valve),
+        {**experiment.test_values(friction.TEST, PERIOD), "scenario": "array"},
+        played(voltage, half),
+    )._replace(voltage=voltage)
+    found = characteristic.characteristic(done, LAG)
+    assert found.hysteresis.value == pytest.approx(2.0 * (half + coulomb), abs=0.002)
+    assert found.shares.play == pytest.approx(half, abs=0.03)
+    assert found.shares.friction == pytest.approx(coulomb, abs=0.03)
+    if coulomb > 0.0:
+        assert found.shares.presliding == pytest.approx(presliding, rel=0.12)
+    assert "half of the hysteresis: play 0." in characteristic.text(found)
+
+
 def test_a_stop_is_told_on_its_side():
     found = characteristic.characteristic(static(positive=0.95, negative=0.8, stop=3.3), -0.5 * PERIOD)
     assert found.positive.stop.value == pytest.approx(3.3, abs=0.002) and found.negative.stop is None

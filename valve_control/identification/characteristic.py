@@ -13,12 +13,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.optimize
 import scipy.stats
 
 from valve_control import outputs
 from valve_control.analysis.figures import COLOURS
 from valve_control.identification.experiment import Experiment, held
-from valve_control.identification.friction import Friction, friction, strokes_of
+from valve_control.identification.friction import (
+    PRESLIDING,
+    Friction,
+    friction,
+    sliding,
+    strokes_of,
+    turning,
+)
 from valve_control.parameter import ParameterError
 
 Floats = npt.NDArray[np.float64]
@@ -30,7 +38,13 @@ CONFIDENCE = 0.95
 END = 0.05  # of a stroke, in which it shows a stop ...
 FLAT = 0.2  # ... where its slope is below this share of the gain
 TOLD_OVERLAP, TOLD_GAIN = 0.05, 0.03  # V and share of the gain, from which on they are told beside bounds
+LEAST_SHARED = 0.08  # V  half of the hysteresis, below which its shares are not told
+SEEN, LEAST_WAY = 3.0, 5e-4  # times the noise and V, beyond which a way behind a turn counts
+EXACT = 0.02  # V  beyond which a point of the turn counts less
+BEYOND = 1.2  # times that half, which the friction of a fit may have
+BEGUN = (0.005, 0.02, 0.08)  # V  preslidings from which its search begins
 SAME = 0.1  # of the friction, by which that of the curve may differ where its presliding is to count
+TOLD_PLAY = 0.05  # V
 TOLD_NULL = 0.02  # of u_max, from which on a null offset is told
 
 
@@ -49,6 +63,14 @@ class Side(NamedTuple):
     stop: Bounded | None  # V  position at which the spool stands still; None: not reached
 
 
+class Shares(NamedTuple):
+    """What play of the magnet and friction of the spool have of half the hysteresis."""
+
+    play: float  # V  half width
+    friction: float  # V
+    presliding: float  # V
+
+
 class Characteristic(NamedTuple):
     """The static curve."""
 
@@ -63,6 +85,7 @@ class Characteristic(NamedTuple):
     null: Bounded  # V  voltage in the middle of the overlap
     hysteresis: Bounded  # V  between rising and falling voltage at one position: 2·(play + friction)
     strokes: int
+    shares: "Shares | None" = None  # of the hysteresis; None: not to be told
 
     @property
     def lopsided(self) -> bool:
@@ -79,7 +102,14 @@ def characteristic(tested: Experiment, lag: float) -> Characteristic:
     voltage = held(tested.voltage)
     known = np.flatnonzero(np.isfinite(tested.position))
     reading = np.interp(np.arange(len(voltage)), known, tested.position[known])
-    return curve(voltage, reading, strokes_of(voltage), lag + 0.5 * tested.period, tested.period)
+    strokes, lag = strokes_of(voltage), lag + 0.5 * tested.period
+    found = curve(voltage, reading, strokes, lag, tested.period)
+    half = 0.5 * found.hysteresis.value
+    if found.lopsided or half < LEAST_SHARED:
+        return found
+    slope, offset, _ = sliding(voltage, reading, strokes)
+    turned = turning(voltage, reading, strokes, tested.period, slope, offset, lag)
+    return found._replace(shares=_shares(*turned, half))
 
 
 def with_friction(tested: Experiment, lag: float) -> tuple[Friction, Characteristic | None]:
@@ -146,6 +176,33 @@ def curve(
     )
 
 
+def _shares(x: Floats, w: Floats, noise: float, half: float) -> Shares | None:
+    """Play and friction, together ``half`` [V], from the mean turn of the strokes.
+
+    Behind a turn the voltage first goes through the play while the spool stands still; then the bristles
+    turn round with the way Δx of the spool. So w, what the voltage has beyond the position, is
+    half - 2·F·exp(-Δx/δ), and its amplitude at Δx = 0 is that of the friction F alone.
+    """
+    turn = int(np.argmin(x[: len(x) // 2]))
+    way, rest = x[turn:] - x[turn], half - w[turn:]
+    seen = (way > max(SEEN * noise, LEAST_WAY)) & (way < PRESLIDING[1])
+    if np.count_nonzero(seen) < LEAST_POINTS:
+        return None
+    way, rest = way[seen], rest[seen]
+    made = [
+        scipy.optimize.least_squares(
+            lambda p: rest - 2.0 * p[0] * np.exp(-way / p[1]),
+            [0.5 * half, delta],
+            bounds=([0.0, PRESLIDING[0]], [BEYOND * half, PRESLIDING[1]]),
+            loss="soft_l1",
+            f_scale=EXACT,
+        )
+        for delta in BEGUN
+    ]
+    level, delta = min(made, key=lambda one: one.cost).x
+    return Shares(max(0.0, half - float(level)), min(half, float(level)), float(delta))
+
+
 def _static(
     voltage: Floats, reading: Floats, stroke: Stroke, lag: float, period: float
 ) -> tuple[Floats, Floats]:
@@ -206,6 +263,11 @@ def notes(found: Characteristic, u_max: float) -> list[str]:
             f"of {found.positive.gain.value:.4g} and {found.negative.gain.value:.4g} V/V above and below; "
             "the model has one gain and no overlap"
         )
+    if found.shares is not None and found.shares.play > TOLD_PLAY:
+        made.append(
+            f"{found.shares.play:.2g} V of the friction are play (hysteresis of the magnet): the spool "
+            "stands still after a turn of the voltage; the model has no play and takes both for friction"
+        )
     if abs(found.null.value) > max(TOLD_NULL * u_max, found.null.bound):
         made.append(
             f"the null is at {found.null.value:.3g} ± {found.null.bound:.2g} V, "
@@ -225,6 +287,12 @@ def text(found: Characteristic) -> str:
         f"{side.stop.value:.3g} V" if side.stop is not None else "not reached"
         for side in (found.negative, found.positive)
     ]
+    shared = ""
+    if found.shares is not None:
+        shared = (
+            f"  half of the hysteresis: play {found.shares.play:.3g} V, friction "
+            f"{found.shares.friction:.3g} V with a presliding of {1e3 * found.shares.presliding:.3g} mV"
+        )
     return "\n".join(
         [
             f"characteristic: gain {bounded(found.positive.gain, 'V/V')} above, "
@@ -232,6 +300,7 @@ def text(found: Characteristic) -> str:
             f"  overlap {bounded(found.overlap, 'V')}, null {bounded(found.null, 'V')}, hysteresis "
             f"{bounded(found.hysteresis, 'V')}",
             f"  stops: {stops[0]} below, {stops[1]} above",
+            *([] if found.shares is None else [shared]),
         ]
     )
 
@@ -250,6 +319,7 @@ def as_dict(found: Characteristic) -> dict[str, Any]:
         "negative": side(found.negative),
         **{name: bounded(getattr(found, name)) for name in ("overlap", "null", "hysteresis")},
         "strokes": found.strokes,
+        "half_of_hysteresis": None if found.shares is None else found.shares._asdict(),
         **{name: getattr(found, name).tolist() for name in COLUMNS},
     }
 

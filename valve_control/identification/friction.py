@@ -114,13 +114,13 @@ def friction(tested: Experiment, lag: float) -> Friction:
             f"a stroke of the friction test takes {length * tested.period:.3g} s; on this valve it must take "
             f"{SLOWEST * lag / STEADY[0]:.3g} s or more"
         )
-    slope, offset, beyond = _sliding(voltage, reading, strokes)
+    slope, offset, beyond = sliding(voltage, reading, strokes)
     speed = abs(voltage[strokes[0][0] + length] - voltage[strokes[0][0]]) / (length * tested.period) / slope
     coulomb = max(0.0, beyond - slope * lag * speed)
     presliding = 0.0
     if coulomb >= LEAST_FRICTION:
         presliding = _presliding(
-            *_turning(voltage, reading, strokes, tested.period, slope, offset, lag), coulomb
+            *turning(voltage, reading, strokes, tested.period, slope, offset, lag), coulomb
         )
     return Friction(coulomb, presliding, 1.0 / slope, -offset, len(strokes))
 
@@ -180,7 +180,7 @@ def _dragged(position: Floats, delta: float) -> Floats:
     return found
 
 
-def _sliding(
+def sliding(
     voltage: Floats, reading: Floats, strokes: list[tuple[int, int, float]]
 ) -> tuple[float, float, float]:
     """1/G [V/V], offset [V] and what the direction adds [V], from the steady part of all strokes."""
@@ -196,7 +196,7 @@ def _sliding(
     return float(slope), float(offset), float(beyond)
 
 
-def _turning(
+def turning(
     voltage: Floats,
     reading: Floats,
     strokes: list[tuple[int, int, float]],
