@@ -47,6 +47,13 @@ def add_commands(commands: Any) -> None:
         metavar="C_U",
         help=f"limit of the chatter, kept in any case ({CHATTER:g}, or more where no gains keep it)",
     )
+    group.add_argument(
+        "--sensor-delay",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="what of the dead time is the sensor's (0 s); the rest is the actuator's",
+    )
     group.add_argument("--budget", type=int, default=200, metavar="N", help="sets of gains (200)")
     group.add_argument("--valves", type=int, default=6, metavar="N", help="that are simulated (6)")
     group.add_argument("--unseen", type=int, default=32, metavar="N", help="valves to verify on (32)")
@@ -86,7 +93,10 @@ def _commission(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
+    from valve_control.identification import dead_time
+
     check_processes("threads", arguments.threads)
+    dead_time.check(arguments.sensor_delay)
     check_search(arguments.seed, arguments.valves, arguments.unseen, arguments.budget)
     for name in ("max_voltage", "travel", "max_chatter"):
         value = getattr(arguments, name)
@@ -152,6 +162,7 @@ def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
         arguments.seed,
         arguments.threads,
         arguments.max_chatter is not None,
+        arguments.sensor_delay,
     )
 
 

@@ -21,8 +21,9 @@ from valve_control.tuning.trial import Motion, Problem
 from valve_control.tuning.tuner import Aim, Tuned
 
 Floats = npt.NDArray[np.float64]
-WORSE = 2.0  # times error and chatter of the simulation, that the running valve may have
+WORSE = 1.5  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
+CONTENDS = 1.5  # times the error of the new gains, up to which those from before are tried on the valve too
 VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
 
 
@@ -45,12 +46,15 @@ class Verification(NamedTuple):
     away: float  # V  how far the commands were from those, at most
     former: Indices | None  # with the parameters from before, None if those saturate or are unstable
     reasons: list[str]  # why the gains are not accepted
+    before: Indices | None = None  # measured with the parameters from before, None if they were not tried
 
 
 def tuned(
     plan: Plan, before: Values, found: Plant, known: model.Known, rest: Rest, wider: float, told: Progress
 ) -> Gains:
     """Gains for the fitted valve and a box around it, ``wider`` times as wide as usual.
+
+    The gains in force are among the first that are tried, if they are of the same law.
 
     Beyond the usual one a voltage that the controller reports as an oscillation counts even on a spool that
     swings by itself: the running one may have shown just that. What ``told`` raises ends the search.
@@ -108,6 +112,7 @@ def tuned(
     made = tuner.tuned(
         law, problem, unseen, Aim(plan.chatter, None, plan.firm), plan.budget, plan.seed, done, plan.threads,
         lambda tried: done(total + tried * verifying, tried + 1),
+        [before] if before["controller"] == plan.law else [],
     )  # fmt: skip
     done(total + verifying)
     return Gains(made, motions, valve, {**own, **made.chosen.changes, "controller": made.law})
@@ -141,14 +146,30 @@ def judged(plan: Plan, before: Values, gains: Gains, wanted: Floats, record: Rec
     most_chatter = WORSE * max(chatter, made.indices.c_u)
     if not measured.c_u <= most_chatter:
         reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
-    if former is not None and former.e_rms < measured.e_rms and former.c_u < chatter:
-        reasons.append(
-            f"in simulation the parameters from before do better, {1e3 * former.e_rms:.3g} mV rms instead of "
-            f"{1e3 * measured.e_rms:.3g} mV"
-        )
     n = min(len(wanted), len(record.command))
     away = float(np.nanmax(np.abs(record.command[:n] - wanted[:n])))
     return Verification(record, measured, made.indices, punctual.indices, away, former, reasons)
+
+
+def contends(plan: Plan, made: Verification) -> bool:
+    """Whether the parameters from before may be as good as those of ``made``, as far as simulation knows."""
+    return (
+        made.former is not None
+        and made.former.e_rms < CONTENDS * made.measured.e_rms
+        and made.former.c_u <= WORSE * plan.chatter
+    )
+
+
+def against(plan: Plan, made: Verification, record: Record) -> Verification:
+    """Judge ``made`` by the ``record`` of the same run with the parameters from before."""
+    before = _indices(record)
+    reasons = list(made.reasons)
+    if before.e_rms < made.measured.e_rms and before.c_u <= WORSE * plan.chatter:
+        reasons.append(
+            f"on the running valve the parameters from before do better, {1e3 * before.e_rms:.3g} mV rms "
+            f"instead of {1e3 * made.measured.e_rms:.3g} mV"
+        )
+    return made._replace(before=before, reasons=reasons)
 
 
 def _indices(record: Record) -> Indices:

@@ -10,7 +10,7 @@ from valve_control.commands.arrays import sampled
 from valve_control.commissioning.bench import Limits
 from valve_control.commissioning.plant import Plant
 from valve_control.commissioning.statics import Rest
-from valve_control.identification import first_gains, rational, theta
+from valve_control.identification import dead_time, first_gains, rational, theta
 from valve_control.identification.bode import held_response
 from valve_control.identification.lvdt import Lvdt
 from valve_control.identification.response import Response
@@ -42,7 +42,9 @@ LONG = 1.5  # s  least length of the sine
 class Known:
     """What the controller gets to know of the valve."""
 
-    def __init__(self, found: Plant, rest: Rest, period: float, u_max: float, law: str) -> None:
+    def __init__(
+        self, found: Plant, rest: Rest, period: float, u_max: float, law: str, sensor_delay: float = 0.0
+    ) -> None:
         """Fit the models of the laws to ``found``, and see that ``law`` can take its own.
 
         Raises ParameterError.
@@ -60,13 +62,16 @@ class Known:
 
         lvdt = Lvdt(rest.noise, rest.resolution)
         delay = found.delay if late else 0.0
-        whole = first_gains.Valve(found.model, delay, self.theta, lvdt, period, u_max)
+        whole = first_gains.Valve(
+            found.model, delay, self.theta, lvdt, period, u_max, sensor_delay=sensor_delay
+        )
         gains = first_gains.first(whole)
         own = f"{law}.denominator"
         refused = _refusal(gains, law)
         if refused is not None and own in (p.name for p in CONTROLLER) and own not in gains.values:
             gains = _simpler(exact, whole, law, refused)
-        self.gains, self.notes = gains.values, gains.notes
+        self.gains = gains.values
+        self.notes = (*gains.notes, *dead_time.notes(delay, sensor_delay))
 
 
 def _simpler(

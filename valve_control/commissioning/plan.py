@@ -22,6 +22,7 @@ class Plan(NamedTuple):
     seed: int
     threads: int
     firm: bool = True  # False: where no gains keep the limit of c_u, the quieter ones are taken
+    sensor_delay: float = 0.0  # s  what of the dead time is the sensor's
 
 
 def limiting(before: Values, limits: Limits) -> Values:

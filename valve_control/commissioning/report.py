@@ -52,6 +52,11 @@ def _verdict(found: Result) -> str:
             f"With the parameters from before ({before}) the simulation of this valve gives "
             f"{1e3 * made.former.e_rms:.1f} mV and c_u {made.former.c_u:.3f} on the same commands."
         )
+    if made.before is not None:
+        sentences.append(
+            f"On the running valve these parameters gave {1e3 * made.before.e_rms:.1f} mV and c_u "
+            f"{made.before.c_u:.3f} in the same motion."
+        )
     sentences.append(
         f"No voltage was beyond ±{limits.voltage:g} V, and in tests and verification no three readings in a "
         f"row were beyond ±{limits.travel:g} V."

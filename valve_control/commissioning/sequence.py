@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from valve_control import interrupts
 from valve_control.commissioning import backup, courses, gains, model, plant, small_signal, statics
@@ -24,6 +25,7 @@ from valve_control.parameter import ParameterError, Values, number
 from valve_control.tuning import tuner, verification
 from valve_control.tuning.tuner import Tuned
 
+Floats = npt.NDArray[np.float64]
 SPRING = 0.5  # s  in which the spring centres the spool
 STILL = 2.0  # s  at rest
 RATE = 0.4  # 1/s  times the limit of the voltage: rate of the triangle
@@ -33,6 +35,8 @@ REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
 # Times as wide as usual, the boxes of valves around the model that gains are sought for: the second one where
 # those for the first do not hold.
 BOXES = (1.0, 2.0)
+DOUBTED = (2.0, 3.0)  # likewise, where the model does not explain the readings
+NAMED = 3  # parts of the tests that a note names as not explained
 # Of the step "model", in percent, what is done when the fits of the response are, and when the valve is.
 RESPONSE, VALVE, WHOLE = 25.0, 95.0, 100.0
 
@@ -150,11 +154,13 @@ class _Commissioning:
             found = plant.fitted(
                 [slow, sine], fits, friction, static.offset, rest,
                 lambda done, total: self._modelled(RESPONSE + (VALVE - RESPONSE) * done / total),
-                self._plan.threads,
+                self._plan.threads, lambda: small_signal.richer(response),
             )  # fmt: skip
             self._modelled(VALVE)
             self._steps.found(plant.values(found, rest, period, number(before, "u_max")))
-            known = model.Known(found, rest, period, number(before, "u_max"), self._plan.law)
+            known = model.Known(
+                found, rest, period, number(before, "u_max"), self._plan.law, self._plan.sensor_delay
+            )
             self._modelled(WHOLE)
         made, verified, notes = self._gains(found, known, rest)
         self._ask("the new gains stay; voltage and travel get their limits from before back")
@@ -163,7 +169,13 @@ class _Commissioning:
         self._bench.watch(
             limits._replace(voltage=number(before, "u_max"), travel=number(before, "lvdt.limit"))
         )
-        notes = [*response.notes, *_unexplained(found), *known.notes, *notes, *_late(verified)]
+        notes = [
+            *response.notes,
+            *_unexplained(found, slow, sine, planned, rest),
+            *known.notes,
+            *notes,
+            *_late(verified),
+        ]
         notes += _louder(self._plan, made.tuned, rest)
         return Result(
             self._plan, before, rest, slow, static, found.friction, sine, response, found, made.tuned,
@@ -203,7 +215,8 @@ class _Commissioning:
     def _gains(self, found: Plant, known: model.Known, rest: Rest) -> tuple[Gains, Verification, list[str]]:
         """Gains that hold, also on the valve, and notes on those that did not. Raises ParameterError."""
         refusals: list[str] = []
-        for wider in BOXES:
+        boxes = BOXES if found.error <= plant.EXPLAINED else DOUBTED
+        for wider in boxes:
             made = self._tuned(found, known, rest, wider, refusals)
             reasons = made.tuned.chosen.verified.reasons
             if not reasons:
@@ -211,11 +224,11 @@ class _Commissioning:
                 if verified is not None and not reasons:
                     return made, verified, [_taken_at_last(wider, text) for text in refusals]
                 self._bench.off()
-                if wider != BOXES[-1]:
+                if wider != boxes[-1]:
                     self._open_loop()
             refusals.append("; ".join(reasons))
             self._steps.refused(made.chosen, refusals[-1])
-        raise ParameterError(_not_accepted(refusals))
+        raise ParameterError(_not_accepted(refusals, boxes[-1]))
 
     def _tuned(
         self, found: Plant, known: model.Known, rest: Rest, wider: float, refusals: list[str]
@@ -238,7 +251,7 @@ class _Commissioning:
             except ParameterError as error:
                 if not refusals:
                     raise
-                raise ParameterError(_not_accepted([*refusals, str(error)])) from error
+                raise ParameterError(_not_accepted([*refusals, str(error)], wider)) from error
 
     def _verified(self, made: Gains) -> tuple[Verification | None, list[str]]:
         """The verification run, None if it ended early, and why the gains are not accepted."""
@@ -256,7 +269,31 @@ class _Commissioning:
         except Swings as fault:
             return None, [str(fault)]
         verified = gains.judged(self._plan, self._before, made, wanted, record)
+        if not verified.reasons and gains.contends(self._plan, verified):
+            verified = self._against_before(verified, wanted)
         return verified, verified.reasons
+
+    def _against_before(self, made: Verification, wanted: Floats) -> Verification:
+        """``made`` judged by the same run with the parameters from before; swings of them are no rival."""
+        length = len(wanted) * self._period
+        self._ask(
+            f"the parameters from before are set for {length:.0f} s of the same motion, because in "
+            "simulation they come near the new gains"
+        )
+        kept = self._bench.values()
+        limits = {name: kept[name] for name in ("u_max", "lvdt.limit", "command_limit", "command_timeout")}
+        _bring_to(self._bench, {**self._before, **limits})
+        try:
+            record = self._drive(
+                "verification of before", courses.motion(wanted, self._period), lambda: length
+            )
+        except Swings:
+            self._bench.off()
+            _bring_to(self._bench, kept)
+            self._bench.on()
+            return made
+        _bring_to(self._bench, kept)
+        return gains.against(self._plan, made, record)
 
     def _drive(self, name: str, course: Course, about: Callable[[], float]) -> Record:
         """Record of ``course``, the step ``name``; ``about``: how long [s] it takes."""
@@ -287,12 +324,12 @@ class _Commissioning:
             self._seconds[name] = self._seconds.get(name, 0.0) + time.monotonic() - began
 
 
-def _not_accepted(refusals: list[str]) -> str:
-    """Why neither the first gains nor those for a wider box are accepted."""
+def _not_accepted(refusals: list[str], wider: float) -> str:
+    """Why neither the first gains nor those for a box that is ``wider`` are accepted."""
     if len(refusals) == 1:
         return f"the gains are not accepted: {refusals[0]}"
     return (
-        f"the gains are not accepted: {refusals[0]}; nor are those for valves {BOXES[-1]:g} times as far "
+        f"the gains are not accepted: {refusals[0]}; nor are those for valves {wider:g} times as far "
         f"from the model: {refusals[1]}"
     )
 
@@ -304,13 +341,24 @@ def _taken_at_last(wider: float, refusal: str) -> str:
     )
 
 
-def _unexplained(found: Plant) -> list[str]:
-    """A sentence about a model that does not describe the readings, and one about a spool that swings."""
+def _unexplained(
+    found: Plant, slow: Record, sine: Record, planned: small_signal.Plan, rest: Rest
+) -> list[str]:
+    """A sentence about what the model does not describe, and one about a spool that swings."""
     notes = []
     if found.error > plant.EXPLAINED:
+        parts = [plant.Stretch("the slow triangle", 0, 0, len(slow.reading))]
+        parts += [
+            plant.Stretch(f"the sine of {one.frequency:.3g} Hz", 1, one.first, one.end)
+            for one in small_signal.stretches(planned, sine)
+        ]
+        worst = plant.unexplained(found, [slow, sine], rest, parts)[:NAMED]
+        told = ", ".join(f"{name} by {error:.2g} times" for name, error in worst)
         notes.append(
             f"the model misses the readings by {found.error:.2g} times what noise and "
-            f"{plant.MODEL_ERROR:.0%} of the motion allow"
+            f"{plant.MODEL_ERROR:.0%} of the motion allow ({told}); models of second to fourth order were "
+            "tried, with friction, offset and dead time: the gains are judged by the running valve, and were "
+            f"sought for valves {DOUBTED[0]:g} times as far from the model as usual"
         )
     if found.presliding > 0.0:
         notes.append(
@@ -375,6 +423,7 @@ def as_dict(result: Result) -> dict[str, Any]:
             "measured": made.measured._asdict(),
             "simulated": made.expected._asdict(),
             "simulated_in_time": made.punctual._asdict(),
+            "measured_before": None if made.before is None else made.before._asdict(),
             "simulated_before": None if made.former is None else made.former._asdict(),
             "unseen_valves": verification.as_dict(result.tuned.chosen.verified),
         },

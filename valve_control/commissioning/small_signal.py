@@ -33,6 +33,7 @@ UNSURE = 0.05  # relative uncertainty of the friction
 ROUNDS = 3  # of friction and lag
 # Orders beside the second, and their zeros: a lag of solenoid or amplifier has none.
 HIGHER = ((3, 0), (4, 2))
+RICHER = ((3, 1), (4, 1))  # that are tried where none of these explains the readings
 
 
 class Plan(NamedTuple):
@@ -65,13 +66,7 @@ def measured(record: Record, made: Plan, friction: float) -> Response:
 
     Raises ParameterError if nothing can be used.
     """
-    count = len(record.reading)
-    segments = []
-    for step in made.steps:
-        first = math.ceil(step.start / record.period - 1e-9)
-        end = math.floor(step.end / record.period + 1e-9)
-        if end <= count:
-            segments.append(Segment(first, end, step.frequency))
+    segments = stretches(made, record)
     if not segments:
         raise ParameterError("the stepped sine ended before its first frequency was over")
     seen = response.stepped(record.voltage, record.reading, segments, record.period, SETTLE)
@@ -111,6 +106,29 @@ def linear(
         except ParameterError as error:
             response = response._replace(notes=(*response.notes, f"no model of order {order}: {error}"))
     return response, fits, friction
+
+
+def richer(seen: Response) -> list[Fit]:
+    """Fits of the forms RICHER, those that the response ``seen`` allows."""
+    made = []
+    for order, zeros in RICHER:
+        try:
+            made.append(rational.fit(seen, order, zeros))
+        except ParameterError:
+            continue
+    return made
+
+
+def stretches(made: Plan, record: Record) -> list[Segment]:
+    """Samples of the frequencies of a ``record`` of the sine."""
+    count = len(record.reading)
+    segments = []
+    for step in made.steps:
+        first = math.ceil(step.start / record.period - 1e-9)
+        end = math.floor(step.end / record.period + 1e-9)
+        if end <= count:
+            segments.append(Segment(first, end, step.frequency))
+    return segments
 
 
 def _without(seen: Response, driven: dict[int, float], friction: float) -> Response:

@@ -34,7 +34,7 @@ from valve_control.compiling import CompileError
 from valve_control.laws.free import Free, present
 from valve_control.laws.law import Law
 from valve_control.laws.reshaping import LEAD_ACCEL
-from valve_control.parameter import ParameterError
+from valve_control.parameter import ParameterError, Values
 from valve_control.tuning import limit_cycles, margins, overshoot, pauses, trial
 from valve_control.tuning.trial import AHEAD, Gains, Outcome, Problem, Workers
 
@@ -290,8 +290,12 @@ def search(
     seed: int,
     told: Told,
     workers: Workers = None,
+    known: Sequence[Values] = (),
 ) -> Found:
-    """Try ``budget`` sets of gains of ``law``. Raises ParameterError for a law that has none to choose."""
+    """Try ``budget`` sets of gains of ``law``, those of the parameters ``known`` among the first.
+
+    Raises ParameterError for a law that has none to choose.
+    """
     free = trial.free_numbers(law, problem.values, problem.preview, problem.scale)
     if not free:
         raise ParameterError(f"{law.name} has no gains to choose; there is nothing to tune")
@@ -303,11 +307,14 @@ def search(
         return found
 
     n = len(free)
-    begin = np.array([0.5 if f is AHEAD else f.to_share(present(f, problem.values)) for f in free])
+    begin, *others = (
+        np.array([0.5 if f is AHEAD else f.to_share(present(f, values)) for f in free])
+        for values in (problem.values, *known)
+    )
     sobol = scipy.stats.qmc.Sobol(n, rng=np.random.default_rng(seed))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a number of points that is no power of two
-        scattered = [begin, *sobol.random(min(SCATTERED, max(1, budget // 25)))]
+        scattered = [begin, *others, *sobol.random(min(SCATTERED, max(1, budget // 25)))]
     held = free.index(LEAD_ACCEL) if LEAD_ACCEL in free else None
     if held is not None:
         for shares in scattered:

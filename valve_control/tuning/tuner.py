@@ -97,8 +97,11 @@ def tuned(
     told: Told,
     workers: Workers = None,
     verifying: Told = lambda tried: None,
+    known: Sequence[Values] = (),
 ) -> Tuned:
     """Tune ``law`` on ``problem`` with ``budget`` sets of gains in each variant, and verify on ``unseen``.
+
+    The gains of the parameters ``known`` are among the first that are tried.
 
     ``told`` gets the sets of gains tried so far, ``verifying`` the number of points that were verified before
     the one that comes next. Raises ParameterError, one sentence, if no gains keep the margins, or none of
@@ -116,6 +119,7 @@ def tuned(
             seed,
             lambda done, before=tried: told(before + done),  # type: ignore[misc]
             workers,
+            known,
         )
         points += [(variant, point) for point in found.points]
         tried, missed = tried + found.tried, missed + found.missed
