@@ -101,6 +101,7 @@ lint: $(STAMP)  ## ruff, mypy and the order of the rooms
 	@$(PYTHON) -m ruff format --check .
 	@$(PYTHON) -m mypy
 	@$(VENV)/bin/lint-imports --no-cache --no-logo
+	@$(PYTHON) .ci/quality.py --quiet
 
 quality: $(STAMP)  ## items of REP-2004 quality level 2, one line each
 	@$(PYTHON) .ci/quality.py

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks``: all benchmarks; exit status 1 if a wanted ratio is missed."""
 
 import argparse

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Axes: a step of the axis alone, a sample of the whole cascade, and batches of axes on two cores.
 
 The first two are times of the processor, which another program on it hardly changes; the batch on two cores

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reading a bag column by column against a plain rosbags loop over it, and what an analysis takes."""
 
 import resource

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Batches of valves against python-control and a loop in the exported C; two cores against one."""
 
 import ctypes

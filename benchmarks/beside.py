@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.beside``: reading to voltage through topics and beside the device, in turns.
 
 Through topics: `valve_simulator` and `controller`, from the simulator's publication of a reading to the

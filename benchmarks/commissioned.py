@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.commissioned``: ``commission`` over DDS on five invented valves, from paper gains.
 
 Simulator, controller and ``valve-control commission`` are processes of their own. The controller begins

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What the loop's latency is measured against: a process that answers each LVDT reading with itself.
 
 ``plain`` waits in a wait set of its own on one subscription, with the QoS of the controller: best effort for

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What the exported C costs: ns a step, bytes of state, parameters and code of each law and plant."""
 
 import re

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.identified``: dcarc designed from what ``identify`` measures on each wide-box valve.
 
 Each valve is tested in simulation without feedback, by a stepped sine and a slow triangle, with its friction,

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.invented``: from ``identify`` to tuned gains on twenty valves, without a hand.
 
 Each valve has order 2 to 4, 3 to 40 Hz, friction up to 1.5 V, dead time up to 2 ms, noise of 1 to 15 mV.

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The loop: LVDT-to-voltage latency of the controller's process against an echo; 2 kHz; many valves.
 
 A probe stands in for LVDT and upper level: it sends readings and commands of an offline run at their times,

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.long_search``: the tuner against a plain CMA-ES with ten times the sets of gains.
 
 The CMA-ES is written out here (after Hansen, The CMA Evolution Strategy: A Tutorial, 2016, with restarts and

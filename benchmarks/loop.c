@@ -1,3 +1,5 @@
+/* SPDX-FileCopyrightText: 2026 valve_control developers */
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The batch's closed loop around the exported C of a law and of the valve; one valve after the other.
  *
  * Compiled with -DLAW=arc -DLAW_SOURCE="arc.c". The structs of the parameters have the fields of the NamedTuples in

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.page``: what the dashboard costs the loop, with its page open in Chromium.
 
 The cascade of the demo runs at 1 kHz, first alone, then beside the dashboard and a browser without a window

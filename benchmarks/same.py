@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Whether two versions of the package compute the same numbers, bit for bit.
 
 python -m benchmarks.same before.json [BAG ...]      in one version: write what it computes

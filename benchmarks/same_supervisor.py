@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Whether the supervisor of this checkout does what that of another commit does, bit for bit.
 
 python -m benchmarks.same_supervisor [RUNS [COMMIT]]      300 random runs, against the last commit

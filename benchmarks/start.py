@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Start: a controller from its command to active, and ``valve-control --help``."""
 
 import os

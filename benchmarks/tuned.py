@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.tuned``: every law at its best on random valves, at equal chatter, on four commands.
 
 Each law is tuned on some of the valves of a box by the package's own search (valve_control/tuning), all

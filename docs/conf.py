@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Sphinx: the site of this folder, made by ``make docs`` into out/docs."""
 
 import sys

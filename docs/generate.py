@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The pages of the reference that come from the package itself: parameters, topics, command line, API."""
 
 import ast

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m research.coil``: dcarc on three solenoid valves, with more and more of the magnet in the law.
 
 The model is the valve's own, motions are known ahead, the gains are the same on all valves. Prints the table

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m research.late_commands``: the gains of config/tuned under an upper level that pauses.
 
 Bare commands and trajectories, at 1 kHz and at 100 Hz, with and without pauses of 3 to 10 ms, five a second.

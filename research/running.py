@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs a study of this folder as a command: one sentence for bad input, quiet at Ctrl-C."""
 
 import argparse

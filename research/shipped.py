@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m research.shipped``: the gains of config/tuned for two valves, on steps, at rest and on motions.
 
 Prints the table of docs/laws/reshaping.md as Markdown.

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m research.tuned``: every law with its tuned gains on random valves, beside the oracle."""
 
 import argparse

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Values of parameter tables with changes, in which ``a__b`` stands for ``a.b``."""
 
 from valve_control.parameter import defaults, updated

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """ROS domains: no two workers of a run have the same, whatever their process ids are."""
 
 import os

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python launched.py FILE [NAME:=VALUE ...]``: launches a file without the command ros2."""
 
 import importlib

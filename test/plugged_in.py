@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What a law of another package has to do here; run by test_plugins.py with the example installed."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """How much the campaign tries: few of each in CI, all with ``CAMPAIGN=full make campaign``."""
 
 import os

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """`compare` without a bag: which file holds for which law, and when the paper's numbers stand beside it."""
 
 import json

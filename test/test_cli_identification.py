@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """identify and compensator as a user runs them: outputs that other commands take, bad input."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """`margins`, and the sentences about unstable loops: they say the way in which the loop becomes stable."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What the command once took without a word, or answered with a traceback: one sentence each."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Bad command lines by the hundred: one sentence, a status not 0, no traceback, nothing left behind."""
 
 import sys

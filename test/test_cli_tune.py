@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """valve-control tune: the contract for scripts, files that go straight into simulate, refusals."""
 
 import json

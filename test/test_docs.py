@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """README and docs: their command blocks run, their reference is complete, the command's help is by task."""
 
 import importlib.util

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The public interface stays: names that users, launch files, bags and scripts hold on to.
 
 ``python test/test_interface.py`` writes interface.json anew. A name that goes needs a new major version, see

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Ctrl-C at any moment of the command: status 130, no traceback, no process left."""
 
 import contextlib

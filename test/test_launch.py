@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Launch files: well formed, all that they name exists, and a wrong argument ends the launch."""
 
 import importlib.util

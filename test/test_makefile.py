@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The status of `make test`, with a stand-in for pytest that leaves with given statuses."""
 
 import os

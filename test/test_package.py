@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The package as colcon, ROS and pip see it, and the files that must agree with the table."""
 
 import os

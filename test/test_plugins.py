@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Laws of other packages: the example of the docs, built and installed, and packages that are broken."""
 
 import json

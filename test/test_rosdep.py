@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The package with what rosdep installs alone: every key is known, daily commands run without the rest."""
 
 import re

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A plant that is no valve, with more states and sensors, in the same loop, which is not changed for it."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the closed loop sample by sample: reads the plant, takes the command, steps the law, moves the plant.
 
 Command source, law, plant and measures (what is measured in the run) are arguments: functions of the forms

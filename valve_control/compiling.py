@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Compiles the plain step functions with numba, for runs of many samples.
 
 A step refers to helpers of other modules by name; numba wants those compiled too. ``compile_function``

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """CMA-ES (pycma) on the unit cube, as the searches for gains and for valves use it."""
 
 import warnings

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Checks files before they are opened: refuses folders, and devices, which might never end."""
 
 from pathlib import Path

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Handles Ctrl-C: the command stops once, without a traceback, and no process that it started outlives it."""
 
 import signal

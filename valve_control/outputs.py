@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Writes files whole or not at all, and checks the paths of outputs before the work begins."""
 
 import contextlib

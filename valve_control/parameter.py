@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Describes one parameter (type, unit, range, meaning), and checks and reads the values of many."""
 
 import difflib

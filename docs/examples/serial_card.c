@@ -1,3 +1,5 @@
+/* SPDX-FileCopyrightText: 2026 valve_control developers */
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Reference firmware of a card on a serial line: samples the LVDT by its own clock, takes voltages.
 
    The board gives five functions; sample_timer() is called once per sample period, from a timer of the board,

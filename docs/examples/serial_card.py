@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Plays the card of docs/examples/serial_card.c on a pseudo-terminal, with a simulated valve on it.
 
     python serial_card.py /tmp/card [PERIOD [SECONDS]]

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Set parameters of a running node without the `ros2` command: all of them, or none.
 
 python set_parameters.py /controller controller=oarc oarc.ks1=150.0

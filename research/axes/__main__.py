@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m research.axes``: what a fast valve buys, on random axes under five valves."""
 
 import argparse

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The case of Delta Computer Systems' forum: a linear axis under pole placement, and valves before it.
 
 The axis is G = K·ω²/(s(s² + 2ζωs + ω²)) from spool to position. Its controller places four equal poles

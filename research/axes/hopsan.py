@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Rebuilds Hopsan's example "Position Servo" (config/axis/hopsan_position_servo.yaml) and compares it.
 
 By our own step, exact in time, and by Hopsan's method with Hopsan's step (``transmission_lines.py``).

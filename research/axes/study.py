@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds out what a fast valve buys: random axes under five valves, each with its largest stable gain.
 
 Per axis and valve the proportional gain of the upper level is half of that from which a small step does not

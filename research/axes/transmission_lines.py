@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Simulates a position servo by transmission lines, with the steps and in the order of Hopsan.
 
 The method (Krus, Jansson, Palmberg and Weddfelt, "Distributed simulation of hydromechanical systems", 1990):

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Campaigns against running nodes: injected faults, joining processes, the paper's runs in lockstep."""
 
 from valve_control.nodes import leave_quietly, program

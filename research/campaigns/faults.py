@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the fault campaign: each fault at a random moment in motion, on each controller, over real DDS."""
 
 import json

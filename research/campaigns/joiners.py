@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Measures whether the cascade stands still while other processes join its DDS domain and are killed.
 
 A standstill is a pause in the readings, commands or voltages, as they are sent and as they are received, less

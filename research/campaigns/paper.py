@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs what `python -m research.paper` needs through the real nodes, in lockstep over DDS."""
 
 import sys

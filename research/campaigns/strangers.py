@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Disturbs a running controller as other programs could: clients that leave, a storm of changes, a rival."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m research.paper``: makes the paper's Table 1 and figures again."""
 
 import argparse

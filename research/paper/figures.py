@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Draws the paper's figures from our runs."""
 
 from collections.abc import Mapping

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lists the runs behind the paper's figures: which controller, which command, on the calibrated valve."""
 
 from typing import Any, NamedTuple

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Saves and loads the signals of one run, so that nodes can record what a later process draws."""
 
 import io

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m research.theorems``: both theorems, and the stability of dcarc, on random valves."""
 
 import argparse

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tests Theorems 1 B and 2 B: with parametric uncertainty only (d̃ = 0), z1 must go to zero.
 
 The valves lie inside the package's default ranges of θ, the estimates start at the paper's θ̂(0). In

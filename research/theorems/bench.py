@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Holds what the experiments share: motions, exact steps of the plant (17), work on all cores."""
 
 import cmath

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lets dcarc learn at several speeds on random valves: whether slow learning helps, where fast one harms.
 
 The valves are those of the wide box of ``loop``, first without friction and noise, then with both. The

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds where dcarc's loop is stable: poles and a small-gain bound on thousands of random valves.
 
 Between two steps of the fit, and without saturation, law and valve without friction are one linear sampled

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tests Theorems 1 A and 2 A on random valves: V2 must stay below its bound, (25) or (52).
 
 Each case is a second-order valve inside its assumed ranges, a motion, a bounded disturbance d̃ and a start.

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds how short the sample period of OARC must be, for several weights ρ of z2 (ρ = 1 is the print)."""
 
 import itertools

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Formats the results of the experiments as lines of text and as plain data for JSON."""
 
 import math

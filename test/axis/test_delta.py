@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The Delta case: its controller by the polynomial that it makes, its axis by scipy, its published errors."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Hopsan's validation models "Position Servo" and "Hydraulic43ValveTest", rebuilt from their parameters.
 
 Hopsan's reference curves are not part of this repository. Whoever has them (the .hvd files of Models/Example

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The cascade of an axis: same bits compiled or not and alone or in a batch, its course, its upper level."""
 
 import changed

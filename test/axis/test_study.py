@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The study of what a fast valve buys: its measures on systems whose answer is known, and its axes."""
 
 import math

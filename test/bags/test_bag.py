@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Bags of every kind, read beside the rosbags library's own reading of the same files."""
 
 import random

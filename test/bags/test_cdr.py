@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Columns of serialized messages against the rosbags library, which decodes them one by one."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Damaged bags: no command ends in a traceback, and `recover` loses nothing that can be read.
 
 What can be read is told by others. In MCAP: each message whose record stands unharmed in the file (in a

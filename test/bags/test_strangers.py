@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Bags of other recorders: serializations, definitions, orders and names of files."""
 
 import shutil

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A bench without ROS: the real supervisor with the simulated valve, sample by sample."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Courses: within the limits whatever the valve does, and back to 0 V at their end."""
 
 import numpy as np

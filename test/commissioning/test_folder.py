@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The folder of a commissioning: what is there from before, another valve's, an end while writing."""
 
 import argparse

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Third order, and friction that swings on its bristles: the fitted valve is the true one."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A valve learnt from normal operation: what that tells is right, what it does not tell is left alone."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Whatever ends a commissioning: 0 V, parameters as before, no voltage beyond the limit."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What the tests of a valve tell, on simulated valves whose numbers are known."""
 
 import cmath

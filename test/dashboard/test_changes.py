@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Undo, redo, sets A and B; what a node's own word about its parameters means."""
 
 from hypothesis import given

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Layouts for PlotJuggler and Foxglove: what these programs read of them is there, and names our topics.
 
 What they read stands in their sources: PlotJuggler 3.17 (plot_docker.cpp, plotwidget.cpp), its plugins for

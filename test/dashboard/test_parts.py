@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Latencies, limits of commands, who writes, frames, programs, and a valve's signals."""
 
 import asyncio

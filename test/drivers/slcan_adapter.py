@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """An slcan adapter: a pseudo-terminal whose other end is a CAN bus of python-can."""
 
 import fcntl

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The simulated valve that stands behind a simulated device, and the processes that these devices are."""
 
 import subprocess

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """CANopen, CiA 408: the driver against a valve in another process, behind slcan on a pseudo-terminal."""
 
 import signal

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A device in volts: scales, polarity and limits of both sides, losses, and a device that goes and comes."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Modbus TCP: the driver against pymodbus's server in another process, with a simulated valve behind it."""
 
 import sys

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Drivers of other packages: entry points as pip leaves them, sound and broken."""
 
 import shutil

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Driver of a serial card: the card's twin in Python and its firmware in C on the other side of the line."""
 
 import ctypes

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A CiA 408 valve on a canopen.LocalNode behind an slcan adapter; faults are ordered on standard input.
 
 Its spool is the package's simulated valve, one sample for each SYNC. It exchanges the PDOs as they were

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A valve behind analogue I/O on Modbus TCP: pymodbus's server on loopback, faults are ordered on stdin.
 
 One unit (1): input register 3 is the LVDT, holding register 5 the amplifier, coil 7 its enable; ±32767 counts

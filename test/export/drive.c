@@ -1,3 +1,5 @@
+/* SPDX-FileCopyrightText: 2026 valve_control developers */
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Runs many parameter sets of one law on the same signals; compiled with -DNAME=law -DHEADER="law.h".
  *
  * Standard input, doubles but for the first three words (uint64): sets, samples, chunk; then the parameters of all

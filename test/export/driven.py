@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the steps of a law on many parameter sets: in Python, plain or compiled, and in the exported C."""
 
 import shutil

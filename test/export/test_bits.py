@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The exported C of each law equals its Python to the last bit, with every compiler that is there."""
 
 import numpy as np

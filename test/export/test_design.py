@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Blocks of designed numbers: a running law is retuned by them as by a new export, and by nothing else."""
 
 import ctypes

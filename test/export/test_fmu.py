@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """FMUs of law and valve: valid for fmpy, and their co-simulation equals the offline run to the last bit."""
 
 import platform

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Exported C refuses to be compiled into other numbers, and compiles as C++."""
 
 import shutil

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The translated subset of Python: what is peculiar to Python has the same bits in C, the rest is refused."""
 
 import ctypes

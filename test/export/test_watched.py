@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``valve-control export --watch``: the supervisor's watch in C, through faults, bit for bit."""
 
 import re

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Pole-zero compensators: what they reach, what is warned of, and the paper's two."""
 
 import numpy as np

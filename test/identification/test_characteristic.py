@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The characteristic curve: overlap, two gains, null, play and stops of a static valve come back."""
 
 import json

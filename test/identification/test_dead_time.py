@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Dead time between actuator and sensor: its parts add up, and a wrong choice is told with its error."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Gains for a first run: stable on the identified valve and around it, or left out with a reason."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Friction from a slow triangle: what random valves have comes out, and other tests are refused."""
 
 import numpy as np

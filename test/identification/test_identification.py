@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """From voltages and readings to models: what goes in must come out."""
 
 import numpy as np

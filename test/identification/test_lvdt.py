@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Noise and step of an LVDT, told by its readings in motion."""
 
 import numpy as np

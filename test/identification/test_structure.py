@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Structure by evidence: coils come out as poles, dead times as dead times, and nothing is invented."""
 
 import math

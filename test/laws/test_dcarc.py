@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """dcarc: inverse, Kalman filter and LQR against other derivations; fit, dead time, saturation, refusals."""
 
 import itertools

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Samples at which nothing was read: time goes on, the filters see what was really applied."""
 
 import math

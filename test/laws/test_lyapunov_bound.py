@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The bound on V2 solves its equation, holds inside the assumed ranges and breaks outside."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Terms of the magnet in dcarc: lag of the coil, hysteresis and unequal gains, on a valve made here."""
 
 import math

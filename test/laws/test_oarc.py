@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """OARC: K-filters, dα1c/dt and V2's derivative against independent derivations; Theorem 2 B."""
 
 import itertools

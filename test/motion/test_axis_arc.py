@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The axis's adaptive robust control on the equations that it assumes, sampled very finely."""
 
 import math

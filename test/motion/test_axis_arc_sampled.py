@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The sampled adaptive robust upper level: its observer, its lead, and what it makes of an axis."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Paths of an axis: through the points of a trajectory, and to a goal from whatever motion."""
 
 import math

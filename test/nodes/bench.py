@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What the node tests share: a ROS context, service calls, and a bench that plays LVDT and upper level."""
 
 import json

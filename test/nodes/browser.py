@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A real browser for the tests of the dashboard: Chromium without a window, driven by selenium."""
 
 import json

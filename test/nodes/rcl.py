@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Parameters as rcl's own parser reads them, without a node."""
 
 import ctypes

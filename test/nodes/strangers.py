@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python strangers.py WHICH``: nodes that publish a valve's topics and are no controller of this version.
 
 older: has parameters of its own, no law, no life cycle, no files, and a state whose numbers have no names.

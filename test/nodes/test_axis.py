@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The axis over real DDS: axis_simulator, the valve's controller and axis_controller as processes."""
 
 import math

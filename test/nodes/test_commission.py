@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """valve-control commission over DDS: to its end, undone, stopped at random moments, killed."""
 
 import json

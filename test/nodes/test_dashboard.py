@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The dashboard's node and server without a browser: what it serves and to whom, and how it ends."""
 
 import importlib.util

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The dashboard as its users have it: in a browser, beside real nodes."""
 
 import itertools

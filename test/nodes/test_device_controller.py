@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Controller with a device: reading, law and voltage in one process, the topics afterwards."""
 
 import os

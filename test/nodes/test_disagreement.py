@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The real nodes with an LVDT that lies, in lockstep: the controller says so and holds the valve off."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """docs/examples: an upper level, and parameters without `ros2`."""
 
 import signal

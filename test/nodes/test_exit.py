@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Ends of nodes and tools: quiet, with the status that was decided, and with no thread left."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The fault campaign, law by law, as `make faults` runs it for every law."""
 
 import math

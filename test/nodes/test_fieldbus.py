@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Node valve_driver on Modbus TCP and on CANopen, between its topics and a valve in another process."""
 
 import signal

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Every parameter file that the package writes is read by real nodes as it was meant."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A second controller on one valve, and an LVDT of another rate, over real DDS."""
 
 import pytest

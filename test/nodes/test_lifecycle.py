@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Managed nodes: states, transitions, and 0 V as the last word."""
 
 import signal

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Through real processes over DDS, sample by sample, bit for bit as offline."""
 
 import os

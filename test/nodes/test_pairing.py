@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Which command counts for which reading in lockstep, by numbers alone."""
 
 from collections import deque

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What nodes use of rclpy beyond its public interface is there; each line names what broke if it is not."""
 
 import ctypes

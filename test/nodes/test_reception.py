@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Services beside a running loop: many calls, clients that leave, requests that make no sense."""
 
 import re

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Faults and a wrong rate, injected into running nodes and recorded: what the analysis of the bag tells."""
 
 import signal

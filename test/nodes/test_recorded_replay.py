@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A cascade of processes recorded over DDS, then analysed and replayed without it."""
 
 import shutil

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The recorder beside real nodes: nothing lost, parameters in the bag, killed at any moment."""
 
 import itertools

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Processes killed with SIGKILL in mid-run and started again, in each order."""
 
 import itertools

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Chosen terms of ~/state under names of their own."""
 
 from bench import Motion, controller, set_parameters, spin_until

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """`spool_trajectory` over DDS: the controller, the command source, the recorder."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Nodes do without the shared memory of Fast DDS, on this host and beside others that have it."""
 
 from contextlib import ExitStack

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A middleware that numbers no messages, such as Cyclone DDS: losses are unknown, nothing else is."""
 
 import signal

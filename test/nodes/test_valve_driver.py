@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Node valve_driver as a process: a serial card's twin on one side, the real controller on the other."""
 
 import math

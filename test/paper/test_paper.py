@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The paper's table and figures as files, from offline runs; `make paper` does it through the nodes."""
 
 import contextlib

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The hydraulic axis: balances, textbook formulas, limits, and agreement with another integrator."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What models say of a valve in slow motion, and what follows from it for the reference and a search."""
 
 import math

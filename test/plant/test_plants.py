@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Plants as plug-ins: another package's plant in all loops, and those that are refused."""
 
 import types

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The solenoid valve against stiff integration in SI units, closed forms, and its own finer substeps."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The valves of config/solenoid: each runs, and has the figure of its source."""
 
 import math

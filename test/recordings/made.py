@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Bags of runs whose every input is known: a supervised controller on a simulated valve."""
 
 import struct

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Stamps that many messages share, as those of a simulated clock: pairs by order, and what is not told."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Signals in messages of several publishers, of which not each has the joint that is asked for."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Modes, parameter changes and the readings' rate as the analysis tells them, from bags of known runs."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """An axis in a bag: a bench simulated offline, recorded as its nodes publish it, and analysed."""
 
 import json

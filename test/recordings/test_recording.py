@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What is read out of bags: alignment, parameters, and what is left out and said."""
 
 import numpy as np

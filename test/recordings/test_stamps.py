@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Times by the stamps in headers, and by a simulated clock that was recorded."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tables of numbers, text and MATLAB files, read as bags: the same run as a bag is the reference."""
 
 import numpy as np

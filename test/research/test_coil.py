@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """dcarc on solenoid valves: what the magnet in the law is good for."""
 
 from research import coil

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The gains that are shipped for two valves: steps, rest, and the table of the docs."""
 
 import re

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The comparison of tuned laws as a user runs it, and the former commands of research."""
 
 import json

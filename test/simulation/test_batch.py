@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Batches: the bits of offline runs, whatever the block, the threads and the other valves."""
 
 import threading

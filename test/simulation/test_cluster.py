@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A real scheduler with two worker processes, one of which is killed: the same bits, only later."""
 
 import json

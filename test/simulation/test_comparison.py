@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Laws with tuned gains on random valves: what is compared, and with what."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Commands of an upper level of 100 Hz: where joining them helps, and where it does not."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A run says when it saturates and cycles; the check of the gains looks at the valve that is simulated."""
 
 import json

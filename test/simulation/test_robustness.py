@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Studies: numbered valves that can be run again, and folders that outlive a stop."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A supervisor on the simulated valve of the examples, under an upper level that is slower than the loop."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The monitors of V2 and of dcarc's burden: silent in ordinary use, find a valve that leaves its ranges."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The upper level's supervision, sample by sample, and the motion of the spool that it asks for."""
 
 import math

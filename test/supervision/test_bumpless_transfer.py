@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The offsets of a takeover die out as a critically damped system does, whatever the sample period."""
 
 import math

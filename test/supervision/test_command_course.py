@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Commands of an upper level that is slower than the loop: what the law and the valve get of them."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The upper level: refused, limited and silent commands, the way back to neutral and from there."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Even cycles of the voltage: their source is measured, and those at its limit are stopped."""
 
 import cmath

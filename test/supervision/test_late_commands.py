@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A command or a point that is late: the motion goes on, and what comes joins without a kink."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The noise of the LVDT is measured at rest and in motion, and reported when it has grown."""
 
 import math

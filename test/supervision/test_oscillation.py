@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The watch over the voltage: finds limit cycles, of any height and in any motion; leaves the rest alone."""
 
 import math

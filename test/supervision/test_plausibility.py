@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """LVDTs of wrong sign, gain or slope around a simulated valve: found from motion, held off, said in words."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """LVDTs with a quiet converter: equal readings in a row are no fault, and a frozen LVDT is still found."""
 
 import math

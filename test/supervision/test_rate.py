@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Readings of another rate: measured, reported, and off beyond what the gains were checked for."""
 
 import numpy as np

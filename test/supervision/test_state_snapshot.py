@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A supervisor that recalls what another one remembered goes on like that one, bit for bit."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The supervisor around a simulated valve, sample by sample: each fault, its reaction, the way back."""
 
 import math

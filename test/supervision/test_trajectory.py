@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Trajectories of the upper level: the reference is the trajectory itself, within (6) and (7)."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The machine as it is exported: voltages and memory are those of the node's supervisor, bit for bit."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The paper's equations derived again with SymPy: each test is one entry of docs/errata.md.
 
 Others stand beside the laws in test/laws: (8)-(11) in test_reshaping.py, (12) and (13) over frequency in

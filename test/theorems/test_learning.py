@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """How fast dcarc may learn, on a few random valves."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Stability of dcarc's loop over boxes of valves: the matrices, the small-gain bound, what breaks it."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Theorems 1 A and 2 A on a few random valves; the whole experiment is `make theorems`."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Swings that friction sustains: the describing function against the bristles, predictions against runs."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A search that was stopped goes on where it was: the same bits, and nothing simulated twice."""
 
 import numpy as np

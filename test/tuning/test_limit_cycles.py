@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Loops that come to rest at 0 V and not elsewhere: adaptation, and what the search does about it."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Margins of the sampled loop: against closed forms, the loop's poles, and loops that break."""
 
 import math

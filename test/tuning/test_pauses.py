@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A pause of the command: whether the reference comes back, or stays on the large answer of the reshaping."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The search: what it may choose, what it keeps, that it is repeatable; and what verification refuses."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Draws runs over time and other curves with matplotlib, as PNG or SVG files."""
 
 import io

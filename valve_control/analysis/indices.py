@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes the performance indices I1 to I5 of section 4.1: errors and voltages of a run."""
 
 from typing import NamedTuple

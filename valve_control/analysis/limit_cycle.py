@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds saturation and limit cycles in a finished run, with the detector that the controller node uses."""
 
 from typing import Any, NamedTuple

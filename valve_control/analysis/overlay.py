@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds by how much time to shift one run so that its motion lies over that of another."""
 
 from typing import NamedTuple

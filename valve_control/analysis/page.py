@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Builds one self-contained HTML page of tables and zoomable figures; it loads nothing from the network."""
 
 import html

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds the motions in the command of a run: the segments for which indices are given."""
 
 from typing import NamedTuple

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Measures how a position answers steps of its command: overshoot and settling time."""
 
 from typing import NamedTuple

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Formats the table of indices that all commands print."""
 
 from collections.abc import Sequence

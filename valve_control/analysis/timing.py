@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Measures how regularly the messages of a topic came: rate, jitter, gaps, order."""
 
 from typing import Any, NamedTuple

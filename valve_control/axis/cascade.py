@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes one sample of the cascade: the upper level commands the spool, the valve's law moves it."""
 
 from collections.abc import Callable

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs one axis, or many on several threads, through the compiled loop of ``closed_loop.py``."""
 
 import os

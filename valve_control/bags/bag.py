@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Opens a bag from any recorder: a folder with or without metadata.yaml, a single file, or a table."""
 
 import re

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Decodes numeric fields of serialized ROS messages (CDR), thousands of messages at once.
 
 Where a field lies depends only on the lengths of the strings and sequences before it. A layout is found by

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reads columns of numbers out of a text: any usual separator, decimal point or comma, header or none."""
 
 import csv

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Defines the errors that say in one sentence what is wrong with a bag."""
 
 LONGEST = 600  # characters

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reads vectors of numbers out of MATLAB files up to version 7 (.mat)."""
 
 import warnings

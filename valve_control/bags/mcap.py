@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reads MCAP files into arrays: one column for times, offsets and lengths of all messages.
 
 The mcap library makes one Python object of each message, some 10 µs; a compiled walk over the records of a

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Defines messages and topics in the form in which the readers of both storages return them."""
 
 from typing import Any, NamedTuple

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reads and writes metadata.yaml of rosbag2 bags: reads versions 1 to 9, writes 9 (ROS 2 Jazzy)."""
 
 from collections.abc import Iterable, Mapping, Sequence

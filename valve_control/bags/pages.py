@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reads the rows of a damaged SQLite bag straight from its pages, when SQLite itself cannot.
 
 Python's sqlite3 has no recovery. SQLite's own (`.recover` of its shell) needs a part of the library that many

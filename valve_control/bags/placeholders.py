@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tells the small files that version control leaves in the place of large ones."""
 
 from pathlib import Path

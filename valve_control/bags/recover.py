@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Recovers a bag whose recorder was killed or whose files are damaged: `valve-control bag recover`."""
 
 import contextlib

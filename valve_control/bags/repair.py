@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finishes an MCAP file whose writer was killed: adds the missing indexes, summary and footer.
 
 The records are read and written by the mcap library; only the frames around them, nine bytes each, are looked

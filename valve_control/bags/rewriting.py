@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Writes a new MCAP file from what can still be read in a damaged one."""
 
 import json

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds the whole records in a damaged MCAP file, wherever the damage begins and ends.
 
 Damage ends where the next sound record begins: one whose content fills its length and which another record

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reads SQLite files of rosbag2 (.db3) into arrays, many messages at a time."""
 
 import sqlite3

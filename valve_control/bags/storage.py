@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Storage files of a new bag: their common interface, and SQLite."""
 
 import sqlite3

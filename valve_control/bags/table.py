@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reads tables of numbers, text or MATLAB files, as bags: each column is a topic of std_msgs/Float64."""
 
 from collections.abc import Callable, Collection, Iterator

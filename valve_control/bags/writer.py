@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Writes rosbag2 bags (Jazzy); what was flushed survives a kill of the process."""
 
 import fcntl

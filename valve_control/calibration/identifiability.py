@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Shows how well a table of indices determines each parameter of the valve, one profile for each."""
 
 import warnings

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes the cost of a calibration: how far simulated indices are from the measured table."""
 
 from collections.abc import Mapping, Sequence

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Searches for the valve of least cost: CMA-ES (pycma) with growing populations in plausible ranges.
 
 The cost is rugged, since noise and friction decide about single extreme errors: on this problem CMA-ES came

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lists the parameters that a calibration may choose, each with its plausible range."""
 
 import math

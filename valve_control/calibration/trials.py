@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tries a calibrated valve where it was not fitted: other noise, other motions, a drifted valve."""
 
 from collections.abc import Sequence

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Puts all sub-commands into one parser, and turns their errors into one sentence and an exit status."""
 
 import argparse

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Defines the sub-command `commission`: tests, tunes and verifies a running valve over ROS, and undoes it."""
 
 import argparse

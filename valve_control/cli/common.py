@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Holds what the sub-commands share: parser, checks of outputs and processes, progress, JSON."""
 
 import argparse

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Defines the sub-command `compensator`: designs a pole-zero compensator, or checks the paper's."""
 
 import argparse

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Defines the sub-command `export`: C99 or an FMU of a law, or of the simulated valve or axis."""
 
 import argparse

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tells where commands of earlier versions are now: research runs from a checkout and is not installed."""
 
 import argparse

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Defines the sub-commands for bags: analyze, replay, compare of bags, and bag recover."""
 
 import argparse

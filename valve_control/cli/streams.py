@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Makes standard output and standard error of this process such that any text can be printed."""
 
 import codecs

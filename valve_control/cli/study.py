@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Defines the sub-command `study`: distributions of the indices over many valves, worst cases again."""
 
 import argparse

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Defines the sub-command `tune`: the best gains of any law for a box of valves, verified."""
 
 import argparse

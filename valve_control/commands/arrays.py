@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Makes command arrays, one number for each sample: read from a file, or sampled from a shape."""
 
 import warnings

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes command shapes: the commanded spool position [V] as a function of time [s]."""
 
 import bisect

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Keeps the parameters from before a commissioning in a file, so that they come back whatever happens."""
 
 import itertools

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Says what a commissioning needs of a running valve, and what it gets from it."""
 
 from collections.abc import Callable, Generator, Mapping

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Gives the commands of each test, reading by reading, within the limits of voltage and travel.
 
 While the law is ``open_loop`` with a static gain of 1 a command is the voltage itself.

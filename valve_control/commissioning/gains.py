@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tunes the law for the fitted valve, and judges the run that verifies the gains on the running one."""
 
 from typing import NamedTuple

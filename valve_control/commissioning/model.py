@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Derives the controller's model and estimates from the fitted valve, and the box of valves to tune for."""
 
 import math

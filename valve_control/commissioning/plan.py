@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Says what is wanted of a commissioning, and whether that fits the controller."""
 
 from typing import NamedTuple

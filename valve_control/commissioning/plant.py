@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Fits the valve with its friction to the tests: the simulated valve gets the same voltages (output error).
 
 The response without friction is where the search begins. At low frequencies the spool sticks at each turn,

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Learns a valve that is known in outline from a recording of normal operation, in closed loop.
 
 The valve is simulated under the recorded voltages, and what one valve differs in from its like (gain, speed,

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reports a commissioning as one HTML page: verdict in words, tests, model, gains, verification run."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Goes through a commissioning step by step, and brings the parameters from before back if it fails.
 
 While it goes on, the controller itself keeps the limits: ``u_max`` is that of the voltage, ``lvdt.limit``

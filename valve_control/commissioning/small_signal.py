@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Plans the stepped sine, and takes friction out of the response that it gives.
 
 Coulomb friction F answers a sine of the position Y with a square wave against its velocity, whose first

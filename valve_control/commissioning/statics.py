@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tells rest position, noise, static gain, friction and dead zone from a rest and from a slow triangle."""
 
 from typing import NamedTuple

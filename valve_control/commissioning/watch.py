@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Judges every reading, voltage and diagnosis of a valve that is commissioned."""
 
 import math

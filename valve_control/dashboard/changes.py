@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Remembers changes of parameters so that they can be taken back, and two sets to compare."""
 
 from collections.abc import Mapping

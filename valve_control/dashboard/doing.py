@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What one does with a valve from the page: command it, record it, inject faults, run identify and tune."""
 
 from __future__ import annotations

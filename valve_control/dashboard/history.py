@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Keeps the last ten minutes of signals, and draws any part of them from minima and maxima."""
 
 from typing import NamedTuple

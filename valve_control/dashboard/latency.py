@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Counts the times from reading to voltage in a histogram of even steps in logarithm."""
 
 from typing import NamedTuple

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Collects all valves, and changes them for the page: each change as a whole, or refused with its reason."""
 
 import asyncio

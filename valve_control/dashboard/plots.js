@@ -1,3 +1,5 @@
+// SPDX-FileCopyrightText: 2026 valve_control developers
+// SPDX-License-Identifier: Apache-2.0
 // The plots: one canvas for each group of signals, fed with minima and maxima over a web socket.
 // What is shown (span, pause, terms) belongs to this window and outlives a reload.
 

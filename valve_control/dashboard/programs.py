@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Starts programs from the page, keeps what they print, and ends them with the page's process."""
 
 import os

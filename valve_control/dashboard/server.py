@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Serves the page on this machine alone, in a thread of its own."""
 
 import asyncio

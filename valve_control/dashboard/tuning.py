@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The form of a valve's parameters, with undo, two sets to compare, and parameter files."""
 
 from __future__ import annotations

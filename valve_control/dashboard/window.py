@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What the parts of a page need of the window that they are in."""
 
 from contextlib import AbstractContextManager

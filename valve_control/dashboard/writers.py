@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Decides which of the open windows may change the machine: one, and only with the token."""
 
 import hmac

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """One node on a CAN bus: SDO, NMT, heartbeat and emergencies by the library canopen, all in one thread.
 
 The thread that calls reads the bus itself while it waits, so no frame crosses threads. This file is imported

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Driver of a valve with CANopen and the device profile CiA 408, its spool controlled in open loop.
 
 Set point (0x6300) and actual value (0x6301) are PDOs with control and status word. The driver sends SYNC at

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """How a CiA 408 valve is found and configured, in pre-operational, by its object dictionary.
 
 Objects 0x14xx to 0x1Axx and 0x1017 are those of CiA 301, 0x6040 to 0x6311 those of CiA 408.

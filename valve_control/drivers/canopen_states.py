@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """State machine of a CiA 408 device: states in the status word, control words from one to the next.
 
 Bits 0 to 3 are D (disabled), H (hold), M (device mode active) and R (ready) in the status word, R being reset

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A driver in volts: scales, polarity limits of both sides; a device that is gone is opened anew."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The contract of a driver: what is written to a valve's amplifier, what is read of its LVDT, which faults.
 
 A driver has one device. One thread calls it: ``open``, ``enable``, then ``write`` and ``read`` in turn,

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Driver of an analogue I/O device on Modbus TCP: one register in, one out, polled at an absolute clock.
 
 A reading is one request of one register, an output another. The library is pymodbus, which is imported

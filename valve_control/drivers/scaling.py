@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Turns signals of a device into volts of LVDT signal and back: one word or formula for each."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Driver `serial`: a card on a serial line that samples the LVDT by its own clock."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Frames between host and card on a serial line: eight bytes in both directions, with counter and CRC.
 
 | byte | content |

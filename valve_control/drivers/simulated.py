@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Driver `simulated`: the simulated valve in the process, for trials without hardware."""
 
 from typing import Any

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Ticks of an absolute clock, for devices that have none: no tick depends on how late the last one was."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Dry run of a device: opens it, reads for a while, and tells noise, rate and losses; writes nothing."""
 
 import math

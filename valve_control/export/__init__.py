@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Hands a tuned law, the valve or the axis over to a machine: C99 and FMU made from this package's steps.
 
 ``subset.py``    translates the pure steps, and what they call, from Python to C, with ``kinds.py``,

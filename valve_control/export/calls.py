@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Translates calls: of functions, NamedTuples, ``_replace``, built-in functions and those of math."""
 
 import ast

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """All numbers of a law's Params as one block, which a machine takes over without being compiled again.
 
 Many parameters of the table go into several numbers, by way of a Riccati equation or a discretised filter.

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Emits C: names, types, numbers, constants and helper functions, each before it is used."""
 
 import inspect

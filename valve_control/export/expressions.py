@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Translates expressions: operators, comparisons, conditions, fields, entries of arrays."""
 
 import ast

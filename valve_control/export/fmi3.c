@@ -1,3 +1,5 @@
+/* SPDX-FileCopyrightText: 2026 valve_control developers */
+/* SPDX-License-Identifier: Apache-2.0 */
 /* FMI 3.0 for co-simulation around the sampled steps of model.h. Types and functions are declared here by hand after
  * the FMI standard, version 3.0.2 (modelica.org, whose headers are under the BSD-2 licence); none of its files is used.
  */

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A law or a plant as an FMU for co-simulation, FMI 2.0 or 3.0, compiled from its C, with the sources inside.
 
 A communication step of any length computes the samples that begin within it, which may be none. A law takes

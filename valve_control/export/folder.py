@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The folder that is handed over: sources, a recorded run, what compares them, Makefile and README."""
 
 import contextlib

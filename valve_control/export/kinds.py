@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Kinds of values in the subset of Python that is translated, and the C types that stand for them."""
 
 import ast

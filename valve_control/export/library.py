@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """The exported C of a law, compiled and loaded: it can stand where the law's module stands."""
 
 import ctypes

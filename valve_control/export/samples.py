@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A recorded run of the pure Python step, with which the C is compared bit for bit.
 
 The law runs in a closed loop with the simulated valve, which has friction, flow force and a noisy LVDT:

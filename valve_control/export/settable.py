@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds the parameters that the C can set while it runs, by building the Params again with other values.
 
 A parameter is settable if it goes into a single number of Params as it is, at both ends of its range and

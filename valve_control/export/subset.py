@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Translates pure step functions, and all that they call, from a small subset of Python to C99.
 
 The subset: functions of numbers and NamedTuples; assignments, also of tuples; ``if``; ``return``;

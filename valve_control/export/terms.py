@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Terms of C, the functions and operators that they may have, and the error that names what they may not."""
 
 import ast

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What is handed over: a law, alone or under the watch, or a plant, with its parameters."""
 
 import math

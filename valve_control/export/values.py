@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What all parts of a translated function share: names, lines, kinds of values, numbers, conditions."""
 
 import ast

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes frequency responses, corners and roots of transfer functions, continuous and sampled."""
 
 import cmath

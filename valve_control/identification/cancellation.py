@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Designs pole-zero compensators (section 3.3) for any model, and checks sampling and voltage they need."""
 
 import math

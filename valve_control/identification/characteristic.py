@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tells the characteristic curve of a valve, in both directions, from a slow triangle of its voltage.
 
 Play of the magnet and friction of the spool shift the two branches apart along the voltage; gain, overlap

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Gives a valve that is known by natural frequency, damping and static gain what ``identify`` gives one."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Divides the dead time of a response between actuator and sensor, which readings alone do not tell apart.
 
 The dead time of the actuator lies before the spool: the true spool is late by it, and so is the reading. That

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tests a valve: excites it with voltages, takes its readings, and estimates the frequency response."""
 
 import math

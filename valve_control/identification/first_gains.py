@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Gives every law of the package gains with which it may run on an identified valve for a first time.
 
 The gains of the paper belong to the D3FXE. They are carried over by what they mean: ρ by b0², the weight of

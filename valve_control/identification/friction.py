@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tells friction level and presliding of a valve from a slow triangle of its voltage.
 
 The derivation is in docs/howto/identify.md. Sliding steadily, the spool is where u = x/G + o ± (F + τ·v/G)

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Fits rational transfer functions to a measured response, with confidence bounds.
 
 No library that the package could lean on fits a continuous transfer function to a response: scipy.signal has

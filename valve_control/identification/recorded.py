@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Takes a test of a valve out of a bag: its voltages and readings, sample by sample."""
 
 from itertools import pairwise

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Estimates the frequency response from voltage to position, with its uncertainty.
 
 Everything is in samples: voltage k is held from reading k to reading k+1, so that no time of the middleware

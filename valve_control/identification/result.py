@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Writes the result of an identification: tables, ROS 2 parameter file, JSON, CSV, Bode plot."""
 
 from collections.abc import Callable

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Chooses poles, zeros and dead time of a valve's model by what its response shows.
 
 Each candidate is fitted by maximum likelihood. Its error at a frequency has the variance of the measurement

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Derives initial values and bounds of the adaptive laws' estimates from identified models."""
 
 from typing import NamedTuple

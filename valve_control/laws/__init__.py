@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes the control laws, one file each, as pure steps on numbers: no ROS, no files, no clock.
 
 Every law module has the same shape:

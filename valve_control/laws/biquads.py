@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes the open-loop laws: pole-zero compensators (12), (13) or of any design, and the bare static gain.
 
 A compensator runs as three second-order sections in transposed direct form II; a polynomial of fifth

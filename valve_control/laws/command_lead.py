@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lead of a bare command: makes up for the lag of the reshaping (8) from past commands.
 
 A command that moves at a steady rate is followed by (8) with the lag 2·xi_n/omega_n. Under the command

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lists the parameters that all laws share: sample period and limit of the voltage."""
 
 from valve_control.parameter import Parameter, Table

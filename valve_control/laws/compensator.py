@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Describes the pole-zero compensator (12), (13) or of any design: open loop, the reading is not fed back."""
 
 from valve_control.laws import biquads

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What the design of dcarc hands to the law: a sampled model, its inverse and gains, as pure numbers."""
 
 from typing import NamedTuple

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Designs pole-zero compensators for models of the valve, and discretises them into second-order sections."""
 
 import functools

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lists and reads the parameters of laws that estimate the valve: initial estimates, ranges (5), rates."""
 
 from valve_control.laws.free import Free

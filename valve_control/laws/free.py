@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Describes the numbers of a law that a tuner may choose: which, within what range, on what scale."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Nine weights fitted to a measured number, each with a variance of its own: pure scalar steps.
 
 The Kalman filter of constant weights (recursive least squares) of which only the variances are kept, not the

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes the bound on V2 that (25) and (52) guarantee while the valve keeps to its assumed ranges.
 
 Both proofs end in dV2/dt <= -2λ·V2 + growth. By the comparison lemma V2 then stays below the solution of the

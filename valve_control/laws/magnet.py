@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What a magnet adds to the compensation of dcarc: direction of the force, and its positive part.
 
 The force lags the voltage by the coil, dF/dt = (u - F)/τ_c. A magnet with hysteresis holds its force until

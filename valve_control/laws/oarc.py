@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes output feedback adaptive robust control (OARC), (26)-(53), with the corrections of docs/errata.md.
 
 The weight ρ (``z2_weight``) puts z2 [V·s] on the scale of V/s in V2 = z1²/2 + ρ·z2²/2; ρ = 1 is the

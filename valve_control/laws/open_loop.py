@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Divides the command by the valve's static gain: what a valve does without any local controller."""
 
 from valve_control.laws import biquads

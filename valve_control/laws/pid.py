@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes the PID with model feedforward (54)-(56), and the plain PID that most people would use instead.
 
 Three forms, told apart by the two switches of ``Params``:

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Keeps the estimates inside their bounds: discontinuous projection (14)-(16)."""
 
 from typing import NamedTuple

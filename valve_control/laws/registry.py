@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lists all control laws by name: those of this package, and those of other packages that are installed.
 
 Another package adds a law by an entry point of the group ``valve_control.laws`` that names a ``Law``.

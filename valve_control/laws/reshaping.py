@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reshapes a command into a feasible reference with two derivatives: trajectory reshaping (8)-(11).
 
 In the paper's form a fast filter (8) brakes too late for the limit (6), and the reference overshoots.

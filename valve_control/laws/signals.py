@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Defines the signals from which a law starts: reading, voltage, reference and velocity."""
 
 from typing import NamedTuple

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Estimates the spool velocity from readings: backward difference, low-pass (remark iv of section 3.1)."""
 
 import math

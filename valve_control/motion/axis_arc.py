@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes the spool command of an axis by adaptive robust control of position, velocity and load force.
 
 By backstepping, after Yao, Bu, Reedy and Chiu, IEEE/ASME Transactions on Mechatronics 5(1), 2000;

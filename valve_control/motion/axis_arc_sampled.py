@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the adaptive robust control of ``axis_arc.py`` sample by sample, on what the sensors of an axis show.
 
 The law wants the velocity, which no sensor shows: an observer of position, velocity and the acceleration that

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes the spool command of an axis: velocity feedforward, PID on the position, overlap compensation.
 
 With ki = kd = 0 it is the controller of industry's axes: proportional with velocity feedforward. The sum of

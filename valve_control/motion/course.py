@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Courses of an axis: where it is to be at each sample, with velocity and acceleration."""
 
 from collections.abc import Sequence

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Paths of an axis over time: of a trajectory's points, or to a goal as fast as the limits allow.
 
 Between two points with velocities and accelerations a path is a quintic, with velocities alone a cubic;

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Names the upper levels of an axis, each a module with the same functions.
 
 ``step`` (params, state, goal, reading) returns the spool command [V], the next state and the terms, of which

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Connects laws and valve to ROS 2 as nodes; the only part of the package that imports ROS."""
 
 import os

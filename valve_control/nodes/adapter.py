@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Holds what the nodes share: parameters from the table, polled subscriptions, messages, diagnostics."""
 
 import math

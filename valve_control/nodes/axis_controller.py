@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the node `axis_controller`: for each position reading of an axis one command of its spool."""
 
 import math

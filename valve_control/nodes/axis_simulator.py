@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the nodes `valve_simulator` and `axis_simulator`: a valve, the axis that it feeds, their sensors."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Keeps the last seconds of all recorded topics in memory, and writes a bag of them if something happens."""
 
 import re

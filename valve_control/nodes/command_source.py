@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the node `command_source`: stands in for the upper-level hydraulic controller, and for its faults."""
 
 import math

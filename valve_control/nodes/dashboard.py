@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the node `dashboard`: a page in the browser, on this machine only, that shows and tunes all valves."""
 
 import secrets

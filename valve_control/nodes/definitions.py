@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Looks up message types by name: their Python class, their definition as rosbag2 stores it, their hash."""
 
 import importlib

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A controller that has the device itself: reading, law and voltage in one thread, the topics afterwards."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the nodes of a process in one loop: LVDT samples first, everything else in the time between them.
 
 The standard executor looks at every entity of a node, some twenty services and timers, at each wake-up. Here

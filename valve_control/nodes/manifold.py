@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the node `manifold`: one process with the controllers (or simulators) of several valves."""
 
 import re

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds out, in lockstep, which command belongs to which reading, from their sequence numbers."""
 
 from collections.abc import Callable

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Captures all nodes' parameters for a recording: asks each node once, then follows its changes."""
 
 import time

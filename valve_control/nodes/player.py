@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Plays a bag to running nodes: publishes the recorded topics at their times, or in lockstep."""
 
 import os

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Collects in one place what the nodes use of rclpy and rcl beyond the public interface.
 
 rclpy's executor looks at every entity of a node at each wake-up, and its services hold the interpreter while

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Asks Linux for what keeps samples in time: memory lock, real-time scheduler, CPU affinity."""
 
 import ctypes

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the node `recorder`: writes topics and parameters of the cascade into a bag that survives kills."""
 
 import re

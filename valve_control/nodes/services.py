@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Serves ROS services so that no client can hold up the control loop.
 
 A server waits up to 0.1 s for a client that it does not see, such as one that has left, and rclpy holds the

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Sees to what the middleware needs of a process: how Fast DDS carries its messages, and where it may log."""
 
 from collections.abc import Mapping, MutableMapping

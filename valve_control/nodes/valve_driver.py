@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the node `valve_driver`: the LVDT of a real valve, and its amplifier, as topics.
 
 With --check it opens the device, reads for 2 s, tells noise, rate and losses, and writes nothing.

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the node `valve_simulator`: stands in for amplifier, valve and LVDT, and for their faults."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Checks the ROS arguments with which a node's process was started, before anything runs with them.
 
 ROS takes every name on a command line and in a parameter file, and uses those that a node declares. A

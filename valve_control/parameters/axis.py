@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lists the parameters of a hydraulic axis, and builds the machine from checked values.
 
 The valve that feeds it has the parameters of ``valve_simulator``; they are those of ``parameters/table.py``.

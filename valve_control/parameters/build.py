@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Builds the immutable parameters of laws, valve and command shape from checked values."""
 
 from typing import Any

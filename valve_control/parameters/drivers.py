@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lists the parameters of a driver and of the node `valve_driver`, and makes devices from their values."""
 
 from typing import NamedTuple

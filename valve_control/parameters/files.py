@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reads parameters from ROS 2 YAML files and from --set for the command line, and writes such files."""
 
 import difflib

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Checks the arguments of launch files and turns them into ROS arguments; called by the files in launch/.
 
 Launch puts an argument into an expression as it is. These files write r'''ARGUMENT '''[:-1], so that an

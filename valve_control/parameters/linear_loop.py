@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds the linear form of any law and any valve for small motions, and poles and response of their loop.
 
 The law's own step around rest is differentiated numerically, so that nothing has to be derived for a law, and

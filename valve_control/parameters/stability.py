@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Checks whether sample period, gains and valve fit together: poles of the sampled loop.
 
 The law is closed around the model that it believes in, with a margin; and, where a valve is known, around

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lists the parameters of all nodes; descriptors, YAML, command line and reference are made from it."""
 
 from valve_control.laws import reshaping

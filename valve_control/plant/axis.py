@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Simulates one sample of a hydraulic axis as a pure step: supply, spool edges, cylinder and load.
 
 docs/axis.md derives the equations. The state of a room of oil is its content W [m³], measured at vapour

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lists the parameters that all plants share: gain, friction, other disturbances and LVDT."""
 
 from valve_control.parameter import Parameter, Table

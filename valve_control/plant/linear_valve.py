@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Describes the paper's valve as a plant: models (2), (3) or a custom one, with disturbances at the input."""
 
 from collections.abc import Mapping

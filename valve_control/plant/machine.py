@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Simulates one sample of a machine: an axis, the valve that feeds it and its sensors.
 
 The voltage moves the spool of the valve (``plant/valve.py``), the spool's edges feed the axis

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lists transfer functions of the Parker D3FXE01HCNBJ0011 from voltage to spool position."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes the flow through an orifice, turbulent at large and laminar at small pressure differences."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Describes a plant to the rest of the package: name, parameters, equations and what it is like."""
 
 import inspect

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Describes the valve with proportional solenoids as a plant: its parameters and its linear form."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Simulates one sample of the valve as a pure step: linear model, input disturbances, amplifier, LVDT.
 
 The linear part is the observability form of its transfer function, whose first two states are spool

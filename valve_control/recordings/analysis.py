@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Analyses a recording: regularity of the samples, indices of each part, estimates, V2, spectra."""
 
 import datetime

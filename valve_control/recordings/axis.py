@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Analyses the axes in a bag: tracking error, pressures, and the energy that the motion took."""
 
 from collections.abc import Mapping

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Puts the signals of a valve on one time base and leaves out readings that cannot be used."""
 
 from collections.abc import Mapping

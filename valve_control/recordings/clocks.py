@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Decides which clock a recording is read by, and leaves out messages with stamps far from all others."""
 
 import datetime

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Compares runs of several bags, shifted in time so that their motions coincide: JSON, PNG and HTML."""
 
 from collections.abc import Sequence

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Checks results against conditions such as ``e_rms<0.02``, for continuous integration."""
 
 import difflib

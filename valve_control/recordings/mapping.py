@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds out which topics of a bag are position, command and voltage of which valve."""
 
 import re

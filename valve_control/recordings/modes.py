@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Works out when the controller was in which mode (ok, degraded, safe), from /diagnostics and ~/state."""
 
 from collections.abc import Mapping, Sequence

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Checks whether LVDT readings came with the sample period that the controller was set to."""
 
 from typing import NamedTuple

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reads the nodes' parameters and their changes from /parameter_events in a bag."""
 
 from collections.abc import Mapping

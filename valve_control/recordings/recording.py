@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Loads a bag as valves with their signals, cleaned and aligned to the LVDT readings."""
 
 import struct

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reports shadow and what-if replays as text, CSV columns, JSON and HTML."""
 
 from typing import Any

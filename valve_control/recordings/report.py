@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reports the analysis of a bag as text for a terminal, as CSV, and as an HTML page."""
 
 import html

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Shadow replay: gives a controller the recorded commands and readings and compares its voltages.
 
 The controller's journal tells which reading it answered under which command, and all else that it took in:

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Times of messages by the stamps in their headers, or by a simulated clock that was recorded."""
 
 from collections.abc import Mapping, Sequence

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Maps the columns of a table: its times, and what plays the parts of a valve."""
 
 import re

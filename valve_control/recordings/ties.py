@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Gives messages that share their stamps times of their own, where a clock is coarser than the messages.
 
 A simulated clock often goes on by 10 ms, so ten readings and their ten voltages have one stamp. Their order

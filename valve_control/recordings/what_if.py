@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """What-if replay: simulates the closed loop again from the recorded command, with other parameters."""
 
 from collections.abc import Mapping

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Simulates many valves at once, each with its own law, plant and noise; gives indices or whole signals.
 
 Valves go through one compiled loop in blocks of eight, which the compiler turns into SIMD instructions: most

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Gives work to the workers of a dask.distributed scheduler instead of this machine's threads.
 
 A part of the work is a function of this package and its arguments; it gives the same bits wherever it runs.

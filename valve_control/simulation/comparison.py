@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Compares laws, each with gains of its own, on random valves and four commands, at equal chatter.
 
 With preview the commands are known ahead: those of laws that reshape are made so that the reference is

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Delivers the commands of an upper level to a simulated controller as a node gets them.
 
 The upper level sends the wanted motion every command period; each message is early or late on its way, and

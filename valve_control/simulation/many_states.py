@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes one compiled step of a law from many states at once; the bits are those of the plain step."""
 
 import types

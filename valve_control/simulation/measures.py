@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes what is measured of each valve of a batch: sums updated at every sample, and results from them.
 
 A set of measures is a NamedTuple of floats that are all 0.0 at the beginning, a function that takes in one

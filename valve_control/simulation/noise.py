@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Makes the noise of the LVDTs of a batch, with the bits of numpy's generators; imports numba.
 
 numba takes some ten microseconds to take in one of numpy's generators, whenever a compiled function is called

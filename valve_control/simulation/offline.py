@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Simulates one whole run offline: law, valve and command as in the nodes, without middleware."""
 
 import os

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Simulates one law on many valves drawn from a box: plants, drifts, noises, periods, delays (robustness).
 
 Valve number i is point i of a scrambled Sobol sequence and has its own seed, so that it is the same in a

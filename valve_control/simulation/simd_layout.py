@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Stores nested NamedTuples of floats in arrays, valve beside valve, so that a loop over valves becomes SIMD.
 
 A block holds ``LANES`` valves: number f of lane j stands at f·LANES + j. Imports numba; the compiled loop of

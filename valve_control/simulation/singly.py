@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Simulates one valve of a batch by itself, for plants that have no loop over several valves at once."""
 
 import types

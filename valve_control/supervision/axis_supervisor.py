@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the upper level of an axis: follows paths, holds a position without one, and stops on a fault.
 
 Three modes, as of the valve's supervisor:

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Judges the sensors of an axis: finite, within the stroke, no faster than it can move; pressures too."""
 
 import math

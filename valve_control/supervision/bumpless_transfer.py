@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Hands the valve from one law to another without a bump; a step that remains decays to zero.
 
 Two steps remain: one in the voltage, between what was applied until now and what the new law would apply; and

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes a sample before the next reading comes, so that its code is in the CPU's caches (cache warming).
 
 Between two readings a process sleeps, and others take the caches: a sample then costs three times what it

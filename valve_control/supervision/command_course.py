@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Course of the command between the messages of an upper level that is slower than the loop.
 
 The commands' own time stamps tell how far they are apart, so that an uneven way to the controller does not

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Watches the command: limits it, refuses NaN, and brings the spool to neutral when it falls silent."""
 
 import math

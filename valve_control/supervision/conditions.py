@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Keeps the reported conditions: what is wrong now, a sentence each; an event stays reported for a second."""
 
 from typing import NamedTuple

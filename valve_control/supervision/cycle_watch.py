@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Watches even cycles of the voltage: names their source, and when they have to be stopped.
 
 oscillation.py finds them, lock_in.py measures them in voltage and reading while they last. Cycles of law and

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Records all inputs and outputs of a supervisor, row by row, so that a run can be repeated bit for bit.
 
 Topics do not tell which command was in force when a reading was answered, which readings never came, or when

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Bridges a command that is late: the motion goes on by its derivatives, and joins what comes without a kink.
 
 The derivatives of bare commands are those of a cubic through the newest command and three nodes before it.

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Measures voltage and reading at the frequency of even cycles, and tells where the cycles come from.
 
 Two windows in a row, each of whole cycles and weighted by Hann's 1 - cos, give the complex amplitudes U of

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Judges each LVDT reading: finite, in range, no faster than the spool can move, not frozen.
 
 Equal readings are no fault by themselves: a quiet converter shows the same number while the spool moves

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Watches the LVDT: judges each reading, counts gaps, and tells when readings may be trusted again.
 
 lvdt.py judges a single reading, rate.py whether the readings come at the sample period, and plausibility.py

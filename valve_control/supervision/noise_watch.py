@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Measures the noise of the LVDT, at rest and in motion, and compares it with that of the start.
 
 Second differences D of the readings leave of a motion with the acceleration x'' only x''·ΔT², and of white

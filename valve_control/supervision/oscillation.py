@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds a limit cycle in the voltage: cycles of even length and height that the command does not have.
 
 A loop that is unstable grows until the amplifier limits it, or friction, or adaptation: it ends in a limit

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Measures the period of the LVDT readings: it should be the sample period of the law.
 
 The time between readings is averaged over windows; of the last windows the middle one counts, so that a few

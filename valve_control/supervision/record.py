@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Holds all that a supervisor remembers between two samples, and reports conditions in it."""
 
 import math

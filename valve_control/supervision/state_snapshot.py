@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Writes all that a supervisor remembers as JSON, and restores it, so that a replay can begin in mid-run.
 
 JSON writes floats with the digits that give the same bits again. The text has the fields of the supervisor's

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs one law: rejects implausible readings, bridges gaps, forces 0 V on faults, swaps laws without a bump.
 
 Three modes:

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A trajectory from the upper level: position, velocity and acceleration, of which the reference is made.
 
 Between two points it goes on by the derivatives of the newest. A point that is late is bridged by the jerk

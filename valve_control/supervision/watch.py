@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Steps one valve from reading to voltage: the supervisor's machine, for nodes, replay and exported C.
 
 All functions work on one ``Memory``, which they change, and on ``Params``, which they do not.

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Draws the valves of a box around a given one: those that are simulated, and those for the margins."""
 
 import itertools

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Predicts swings about rest that friction sustains, by the describing function of the valve's friction.
 
 The bristles of the simulated friction obey dz/dt = (v - |v|·z)/δ, friction is F·z (Dahl 1968). In a swing

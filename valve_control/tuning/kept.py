@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Keeps what a search has simulated in a file, so that one that was stopped goes on where it was.
 
 A search is repeatable: for the same request it tries the same sets of gains in the same order. One that

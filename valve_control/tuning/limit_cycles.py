@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Finds loops that do not come to rest: limit cycles after steps and motions, on simulated valves.
 
 Margins are those of small motions around 0 V with the first estimates. A law that adapts is another one after

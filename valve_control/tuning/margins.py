@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Computes gain, phase and delay margin and the peaks of the sampled loop, for any law on many valves.
 
 The loop is cut at the voltage. Law and valve are linear for small motions around rest

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tries how valves answer steps of the command: overshoot and settling time of a set of gains.
 
 The valves are those of a problem, without noise of the LVDT: it is the law that is judged. The first of the

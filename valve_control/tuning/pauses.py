@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tries what a pause of the command does to the reference: whether it comes back to that without one.
 
 A fast motion has two answers of the reshaping (8) to (11) once the acceleration (6) is at its limit: the

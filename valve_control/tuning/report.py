@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Reports what tuning found as one HTML page: verdict in words, front of every law, margins, responses."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Searches the gains of a law: CMA-ES (pycma) at a few limits of the chatter, which together make a front.
 
 Error and chatter of every set of gains that was tried are kept; those that no other one beats in both are the

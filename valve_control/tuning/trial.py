@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tries sets of gains of a law: margins over a box of valves, and runs of many valves on several commands."""
 
 import functools

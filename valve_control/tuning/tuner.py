@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Tunes one law: search in each of its variants, choice of one point of the front, verification."""
 
 import math

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Verifies gains on valves, noise and motions that the search did not see, before they are accepted."""
 
 from collections.abc import Sequence

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Driver of an analogue card under Linux's industrial I/O: files with counts of the LVDT and the output."""
 
 from contextlib import suppress

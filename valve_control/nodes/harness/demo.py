@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the demo: the cascade of three processes over DDS, for each controller in turn."""
 
 import sys

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs three processes in lockstep over DDS, and compares them bit for bit with the same run offline."""
 
 import sys

@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Starts, watches and stops nodes of this package as processes, and keeps what they publish."""
 
 import argparse

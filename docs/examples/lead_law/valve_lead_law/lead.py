@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """Lead-lag feedback: u = x_r/K + k·(e + T·ė) + ki·∫e, with the derivative filtered."""
 
 import sys
