@@ -81,7 +81,7 @@ def files(unit: Unit, single: bool = False, found: Found | None = None) -> dict[
     made = sources.make(unit, single, found)
     rows = samples.run(unit, made.words)
     if not rows:
-        raise ParameterError(f"{unit.name} leaves the finite numbers in its first sample")
+        raise ParameterError(f"{unit.name} produces NaN or infinity in its first sample")
     table = {
         f"{unit.name}.h": made.header,
         f"{unit.name}.c": made.source,

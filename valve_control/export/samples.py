@@ -82,7 +82,7 @@ def run(unit: Unit, words: Mapping[str, int], count: int = COUNT, seed: int = 1)
             if not finite([row.result, *_numbers(row)]):
                 break
             rows.append(row)
-    except ArithmeticError:  # the law has left the finite numbers
+    except ArithmeticError:  # the law has produced NaN or infinity
         pass
     return rows
 

@@ -19,6 +19,7 @@ from valve_control.supervision import (
     command_watch,
     conditions,
     cycle_watch,
+    gain_watch,
     late_commands,
     lock_in,
     lvdt,
@@ -92,6 +93,7 @@ class Memory:
     source: str = ""  # of cycles that go on: oscillation, lvdt_hum, none
     pause: cycle_watch.Pause = cycle_watch.NEVER  # after cycles at the limit of the voltage
     noise: noise_watch.State = noise_watch.NOTHING  # of the readings
+    gain: gain_watch.State = gain_watch.NOTHING  # of the readings over the voltage
     said: conditions.State = conditions.NOTHING
     motion: points.Motion = NO_MOTION  # wanted at this sample
     fading: bool = True  # whether an offset of ``transfer`` may be other than 0
@@ -155,3 +157,10 @@ def forget_saturation(m: Memory) -> None:
     """Drop what the voltages until now have shown of saturation."""
     m.saturated_for = 0.0
     clear(m, "saturation")
+
+
+@node_only
+def forget_gain(m: Memory) -> None:
+    """Drop what is known of the gain of the readings over the voltage."""
+    m.gain = gain_watch.NOTHING
+    clear(m, "lvdt_gain")

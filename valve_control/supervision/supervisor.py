@@ -7,7 +7,7 @@ Three modes:
 ok        the law has the valve;
 degraded  the law has the valve, but something is reported: a silent or refused command, bridged readings,
           long saturation, a limit cycle, a broken assumption, a second publisher;
-safe      0 V, the spring centres the spool: the LVDT cannot be believed, or the law left the finite numbers.
+safe      0 V, the spring centres the spool: the LVDT is implausible, or the law produced NaN or infinity.
 
 The steps are in watch.py, functions on one memory (record.py), from which exported C is made too. Here
 is what only a node has: other laws and parameters, the period of the readings, counters and telemetry.
@@ -33,6 +33,7 @@ from valve_control.supervision.record import (
     Mode,
     clear,
     count,
+    forget_gain,
     latch,
     report,
     tell,
@@ -84,6 +85,7 @@ class Supervisor:
         self._watch_law = law_watch.design(values)
         if former is not None and made.lvdt.comparison != former.lvdt.comparison:
             m.evidence = None
+            forget_gain(m)
         if former is not None and made.lvdt.period != former.lvdt.period:
             m.pace = rate.UNKNOWN
             clear(m, "lvdt_rate")

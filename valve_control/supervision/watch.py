@@ -28,6 +28,7 @@ from valve_control.supervision import (
     command_watch,
     conditions,
     cycle_watch,
+    gain_watch,
     late_commands,
     lock_in,
     lvdt,
@@ -44,6 +45,7 @@ from valve_control.supervision.record import (
     clear,
     count,
     expire,
+    forget_gain,
     forget_saturation,
     latch,
     node_only,
@@ -53,7 +55,7 @@ from valve_control.supervision.record import (
 BOTH = "spool_command is ignored while spool_trajectory commands"
 PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
 TOLD = (
-    *("samples", "sequence", "pace", "kept", "saturated_for", "said", "name", "changed", "counts"),
+    *("samples", "sequence", "pace", "kept", "saturated_for", "gain", "said", "name", "changed", "counts"),
 )  # of the memory, what C leaves out
 
 
@@ -65,6 +67,7 @@ class Params(NamedTuple):
     lvdt: lvdt_watch.Params
     cycles: cycle_watch.Params  # of the voltage
     noise: noise_watch.Params  # of the readings
+    gain: gain_watch.Params | None  # of the readings over the voltage
     lead: command_lead.Params | None  # of the command
     transfer: bumpless_transfer.Params
     joining: command_course.Params | None  # of commands
@@ -97,6 +100,7 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
             watched.period,
             1.0 if watched.comparison is None else watched.comparison.block,
         ),
+        None if watched.comparison is None else gain_watch.design(watched.comparison),
         command_lead.build(values, reshaped),
         bumpless_transfer.design(number(values, "transfer_time"), number(values, "sample_period")),
         command_course.design(values),
@@ -277,6 +281,7 @@ def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
 def reset(p: Params, m: Memory) -> None:
     """Set estimates and filters to their start, without a bump, and drop doubts about the LVDT."""
     end_doubt(m)
+    forget_gain(m)
     m.pause = cycle_watch.NEVER
     m.former = None
     if m.law is not None:
@@ -323,6 +328,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
     if m.evidence is not None and m.evidence.held == 0.0:
         watch_noise(p, m, applied)
+        watch_gain(p, m)
         confront(p, m)
     if m.law is not None and p.cycles.cycling.amplitude > 0.0:
         watch_cycles(p, m, reading, voltage)
@@ -386,6 +392,21 @@ def watch_noise(p: Params, m: Memory, applied: float) -> None:
     standing = m.judged.standing
     m.noise = noise_watch.step(p.noise, m.noise, standing.second, standing.grain, applied)
     tell_noise(m)
+
+
+@node_only
+def watch_gain(p: Params, m: Memory) -> None:
+    """Compare the gain of the readings over the voltage with that of the start, after a block."""
+    if p.gain is None or p.lvdt.comparison is None or m.evidence is None:
+        return
+    before = m.gain.strange
+    m.gain = gain_watch.step(p.gain, p.lvdt.comparison, m.gain, m.evidence.shown)
+    if m.gain.strange == before:
+        return
+    if gain_watch.has_changed(p.gain, m.gain):
+        report(m, "lvdt_gain", gain_watch.text(m.gain))
+    else:
+        clear(m, "lvdt_gain")
 
 
 @node_only
@@ -483,7 +504,7 @@ def leave_the_finite(p: Params, m: Memory) -> None:
     """Switch off: the law has produced NaN or infinity, or raised an error."""
     count(m, "law_not_finite")
     switch_off(p, m, "law_not_finite", False)
-    report(m, "law_not_finite", f"{m.name} left the finite numbers")
+    report(m, "law_not_finite", f"the control law {m.name} produced NaN or infinity")
     m.former = None
 
 
@@ -585,7 +606,7 @@ def go_on(p: Params, m: Memory, former: Any) -> None:
 def advance(p: Params, m: Memory, gap: int, reading: float) -> bool:
     """Step the law over ``gap`` samples before ``reading`` [V], or without a gap over this sample.
 
-    False if it left the finite numbers, or raised an error: C goes on with what it computes instead.
+    False if it produced NaN or infinity, or raised an error: C goes on with what it computes instead.
     """
     try:
         if gap > 0:

@@ -1,0 +1,71 @@
+"""A slow drift of the gain of the LVDT, which nothing else sees, is reported with its size."""
+
+import math
+import re
+
+import pytest
+from test_cycle_watch import PERIOD, TUNED, Loop, sine
+
+from valve_control.plant import valve
+from valve_control.supervision import gain_watch, plausibility
+
+MODEL = (20.0, 1200.0, 1200.0)  # a1 [1/s], a0, b0 [1/s²]
+
+
+class Drifting(Loop):
+    """Its LVDT gain grows by ``rate`` [1/s]."""
+
+    rate = 0.0
+
+    def run(self, samples, command):
+        for _ in range(samples):
+            k = len(self.readings)
+            self.supervisor.command(command(k * PERIOD))
+            gain = 1.0 + self.rate * k * PERIOD
+            self.readings.append(gain * valve.read(self.p, self.s, self.random.standard_normal()))
+            self.voltages.append(self.supervisor.sample(self.readings[-1], k + 1))
+            self.said += [text for text in self.supervisor.conditions.values() if text not in self.said]
+            self.s = valve.step(self.p, self.s, self.voltages[-1])
+        return self
+
+
+@pytest.mark.parametrize(("law", "shipped"), TUNED)
+def test_an_lvdt_whose_gain_drifts_by_3_percent_a_second_is_reported(config, law, shipped):
+    """Before its gain has doubled; the figure is that of the change, within a sixth."""
+    loop = Drifting(config, law, shipped)
+    loop.rate = 0.03
+    loop.run(33000, sine(1.5, 1.0))
+    said = [text for text in loop.said if "start" in text and "over the voltage" in text]
+    assert said and "lvdt_gain" in loop.supervisor.conditions
+    assert float(re.search(r"are ([\d.]+) times", said[0]).group(1)) == pytest.approx(1.6, rel=0.17)
+
+
+def entries(p, c, ratio, frequency, friction, seconds, s=gain_watch.NOTHING):
+    """States of a valve with the model's poles whose readings are ``ratio`` times the model's."""
+    a1, a0, b0 = MODEL
+    omega = 2.0 * math.pi * frequency
+    shown = plausibility.initial(c, 0.0, 0.0).shown
+    for k in range(int(seconds / c.span)):
+        t = k * c.span
+        y, v, a = math.sin(omega * t), omega * math.cos(omega * t), -omega * omega * math.sin(omega * t)
+        u = (a + a1 * v + a0 * y) / b0 + math.copysign(friction, v) + 0.2
+        shown = shown._replace(y3=ratio * y, velocity=ratio * v, u4=u, warm=0.0)
+        s = gain_watch.step(p, c, s, shown)
+    return s
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.9, 1.0, 1.2, 1.45, 2.0])
+def test_the_change_is_measured_with_friction_and_offset(ratio):
+    c = plausibility.design(MODEL, PERIOD, 1.0, 0.1, 5.0)
+    p = gain_watch.design(c)
+    s = entries(p, c, 1.0, 1.0, 0.5, 6.0)
+    s = entries(p, c, ratio, 1.0, 0.5, 20.0, s)
+    assert s.usual / s.present == pytest.approx(ratio, rel=0.05)
+    assert gain_watch.has_changed(p, s) == (max(ratio, 1.0 / ratio) > gain_watch.CHANGED)
+
+
+def test_fast_motion_tells_nothing():
+    c = plausibility.design(MODEL, PERIOD, 1.0, 0.1, 5.0)
+    p = gain_watch.design(c)
+    s = entries(p, c, 1.0, 5.0, 0.5, 6.0)
+    assert s.usual == 0.0
