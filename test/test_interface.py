@@ -41,7 +41,9 @@ def _options(parser):
 def interface():
     """Parameters with their types, topics and services, conditions, command line, entry point groups."""
     from valve_control.cli import command
-    from valve_control.laws import registry
+    from valve_control.drivers import registry as drivers
+    from valve_control.laws import registry as laws
+    from valve_control.plant import registry as plants
 
     return {
         "parameters": {node: {p.name: p.type_name for p in table} for node, table in ROS_NODES.items()},
@@ -50,7 +52,7 @@ def interface():
         ),
         "conditions": sorted(set(_conditions())),
         "command line": {name: _options(p) for name, p in command.Commands().parsers.items()},
-        "entry point groups": [registry.GROUP],
+        "entry point groups": [laws.GROUP, plants.GROUP, drivers.GROUP],
     }
 
 
