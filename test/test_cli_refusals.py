@@ -107,10 +107,10 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--map", "spool_position=/spool_position*nan"], ["finite and not 0"]),
-        (["--map", "spool_position=/spool_position*inf"], ["finite and not 0"]),
-        (["--map", "spool_position=/spool_position*0"], ["finite and not 0"]),
-        (["--map", "spool_position=/spool_position*-0.0"], ["finite and not 0"]),
+        (["--map", "spool_position=/spool_position*nan"], ["two finite numbers, volts per unit (not 0)"]),
+        (["--map", "spool_position=/spool_position*inf"], ["two finite numbers, volts per unit (not 0)"]),
+        (["--map", "spool_position=/spool_position*0"], ["two finite numbers, volts per unit (not 0)"]),
+        (["--map", "spool_position=/spool_position*-0.0"], ["two finite numbers, volts per unit (not 0)"]),
         (
             ["--map", "spool_position=/spool_position", "--map", "spool_position=/spool_position*2"],
             ["mapped already"],

@@ -72,7 +72,8 @@ def test_a_third_order_without_zeros_goes_to_dcarc_as_it_is():
     """Before: a model of order 2 with 4 ms of dead time."""
     values = controller_values(known(SLOW, "dcarc", 0.0023), "dcarc")
     assert values["dcarc.denominator"] == list(SLOW.denominator)
-    assert values["dcarc.delay"] == pytest.approx(0.0023)
+    assert values["dcarc.actuator_delay"] == pytest.approx(0.0023)
+    assert values["dcarc.delay"] == 0.0
     assert np.max(np.abs(loop_poles(values, SLOW, 2.3))) < 1.0
 
 

@@ -119,7 +119,7 @@ def test_model_that_dcarc_cannot_take_is_said(model, words):
 
 def test_dead_time_beyond_dcarc_is_said():
     made = first_gains.first(known(second_order(3.0, 0.6, 0.8), 0.0045))
-    assert any("dcarc's gains are left out: dcarc.delay is 0.0045 s" in note for note in made.notes)
+    assert any("dcarc's gains are left out: dcarc.actuator_delay is 0.0045 s" in note for note in made.notes)
 
 
 def test_dead_time_is_found_unasked_where_it_is_certain():

@@ -254,7 +254,7 @@ class Recorder(Worker):
         self._strangers: dict[str, dict[bytes, str]] = {}  # topic → publisher of another type → what is said
         self._overlooked: dict[str, str] = {}  # what a controller takes and no pattern names → what is said
         self._gone: list[str] = []  # finished files that are no longer there
-        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, SAMPLES)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         self._definitions = Definitions()
         self._failed = False
         self._unnumbered = False  # whether there is a topic whose messages have no numbers

@@ -52,8 +52,13 @@ def between(limit: float, period: float) -> oscillation.Params:
     return oscillation.Params(SATURATED * limit, period, 2.0 * SATURATED * limit)
 
 
-def source(s: oscillation.State, found: lock_in.Found, high: float) -> str:
-    """``HUM`` or ``LIMIT_CYCLE``; ``high`` [V]: amplitude of cycles that reach the limit of the voltage."""
+def source(s: oscillation.State, found: lock_in.Found, high: float, grain: float) -> str:
+    """``HUM`` or ``LIMIT_CYCLE``; ``high`` [V]: amplitude of cycles that reach the limit of the voltage.
+
+    ``grain`` [V]: step of the converter, half of which is what rounding alone may add to a reading.
+    """
+    if found.hum <= 0.5 * grain:
+        return LIMIT_CYCLE
     if oscillation.amplitude(s) >= high:
         return HUM if found.gain > WIDE and mains(found.frequency) > 0.0 else LIMIT_CYCLE
     return HUM if found.gain > SPREAD or mains(found.frequency) > 0.0 else LIMIT_CYCLE

@@ -147,7 +147,7 @@ class Supervisor:
 
         ``interval`` [s]: by which it was sent after the one before, if that is known.
         """
-        watch.command(self._params, self.memory, value, interval)
+        watch.command(self._params, self.memory, float(value), float(interval))
 
     def trajectory(self, point: trajectory.Motion, interval: float = 0.0) -> bool:
         """Take in a point of a trajectory from the upper level; whether it can be used.

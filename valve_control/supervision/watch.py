@@ -479,7 +479,7 @@ def judge_cycles(p: Params, m: Memory, cycle: oscillation.State, high: float) ->
     if not oscillation.sustained(cycle) or not lock_in.finished(m.probe):
         return
     found = lock_in.found(p.cycles.model, m.probe)
-    m.source = cycle_watch.source(cycle, found, high)
+    m.source = cycle_watch.source(cycle, found, high, m.judged.standing.grain)
     tell_cycles(m, cycle, found)
     if p.answered and oscillation.amplitude(cycle) >= high and cycle_watch.lasts(cycle):
         report(m, "limit_cycle", cycle_watch.stop_text(m.source, cycle, found))
