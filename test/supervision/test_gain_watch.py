@@ -34,7 +34,7 @@ def test_an_lvdt_whose_gain_drifts_by_3_percent_a_second_is_reported(config, law
     """Before its gain has doubled; the figure is that of the change, within a sixth."""
     loop = Drifting(config, law, shipped)
     loop.rate = 0.03
-    loop.run(33000, sine(1.5, 1.0))
+    loop.run(33000, sine(1.5, 0.7))
     said = [text for text in loop.said if "start" in text and "over the voltage" in text]
     assert said and "lvdt_gain" in loop.supervisor.conditions
     assert float(re.search(r"are ([\d.]+) times", said[0]).group(1)) == pytest.approx(1.6, rel=0.17)
