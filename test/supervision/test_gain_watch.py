@@ -47,7 +47,8 @@ def entries(p, c, ratio, frequency, friction, seconds, s=gain_watch.NOTHING):
     shown = plausibility.initial(c, 0.0, 0.0).shown
     for k in range(int(seconds / c.span)):
         t = k * c.span
-        y, v, a = math.sin(omega * t), omega * math.cos(omega * t), -omega * omega * math.sin(omega * t)
+        y = 2.5 * math.sin(omega * t)
+        v, a = 2.5 * omega * math.cos(omega * t), -omega * omega * y
         u = (a + a1 * v + a0 * y) / b0 + math.copysign(friction, v) + 0.2
         shown = shown._replace(y3=ratio * y, velocity=ratio * v, u4=u, warm=0.0)
         s = gain_watch.step(p, c, s, shown)

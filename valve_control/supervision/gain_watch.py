@@ -19,7 +19,9 @@ EVERY = 4.0  # blocks of the plausibility check, of which one counts
 FORGET = 70.0  # of the sums, moved time in units of 1/√a0
 SLOW = 0.35  # frequency of a motion that counts, in units of √a0
 ENOUGH = 0.5  # of the moved time FORGET, from which on a slope is known
-RANGE = 2.0  # times the least standard deviation of the plausibility check
+LARGE = (
+    0.7  # V  least standard deviation of the readings; friction makes the slope of smaller motions uncertain
+)
 CHANGED = 1.5  # factor that is reported
 BACK = 1.3  # factor below which the report ends
 LASTING = 1.0  # of the moved time FORGET, for which it must be there
@@ -32,7 +34,6 @@ class Params(NamedTuple):
     enough: float  # entries
     lasting: float  # entries
     slow: float  # 1/s²  square of the frequency below which a motion counts
-    excitation: float  # V  least standard deviation of w
     span: float  # s  between two entries
 
 
@@ -61,7 +62,6 @@ def design(p: plausibility.Params) -> Params:
         ENOUGH * entries,
         LASTING * entries,
         SLOW * SLOW * p.a0,
-        RANGE * p.excitation,
         span,
     )
 
@@ -91,14 +91,11 @@ def step(p: Params, c: plausibility.Params, s: State, shown: Shown) -> State:
 
 
 def slope(p: Params, c: plausibility.Params, sums: Sums, rates: float) -> float:
-    """Voltage over voltage that slow motion asks for, 0.0: too little of it, or too fast."""
+    """Voltage over voltage that slow motion asks for, 0.0: too little of it, too small or too fast."""
     if sums.n < p.enough:
         return 0.0
     spread = sums.n * sums.zz - sums.z * sums.z
-    if rates * sums.n > p.slow * spread:
-        return 0.0
-    across = sums.n * sums.ww - sums.w * sums.w
-    if across < sums.n * sums.n * p.excitation * p.excitation:
+    if spread < sums.n * sums.n * LARGE * LARGE or rates * sums.n > p.slow * spread:
         return 0.0
     return max(0.0, plausibility.slope(c, sums))
 
