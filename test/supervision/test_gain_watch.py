@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """A slow drift of the gain of the LVDT, which nothing else sees, is reported with its size."""
 
 import math
