@@ -212,7 +212,8 @@ class DeviceController(Controller):
 
     def _figures(self) -> dict[str, Any]:
         values = {**super()._figures(), "driver": word(self._device_values, "driver")}
-        values["conditions"] = ", ".join(condition.name for condition in self._told)
+        names = [*self._supervisor.conditions, *(condition.name for condition in self._told)]
+        values["conditions"] = ", ".join(names)
         if self._device is not None:
             values["lost"] = self._device.lost
             values["reopened"] = self._device.reopened
