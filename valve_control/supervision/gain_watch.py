@@ -90,6 +90,11 @@ def step(p: Params, c: plausibility.Params, s: State, shown: Shown) -> State:
     return State(0.0, velocity, sums, rates, s.usual, found, strange)
 
 
+def anew(s: State) -> State:
+    """State ``s`` with the slope of the start, and no motion."""
+    return State(0.0, 0.0, EMPTY, 0.0, s.usual, 0.0, s.strange)
+
+
 def slope(p: Params, c: plausibility.Params, sums: Sums, rates: float) -> float:
     """Voltage over voltage that slow motion asks for, 0.0: too little of it, too small or too fast."""
     if sums.n < p.enough:

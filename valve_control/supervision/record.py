@@ -164,3 +164,9 @@ def forget_gain(m: Memory) -> None:
     """Drop what is known of the gain of the readings over the voltage."""
     m.gain = gain_watch.NOTHING
     clear(m, "lvdt_gain")
+
+
+@node_only
+def forget_motion(m: Memory) -> None:
+    """Drop the motion from which the gain of the readings over the voltage is being measured."""
+    m.gain = gain_watch.anew(m.gain)

@@ -46,6 +46,7 @@ from valve_control.supervision.record import (
     count,
     expire,
     forget_gain,
+    forget_motion,
     forget_saturation,
     latch,
     node_only,
@@ -397,7 +398,7 @@ def watch_noise(p: Params, m: Memory, applied: float) -> None:
 @node_only
 def watch_gain(p: Params, m: Memory) -> None:
     """Compare the gain of the readings over the voltage with that of the start, after a block."""
-    if p.gain is None or p.lvdt.comparison is None or m.evidence is None:
+    if p.gain is None or p.lvdt.comparison is None or m.evidence is None or m.trust.doubt.times > 0.0:
         return
     before = m.gain.strange
     m.gain = gain_watch.step(p.gain, p.lvdt.comparison, m.gain, m.evidence.shown)
@@ -527,6 +528,7 @@ def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
     m.probe = lock_in.NOTHING
     m.source = ""
     forget_saturation(m)
+    forget_motion(m)
 
 
 def recover(p: Params, m: Memory, reading: float, anew: bool) -> bool:
