@@ -24,6 +24,7 @@ from valve_control.parameters.table import CONTROLLER, VALVE
 from valve_control.plant import valve
 from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.simulation import comparison, offline
+from valve_control.supervision import bumpless_transfer
 
 PERIOD = 0.001
 THIRD_ORDER = TransferFunction((250.0, 60000.0), (1.0, 120.0, 8000.0, 90000.0))
@@ -596,3 +597,14 @@ def test_from_the_third_second_on_a_fast_motion_is_as_exact_as_on_a_valve_withou
         found.append(error(made, numbers, seed))
     oracle = error(updated(CONTROLLER, made, STILL), {}, 0)
     assert np.median(found) < 1.2 * oracle
+
+
+@pytest.mark.parametrize("model", [FOURTH_ORDER, SLOW], ids=["without", "with"])
+def test_another_law_takes_over_the_reference_that_is_followed(model):
+    """Behind the filter that gives it a third derivative, where the model has three more poles than zeros."""
+    p = params(model)
+    assert (p.reshaping.smoothing > 0.0) == (model is SLOW)
+    _, states = runs(p, plant(model), sine(1.0, 3.0, 400)[1])
+    for (_, state), (terms, _) in itertools.pairwise(states):
+        found = bumpless_transfer.followed(p, state)
+        assert found == pytest.approx((terms.reference, terms.reference_rate), abs=1e-12)

@@ -9,10 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as trials
 from hypothesis import strategies as st
-from slow import PERIOD, bare, moving, run, settings, sine
+from slow import D3FXE, PERIOD, bare, moving, run, settings, sine
 
 from research import late_commands as study
+from valve_control.parameter import defaults, updated
 from valve_control.parameters import build
+from valve_control.parameters.table import VALVE
+from valve_control.plant import valve
 from valve_control.supervision import late_commands
 from valve_control.supervision.late_commands import Motion
 from valve_control.supervision.supervisor import Supervisor
@@ -186,3 +189,38 @@ def test_trajectories_in_time_are_what_they_were_bit_for_bit():
     for every in (1, 10):
         runs = [run(moving(), every, samples=800, controller="arc", command__bridge=t) for t in (0.0, TIME)]
         assert np.array_equal(runs[0].voltage, runs[1].voltage)
+
+
+def test_a_new_upper_level_on_the_way_to_neutral_joins_without_a_jump():
+    """The one before has left at 2 V, and its successor begins with 3 V 40 ms later."""
+    loop = Upper()
+    for k in range(500):
+        loop.go(2.0 * min(1.0, k / 300))
+    loop.supervisor.command_gone()
+    for _ in range(40):
+        loop.go(None)
+    for _ in range(60):
+        loop.go(3.0)
+    steps = np.abs(np.diff(loop.used[-70:]))
+    assert steps.max() < 0.15
+
+
+class Upper:
+    """A supervisor on the simulated valve, and the command that its law gets."""
+
+    def __init__(self):
+        values = settings()
+        self.supervisor = Supervisor()
+        self.supervisor.apply(values, build.law_params(values))
+        self.p = build.valve_params(updated(VALVE, defaults(VALVE), D3FXE))
+        self.s = valve.initial(self.p)
+        self.used, self.k = [], 0
+
+    def go(self, command):
+        """One sample, before it a ``command`` [V]; None: none."""
+        if command is not None:
+            self.supervisor.command(command)
+        self.k += 1
+        voltage = self.supervisor.sample(valve.read(self.p, self.s, 0.0), self.k)
+        self.used.append(self.supervisor.memory.effective)
+        self.s = valve.step(self.p, self.s, voltage)

@@ -320,6 +320,8 @@ def test_a_law_is_told_the_dead_time_that_is_to_be_expected():
     assert box.with_dead_time(dcarc, own, [])[0]["dcarc.delay"] == 0.0004
     given_ = {**SETTINGS, "controller": {**SETTINGS["controller"], "dcarc.delay": 0.0002}}
     assert box.with_dead_time(dcarc, given_, late) == (given_["controller"], None)
+    before = {**SETTINGS, "controller": {**SETTINGS["controller"], "dcarc.actuator_delay": 0.0015}}
+    assert box.with_dead_time(dcarc, before, late) == (before["controller"], None)
     fast = {**SETTINGS, "controller": {**SETTINGS["controller"], "sample_period": 0.0001}}
     assert box.with_dead_time(dcarc, fast, late) == (fast["controller"], None)
     assert box.with_dead_time(LAWS["pid"], SETTINGS, late) == (SETTINGS["controller"], None)

@@ -360,7 +360,7 @@ def _unexplained(
             f"the model misses the readings by {found.error:.2g} times what noise and "
             f"{plant.MODEL_ERROR:.0%} of the motion allow ({told}); models of second to fourth order were "
             "tried, with friction, offset and dead time: the gains are judged by the running valve, and were "
-            f"sought for valves {DOUBTED[0]:g} times as far from the model as usual"
+            f"sought for valves {DOUBTED[0]:g} or {DOUBTED[-1]:g} times as far from the model as usual"
         )
     if found.presliding > 0.0:
         notes.append(

@@ -10,9 +10,7 @@ true spool off by the dead time in question.
 from typing import NamedTuple
 
 from valve_control.parameter import ParameterError, Values
-from valve_control.parameters.table import CONTROLLER
 
-ACTUATOR = "dcarc.actuator_delay"
 LONGEST = 1.0  # s
 
 
@@ -39,11 +37,9 @@ def divided(total: float, sensor: float) -> DeadTime:
 
 
 def of_dcarc(total: float, sensor: float) -> Values:
-    """Parameters of dcarc for a ``total`` dead time [s]; all counts as the sensor's if it has but one."""
-    if not _split():
-        return {"dcarc.delay": total}
+    """Parameters of dcarc for a ``total`` dead time [s], of which the ``sensor`` [s] has its own."""
     own = divided(total, sensor)
-    return {"dcarc.delay": own.sensor, ACTUATOR: own.actuator}
+    return {"dcarc.delay": own.sensor, "dcarc.actuator_delay": own.actuator}
 
 
 def notes(total: float, sensor: float) -> list[str]:
@@ -63,10 +59,4 @@ def notes(total: float, sensor: float) -> list[str]:
         "readings alone do not tell the two apart, and where the choice is wrong the true spool stands off "
         f"by its velocity times {late}"
     )
-    if not _split():
-        made[-1] += "; dcarc has one dead time, takes it for the sensor's, and so holds the spool late by it"
     return made
-
-
-def _split() -> bool:
-    return ACTUATOR in (p.name for p in CONTROLLER)

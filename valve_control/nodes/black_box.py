@@ -53,6 +53,7 @@ class _Happened(NamedTuple):
     folder: Path
     begin: float  # s, monotonic, of what it holds
     due: float  # s, monotonic
+    latest: float  # s, monotonic, to which other events put it off
     reasons: list[str]
 
 
@@ -186,14 +187,17 @@ class BlackBox:
     def save(self, reason: str, since: float | None = None) -> Path:
         """Have a bag written that begins before ``since`` [s, monotonic; now]; its folder.
 
-        What happens while one waits for its end is in that one.
+        What happens while one waits for its end is in that one, which then ends later by ``after`` at most.
         """
         now = time.monotonic()
         if self._waiting is not None:
             self._waiting.reasons.append(reason)
+            due = min(now + self._limits.after, self._waiting.latest)
+            self._waiting = self._waiting._replace(due=due)
             return self._waiting.folder
         begin = (now if since is None else since) - self._limits.seconds
-        self._waiting = _Happened(self._unused(), begin, now + self._limits.after, [reason])
+        due = now + self._limits.after
+        self._waiting = _Happened(self._unused(), begin, due, due + self._limits.after, [reason])
         self._tell(f"{reason}: {self._waiting.folder.absolute()} is written", False)
         return self._waiting.folder
 
@@ -212,7 +216,7 @@ class BlackBox:
     def flush(self) -> None:
         """Forget what is too old, begin to write what is due, and say what was written."""
         now = time.monotonic()
-        oldest = now - (self._limits.seconds + self._limits.after + SILENT + SLACK)
+        oldest = now - (self._limits.seconds + 2.0 * self._limits.after + SILENT + SLACK)
         while self._ring and self._ring[0].moment < oldest:
             self._drop()
         if self._waiting is not None and now >= self._waiting.due:
@@ -240,6 +244,19 @@ class BlackBox:
     ) -> int:
         """Write a bag beside its place and move it there once it is whole; number of its messages."""
         beside = folder.with_name(f".{folder.name}.part")
+        try:
+            return self._write_beside(beside, folder, topics, entries, parameters)
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+
+    def _write_beside(
+        self,
+        beside: Path,
+        folder: Path,
+        topics: dict[str, tuple[str, str, str, Sequence[Qos]]],
+        entries: Sequence[Entry],
+        parameters: dict[str, dict[str, Parameter]],
+    ) -> int:
         shutil.rmtree(beside, ignore_errors=True)
         with BagWriter(beside / folder.name, self._storage, compression=self._compression) as writer:
             for name, about in topics.items():
@@ -250,7 +267,6 @@ class BlackBox:
                 writer.write(*entry[1:])
             count = writer.message_count
         (beside / folder.name).rename(folder)
-        beside.rmdir()
         return count
 
     def _finish(self, happened: _Happened, work: "Future[int]") -> None:

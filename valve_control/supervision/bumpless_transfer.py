@@ -10,6 +10,7 @@ Both are made good by an offset that leaves its first value with slope 0, or wit
 import math
 from typing import Any, NamedTuple
 
+from valve_control.laws import reshaping
 from valve_control.laws.projection import clip
 
 
@@ -72,3 +73,12 @@ def resumed(params: Any, former: Any) -> Any:
         return params
     theta = kind(*map(clip, estimates, params.theta_min, params.theta_max))
     return params._replace(theta_initial=theta)
+
+
+def followed(params: Any, s: Any) -> reshaping.State:
+    """Reference that a law with ``params`` follows in state ``s``: that behind its filter, if it has one."""
+    reference: reshaping.State = s.reference
+    smoothing: float = getattr(getattr(params, "reshaping", None), "smoothing", 0.0)
+    if smoothing == 0.0:
+        return reference
+    return reshaping.State(s.smooth, smoothing * (reference.reference - s.smooth))

@@ -26,7 +26,7 @@ from valve_control.laws.projection import clip
 from valve_control.laws.registry import LAWS
 from valve_control.parameter import Values, number, word
 from valve_control.plant.amplifier import saturate
-from valve_control.supervision import command_watch, law_watch, rate, trajectory, watch
+from valve_control.supervision import bumpless_transfer, command_watch, law_watch, rate, trajectory, watch
 from valve_control.supervision.record import (
     HEAD,
     Memory,
@@ -130,7 +130,7 @@ class Supervisor:
             return
         begun = m.law._replace(theta=estimates) if anew else m.law
         if same_reference and law.reshapes(params):
-            self._steps.go_on(self._params, m, begun)
+            self._steps.go_on(self._params, m, begun, bumpless_transfer.followed(former, begun))
         else:
             self._steps.take_over(self._params, m, begun, True)
 

@@ -56,7 +56,19 @@ from valve_control.supervision.record import (
 BOTH = "spool_command is ignored while spool_trajectory commands"
 PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
 TOLD = (
-    *("samples", "sequence", "pace", "kept", "saturated_for", "gain", "said", "name", "changed", "counts"),
+    *(
+        "samples",
+        "sequence",
+        "pace",
+        "kept",
+        "saturated_for",
+        "noise",
+        "gain",
+        "said",
+        "name",
+        "changed",
+        "counts",
+    ),
 )  # of the memory, what C leaves out
 
 
@@ -205,7 +217,8 @@ def command(p: Params, m: Memory, value: float, interval: float) -> None:
         m.upper = None
     elif p.late is not None:
         limited = saturate(value, p.late.limit)
-        m.upper = late_commands.taken(p.late, m.upper, limited, interval, m.now + p.late.period)
+        before = m.upper if m.command.homing is None else None
+        m.upper = late_commands.taken(p.late, before, limited, interval, m.now + p.late.period)
     renew(p, m, value)
 
 
@@ -388,6 +401,7 @@ def has_leapt(m: Memory) -> bool:
     return m.trust.bridged > 0 and m.jumped_until >= 0.0
 
 
+@node_only
 def watch_noise(p: Params, m: Memory, applied: float) -> None:
     """Measure the noise of the readings after a block at whose end ``applied`` [V] is on."""
     standing = m.judged.standing
@@ -426,7 +440,7 @@ def confront(p: Params, m: Memory) -> None:
     if p.lvdt.comparison is None or m.evidence is None or m.trust.blocked != "" or not p.answered:
         return
     found, doubt = plausibility.verdict(p.lvdt.comparison, m.evidence, m.trust.doubt)
-    if found == "gain" and max(m.cycle.cycles, m.swing.cycles) >= cycle_watch.BEGUN:
+    if found == "gain" and cycles_unexplained(m):
         return  # even cycles have a gain of their own if readings are late
     if found != "":
         report(
@@ -438,6 +452,13 @@ def confront(p: Params, m: Memory) -> None:
         switch_off(p, m, "lvdt_disagrees", False)
     elif doubt.times != m.trust.doubt.times:
         end_doubt(m)
+
+
+def cycles_unexplained(m: Memory) -> bool:
+    """Whether there are even cycles of the voltage that the command does not have."""
+    if m.cycle.cycles >= cycle_watch.BEGUN and not oscillation.explained(m.cycle):
+        return True
+    return m.swing.cycles >= cycle_watch.BEGUN and not oscillation.explained(m.swing)
 
 
 def end_doubt(m: Memory) -> None:
@@ -590,12 +611,14 @@ def take_over(p: Params, m: Memory, former: Any | None, following: bool) -> None
     m.fading = True
 
 
-def go_on(p: Params, m: Memory, former: Any) -> None:
-    """Start the law where the spool is, with reference and estimates of the ``former`` state of another."""
+def go_on(p: Params, m: Memory, former: Any, reference: Any) -> None:
+    """Start the law where the spool is, with the estimates of the ``former`` state of another.
+
+    ``reference``: the one that this law followed, with its rate.
+    """
     follow(p, m, m.now)
     y, v = m.measurement, m.velocity.velocity
-    reference, slope = former.reference
-    start = Start(y, m.voltage, reference, slope, v)
+    start = Start(y, m.voltage, reference.reference, reference.rate, v)
     target(p, m)
     m.law = law_initial(law_resumed(p.law, former), start)
     m.transfer = m.transfer._replace(taking_over=True)

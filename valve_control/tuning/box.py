@@ -59,10 +59,11 @@ def with_dead_time(law: Law, settings: Settings, box: Sequence[Quantity]) -> tup
     """The controller's values with the dead time [s] that ``law`` may expect, and that time.
 
     It is the middle of what the valves of ``box`` have, or that of the valve of ``settings``. None: the law
-    does not ask for it, has been told another than 0, or cannot be built with it.
+    does not ask for it, has been told another than 0 (or one of the actuator), or cannot be built with it.
     """
     values = settings["controller"]
-    if not law.dead_time or number(values, law.dead_time) != 0.0:
+    known = [name for name in (law.dead_time, f"{law.name}.actuator_delay") if name in values]
+    if not law.dead_time or any(number(values, name) != 0.0 for name in known):
         return values, None
     expected = next(
         (0.5 * (q.low + q.high) for q in box if q.name == "lvdt.delay"),
