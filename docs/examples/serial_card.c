@@ -8,7 +8,7 @@
 #include <stdint.h>
 
 extern int16_t read_lvdt(int *sound);       /* counts, 32767 for full scale; *sound: 0 if it is not valid */
-extern void write_voltage(int16_t counts);  /* to the amplifier; 0 is 0 V */
+extern void write_voltage(int16_t counts);  /* to the amplifier */
 extern void switch_output(int on);          /* enable line of the amplifier */
 extern void send_bytes(const uint8_t *data, int size);
 extern uint32_t milliseconds(void);         /* since the start */
@@ -17,6 +17,7 @@ enum { SIZE = 8, ON = 1, SILENCE = 2, SENSOR = 4, WATCHDOG = 100 /* ms */ };
 
 static uint8_t frame[SIZE];
 static int filled = 0, asked = 0, silent = 1;
+static int16_t rest = 0; /* counts of the last frame that switched off: those of 0 V */
 static uint16_t counter = 0;
 static uint32_t heard = 0;
 
@@ -31,7 +32,8 @@ static uint16_t crc16(const uint8_t *data, int size) {
 
 static void output(int on, int16_t counts) {
     asked = on;
-    write_voltage(on ? counts : 0);
+    if (!on) rest = counts;
+    write_voltage(counts);
     switch_output(on);
 }
 
@@ -61,7 +63,7 @@ void sample_timer(void) {
     int16_t counts = read_lvdt(&sound);
     if (!silent && milliseconds() - heard >= WATCHDOG) {
         silent = 1;
-        output(0, 0);
+        output(0, rest);
     }
     uint8_t data[SIZE] = {0xA5, (uint8_t)((asked ? ON : 0) | (silent ? SILENCE : 0) | (sound ? 0 : SENSOR)),
                           (uint8_t)counter, (uint8_t)(counter >> 8), (uint8_t)counts, (uint8_t)(counts >> 8)};

@@ -58,21 +58,24 @@ class Card:
         self._asked = False  # by the host: output on
         self.frames = 0  # sound ones from the host
         self.counter = 0
-        self.voltage = 0.0  # V, on the solenoid
+        self.voltage = 0.0  # V, to the amplifier
+        self._rest = 0.0  # V, of the last frame that switched off: the signal of 0 V
         self.sensor_sound = True
 
     def receive(self, now: float) -> None:
         """Use the frames that have come, at ``now`` [s]; switch off if none has for the watchdog's time."""
-        try:
-            data = os.read(self.line, 4096)
-        except (BlockingIOError, OSError):  # nothing, or nobody has the port open
-            data = b""
+        data = b""
+        with suppress(BlockingIOError, OSError):  # nothing, or nobody has the port open
+            while more := os.read(self.line, 4096):
+                data += more
         for frame in self._receiver.feed(data):
             self._heard, self._asked = now, bool(frame.flags & ON)
-            self.voltage = frame.value * FULL_SCALE / COUNTS if self._asked else 0.0
+            self.voltage = frame.value * FULL_SCALE / COUNTS
+            if not self._asked:
+                self._rest = self.voltage
             self.frames += 1
         if now - self._heard >= WATCHDOG:
-            self._asked, self.voltage = False, 0.0
+            self._asked, self.voltage = False, self._rest
 
     def send(self, now: float, damage: int = 0) -> float:
         """Sample the LVDT and send the reading [V], which is returned; ``damage``: bits to turn over."""

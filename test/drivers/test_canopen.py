@@ -93,6 +93,9 @@ def test_nothing_moves_before_enable_and_the_valve_is_off_at_the_end(valve):
     made.enable(False)
     assert taken(made, 5) and valve.order("state") == "DISABLED 0.0000 OPERATIONAL", "readings go on"
     activate(made, valve)
+    made.enable(False)
+    until(lambda: valve.order("state") == "DISABLED 0.0000 OPERATIONAL", "off without a reading")
+    activate(made, valve)
     made.close()
     assert valve.order("state") == "INIT 0.0000 PRE-OPERATIONAL"
 
@@ -194,7 +197,9 @@ def test_an_adapter_that_takes_no_frames_is_told_and_holds_nothing_up():
                     made.write(0.0)
                 longest = max(longest, time.monotonic() - before)
         assert longest < 1.0
+        port = made._node._bus.serialPortOrig
         made.close()
+        assert not port.is_open
 
 
 def test_a_missing_library_is_named_with_its_extra(valve, monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 from examples import serial_card
 
 from valve_control.drivers import device as device_module
-from valve_control.drivers.driver import DriverError
+from valve_control.drivers.driver import Condition, DriverError
 from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.parameters import drivers
 
@@ -57,7 +57,9 @@ def test_both_sides_have_scale_polarity_and_limits(card):
     assert [c.name for c in one.conditions()] == ["out_of_range", "readings_lost"]
     assert "15 V, outside -11 to 11 V" in one.conditions()[0].text
     one.close()
-    assert given(card) == 0.0 and not card._asked
+    assert given(card) == pytest.approx(5.0, abs=STEP) and not card._asked
+    card.receive(serial_card.WATCHDOG)
+    assert card.voltage == pytest.approx(5.0, abs=STEP), "the signal of 0 V by the card's watchdog too"
 
 
 @pytest.mark.parametrize(
@@ -81,7 +83,7 @@ class Loose:
     """A driver whose plug is pulled and put back."""
 
     def __init__(self):
-        self.plugged, self.calls = True, []
+        self.plugged, self.calls, self.faults = True, [], ()
 
     def open(self):
         self.calls.append("open")
@@ -106,17 +108,51 @@ class Loose:
         self.calls.append("close")
 
     def conditions(self):
-        return ()
+        return self.faults
+
+
+def volts(driver):
+    side = device_module.Side(device_module.Scale(1.0), -10.0, 10.0)
+    made = device_module.Device(driver, side, side, 0.001)
+    made.open()
+    made.enable(True)
+    return made
+
+
+@pytest.mark.parametrize("voltage", [math.nan, math.inf, -math.inf])
+def test_a_voltage_that_is_not_finite_gives_0_volts(voltage):
+    loose = Loose()
+    volts(loose).write(voltage)
+    assert loose.calls[-1] == 0.0
+
+
+def test_a_device_that_goes_with_a_fault_comes_back_off(monkeypatch):
+    monkeypatch.setattr(device_module, "RETRY", 0.0)
+    loose = Loose()
+    one = volts(loose)
+    loose.faults = (Condition("emergency", "safe", "of the maker"), Condition("pdo_lost", "degraded", "one"))
+    loose.plugged = False
+    one.read()
+    one.read()
+    loose.plugged, loose.faults = True, ()
+    loose.calls.clear()
+    one.read()
+    one.write(1.0)
+    assert loose.calls == ["open", "enable False"]
+    (told,) = one.conditions()
+    assert (told.name, told.level) == ("fault_before", "safe")
+    assert "after emergency: the output stays off until enable is switched off and on" in told.text
+    one.enable(False)
+    one.enable(True)
+    one.write(1.0)
+    assert loose.calls[2:] == ["enable False", "enable True", 1.0] and one.conditions() == ()
 
 
 @pytest.mark.parametrize("act", [lambda d: d.write(1.0), lambda d: d.read(), lambda d: d.enable(False)])
 def test_a_device_that_goes_is_closed_told_and_opened_anew_as_it_was(act, monkeypatch):
     monkeypatch.setattr(device_module, "RETRY", 0.0)
     loose = Loose()
-    side = device_module.Side(device_module.Scale(1.0), -10.0, 10.0)
-    one = device_module.Device(loose, side, side, 0.001)
-    one.open()
-    one.enable(True)
+    one = volts(loose)
     loose.plugged = False
     act(one)
     one.enable(True)

@@ -93,6 +93,48 @@ def test_refused_requests_are_conditions_and_a_refused_voltage_switches_off(io):
     valve.close()
 
 
+def test_without_a_coil_a_refused_voltage_is_followed_by_0_volts(io):
+    valve = driver(io, enable_coil=-1)
+    valve.open()
+    valve.enable(True)
+    valve.write(2.0)
+    assert io.order("refuse_voltage 3").startswith("1.9999")
+    valve.write(3.0)
+    assert names(valve)["write_refused"] == "safe" and io.order("state").startswith("0.0000")
+    valve.close()
+
+
+def test_a_voltage_that_cannot_be_taken_back_is_told_and_tried_again(io):
+    valve = driver(io, enable_coil=-1)
+    valve.open()
+    valve.enable(True)
+    valve.write(2.0)
+    io.order("refuse_write 4")
+    with pytest.raises(DriverError, match=r"holding register 5: exception 4 .*the last voltage stays"):
+        valve.write(3.0)
+    valve.close()
+    valve.open()
+    with pytest.raises(DriverError, match="the last voltage stays"):
+        valve.enable(False)
+    assert io.order("none").startswith("1.9999")
+    valve.close()
+    assert io.order("state").startswith("0.0000")
+
+
+def test_a_busy_device_is_asked_again_to_switch(io):
+    valve = driver(io, timeout=0.2)
+    valve.open()
+    io.order("busy 2")
+    valve.enable(True)
+    valve.write(2.0)
+    assert io.order("busy 1000") == "1.9999 1" and names(valve)["busy"] == "degraded"
+    with pytest.raises(DriverError, match="stays busy and does not accept holding register 5"):
+        valve.enable(False)
+    io.order("busy 7")
+    valve.close()
+    assert io.order("state") == "0.0000 0"
+
+
 def test_a_device_that_dies_is_told_and_opened_anew_when_it_is_back():
     with device("valve_modbus", "0", str(PERIOD)) as io:
         valve = driver(io)
@@ -143,10 +185,12 @@ def test_ticks_are_those_of_an_absolute_clock():
     period, start = 0.002, time.monotonic()
     ticks = Ticks(period)
     used = missed = 0
-    while time.monotonic() < start + 0.1:
+    now = start
+    while now < start + 0.1:
         missed += ticks.wait()
+        now = time.monotonic()
         used += 1
         if used == 5:
             time.sleep(3.5 * period)
     assert missed >= 2
-    assert (used + missed) == pytest.approx((time.monotonic() - start) / period, abs=1.5)
+    assert (used + missed) == pytest.approx((now - start) / period, abs=1.5)

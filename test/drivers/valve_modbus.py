@@ -27,7 +27,7 @@ class Io:
     def reset(self):
         self.spool = Spool(self.period)
         self.volts, self.on = 0.0, False
-        self.fault = "none"  # or silent, refuse_read N, refuse_write N
+        self.fault = "none"  # or silent, refuse_read N, refuse_write N, refuse_voltage N, busy TIMES
 
     async def action(self, function, start, address, count, registers, values):
         what, _, code = self.fault.partition(" ")
@@ -35,6 +35,11 @@ class Io:
             await asyncio.sleep(3600.0)
         if (what, function) in (("refuse_read", 4), ("refuse_write", 6)):
             return ExcCodes(int(code))
+        if what == "refuse_voltage" and function == 6 and values and values[0]:
+            return ExcCodes(int(code))
+        if what == "busy" and function in (5, 6) and int(code):
+            self.fault = f"busy {int(code) - 1}"
+            return ExcCodes.DEVICE_BUSY
         if function == 4:
             reading = self.spool.sample(self.volts if self.on else 0.0)
             registers[LVDT - start] = round(reading * COUNTS) & 0xFFFF

@@ -97,6 +97,8 @@ def test_a_fault_of_a_can_valve_is_told_and_a_killed_node_leaves_it_off(ros, tmp
             until(emergency, "the condition")
             assert "emergency 0x3100 (Voltage)" in told[-1].message
             until(lambda: valve.order("state").startswith("DISABLED 0.0000"), "the valve off")
+            refused = call(ros, SetBool, "/valve_driver/enable", SetBool.Request(data=True))
+            assert not refused.success and "the output stays off until it is enabled anew" in refused.message
             for wanted in (False, True):
                 assert call(ros, SetBool, "/valve_driver/enable", SetBool.Request(data=wanted)).success
             until(lambda: valve.order("state") == on, "2 V again")

@@ -64,6 +64,9 @@ class CanNode:
             self._bus = can.Bus(**bus)
         except Exception as error:  # the makers' libraries raise all kinds of errors
             raise DriverError(f"no CAN bus {bus['channel']} ({bus['interface']}): {error}") from error
+        port = getattr(self._bus, "serialPortOrig", None)  # of slcan
+        if port is not None:
+            port.flush = lambda: None  # it would wait without limit for an adapter that takes no bytes
         try:
             self._fileno = self._bus.fileno()
         except (NotImplementedError, can.CanError):
@@ -156,3 +159,7 @@ class CanNode:
         """Release the bus."""
         with contextlib.suppress(can.CanError, OSError):
             self._bus.shutdown()
+        port = getattr(self._bus, "serialPortOrig", None)
+        if port is not None:  # it stays open if the adapter does not take its last command
+            with contextlib.suppress(OSError):
+                port.close()

@@ -151,6 +151,10 @@ class Valve408:
         self._resetting = 2 if on else 0
         self._since = self._beat = time.monotonic()
         self._reached = False
+        if not on and self._running:  # no read may follow
+            self._send()
+            self._node.send(SYNC)
+            self._sent = False
 
     def _configure(self, node: "CanNode") -> None:
         """Configure the valve and start the exchange of PDOs."""

@@ -30,6 +30,7 @@ class Device:
         self.position, self.voltage = position, voltage
         self._pause = patience(period)
         self._gone: Condition | None = None
+        self._fault: Condition | None = None  # keeps the output off after the device was opened anew
         self._retry_at = 0.0
         self._on = False
         self._beyond: float | None = None  # V, of the last reading if it is out of range
@@ -51,6 +52,7 @@ class Device:
     def enable(self, on: bool) -> None:
         """Switch the output stage on or off, at 0 V."""
         self._on = on
+        self._fault = None
         if self._gone is None:
             try:
                 self._driver.enable(on)
@@ -58,11 +60,12 @@ class Device:
                 self._lose(error)
 
     def write(self, voltage: float) -> None:
-        """Give a finite ``voltage`` [V] within the limits, if the output is on."""
+        """Give ``voltage`` [V] within the limits, 0 V if it is not finite, if the output is on."""
         side = self.voltage
-        if self._on and self._gone is None:
+        if self._on and self._gone is None and self._fault is None:
+            finite = voltage if math.isfinite(voltage) else 0.0
             try:
-                self._driver.write(side.scale.signal(max(side.low, min(side.high, voltage))))
+                self._driver.write(side.scale.signal(max(side.low, min(side.high, finite))))
             except DriverError as error:
                 self._lose(error)
 
@@ -92,6 +95,15 @@ class Device:
         return Reading(math.nan, reading.lost)
 
     def _lose(self, error: DriverError) -> None:
+        """Close the device; a fault that had switched its output off outlasts the opening anew."""
+        if self._gone is None and self._on:
+            faults = ", ".join(c.name for c in self._driver.conditions() if c.level == "safe")
+            if faults:
+                text = (
+                    f"the device was opened anew after {faults}: the output stays off until enable is "
+                    "switched off and on, or the node is deactivated and activated"
+                )
+                self._fault = Condition("fault_before", "safe", text)
         self._driver.close()
         self._gone = Condition("device_gone", "safe", str(error))
         self._retry_at = time.monotonic() + RETRY
@@ -103,7 +115,7 @@ class Device:
             return
         try:
             self._driver.open()
-            self._driver.enable(self._on)
+            self._driver.enable(self._on and self._fault is None)
         except DriverError as error:
             self._lose(error)
         else:
@@ -115,6 +127,8 @@ class Device:
         if self._gone is not None:
             return (self._gone,)
         found = self._driver.conditions()
+        if self._fault is not None:
+            found += (self._fault,)
         if self._beyond is not None:
             side = self.position
             text = f"the reading is {self._beyond:.4g} V, outside {side.low:g} to {side.high:g} V"

@@ -42,7 +42,8 @@ class Condition(NamedTuple):
 class Driver(Protocol):
     """One device with one output and one input. Every method may raise DriverError if the device is gone.
 
-    After a DriverError the device is closed, and later opened anew. Faults that pass are ``conditions``.
+    After a DriverError the device is closed, and later opened anew. Faults that pass are ``conditions``. If
+    one of level safe is there at a DriverError, the output stays off afterwards until the user enables it.
     """
 
     def open(self) -> None:

@@ -6,9 +6,10 @@ A reading is one request of one register, an output another. The library is pymo
 when the driver is opened.
 """
 
-import contextlib
 import logging
 import math
+import time
+from collections.abc import Callable
 from typing import Any
 
 from valve_control.drivers.driver import Condition, DriverError, Kind, Reading, missing
@@ -28,6 +29,7 @@ MEANINGS = {
     11: "no answer behind the gateway",
 }
 PATIENCE = 3  # unanswered requests in a row before the connection counts as lost
+ATTEMPTS = 5  # requests to a busy device, spread over the timeout
 
 PARAMETERS = (
     Parameter("modbus.host", "127.0.0.1", "", "name or address of the device"),
@@ -53,6 +55,7 @@ class ModbusTcp:
         self._period = period
         self._off = off
         self._on = self._touched = False  # output stage on; something was written
+        self._held = False  # a voltage may be in the output register
         self._lost = 0
         self._silent = 0  # unanswered requests in a row
         self._timeouts, self._late, self._busy = Lately(), Lately(), Lately()
@@ -92,18 +95,20 @@ class ModbusTcp:
         """Write the signal of 0 V, then switch the coil if there is one. Raises DriverError."""
         self._refused.pop("write_refused", None)
         self._on, self._touched = False, True
-        self._answered(self._zero(), self._output)
-        if self._p["enable_coil"] >= 0:
-            self._answered(self._switch(on), f"coil {self._p['enable_coil']}")
+        self._switched(on)
         self._on = on and "write_refused" not in self._refused
 
     def write(self, signal: float) -> None:
-        """Write the output register and wait for the answer. Raises DriverError if the connection is lost."""
+        """Write the output register and wait for the answer. Raises DriverError if the connection is lost.
+
+        If the voltage is refused, the output goes to 0 V and off; a DriverError says if this fails too.
+        """
         if self._on:
+            self._held = True
             answer = self._request("write_register", self._p["output"], self._counts(signal))
             if answer is not None and self._is_refused("write_refused", answer, self._output):
                 self._on = False
-                self._switch(False)
+                self._switched(False)
 
     def read(self) -> Reading | None:
         """Read the input register at the next tick; None if it was not answered. Raises DriverError."""
@@ -127,9 +132,14 @@ class ModbusTcp:
 
     def close(self) -> None:
         """Switch off if ``enable`` was ever called and the device can be reached; close the connection."""
-        if self._touched and self._client is not None and self._client.connected:
-            with contextlib.suppress(DriverError):
+        for _ in range(PATIENCE):
+            if not self._touched or self._client is None or not self._client.connected:
+                break
+            try:
                 self.enable(False)
+                break
+            except DriverError:
+                continue
         if self._client is not None:
             self._client.close()
         self._client, self._on = None, False
@@ -206,12 +216,27 @@ class ModbusTcp:
         coil = self._p["enable_coil"]
         return self._request("write_coil", coil, on) if coil >= 0 else None
 
-    def _answered(self, answer: Any, what: str) -> None:
-        """Note what was refused. Raises DriverError if there is no answer."""
-        if answer is None:
-            self._drop()
-            raise DriverError(f"{self._where} does not answer to {what}")
-        self._is_refused("write_refused", answer, what)
+    def _switched(self, on: bool) -> None:
+        """Write the signal of 0 V, then the coil. Raises DriverError if a voltage stays on the output."""
+        zero = self._answered(self._zero, self._output)
+        self._held = self._held and not zero
+        coil = self._p["enable_coil"]
+        off = coil >= 0 and self._answered(lambda: self._switch(on and zero), f"coil {coil}")
+        if self._held and not off:
+            raise DriverError(f"{self._refused['write_refused']}; the last voltage stays on the output")
+
+    def _answered(self, ask: Callable[[], Any], what: str) -> bool:
+        """Whether the device accepts a request. Raises DriverError if it does not answer or stays busy."""
+        for attempt in range(ATTEMPTS):
+            if attempt:
+                time.sleep(self._p["timeout"] / ATTEMPTS)
+            answer = ask()
+            if answer is None:
+                raise DriverError(f"{self._where} does not answer to {what}")
+            if not answer.isError() or answer.exception_code != BUSY:
+                return not self._is_refused("write_refused", answer, what)
+            self._busy.note()
+        raise DriverError(f"{self._where} stays busy and does not accept {what}")
 
     def _is_refused(self, name: str, answer: Any, what: str) -> bool:
         if not answer.isError():

@@ -5,6 +5,7 @@
 import math
 import os
 import select
+import termios
 import time
 from collections import deque
 from contextlib import suppress
@@ -37,6 +38,7 @@ CHUNK = 4096  # bytes
 MOST_LOST = 1000  # readings; a larger gap of the counter is that of a card that began anew
 LATCH = 1.0  # s for which damaged frames stay reported
 GRACE = 0.1  # s that the card may take to switch its output on
+STALE = 0.1  # s of frames that may wait; after such a pause the card's watchdog has switched off
 
 PARAMETERS = (
     Parameter("serial.port", "/dev/ttyUSB0", "", "serial port of the card"),
@@ -56,6 +58,7 @@ class SerialCard:
         self._counts = COUNTS / number(values, "serial.full_scale_out")
         self._off = off
         self._wait = patience(period)
+        self._most_waiting = max(4, math.ceil(STALE / period))
         self._port: Any = None
         self._receiver = Receiver(FROM_CARD)
         self._waiting: deque[Frame] = deque()
@@ -74,36 +77,46 @@ class SerialCard:
             raise missing("pyserial", "serial", "serial") from None
         try:
             self._port = serial.Serial(self._name, self._baud, timeout=0, exclusive=True)
-        except (OSError, ValueError) as error:  # SerialException is an OSError
-            reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else error
+        except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError
+            code = error.args[0] if isinstance(error, termios.error) else getattr(error, "errno", None)
+            reason = os.strerror(code) if code else error
             raise DriverError(f"the port {self._name} cannot be opened: {reason}") from error
         with suppress(OSError, ValueError, AttributeError, NotImplementedError):  # a port without this mode
             self._port.set_low_latency_mode(True)  # a USB adapter would collect bytes for up to 16 ms
         self._poll = select.poll()
         self._poll.register(self._port.fileno(), select.POLLIN)
-        self._drop()
+        try:
+            self._drop()
+        except DriverError:
+            self.close()
+            raise
 
     def _drop(self) -> None:
-        """Forget what came until now."""
-        with suppress(BlockingIOError):
+        """Forget what came until now. Raises DriverError if the port is gone."""
+        try:
             while os.read(self._port.fileno(), CHUNK):
                 pass
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            raise self._gone(error) from error
         self._receiver.clear()
         self._waiting.clear()
         self._expected = None
 
     def enable(self, on: bool) -> None:
-        """Switch the card's output on or off, at the signal of 0 V."""
+        """Switch the card's output on or off, at the signal of 0 V. Raises DriverError."""
         if on and not self._on:
             self._drop()
             self._switched = time.monotonic()
+            self.write(self._off)  # without the flag ON: the card keeps this value for its watchdog
         self._on = on
         self.write(self._off)
 
     def write(self, signal: float) -> None:
-        """Send an output signal. Raises DriverError if the line takes no more."""
+        """Send an output signal, that of 0 V if it is off. Raises DriverError if the line takes no more."""
         self._counter = (self._counter + 1) % NUMBERS
-        counts = max(-COUNTS, min(COUNTS, round(signal * self._counts)))
+        counts = max(-COUNTS, min(COUNTS, round((signal if self._on else self._off) * self._counts)))
         data = packed(TO_CARD, ON if self._on else 0, self._counter, counts)
         try:
             sent = os.write(self._port.fileno(), data)
@@ -115,22 +128,32 @@ class SerialCard:
             raise DriverError(f"the line {self._name} does not take the voltages: it is too slow, or held up")
 
     def read(self) -> Reading | None:
-        """The next reading; None if no sound frame comes in time. Raises DriverError if the port is gone."""
+        """The next reading; None if no sound frame comes in time. Raises DriverError if the port is gone.
+
+        If more than ``STALE`` seconds of frames wait, the newest is taken and the others count as lost.
+        """
         end = time.monotonic() + self._wait
         while not self._waiting:
             rest = end - time.monotonic()
             if rest <= 0.0 or not self._poll.poll(math.ceil(1e3 * rest)):
                 return None
-            try:
-                data = os.read(self._port.fileno(), CHUNK)
-            except BlockingIOError:
-                continue
-            except OSError as error:
-                raise self._gone(error) from error
-            if not data:
-                raise DriverError(f"the port {self._name} is gone")
-            self._waiting.extend(self._receiver.feed(data))
+            self._receive()
+        while self._poll.poll(0):
+            self._receive()
+        if len(self._waiting) > self._most_waiting:
+            self._waiting = deque((self._waiting[-1],))
         return self._taken(self._waiting.popleft())
+
+    def _receive(self) -> None:
+        try:
+            data = os.read(self._port.fileno(), CHUNK)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            raise self._gone(error) from error
+        if not data:
+            raise DriverError(f"the port {self._name} is gone")
+        self._waiting.extend(self._receiver.feed(data))
 
     def _taken(self, frame: Frame) -> Reading:
         lost = 0 if self._expected is None else (frame.counter - self._expected) % NUMBERS

@@ -287,9 +287,15 @@ class ValveDriver(Managed):
 
     def _on_enable(self, request: Any, response: Any) -> Any:
         (result,) = self.set_parameters([Parameter("enable", value=bool(request.data))])
-        response.success = result.successful
-        response.message = result.reason or f"output {'on' if request.data else 'off'}"
+        faults = [c.text for c in self._device_conditions() if c.level == "safe"]
+        response.success = result.successful and not faults
+        response.message = result.reason or "; ".join(faults) or f"output {'on' if request.data else 'off'}"
         return response
+
+    def _device_conditions(self) -> tuple[Condition, ...]:
+        """Conditions of the device once the output has been switched; none before."""
+        assert self._device is not None
+        return self._device.conditions() if self.working and self._begun else ()
 
     def _diagnose(self) -> None:
         level, text = DiagnosticStatus.OK, "driving"
