@@ -64,6 +64,13 @@ def source(s: oscillation.State, found: lock_in.Found, high: float, grain: float
     return HUM if found.gain > SPREAD or mains(found.frequency) > 0.0 else LIMIT_CYCLE
 
 
+def unexplained(cycle: oscillation.State, swing: oscillation.State) -> bool:
+    """Whether there are even cycles, small or from limit to limit, that the command does not have."""
+    if cycle.cycles >= BEGUN and not oscillation.explained(cycle):
+        return True
+    return swing.cycles >= BEGUN and not oscillation.explained(swing)
+
+
 def mains(frequency: float) -> float:
     """That of MAINS [Hz] which ``frequency`` [Hz] is, 0.0: none."""
     if frequency > 80.0:

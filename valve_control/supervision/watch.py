@@ -440,7 +440,7 @@ def confront(p: Params, m: Memory) -> None:
     if p.lvdt.comparison is None or m.evidence is None or m.trust.blocked != "" or not p.answered:
         return
     found, doubt = plausibility.verdict(p.lvdt.comparison, m.evidence, m.trust.doubt)
-    if found == "gain" and cycles_unexplained(m):
+    if found == "gain" and cycle_watch.unexplained(m.cycle, m.swing):
         return  # even cycles have a gain of their own if readings are late
     if found != "":
         report(
@@ -452,13 +452,6 @@ def confront(p: Params, m: Memory) -> None:
         switch_off(p, m, "lvdt_disagrees", False)
     elif doubt.times != m.trust.doubt.times:
         end_doubt(m)
-
-
-def cycles_unexplained(m: Memory) -> bool:
-    """Whether there are even cycles of the voltage that the command does not have."""
-    if m.cycle.cycles >= cycle_watch.BEGUN and not oscillation.explained(m.cycle):
-        return True
-    return m.swing.cycles >= cycle_watch.BEGUN and not oscillation.explained(m.swing)
 
 
 def end_doubt(m: Memory) -> None:
