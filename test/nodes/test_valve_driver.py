@@ -127,16 +127,18 @@ def test_each_reading_is_answered_and_the_law_moves_the_spool(ros, tmp_path, car
 
 
 def test_losses_are_missing_readings_and_faults_have_names(ros, tmp_path, card):
+    """A process that is put aside may lose more frames than were left out; test_serial_card counts exactly."""
     told = Told(ros)
     with driver(tmp_path, card, "position.high:=2.0"):
         run(ros, card, lambda: len(told.readings) > 50, "readings")
         card.counter = (card.counter + 7) % 65536
-        run(ros, card, lambda: told.values.get("lost") == "7", "losses")
-        run(ros, card, lambda: sum(map(math.isnan, told.readings)) == 7, "missing readings")
+        run(ros, card, lambda: int(told.values.get("lost", 0)) >= 7, "losses")
+        run(ros, card, lambda: sum(map(math.isnan, told.readings)) >= 7, "missing readings")
         assert "readings_lost" in told.seen
+        before = int(told.values["lost"])
         card.send(0.0, damage=16)
         run(ros, card, lambda: "damaged_frames" in told.seen, "damaged frame")
-        run(ros, card, lambda: told.values["lost"] == "8", "its loss")
+        run(ros, card, lambda: int(told.values["lost"]) > before, "its loss")
         card._state = card._state._replace(x=card._state.x._replace(x0=8.0))
         count = len(told.readings)
         run(ros, card, lambda: any(map(math.isnan, told.readings[count:])), "reading out of range")
