@@ -127,7 +127,7 @@ def test_each_reading_is_answered_and_the_law_moves_the_spool(ros, tmp_path, car
 
 
 def test_losses_are_missing_readings_and_faults_have_names(ros, tmp_path, card):
-    """A process that is put aside may lose more frames than were left out; test_serial_card counts exactly."""
+    """A process that is put aside may lose more than was left out; test_serial_card counts exactly."""
     told = Told(ros)
     with driver(tmp_path, card, "position.high:=2.0"):
         run(ros, card, lambda: len(told.readings) > 50, "readings")
