@@ -14,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.batch import Measure, in_turns, timed
-from valve_control.axis import run as runs
-from valve_control.compiling import compile_function
-from valve_control.motion.upper import LEVELS
+from valve_control.control.axis import run as runs
+from valve_control.control.compiling import compile_function
+from valve_control.control.motion.upper import LEVELS
+from valve_control.control.parameters import files
+from valve_control.control.parameters.axis import AXIS_NODES
+from valve_control.control.plant import axis
 from valve_control.parameter import Values, updated
-from valve_control.parameters import files
-from valve_control.parameters.axis import AXIS_NODES
-from valve_control.plant import axis
 
 Array = npt.NDArray[np.float64]
 AXES, STEPS = 48, 100_000  # of the batch; of the axis alone

@@ -15,8 +15,8 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from tqdm import tqdm
 
-from valve_control.bags.bag import Bag
-from valve_control.bags.writer import BagWriter
+from valve_control.recordings.bags.bag import Bag
+from valve_control.recordings.bags.writer import BagWriter
 
 FLOAT = "std_msgs/msg/Float64"
 TOPICS = ("/spool_command", "/spool_position", "/valve_voltage", "/pump_pressure")

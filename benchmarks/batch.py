@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.control.laws.registry import LAWS as REGISTERED
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import build
+from valve_control.control.parameters.linear_loop import flatten, unflatten
+from valve_control.control.parameters.table import NODES
+from valve_control.control.plant import valve
+from valve_control.control.simulation import batch, offline
 from valve_control.export import sources, unit
-from valve_control.laws.registry import LAWS as REGISTERED
-from valve_control.laws.signals import Start
 from valve_control.parameter import Values, defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.linear_loop import flatten, unflatten
-from valve_control.parameters.table import NODES
-from valve_control.plant import valve
-from valve_control.simulation import batch, offline
 
 Array = npt.NDArray[np.float64]
 LAWS = ("arc", "oarc")

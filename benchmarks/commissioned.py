@@ -28,13 +28,13 @@ from rclpy.signals import SignalHandlerOptions
 
 from benchmarks.invented import invented, motions
 from valve_control import outputs
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER, NODES
+from valve_control.control.simulation import offline
 from valve_control.nodes.adapter import EVERYTHING
 from valve_control.nodes.harness.processes import Listener, process, wait_until
 from valve_control.nodes.transport import RANGE, use_own_profile
 from valve_control.parameter import Values, defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, NODES
-from valve_control.simulation import offline
 
 # Second, third and fourth order; slow with much friction, fast with little; much and little noise.
 SEEDS = (4, 8, 9, 11, 12)

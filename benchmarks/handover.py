@@ -10,13 +10,13 @@ from typing import Any
 from tqdm import tqdm
 
 from benchmarks.batch import BenchmarkError
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import files
+from valve_control.control.parameters.axis import AXIS
+from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.export import folder, unit
 from valve_control.export.unit import Unit
-from valve_control.laws.registry import LAWS
 from valve_control.parameter import Values, defaults, updated
-from valve_control.parameters import files
-from valve_control.parameters.axis import AXIS
-from valve_control.parameters.table import CONTROLLER, VALVE
 
 WANTED: dict[str, tuple[str, float]] = {}
 SAID = re.compile(r"(?:to the last bit|within (\S+) V); (\d+) ns a step, state (\d+) bytes, parameters (\d+)")

@@ -17,16 +17,16 @@ import numpy as np
 import tqdm
 
 from valve_control import outputs
-from valve_control.commands import scenarios
-from valve_control.identification import experiment, first_gains, friction, lvdt, rational, theta
-from valve_control.identification.experiment import Experiment
-from valve_control.identification.response import Segment
-from valve_control.laws.registry import LAWS
+from valve_control.control.commands import scenarios
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.simulation import batch, comparison
+from valve_control.control.simulation.comparison import NOISE_SEED, PERIOD, U_MAX, Setup
+from valve_control.design.identification import experiment, first_gains, friction, lvdt, rational, theta
+from valve_control.design.identification.experiment import Experiment
+from valve_control.design.identification.response import Segment
 from valve_control.parameter import ParameterError, Values, defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import CONTROLLER
-from valve_control.simulation import batch, comparison
-from valve_control.simulation.comparison import NOISE_SEED, PERIOD, U_MAX, Setup
 
 NOISE = 300_000  # seed of the tests
 AMPLITUDE = 6.0  # V  of the stepped sine: above all friction of the box

@@ -24,9 +24,9 @@ import numpy as np
 import tqdm
 
 from valve_control import outputs
-from valve_control.commands.scenarios import Shape, command
+from valve_control.control.commands.scenarios import Shape, command
+from valve_control.control.parameters import files
 from valve_control.parameter import Value, Values
-from valve_control.parameters import files
 
 PERIOD = 0.001  # s
 DURATION = 4.0  # s

@@ -21,15 +21,15 @@ import numpy.typing as npt
 import tqdm
 
 from valve_control import outputs
-from valve_control.commands import arrays
-from valve_control.laws.law import Law
-from valve_control.laws.registry import LAWS
+from valve_control.control.commands import arrays
+from valve_control.control.laws.law import Law
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import files
+from valve_control.control.parameters.table import CONTROLLER, NODES
+from valve_control.control.simulation import robustness
+from valve_control.design.tuning import box, limit_cycles, margins, pauses, search, trial, tuner
+from valve_control.design.tuning.trial import Gains
 from valve_control.parameter import ParameterError, Value, defaults, updated
-from valve_control.parameters import files
-from valve_control.parameters.table import CONTROLLER, NODES
-from valve_control.simulation import robustness
-from valve_control.tuning import box, limit_cycles, margins, pauses, search, trial, tuner
-from valve_control.tuning.trial import Gains
 
 Array = npt.NDArray[np.float64]
 Cost = Callable[[list[Array]], list[float]]

@@ -32,7 +32,7 @@ LASTING = ("flipped", "half", "swing", "sound")  # of a run in which each lasts 
 
 def settings(dice: random.Random) -> dict[str, Any]:
     """Changes of the controller's parameters."""
-    from valve_control.laws.registry import LAWS
+    from valve_control.control.laws.registry import LAWS
 
     return {
         "controller": dice.choice(list(LAWS)),
@@ -57,7 +57,7 @@ def settings(dice: random.Random) -> dict[str, Any]:
 
 def failing(dice: random.Random) -> None:
     """Let each law raise an error or give NaN for a few commands, or in a gap."""
-    from valve_control.laws.registry import LAWS
+    from valve_control.control.laws.registry import LAWS
 
     for name, law in list(LAWS.items()):
         module, low = law.module, dice.uniform(0.5, 1.5)
@@ -99,14 +99,14 @@ def failing(dice: random.Random) -> None:
 
 def run(seed: int) -> Iterator[str]:
     """What the supervisor of this process says after each event of the run ``seed``."""
-    from valve_control.laws import registry
+    from valve_control.control.laws import registry
+    from valve_control.control.parameters import build
+    from valve_control.control.parameters.table import CONTROLLER, VALVE
+    from valve_control.control.plant import valve
+    from valve_control.control.supervision.state_snapshot import restore, snapshot
+    from valve_control.control.supervision.supervisor import Supervisor
+    from valve_control.control.supervision.trajectory import Motion
     from valve_control.parameter import ParameterError, defaults, updated
-    from valve_control.parameters import build
-    from valve_control.parameters.table import CONTROLLER, VALVE
-    from valve_control.plant import valve
-    from valve_control.supervision.state_snapshot import restore, snapshot
-    from valve_control.supervision.supervisor import Supervisor
-    from valve_control.supervision.trajectory import Motion
 
     dice = random.Random(seed)
     laws = dict(registry.LAWS)

@@ -19,15 +19,23 @@ from typing import Any
 import tqdm
 
 from valve_control import outputs
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import files
+from valve_control.control.parameters.stability import FREE
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant import valve
+from valve_control.control.simulation import batch
+from valve_control.control.simulation.comparison import (
+    NOISE_SEED,
+    Setup,
+    made_of,
+    measured,
+    motions,
+    summary,
+    valves,
+)
+from valve_control.design.tuning import limit_cycles, margins, trial, tuner
 from valve_control.parameter import Value, defaults, updated, word
-from valve_control.parameters import files
-from valve_control.parameters.stability import FREE
-from valve_control.parameters.table import CONTROLLER
-from valve_control.plant import valve
-from valve_control.simulation import batch
-from valve_control.simulation.comparison import NOISE_SEED, Setup, made_of, measured, motions, summary, valves
-from valve_control.tuning import limit_cycles, margins, trial, tuner
 
 SEEDS = {"tune": 100, "verify": 555, "measure": 999, "check": 20261122}
 VERIFIED_ON = 100

@@ -4,6 +4,6 @@
 
 from pathlib import Path
 
-from valve_control.compiling import add_sources
+from valve_control.control.compiling import add_sources
 
 add_sources(__name__, Path(__file__).parent, laws=False)

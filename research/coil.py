@@ -50,8 +50,8 @@ class Measured(NamedTuple):
 
 def plant(valve: Valve) -> "Values":
     """Values of the simulator for ``valve``."""
+    from valve_control.control.parameters.table import VALVE
     from valve_control.parameter import defaults, updated
-    from valve_control.parameters.table import VALVE
 
     own = {
         "valve": "solenoid",
@@ -79,9 +79,9 @@ def controller(valve: Valve, terms: Sequence[str]) -> "Values":
     """Values of dcarc that knows ``valve``, with those of TERMS that are in ``terms``."""
     import numpy as np
 
+    from valve_control.control.parameters.table import CONTROLLER
+    from valve_control.control.simulation.comparison import NO_LIMITS
     from valve_control.parameter import defaults, updated
-    from valve_control.parameters.table import CONTROLLER
-    from valve_control.simulation.comparison import NO_LIMITS
 
     w, gain = 2.0 * math.pi * valve.frequency, 0.5 * (1.0 + SIDE) * GAIN
     known = {"dcarc.coil": valve.coil, "dcarc.hysteresis": 0.5 * valve.hysteresis, "dcarc.sides": SIDE - 1.0}
@@ -108,9 +108,9 @@ def controller(valve: Valve, terms: Sequence[str]) -> "Values":
 
 def led(values: "Values") -> "Values":
     """``values`` with a fast reshaping, and the lead that makes up for all of its lag."""
-    from valve_control.laws import dcarc, reshaping
+    from valve_control.control.laws import dcarc, reshaping
+    from valve_control.control.parameters.table import CONTROLLER
     from valve_control.parameter import updated
-    from valve_control.parameters.table import CONTROLLER
 
     fast = updated(CONTROLLER, values, {"reshaping.natural_frequency": FAST, "reshaping.lead_accel": 1.0})
     lag = reshaping.lag(fast) + 1.0 / dcarc.build(fast).reshaping.smoothing
@@ -126,9 +126,9 @@ def measured(
     """
     import numpy as np
 
-    from valve_control.analysis.indices import rms
-    from valve_control.laws import dcarc
-    from valve_control.simulation import comparison, offline
+    from valve_control.control.analysis.indices import rms
+    from valve_control.control.laws import dcarc
+    from valve_control.control.simulation import comparison, offline
 
     values = led(controller(valve, terms)) if alone else controller(valve, terms)
     p = dcarc.build(values)

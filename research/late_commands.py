@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
+    from valve_control.control.supervision.trajectory import Motion
     from valve_control.parameter import Values
-    from valve_control.supervision.trajectory import Motion
 
 VALVES = ("d3fxe", "d3fxe_experiment")
 LAWS = ("arc", "oarc", "dcarc", "pid")
@@ -51,7 +51,7 @@ class Outcome(NamedTuple):
 
 def motion(time: float) -> "Motion":
     """The wanted motion at ``time`` [s]: sines that fade in, and their derivatives."""
-    from valve_control.supervision.trajectory import Motion
+    from valve_control.control.supervision.trajectory import Motion
 
     s = min(1.0, time / FADE)
     inside = 1.0 if s < 1.0 else 0.0
@@ -94,10 +94,10 @@ def run(settings: "dict[str, Values]", upper: Upper, pauses: bool) -> "npt.NDArr
     """Rows of voltage, true position and wanted position [V], one a sample."""
     import numpy as np
 
+    from valve_control.control.parameters import build
+    from valve_control.control.plant import valve
+    from valve_control.control.supervision.supervisor import Supervisor
     from valve_control.parameter import number
-    from valve_control.parameters import build
-    from valve_control.plant import valve
-    from valve_control.supervision.supervisor import Supervisor
 
     values = settings["controller"]
     period = number(values, "sample_period")
@@ -128,10 +128,10 @@ def measured(valve: str, law: str, upper: Upper, pauses: bool, **changes: "str |
     """The gains of ``law`` on the valve that they are for; ``changes`` of the controller, ``__`` for dots."""
     import numpy as np
 
-    from valve_control.analysis.indices import rms
+    from valve_control.control.analysis.indices import rms
+    from valve_control.control.parameters import files
+    from valve_control.control.parameters.table import NODES
     from valve_control.parameter import defaults, updated
-    from valve_control.parameters import files
-    from valve_control.parameters.table import NODES
 
     config = files.config_folder()
     settings = {node: defaults(table) for node, table in NODES.items()}

@@ -45,10 +45,10 @@ def measured(valve_name: str, law_name: str, folder: Path | None = None) -> Meas
     """
     import numpy as np
 
-    from valve_control.analysis import indices, steps
+    from valve_control.control.analysis import indices, steps
+    from valve_control.control.parameters import files
+    from valve_control.control.parameters.table import NODES
     from valve_control.parameter import defaults, number, updated
-    from valve_control.parameters import files
-    from valve_control.parameters.table import NODES
 
     config = files.config_folder()
     settings = {node: defaults(table) for node, table in NODES.items()}
@@ -84,11 +84,11 @@ def _run(
     """True position and voltage [V] of one valve under a command [V]."""
     import numpy as np
 
-    from valve_control.laws import command_lead
-    from valve_control.laws.registry import LAWS as REGISTRY
+    from valve_control.control.laws import command_lead
+    from valve_control.control.laws.registry import LAWS as REGISTRY
+    from valve_control.control.parameters import build
+    from valve_control.control.simulation import batch
     from valve_control.parameter import word
-    from valve_control.parameters import build
-    from valve_control.simulation import batch
 
     values = settings["controller"]
     law = REGISTRY[word(values, "controller")]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from research import running
 from valve_control.cli.common import Parser, check_outputs, write_json
-from valve_control.plant import solenoid
+from valve_control.control.plant import solenoid
 
 if TYPE_CHECKING:
     import numpy as np
@@ -49,9 +49,9 @@ def measured(path: Path) -> Measured:
     """The valve of a parameter file. Raises ParameterError."""
     import numpy as np
 
+    from valve_control.control.parameters import build, files
+    from valve_control.control.parameters.table import VALVE
     from valve_control.parameter import defaults, updated
-    from valve_control.parameters import build, files
-    from valve_control.parameters.table import VALVE
 
     given = files.load(str(path))["valve_simulator"]
     p = build.valve_params(updated(VALVE, defaults(VALVE), {**given, "sample_period": PERIOD}))
@@ -89,7 +89,7 @@ def _positions(p: solenoid.Params, voltages: "Array") -> "Array":
     """Position [V] at each sample under ``voltages`` [V], from rest."""
     import numpy as np
 
-    from valve_control.compiling import compile_function
+    from valve_control.control.compiling import compile_function
 
     made = np.empty(len(voltages))
     compile_function(moved)(p, solenoid.initial(p), voltages, made)
@@ -138,7 +138,7 @@ def draw(path: Path, found: dict[str, Measured]) -> None:
     import numpy as np
 
     from valve_control import outputs
-    from valve_control.analysis.figures import COLOURS
+    from valve_control.control.analysis.figures import COLOURS
 
     figure, ((loop, step), (gain, phase)) = plt.subplots(2, 2, figsize=(10.0, 7.5))
     for colour, (name, one) in zip(COLOURS, found.items(), strict=False):
@@ -174,7 +174,7 @@ def _options() -> Parser:
 
 
 def _solenoid(arguments: argparse.Namespace) -> None:
-    from valve_control.parameters import files
+    from valve_control.control.parameters import files
 
     check_outputs(arguments, figures=[arguments.figure])
     paths = sorted((files.config_folder() / "solenoid").glob("*.yaml"))

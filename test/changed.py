@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Values of parameter tables with changes, in which ``a__b`` stands for ``a.b``."""
 
+from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.parameter import defaults, updated
-from valve_control.parameters.table import CONTROLLER, VALVE
 
 
 def dotted(changes):

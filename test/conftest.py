@@ -18,9 +18,9 @@ os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from valve_control.cli import main
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.simulation import offline
 from valve_control.parameter import defaults, updated
-from valve_control.parameters.table import VALVE
-from valve_control.simulation import offline
 
 # How long an example takes depends on what else the machine does.
 settings.register_profile("untimed", deadline=None)

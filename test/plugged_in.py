@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from made import Run, write
 
+from valve_control.control.laws.registry import LAWS, REFUSED
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.simulation import batch, offline
+from valve_control.design.tuning import margins, search, trial
 from valve_control.export import folder, unit
-from valve_control.laws.registry import LAWS, REFUSED
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import VALVE
 from valve_control.recordings import shadow
 from valve_control.recordings.recording import load
-from valve_control.simulation import batch, offline
-from valve_control.tuning import margins, search, trial
 
 COMMAND = 0.5 * np.sin(2.0 * math.pi * 2.0 * np.arange(2000) * 0.001)
 VALUES = {"lvdt.noise": 0.003, "friction.coulomb": 0.2}

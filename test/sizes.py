@@ -4,7 +4,7 @@
 
 import os
 
-from valve_control.laws import registry
+from valve_control.control.laws import registry
 
 FULL = os.environ.get("CAMPAIGN") == "full"
 

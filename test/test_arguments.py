@@ -4,8 +4,7 @@
 
 import pytest
 
-from valve_control.parameter import ParameterError, defaults
-from valve_control.parameters.arguments import (
+from valve_control.control.parameters.arguments import (
     addressed,
     check,
     help_text,
@@ -14,8 +13,9 @@ from valve_control.parameters.arguments import (
     values_of,
     written,
 )
-from valve_control.parameters.drivers import VALVE_DRIVER
-from valve_control.parameters.table import COMMAND, CONTROLLER, MANIFOLD, VALVE
+from valve_control.control.parameters.drivers import VALVE_DRIVER
+from valve_control.control.parameters.table import COMMAND, CONTROLLER, MANIFOLD, VALVE
+from valve_control.parameter import ParameterError, defaults
 
 ONE = {"/controller": CONTROLLER}
 BOOM = {"/boom/controller": CONTROLLER}

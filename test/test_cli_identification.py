@@ -11,10 +11,10 @@ import pytest
 import yaml
 from said import sentences
 
-from valve_control.commands import scenarios
+from valve_control.control.commands import scenarios
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import COMMAND
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import COMMAND
 
 sys.path.insert(0, str(Path(__file__).parent / "recordings"))
 from made import Run, write

@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import build, linear_loop, stability
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant.models import FOURTH_ORDER, faster
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, linear_loop, stability
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant.models import FOURTH_ORDER, faster
 
 SHARP = {"pid.form": "plain", "pid.kp": 10.0, "pid.ki": 940.0, "pid.kd": 0.07}
 SLOW = {"pid.form": "plain", "pid.kp": 1.0, "pid.ki": 300.0, "pid.kd": 0.0}

@@ -50,7 +50,7 @@ def test_identify_of_a_closed_loop_says_what_it_is(run, bags, law):
 
 
 def test_voltages_of_any_kind_have_segments_or_none():
-    from valve_control.identification.response import find_segments
+    from valve_control.design.identification.response import find_segments
 
     random = np.random.default_rng(1)
     for _ in range(300):

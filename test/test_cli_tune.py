@@ -10,8 +10,8 @@ import pytest
 from said import sentences
 
 from valve_control.cli import command, tune
-from valve_control.parameters import files
-from valve_control.tuning import trial
+from valve_control.control.parameters import files
+from valve_control.design.tuning import trial
 
 FIXED = (
     "gain",
@@ -128,7 +128,7 @@ def lines_of(page, name):
 
 def test_what_does_not_hold_is_not_written(run, tmp_path, commands, monkeypatch):
     """Valves of verification that chatter more than those of the search: the reason is said, no file."""
-    from valve_control.tuning import verification
+    from valve_control.design.tuning import verification
 
     monkeypatch.setattr(verification, "SLACK", 0.01)
     status, out, err = run(
@@ -140,7 +140,7 @@ def test_what_does_not_hold_is_not_written(run, tmp_path, commands, monkeypatch)
 
 
 def test_a_file_from_before_is_not_taken_for_a_result(run, tmp_path, commands, monkeypatch):
-    from valve_control.tuning import verification
+    from valve_control.design.tuning import verification
 
     for name in ("t.yaml", "r.html", "j.json"):
         (tmp_path / name).write_text("old", encoding="utf-8")

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import pytest
 
 from valve_control.cli import command, main
-from valve_control.parameters.axis import ROS_NODES
+from valve_control.control.parameters.axis import ROS_NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -246,7 +246,7 @@ def test_reference_has_every_command_and_every_room(generate):
     for name in command.Commands().parsers:
         assert f"## `valve-control {name}`" in text
     assert {"api/laws", "api/nodes", "api/simulation", "api/index"} <= set(generate.api())
-    assert "automodule:: valve_control.laws.oarc" in generate.api()["api/laws"]
+    assert "automodule:: valve_control.control.laws.oarc" in generate.api()["api/laws"]
 
 
 def test_docstrings_become_plain_text(generate):
@@ -257,7 +257,7 @@ def test_docstrings_become_plain_text(generate):
 
 
 def test_fields_of_records_are_listed_with_their_units(generate):
-    from valve_control.laws.reshaping import Params
+    from valve_control.control.laws.reshaping import Params
 
     lines = ["Second-order filter."]
     generate.as_rst(None, "class", "", Params, None, lines)

@@ -11,7 +11,7 @@ import importlib.util
 import json
 from pathlib import Path
 
-from valve_control.parameters.axis import ROS_NODES
+from valve_control.control.parameters.axis import ROS_NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORD = Path(__file__).with_name("interface.json")
@@ -41,9 +41,9 @@ def _options(parser):
 def interface():
     """Parameters with their types, topics and services, conditions, command line, entry point groups."""
     from valve_control.cli import command
-    from valve_control.drivers import registry as drivers
-    from valve_control.laws import registry as laws
-    from valve_control.plant import registry as plants
+    from valve_control.control.drivers import registry as drivers
+    from valve_control.control.laws import registry as laws
+    from valve_control.control.plant import registry as plants
 
     return {
         "parameters": {node: {p.name: p.type_name for p in table} for node, table in ROS_NODES.items()},

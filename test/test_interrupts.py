@@ -61,7 +61,7 @@ RECORDS = """
 import math, os, signal, threading
 from typing import NamedTuple
 from valve_control import interrupts
-from valve_control.compiling import compile_function
+from valve_control.control.compiling import compile_function
 
 class Pair(NamedTuple):
     first: float

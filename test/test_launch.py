@@ -12,12 +12,12 @@ import pytest
 from launched import VARIABLE, nodes, variables
 from launched import command as launch
 
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import files, launching
+from valve_control.control.parameters.arguments import addressed
+from valve_control.control.parameters.axis import ROS_NODES, known_machine
+from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, defaults, lookup
-from valve_control.parameters import files, launching
-from valve_control.parameters.arguments import addressed
-from valve_control.parameters.axis import ROS_NODES, known_machine
-from valve_control.parameters.table import NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "launch").glob("*.launch.xml"))

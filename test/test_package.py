@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from valve_control import __version__
+from valve_control.control.parameters import axis, build, drivers, files, table
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import axis, build, drivers, files, table
 
 ROOT = Path(__file__).resolve().parents[1]
 COLCON = shutil.which("colcon", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
@@ -97,8 +97,8 @@ HEAVY = ("rclpy", "numba", "matplotlib", "plotly", "pandas", "rosbags")
 
 @pytest.mark.parametrize(
     "module",
-    [f"valve_control.laws.{p.stem}" for p in (ROOT / "valve_control" / "laws").glob("[a-z]*.py")]
-    + ["valve_control.supervision.supervisor"],
+    [f"valve_control.control.laws.{p.stem}" for p in (ROOT / "valve_control" / "laws").glob("[a-z]*.py")]
+    + ["valve_control.control.supervision.supervisor"],
 )
 def test_laws_are_imported_without_what_they_do_not_need(module):
     """A program of one's own that steps a law does not load ROS, a compiler or plotting."""

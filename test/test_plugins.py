@@ -71,7 +71,7 @@ def test_the_example_on_the_command_line(installed, tmp_path):
 
 def test_the_example_can_be_launched(installed):
     words = 'print(launching.law_option("lead"), launching.law_value("lead"))'
-    code = f"from valve_control.parameters import launching; {words}"
+    code = f"from valve_control.control.parameters import launching; {words}"
     environment = {**os.environ, "PYTHONPATH": str(installed)}
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
@@ -83,7 +83,7 @@ def test_the_example_can_be_launched(installed):
 LAW = """
 import sys
 from typing import NamedTuple
-from valve_control.laws.law import Law
+from valve_control.control.laws.law import Law
 from valve_control.parameter import Parameter, number
 
 class Params(NamedTuple):
@@ -219,7 +219,8 @@ def test_margins_and_tune_name_a_law_that_does_not_compile(tmp_path):
     text = LAW.replace("command + offset", "command - 0.5 * isinstance(s, State) * measurement + offset")
     text = text.replace("reshapes=", "model=lambda p: (59.0, 1657.0, 1502.0), free=(FREE,), reshapes=")
     text = text.replace("(), build", '(Parameter("minea.gain", 1.0, "", "", 0.0, 9.0),), build')
-    free = "from valve_control.laws.free import Free\n\nFREE = Free('minea.gain', 0.1, 5.0)\n\ndef initial("
+    free = "from valve_control.control.laws.free import Free\n\n"
+    free += "FREE = Free('minea.gain', 0.1, 5.0)\n\ndef initial("
     package(tmp_path, text.replace("\ndef initial(", free))
     tune = ["tune", "--alone", "--budget", "4", "--valves", "1", "--unseen", "1", "--json", "-"]
     statuses, said = each(tmp_path, *([*c, "--controller", "minea"] for c in (["margins"], tune)))

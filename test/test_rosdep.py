@@ -30,7 +30,7 @@ RECORD = (
     ALONE
     + """
 from pathlib import Path
-from valve_control.bags.writer import BagWriter, usual
+from valve_control.recordings.bags.writer import BagWriter, usual
 from rosbags.typesys import Stores, get_typestore
 store = get_typestore(Stores.ROS2_JAZZY)
 number = store.types["std_msgs/msg/Float64"]

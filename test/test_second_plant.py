@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from valve_control import closed_loop
+from valve_control.control import closed_loop
 
 
 class Cart(NamedTuple):

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from valve_control.drivers.serial_frames import (
+from valve_control.control.drivers.serial_frames import (
     COUNTS,
     FROM_CARD,
     NUMBERS,
@@ -28,10 +28,10 @@ from valve_control.drivers.serial_frames import (
     Receiver,
     packed,
 )
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import valve
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import VALVE
-from valve_control.plant import valve
 
 WATCHDOG = 0.1  # s without a sound frame, after which the output is off
 FULL_SCALE = 10.0  # V

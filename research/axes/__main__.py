@@ -94,7 +94,7 @@ def _axes(arguments: argparse.Namespace) -> None:
 def _draw_axes(path: Path, found: "Mapping[str, Sequence[Result]]") -> None:
     import numpy as np
 
-    from valve_control.analysis.figures import Line, Plot, draw_plots
+    from valve_control.control.analysis.figures import Line, Plot, draw_plots
 
     share = 100.0 * (np.arange(len(next(iter(found.values())))) + 1.0) / len(next(iter(found.values())))
     picks: dict[str, Callable[[Result], float]] = {

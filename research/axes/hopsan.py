@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from research.axes import transmission_lines
 from research.axes.transmission_lines import Servo
-from valve_control.axis import run
-from valve_control.compiling import compile_function
+from valve_control.control.axis import run
+from valve_control.control.compiling import compile_function
+from valve_control.control.parameters import files
+from valve_control.control.parameters.axis import AXIS_NODES
 from valve_control.parameter import ParameterError, Values, number, numbers, updated
-from valve_control.parameters import files
-from valve_control.parameters.axis import AXIS_NODES
 
 Array = npt.NDArray[np.float64]
 NAMES = ("position", "step", "valve", "relief")  # columns behind the time in Hopsan's reference

@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.axis import cascade, run
-from valve_control.compiling import compile_function
-from valve_control.motion import axis_arc_sampled, course
+from valve_control.control.axis import cascade, run
+from valve_control.control.compiling import compile_function
+from valve_control.control.motion import axis_arc_sampled, course
+from valve_control.control.parameters import axis as parameters
+from valve_control.control.parameters import files
+from valve_control.control.parameters.axis import AXIS, AXIS_NODES
+from valve_control.control.plant import machine
 from valve_control.parameter import Values, defaults, number, updated
-from valve_control.parameters import axis as parameters
-from valve_control.parameters import files
-from valve_control.parameters.axis import AXIS, AXIS_NODES
-from valve_control.plant import machine
 
 Array = npt.NDArray[np.float64]
 UPPER = AXIS_NODES["axis_controller"]

@@ -22,7 +22,8 @@ from rclpy.parameter_client import AsyncParameterClient
 from research.campaigns import strangers
 from research.campaigns.joiners import LOOK, Waits, crowd, pauses
 from valve_control import outputs
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.supervision import law_watch, rate
 from valve_control.nodes.adapter import EVERYTHING, PolledSubscription
 from valve_control.nodes.harness.processes import (
     Listener,
@@ -34,7 +35,6 @@ from valve_control.nodes.harness.processes import (
     tool_options,
     wait_until,
 )
-from valve_control.supervision import law_watch, rate
 
 Array = npt.NDArray[np.float64]
 CONTROLLERS = tuple(LAWS)

@@ -8,9 +8,9 @@ from pathlib import Path
 from research.paper import traces
 from research.paper.runs import CONFIG, paper_runs, valve_of
 from valve_control import outputs
+from valve_control.control.parameters import files
 from valve_control.nodes.harness.lockstep import check, heard_enough, run_lockstep
 from valve_control.nodes.harness.processes import parse_tool, run_tool, tool_options
-from valve_control.parameters import files
 
 TRIES = 3
 

@@ -40,7 +40,7 @@ def _paper(arguments: argparse.Namespace) -> int:
     from research.paper import report
     from research.paper.figures import figures
     from research.paper.runs import CONFIG, paper_runs, valve_gain, valve_of
-    from valve_control.parameters import files
+    from valve_control.control.parameters import files
 
     config = arguments.config or str(files.config_folder() / CONFIG)
     valve = valve_of(config)
@@ -82,8 +82,8 @@ def _paper(arguments: argparse.Namespace) -> int:
 def _offline(planned: list[Any], config: str) -> "dict[str, Trace]":
     from research.paper import traces
     from research.paper.runs import values_of
-    from valve_control.parameters import build, files
-    from valve_control.simulation import offline
+    from valve_control.control.parameters import build, files
+    from valve_control.control.simulation import offline
 
     set_by_file = files.load(config)
     runs = {}

@@ -11,12 +11,12 @@ import numpy.typing as npt
 
 from research.paper.runs import BANDWIDTH, CLOSED_AMPLITUDE, FEEDBACK, OPEN_AMPLITUDE, open_loops
 from research.paper.traces import Trace
-from valve_control.analysis.figures import COLOURS, Line, Plot
-from valve_control.identification import bode
-from valve_control.identification.rational import hold, measured_corners
-from valve_control.identification.response import Response, find_segments, stepped
-from valve_control.laws import design
-from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.analysis.figures import COLOURS, Line, Plot
+from valve_control.control.laws import design
+from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.design.identification import bode
+from valve_control.design.identification.rational import hold, measured_corners
+from valve_control.design.identification.response import Response, find_segments, stepped
 
 Floats = npt.NDArray[np.float64]
 GRID = np.geomspace(0.5, 100.0, 400)  # Hz

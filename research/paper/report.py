@@ -13,9 +13,9 @@ from research.paper.figures import Figure
 from research.paper.runs import FEEDBACK
 from research.paper.traces import Trace
 from valve_control import outputs
-from valve_control.analysis import page
-from valve_control.analysis.figures import draw_plots
-from valve_control.analysis.indices import PAPER_TABLE_1, Indices, indices
+from valve_control.control.analysis import page
+from valve_control.control.analysis.figures import draw_plots
+from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices, indices
 
 NEAR = 0.05  # relative deviation that counts as reproduced
 

@@ -4,10 +4,10 @@
 
 from typing import Any, NamedTuple
 
-from valve_control.commands.scenarios import sine_steps
+from valve_control.control.commands.scenarios import sine_steps
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import NODES, VALVE
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import NODES, VALVE
 
 CONFIG = "d3fxe_experiment.yaml"
 FEEDBACK = ("pid", "arc", "oarc")  # rows of Table 1, in its order

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control import outputs
-from valve_control.simulation.offline import Run
+from valve_control.control.simulation.offline import Run
 
 Array = npt.NDArray[np.float64]
 

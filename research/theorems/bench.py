@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 import scipy.integrate
 
-from valve_control import closed_loop, interrupts
-from valve_control.compiling import bind, compile_function
-from valve_control.laws import reshaping, velocity
-from valve_control.laws.projection import Theta
+from valve_control import interrupts
+from valve_control.control import closed_loop
+from valve_control.control.compiling import bind, compile_function
+from valve_control.control.laws import reshaping, velocity
+from valve_control.control.laws.projection import Theta
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]

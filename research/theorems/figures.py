@@ -12,7 +12,7 @@ import numpy as np
 from research.theorems import adaptive, learning, loop, robust, sampling
 from research.theorems.tables import percent
 from valve_control import outputs
-from valve_control.analysis.figures import COLOURS
+from valve_control.control.analysis.figures import COLOURS
 
 PERIOD_AXIS = "sample period ΔT [ms]"
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from research.theorems import bench, loop
 from research.theorems.bench import Array, Motion, Progress
-from valve_control import closed_loop
-from valve_control.laws import dcarc, least_squares, reshaping
-from valve_control.laws.signals import Start
-from valve_control.plant import valve
+from valve_control.control import closed_loop
+from valve_control.control.laws import dcarc, least_squares, reshaping
+from valve_control.control.laws.signals import Start
+from valve_control.control.plant import valve
 
 DURATION = 8.0  # s
 WINDOW = 0.5  # s; the motion repeats itself in it

@@ -19,13 +19,13 @@ import scipy.linalg
 
 from research.theorems import bench
 from research.theorems.bench import Array, Progress
-from valve_control.laws import dcarc
-from valve_control.laws.dcarc_parts import Row
+from valve_control.control.laws import dcarc
+from valve_control.control.laws.dcarc_parts import Row
+from valve_control.control.parameters import files
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
+from valve_control.control.plant.valve import realisation
 from valve_control.parameter import Values, defaults, updated
-from valve_control.parameters import files
-from valve_control.parameters.table import CONTROLLER
-from valve_control.plant.models import FOURTH_ORDER, TransferFunction
-from valve_control.plant.valve import realisation
 
 Complex = npt.NDArray[np.complex128]
 PERIOD = 1e-3  # s

@@ -21,12 +21,12 @@ import numpy as np
 
 from research.theorems import bench
 from research.theorems.bench import Array, Course, Motion, Plant, Progress, Spool, Wanted
-from valve_control import closed_loop
-from valve_control.laws import arc, lyapunov_bound, oarc, registry, reshaping, velocity
-from valve_control.laws.projection import Theta, span
-from valve_control.laws.signals import Start
+from valve_control.control import closed_loop
+from valve_control.control.laws import arc, lyapunov_bound, oarc, registry, reshaping, velocity
+from valve_control.control.laws.projection import Theta, span
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.parameter import defaults, updated
-from valve_control.parameters.table import CONTROLLER
 
 PERIODS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5)  # s
 SUBSTEP = 2e-5  # s

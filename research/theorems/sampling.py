@@ -12,11 +12,11 @@ import scipy.optimize
 
 from research.theorems import bench
 from research.theorems.bench import Array, Progress
-from valve_control.laws import oarc
+from valve_control.control.laws import oarc
+from valve_control.control.parameters import build, stability
+from valve_control.control.parameters.table import NODES
+from valve_control.control.simulation import offline
 from valve_control.parameter import Values, defaults, number, updated
-from valve_control.parameters import build, stability
-from valve_control.parameters.table import NODES
-from valve_control.simulation import offline
 
 PERIODS = tuple(float(f"{v:.3g}") for v in np.geomspace(5e-5, 2e-3, 17))  # s
 WEIGHTS = (1.0, 10.0, 100.0, 1e4, 1.44e6)  # 1/s²

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from valve_control.analysis.indices import indices
+from valve_control.control.analysis.indices import indices
 
 
 def test_sine_in_the_head():

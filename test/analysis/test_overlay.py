@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from valve_control.analysis.overlay import Motion, shift
-from valve_control.commands.scenarios import stroke
+from valve_control.control.analysis.overlay import Motion, shift
+from valve_control.control.commands.scenarios import stroke
 
 
 def strokes(time):

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.analysis.figures import Line, Plot
-from valve_control.analysis.page import envelope, figure, page, table
-from valve_control.analysis.spectra import spectrum
+from valve_control.control.analysis.figures import Line, Plot
+from valve_control.control.analysis.page import envelope, figure, page, table
+from valve_control.control.analysis.spectra import spectrum
 
 
 @settings(max_examples=60, deadline=None)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from valve_control.analysis.segments import motions
-from valve_control.commands.scenarios import stroke, stroke_time
+from valve_control.control.analysis.segments import motions
+from valve_control.control.commands.scenarios import stroke, stroke_time
 
 PERIOD = 0.001
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from valve_control.analysis import steps
+from valve_control.control.analysis import steps
 
 PERIOD = 0.001
 TIMES = np.arange(1000) * PERIOD

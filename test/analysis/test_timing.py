@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from valve_control.analysis.timing import deviating, lost_messages, timing, true_period
+from valve_control.control.analysis.timing import deviating, lost_messages, timing, true_period
 
 
 def test_a_regular_topic_has_nothing_to_report():

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from research.axes import hopsan, transmission_lines
+from valve_control.control.parameters.axis import AXIS, axis_params
+from valve_control.control.plant import axis
 from valve_control.parameter import ParameterError, defaults
-from valve_control.parameters.axis import AXIS, axis_params
-from valve_control.plant import axis
 
 FOLDER = Path(os.environ.get("HOPSAN_REFERENCES", "."))
 needs_references = pytest.mark.skipif(

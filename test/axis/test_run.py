@@ -6,13 +6,13 @@ import changed
 import numpy as np
 import pytest
 
-from valve_control.axis import run
 from valve_control.cli import main
-from valve_control.motion import axis_pid, course
+from valve_control.control.axis import run
+from valve_control.control.motion import axis_pid, course
+from valve_control.control.parameters import files
+from valve_control.control.parameters.axis import AXIS_NODES
+from valve_control.control.plant.machine import Reading
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import files
-from valve_control.parameters.axis import AXIS_NODES
-from valve_control.plant.machine import Reading
 
 
 def settings(controller="open_loop", **changes):

@@ -14,9 +14,9 @@ from mcap.writer import Writer as LibraryWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from valve_control.bags.bag import Bag
-from valve_control.bags.cdr import Decoder
-from valve_control.bags.errors import BagError
+from valve_control.recordings.bags.bag import Bag
+from valve_control.recordings.bags.cdr import Decoder
+from valve_control.recordings.bags.errors import BagError
 
 REAL = Path(__file__).resolve().parents[1] / "data" / "bags"
 TYPES = get_typestore(Stores.ROS2_JAZZY)

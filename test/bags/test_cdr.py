@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
-from valve_control.bags.cdr import Decoder, normal
-from valve_control.bags.errors import BagError
-from valve_control.bags.messages import Topic
+from valve_control.recordings.bags.cdr import Decoder, normal
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.messages import Topic
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 T = TYPES.types

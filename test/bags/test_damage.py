@@ -31,13 +31,13 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recordings"))
 from made import STORE, Run
 
-from valve_control.bags import metadata
-from valve_control.bags.bag import Bag
-from valve_control.bags.errors import BagError
-from valve_control.bags.recover import recover
-from valve_control.bags.salvage import Salvage
-from valve_control.bags.writer import BagWriter
 from valve_control.cli import main
+from valve_control.recordings.bags import metadata
+from valve_control.recordings.bags.bag import Bag
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.recover import recover
+from valve_control.recordings.bags.salvage import Salvage
+from valve_control.recordings.bags.writer import BagWriter
 
 PARTS = 4  # tests that share the damages
 SAMPLES = 700

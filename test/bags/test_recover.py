@@ -17,10 +17,10 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 from test_writer import EPOCH, HASH, MS, STORAGES, fill, opened, read, read_mcap, read_sqlite, volts
 
-from valve_control.bags import metadata
-from valve_control.bags.bag import Bag
-from valve_control.bags.errors import BagError
-from valve_control.bags.recover import recover
+from valve_control.recordings.bags import metadata
+from valve_control.recordings.bags.bag import Bag
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.recover import recover
 
 CHUNK = 50  # messages in each flush
 CHUNKS = 8
@@ -123,7 +123,7 @@ INTERRUPTED = """
 import os, signal, sys
 from io import FileIO
 from pathlib import Path
-from valve_control.bags import repair
+from valve_control.recordings.bags import repair
 
 left = int(sys.argv[2])
 

@@ -16,13 +16,13 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as LibraryWriter
 from test_writer import EPOCH, MS, fill, opened, volts
 
-from valve_control.bags import metadata
-from valve_control.bags.bag import Bag
-from valve_control.bags.cdr import Decoder
-from valve_control.bags.errors import BagError
-from valve_control.bags.messages import Topic
-from valve_control.bags.metadata import Counted
-from valve_control.bags.recover import recover
+from valve_control.recordings.bags import metadata
+from valve_control.recordings.bags.bag import Bag
+from valve_control.recordings.bags.cdr import Decoder
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.messages import Topic
+from valve_control.recordings.bags.metadata import Counted
+from valve_control.recordings.bags.recover import recover
 from valve_control.recordings.mapping import find_valves
 
 FLOAT = "std_msgs/msg/Float64"

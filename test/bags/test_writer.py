@@ -16,10 +16,10 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from valve_control.bags import metadata
-from valve_control.bags.errors import BagError
-from valve_control.bags.metadata import Qos, Span
-from valve_control.bags.writer import BagWriter
+from valve_control.recordings.bags import metadata
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.metadata import Qos, Span
+from valve_control.recordings.bags.writer import BagWriter
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 FLOAT = "std_msgs/msg/Float64"
@@ -312,7 +312,7 @@ import resource, sys
 from pathlib import Path
 sys.path[:0] = [{here!r}]
 from test_writer import fill, opened
-from valve_control.bags.errors import BagError
+from valve_control.recordings.bags.errors import BagError
 
 writer = opened(Path(sys.argv[1]), storage=sys.argv[2])
 limit = int(sys.argv[3])

@@ -5,13 +5,13 @@
 import numpy as np
 import pytest
 
-from valve_control.analysis.indices import PAPER_TABLE_1, Indices
-from valve_control.calibration import identifiability, measured, objective, search
-from valve_control.calibration.space import DIMENSIONS, changed, present, values_at
+from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import NODES
+from valve_control.control.simulation import offline
+from valve_control.design.calibration import identifiability, measured, objective, search
+from valve_control.design.calibration.space import DIMENSIONS, changed, present, values_at
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import NODES
-from valve_control.simulation import offline
 
 NAMES = ("gain_scale", "friction.coulomb", "friction.presliding")
 TRUE = {"gain_scale": 1.1, "friction.coulomb": 0.9, "friction.presliding": 0.08}

@@ -4,16 +4,16 @@
 
 import numpy as np
 
-from valve_control.commissioning import courses, small_signal, statics
-from valve_control.commissioning.bench import Fault, Record, Seen
-from valve_control.commissioning.plan import limiting
-from valve_control.commissioning.watch import Watch
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import valve
+from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.supervisor import Supervisor
+from valve_control.design.commissioning import courses, small_signal, statics
+from valve_control.design.commissioning.bench import Fault, Record, Seen
+from valve_control.design.commissioning.plan import limiting
+from valve_control.design.commissioning.watch import Watch
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import valve
-from valve_control.supervision.record import Mode
-from valve_control.supervision.supervisor import Supervisor
 
 
 class Steps:

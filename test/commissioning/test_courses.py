@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.commands.scenarios import sine_steps
-from valve_control.commissioning import courses
-from valve_control.commissioning.bench import Limits, Seen
+from valve_control.control.commands.scenarios import sine_steps
+from valve_control.design.commissioning import courses
+from valve_control.design.commissioning.bench import Limits, Seen
 
 PERIOD = 0.001
 

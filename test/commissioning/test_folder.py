@@ -10,10 +10,10 @@ import pytest
 from supervised import SupervisedValve
 
 from valve_control.cli import command, commission
-from valve_control.commissioning import backup, report
-from valve_control.commissioning.bench import Fault
+from valve_control.control.parameters import files
+from valve_control.design.commissioning import backup, report
+from valve_control.design.commissioning.bench import Fault
 from valve_control.parameter import ParameterError
-from valve_control.parameters import files
 
 RESULTS = ("tuned.yaml", "report.html", "commission.json", "valve.yaml", "refused_1.yaml", "refused_2.yaml")
 

@@ -5,16 +5,16 @@
 import numpy as np
 import pytest
 
-from valve_control.commissioning.model import Known, controller_values
-from valve_control.commissioning.plant import Plant
-from valve_control.commissioning.statics import Friction, Rest
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import linear_loop
+from valve_control.control.parameters.stability import FREE, IDEAL
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant import valve
+from valve_control.control.plant.models import TransferFunction
+from valve_control.design.commissioning.model import Known, controller_values
+from valve_control.design.commissioning.plant import Plant
+from valve_control.design.commissioning.statics import Friction, Rest
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import linear_loop
-from valve_control.parameters.stability import FREE, IDEAL
-from valve_control.parameters.table import CONTROLLER
-from valve_control.plant import valve
-from valve_control.plant.models import TransferFunction
 
 REST = Rest(0.0, 0.0135, 0.0)
 PERIOD = 0.001

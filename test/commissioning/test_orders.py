@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from supervised import SupervisedValve, driven
 
-from valve_control.commissioning import model, plant, small_signal
-from valve_control.commissioning.bench import Limits, Record
-from valve_control.commissioning.statics import Friction, Rest
-from valve_control.identification import rational
-from valve_control.plant.models import TransferFunction
+from valve_control.control.plant.models import TransferFunction
+from valve_control.design.commissioning import model, plant, small_signal
+from valve_control.design.commissioning.bench import Limits, Record
+from valve_control.design.commissioning.statics import Friction, Rest
+from valve_control.design.identification import rational
 
 LIMITS = Limits(4.0, 2.0)
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from said import sentences
 
-from valve_control.commissioning import recorded
-from valve_control.identification.experiment import Experiment
+from valve_control.control.parameters import files
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.simulation.robustness import BOX
+from valve_control.design.commissioning import recorded
+from valve_control.design.identification.experiment import Experiment
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import files
-from valve_control.parameters.table import VALVE
-from valve_control.simulation.robustness import BOX
 
 sys.path.append(str(Path(__file__).parents[1] / "recordings"))
 from made import Run, write

@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from supervised import Steps, SupervisedValve
 
-from valve_control.commissioning import backup, sequence
-from valve_control.commissioning.bench import Fault, Limits, Swings
-from valve_control.commissioning.plan import Plan, check
-from valve_control.commissioning.watch import Watch
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import valve as plant
+from valve_control.design.commissioning import backup, sequence
+from valve_control.design.commissioning.bench import Fault, Limits, Swings
+from valve_control.design.commissioning.plan import Plan, check
+from valve_control.design.commissioning.watch import Watch
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import valve as plant
 
 LIMITS = Limits(3.0, 1.5)
 BEFORE = {"controller": "oarc", "u_max": 9.0, "oarc.k1": 77.0, "command_limit": 8.0, "reshaping.lead": 0.004}

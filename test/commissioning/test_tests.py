@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from supervised import SupervisedValve, driven
 
-from valve_control.commissioning import plant, small_signal, statics
-from valve_control.commissioning.bench import Limits, Record
-from valve_control.identification import rational
-from valve_control.identification.response import Response
+from valve_control.design.commissioning import plant, small_signal, statics
+from valve_control.design.commissioning.bench import Limits, Record
+from valve_control.design.identification import rational
+from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
 
 LIMITS = Limits(4.0, 2.0)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.dashboard.entry import STEPS, EntryError, Field, number, parse, scale, shown
-from valve_control.parameters.table import CONTROLLER
 
 GAIN = Field("k", "double", low=0.001, high=1e5)
 FROM_ZERO = Field("ki", "double", low=0.0, high=1e9)

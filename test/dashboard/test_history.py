@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.analysis.indices import indices
+from valve_control.control.analysis.indices import indices
 from valve_control.dashboard.history import KEPT, History, recent_indices
 
 START = 1.8e9  # s, a time of today

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from valve_control.laws.law import FIELDS
+from valve_control.control.laws.law import FIELDS
 
 LAYOUTS = Path(__file__).resolve().parents[2] / "config" / "layouts"
 # Of the terms those that each law has, so that the layouts show something whatever the law is.

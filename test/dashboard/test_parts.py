@@ -10,7 +10,9 @@ from concurrent.futures import Future
 import numpy as np
 import pytest
 
-from valve_control.commands.scenarios import command
+from valve_control.control.commands.scenarios import command
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import COMMAND
 from valve_control.dashboard.entry import Field
 from valve_control.dashboard.frames import ViewError, frame, sample, view
 from valve_control.dashboard.generator import check, fastest, largest, paced
@@ -20,8 +22,6 @@ from valve_control.dashboard.programs import Program
 from valve_control.dashboard.valve import NodeState, Valve
 from valve_control.dashboard.writers import GONE, Writer, right
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import COMMAND
 
 
 def test_latencies_are_times_from_the_last_reading():

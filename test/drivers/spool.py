@@ -8,10 +8,10 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import valve
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import VALVE
-from valve_control.plant import valve
 
 LIMIT = 20.0  # s
 

@@ -9,10 +9,10 @@ import time
 import pytest
 from spool import device, until
 
-from valve_control.drivers import canopen_states as states
-from valve_control.drivers.can_bus import CanNode
-from valve_control.drivers.canopen_408 import GRACE, KIND, PARAMETERS
-from valve_control.drivers.driver import DriverError
+from valve_control.control.drivers import canopen_states as states
+from valve_control.control.drivers.can_bus import CanNode
+from valve_control.control.drivers.canopen_408 import GRACE, KIND, PARAMETERS
+from valve_control.control.drivers.driver import DriverError
 from valve_control.parameter import ParameterError, defaults, updated
 
 PERIOD = 0.01  # s
@@ -203,7 +203,7 @@ def test_an_adapter_that_takes_no_frames_is_told_and_holds_nothing_up():
 
 
 def test_a_missing_library_is_named_with_its_extra(valve, monkeypatch):
-    monkeypatch.delitem(sys.modules, "valve_control.drivers.can_bus")
+    monkeypatch.delitem(sys.modules, "valve_control.control.drivers.can_bus")
     monkeypatch.setitem(sys.modules, "canopen", None)
     with pytest.raises(DriverError, match=r"needs canopen and python-can; .*'valve_control\[canopen\]'"):
         driver(valve).open()

@@ -7,10 +7,10 @@ import math
 import pytest
 from examples import serial_card
 
-from valve_control.drivers import device as device_module
-from valve_control.drivers.driver import Condition, DriverError
+from valve_control.control.drivers import device as device_module
+from valve_control.control.drivers.driver import Condition, DriverError
+from valve_control.control.parameters import drivers
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import drivers
 
 STEP = 10.0 / 32767
 

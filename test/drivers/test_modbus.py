@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from spool import device, until
 
-from valve_control.drivers.driver import DriverError
-from valve_control.drivers.modbus import KIND, PARAMETERS
-from valve_control.drivers.ticks import Ticks
+from valve_control.control.drivers.driver import DriverError
+from valve_control.control.drivers.modbus import KIND, PARAMETERS
+from valve_control.control.drivers.ticks import Ticks
 from valve_control.parameter import defaults, updated
 
 PERIOD = 0.005  # s

@@ -10,7 +10,7 @@ import textwrap
 from examples import EXAMPLES
 
 SOUND = """
-from valve_control.drivers.driver import Kind
+from valve_control.control.drivers.driver import Kind
 from valve_control.parameter import Parameter
 KIND = Kind("card", "a card", (Parameter("card.port", "", "", "port"),), lambda values, period, off: None)
 FOREIGN = KIND._replace(name="rack")
@@ -29,7 +29,7 @@ def listed(folder, points):
     lines = [f"{name} = card_driver:{attribute}" for name, attribute in points.items()]
     (info / "entry_points.txt").write_text("\n".join(["[valve_control.drivers]", *lines]))
     code = """
-        from valve_control.drivers.registry import BUILT_IN, KINDS, LEFT_OUT
+        from valve_control.control.drivers.registry import BUILT_IN, KINDS, LEFT_OUT
         print({name: kind.package for name, kind in KINDS.items() if kind not in BUILT_IN})
         print(*LEFT_OUT.values(), sep="\\n")
     """
@@ -72,10 +72,10 @@ def test_the_example_of_the_docs_drives_files_of_counts(tmp_path):
     """Half of full scale in both directions, the output at 0 V in the end, and a card without files."""
     code = """
         import sys, pathlib
-        from valve_control.drivers.driver import DriverError
-        from valve_control.drivers.registry import KINDS
+        from valve_control.control.drivers.driver import DriverError
+        from valve_control.control.drivers.registry import KINDS
         from valve_control.parameter import defaults, updated
-        from valve_control.parameters import drivers
+        from valve_control.control.parameters import drivers
         folder = pathlib.Path(sys.argv[1])
         (folder / "in_voltage0_raw").write_text("16384")
         values = updated(

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.drivers.scaling import Scale, ScaleError, parse
+from valve_control.control.drivers.scaling import Scale, ScaleError, parse
 
 numbers = st.floats(-1e6, 1e6, allow_subnormal=False)
 factors = st.floats(1e-3, 1e3).flatmap(lambda f: st.sampled_from([f, -f]))

@@ -18,9 +18,9 @@ from examples import EXAMPLES, serial_card
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.drivers import serial_card as driver_module
-from valve_control.drivers.driver import DriverError
-from valve_control.drivers.serial_frames import (
+from valve_control.control.drivers import serial_card as driver_module
+from valve_control.control.drivers.driver import DriverError
+from valve_control.control.drivers.serial_frames import (
     COUNTS,
     FROM_CARD,
     ON,

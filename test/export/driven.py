@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from valve_control.compiling import compile_function
+from valve_control.control.compiling import compile_function
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters.linear_loop import flatten
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.export import sources, unit
-from valve_control.laws.signals import Start
 from valve_control.parameter import ParameterError, defaults
-from valve_control.parameters.linear_loop import flatten
-from valve_control.parameters.table import CONTROLLER
 
 DRIVE = Path(__file__).with_name("drive.c")
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")

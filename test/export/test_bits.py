@@ -7,7 +7,7 @@ import pytest
 from changed import controller
 from driven import COMPILERS, SANITIZERS, build, case, finite_share, in_c, in_python, random_params, same_bits
 
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws.registry import LAWS
 
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 FEW = case(400, 100)

@@ -14,13 +14,13 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from driven import COMPILERS
 
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters.linear_loop import flatten
+from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.export import folder, settable, sources, unit
 from valve_control.export.library import Library
 from valve_control.export.unit import leaves
-from valve_control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters.linear_loop import flatten
-from valve_control.parameters.table import CONTROLLER, VALVE
 
 compiles = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 GAINS = """/controller:

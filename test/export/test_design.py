@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from driven import random_value
 
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters.linear_loop import flatten
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.export import design, samples, settable, unit
 from valve_control.export.library import Library
-from valve_control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, defaults
-from valve_control.parameters.linear_loop import flatten
-from valve_control.parameters.table import CONTROLLER
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 

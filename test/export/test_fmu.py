@@ -10,16 +10,16 @@ import zipfile
 import numpy as np
 import pytest
 
-from valve_control.axis import run as run_axis
-from valve_control.laws import command_lead
-from valve_control.laws.registry import LAWS
-from valve_control.motion import axis_pid
-from valve_control.motion.course import Goal
+from valve_control.control.axis import run as run_axis
+from valve_control.control.laws import command_lead
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.motion import axis_pid
+from valve_control.control.motion.course import Goal
+from valve_control.control.parameters.axis import AXIS_NODES
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import machine
+from valve_control.control.simulation import offline
 from valve_control.parameter import defaults, updated
-from valve_control.parameters.axis import AXIS_NODES
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import machine
-from valve_control.simulation import offline
 
 fmpy = pytest.importorskip("fmpy")
 from fmpy.fmi2 import FMU2Slave  # noqa: E402

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from driven import COMPILERS, SANITIZERS
 
+from valve_control.control.laws.registry import LAWS
 from valve_control.export import folder, samples, sources, unit
-from valve_control.laws.registry import LAWS
 
 compiles = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 

@@ -11,14 +11,14 @@ import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.identification import bode
-from valve_control.laws import biquads, design
-from valve_control.laws.signals import Start
+from valve_control.control.laws import biquads, design
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import valve
+from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.design.identification import bode
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import VALVE
-from valve_control.plant import valve
-from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 
 def settled_ratio(model, frequency, period, delay=0):

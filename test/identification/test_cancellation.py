@@ -5,9 +5,9 @@
 import numpy as np
 import pytest
 
-from valve_control.identification import bode, cancellation
+from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.design.identification import bode, cancellation
 from valve_control.parameter import ParameterError
-from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 
 @pytest.mark.parametrize("model", [SECOND_ORDER, FOURTH_ORDER])

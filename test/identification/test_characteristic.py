@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from valve_control.identification import characteristic, experiment, friction
-from valve_control.identification.experiment import Experiment
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant.models import FOURTH_ORDER
+from valve_control.design.identification import characteristic, experiment, friction
+from valve_control.design.identification.experiment import Experiment
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant.models import FOURTH_ORDER
 
 PERIOD = 0.001
 LAG = friction.lag_of(FOURTH_ORDER, 0.0)

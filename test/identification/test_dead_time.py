@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.identification import dead_time
+from valve_control.design.identification import dead_time
 from valve_control.parameter import ParameterError
 
 SECONDS = st.floats(0.0, 0.02)

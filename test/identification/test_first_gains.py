@@ -7,17 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from valve_control.identification import bode, first_gains, friction, rational, theta
-from valve_control.identification.friction import Friction
-from valve_control.identification.lvdt import Lvdt
-from valve_control.identification.response import Response
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import stability
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant import valve
+from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
+from valve_control.control.simulation import batch
+from valve_control.design.identification import bode, first_gains, friction, rational, theta
+from valve_control.design.identification.friction import Friction
+from valve_control.design.identification.lvdt import Lvdt
+from valve_control.design.identification.response import Response
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import stability
-from valve_control.parameters.table import CONTROLLER
-from valve_control.plant import valve
-from valve_control.plant.models import FOURTH_ORDER, TransferFunction
-from valve_control.simulation import batch
 
 PERIOD, U_MAX = 0.001, 10.0
 STEP = 0.02  # V

@@ -5,15 +5,15 @@
 import numpy as np
 import pytest
 
-from valve_control.identification import experiment, first_gains, friction, rational, theta
-from valve_control.identification.experiment import Experiment
-from valve_control.identification.lvdt import Lvdt
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant.models import FOURTH_ORDER
+from valve_control.control.simulation import batch, comparison
+from valve_control.design.identification import experiment, first_gains, friction, rational, theta
+from valve_control.design.identification.experiment import Experiment
+from valve_control.design.identification.lvdt import Lvdt
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant.models import FOURTH_ORDER
-from valve_control.simulation import batch, comparison
 
 PERIOD, U_MAX = 0.001, 10.0
 OPEN = {"controller": "open_loop", "open_loop.static_gain": 1.0, "command_limit": 100.0}

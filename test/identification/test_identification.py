@@ -5,11 +5,11 @@
 import numpy as np
 import pytest
 
-from valve_control.identification import WEIGHTINGS, bode, experiment, rational, response, theta
-from valve_control.identification.response import Response, Segment
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.design.identification import WEIGHTINGS, bode, experiment, rational, response, theta
+from valve_control.design.identification.response import Response, Segment
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 COEFFICIENTS = np.array([*FOURTH_ORDER.numerator, *FOURTH_ORDER.denominator[1:]])
 SHORT = {"steps": 20, "cycles": 4, "step_time": 0.8, "frequency": 0.8}

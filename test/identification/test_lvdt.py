@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.identification import lvdt
+from valve_control.design.identification import lvdt
 
 
 @settings(max_examples=40, deadline=None)

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.identification import bode, rational, structure
-from valve_control.identification.response import Response
-from valve_control.identification.structure import Candidate
-from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.design.identification import bode, rational, structure
+from valve_control.design.identification.response import Response
+from valve_control.design.identification.structure import Candidate
 
 PERIOD = 0.001
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from valve_control.laws import arc, lyapunov_bound, projection, reshaping, velocity
-from valve_control.laws.projection import Theta
+from valve_control.control.laws import arc, lyapunov_bound, projection, reshaping, velocity
+from valve_control.control.laws.projection import Theta
 
 
 def params(**changes):

@@ -8,13 +8,13 @@ from changed import controller
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.analysis.indices import rms
-from valve_control.commands import arrays, scenarios
-from valve_control.laws import command_lead, registry, reshaping
+from valve_control.control.analysis.indices import rms
+from valve_control.control.commands import arrays, scenarios
+from valve_control.control.laws import command_lead, registry, reshaping
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.simulation import offline
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import VALVE
-from valve_control.simulation import offline
 
 PERIOD = 0.001
 LAG = 2.0 * 0.8 / 314.0  # s, of (8)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from valve_control.laws import biquads, design
-from valve_control.laws.signals import Start
-from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.laws import biquads, design
+from valve_control.control.laws.signals import Start
+from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 
 def bandwidth(*parts):

@@ -14,17 +14,17 @@ from changed import controller
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.commands import arrays, scenarios
-from valve_control.laws import dcarc, dcarc_design, least_squares, reshaping
-from valve_control.laws.least_squares import Weights
-from valve_control.laws.signals import Start
+from valve_control.control.commands import arrays, scenarios
+from valve_control.control.laws import dcarc, dcarc_design, least_squares, reshaping
+from valve_control.control.laws.least_squares import Weights
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import files, stability
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import valve
+from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.simulation import comparison, offline
+from valve_control.control.supervision import bumpless_transfer
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import files, stability
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import valve
-from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
-from valve_control.simulation import comparison, offline
-from valve_control.supervision import bumpless_transfer
 
 PERIOD = 0.001
 THIRD_ORDER = TransferFunction((250.0, 60000.0), (1.0, 120.0, 8000.0, 90000.0))

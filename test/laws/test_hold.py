@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from valve_control.laws import arc, biquads, dcarc, oarc, pid
-from valve_control.laws.signals import Start
-from valve_control.parameters import build
+from valve_control.control.laws import arc, biquads, dcarc, oarc, pid
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import build
 
 LAWS = {"arc": arc, "oarc": oarc, "dcarc": dcarc, "pid": pid, "compensator": biquads}
 

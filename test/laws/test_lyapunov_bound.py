@@ -10,7 +10,7 @@ import scipy.integrate
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.laws import lyapunov_bound
+from valve_control.control.laws import lyapunov_bound
 
 PERIOD = 1e-4  # s; the theorems are of continuous time
 SPREAD = 0.05  # of the assumed ranges around the nominal θ

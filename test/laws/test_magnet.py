@@ -11,10 +11,10 @@ from changed import controller
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.laws import command_lead, dcarc, dcarc_design, magnet, reshaping
-from valve_control.laws.signals import Start
-from valve_control.parameters import stability
-from valve_control.simulation import comparison
+from valve_control.control.laws import command_lead, dcarc, dcarc_design, magnet, reshaping
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import stability
+from valve_control.control.simulation import comparison
 
 PERIOD, SUBSTEPS = 0.001, 10
 COIL, GAIN, A1, A0 = 0.004, 0.9, 90.5, 3198.0  # 9 Hz

@@ -11,13 +11,13 @@ import pytest
 import scipy.linalg
 import sympy as sp
 
-from valve_control.laws import lyapunov_bound, oarc, reshaping
-from valve_control.laws.oarc import Pair
-from valve_control.laws.projection import Theta
+from valve_control.control.laws import lyapunov_bound, oarc, reshaping
+from valve_control.control.laws.oarc import Pair
+from valve_control.control.laws.projection import Theta
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import valve
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import valve
 
 
 def params(**changes):

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from valve_control.laws import pid
-from valve_control.laws.signals import Start
+from valve_control.control.laws import pid
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.parameter import defaults, updated
-from valve_control.parameters.table import CONTROLLER
 
 
 def params(**changes):

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.laws import projection
-from valve_control.laws.projection import Theta
+from valve_control.control.laws import projection
+from valve_control.control.laws.projection import Theta
 
 LOWER = Theta(5.0, 500.0, 900.0, -6000.0)
 UPPER = Theta(150.0, 3000.0, 2500.0, 6000.0)

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.laws import reshaping
+from valve_control.control.laws import reshaping
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.parameter import defaults, updated
-from valve_control.parameters.table import CONTROLLER
 
 PERIOD = 0.001
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from valve_control.laws import velocity
+from valve_control.control.laws import velocity
 
 
 def test_ramp_gives_its_slope():

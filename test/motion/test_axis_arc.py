@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from research.axes import study
-from valve_control.compiling import compile_function
-from valve_control.motion import axis_arc
-from valve_control.motion.axis_arc import Measured, Model, Theta
-from valve_control.motion.course import Goal
+from valve_control.control.compiling import compile_function
+from valve_control.control.motion import axis_arc
+from valve_control.control.motion.axis_arc import Measured, Model, Theta
+from valve_control.control.motion.course import Goal
+from valve_control.control.parameters.axis import axis_params
 from valve_control.parameter import number
-from valve_control.parameters.axis import axis_params
 
 STEP = 2e-5  # s
 K1, K2, K3 = 25.0, 60.0, 80.0

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.axis import run
-from valve_control.motion import axis_arc, axis_pid, upper
-from valve_control.motion import axis_arc_sampled as level
-from valve_control.motion.axis_arc import Theta
-from valve_control.motion.course import Goal
+from valve_control.control.axis import run
+from valve_control.control.motion import axis_arc, axis_pid, upper
+from valve_control.control.motion import axis_arc_sampled as level
+from valve_control.control.motion.axis_arc import Theta
+from valve_control.control.motion.course import Goal
+from valve_control.control.parameters import axis as parameters
+from valve_control.control.parameters.axis import AXIS, AXIS_CONTROLLER, AXIS_NODES
+from valve_control.control.plant.machine import Reading
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import axis as parameters
-from valve_control.parameters.axis import AXIS, AXIS_CONTROLLER, AXIS_NODES
-from valve_control.plant.machine import Reading
 
 SWIFT = 2.0 * math.pi * 300.0  # rad/s  of a valve that hardly matters
 

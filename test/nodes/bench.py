@@ -19,11 +19,11 @@ from std_msgs.msg import Float64, Float64MultiArray
 
 from research import campaigns
 from valve_control import nodes
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import valve
 from valve_control.nodes.harness.processes import process
 from valve_control.parameter import defaults
-from valve_control.parameters import build
-from valve_control.parameters.table import VALVE
-from valve_control.plant import valve
 
 LIMIT = 20.0  # s
 ASK_AGAIN = 3.0  # s

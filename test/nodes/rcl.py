@@ -6,7 +6,7 @@ import ctypes
 
 import rclpy  # noqa: F401 (which loads the parser)
 
-from valve_control.parameters.arguments import matches
+from valve_control.control.parameters.arguments import matches
 
 KINDS = ("bool", "int64", "double")
 

@@ -18,12 +18,12 @@ from std_msgs.msg import Float64, Header
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from valve_control.axis import run
+from valve_control.control.axis import run
+from valve_control.control.parameters import files
+from valve_control.control.parameters.axis import AXIS_NODES
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, NumberSubscription
 from valve_control.nodes.harness.processes import process
 from valve_control.parameter import updated
-from valve_control.parameters import files
-from valve_control.parameters.axis import AXIS_NODES
 
 MACHINES = ("bench", "crane_boom", "press")
 

@@ -12,13 +12,13 @@ from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
-from valve_control.bags.bag import Bag
 from valve_control.nodes.adapter import encoded
 from valve_control.nodes.black_box import OVERHEAD, SILENT, BlackBox, Limits
 from valve_control.nodes.harness.processes import process
 from valve_control.nodes.parameter_capture import EVENTS
 from valve_control.recordings import parameters
 from valve_control.recordings.analysis import analyze
+from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.modes import Mode
 from valve_control.recordings.recording import load
 

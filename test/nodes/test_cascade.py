@@ -28,9 +28,9 @@ from rcl_interfaces.srv import DescribeParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64, Float64MultiArray
 
+from valve_control.control.supervision.record import HEAD
 from valve_control.nodes.adapter import SAMPLES
 from valve_control.nodes.harness.processes import process
-from valve_control.supervision.record import HEAD
 
 
 def test_one_reading_one_step_one_voltage(ros, tmp_path):

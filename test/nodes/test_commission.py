@@ -22,9 +22,9 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 
 from benchmarks import commissioned
+from valve_control.control.parameters import files
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.harness.processes import Listener, process
-from valve_control.parameters import files
-from valve_control.parameters.table import CONTROLLER
 
 # They share a set of domains: one worker has them all.
 pytestmark = pytest.mark.xdist_group("commission")

@@ -22,9 +22,9 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from test_commission import BEFORE, PATIENT, QUICK, TRAVEL, VALVE, VOLTAGE
 
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.adapter import SAMPLES
 from valve_control.nodes.harness.processes import process
-from valve_control.parameters.table import CONTROLLER
 
 pytestmark = [pytest.mark.browser, needs_browser]
 

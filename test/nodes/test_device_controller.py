@@ -18,11 +18,11 @@ from std_msgs.msg import Float64
 sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "drivers"))
 from examples import serial_card
 
+from valve_control.control.parameters import build
+from valve_control.control.parameters.drivers import SIMULATED
+from valve_control.control.simulation import offline
 from valve_control.nodes.harness.lockstep import CONFIG
 from valve_control.nodes.harness.processes import Listener, node_arguments, node_values, process
-from valve_control.parameters import build
-from valve_control.parameters.drivers import SIMULATED
-from valve_control.simulation import offline
 
 STEP = 10.0 / 32767  # V
 

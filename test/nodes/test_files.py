@@ -14,10 +14,10 @@ import rcl
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 
 from valve_control.cli import main
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.adapter import plain
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import CONTROLLER
 
 QUICK = ["--set", "steps=12", "--set", "cycles=4", "--set", "frequency=1.0", "--set", "step_time=0.8"]
 SHORT = ["--set", "cycle=2.0", "--set", "start=0.0", "--duration", "2.0"]

@@ -13,9 +13,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recordings"))
 from bench import controller
 from made import Run, write
 
-from valve_control.bags.errors import BagError
 from valve_control.nodes import player
 from valve_control.nodes.harness.processes import process
+from valve_control.recordings.bags.errors import BagError
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_messages_with_one_stamp_are_published_in_the_order_of_the_recording():
 
 
 def again(path):
-    from valve_control.bags.bag import Bag
+    from valve_control.recordings.bags.bag import Bag
 
     series = Bag(path).read({"/spool_position": ["data"], "/spool_command": ["data"]})
     return {name: entry.values["data"] for name, entry in series.items()}

@@ -26,11 +26,11 @@ from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
 from std_msgs.msg import Float64, String
 
-from valve_control.bags import metadata
-from valve_control.bags.recover import recover
 from valve_control.nodes.definitions import Definitions, message_class
 from valve_control.nodes.harness.processes import process
 from valve_control.nodes.recorder import Recorded, merged
+from valve_control.recordings.bags import metadata
+from valve_control.recordings.bags.recover import recover
 
 EVENTS = "/parameter_events"
 TOPICS = ("/spool_command", "/spool_position", "/valve_voltage", "/controller/state")

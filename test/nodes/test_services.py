@@ -14,10 +14,10 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.harness.processes import process
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import CONTROLLER
 
 
 def diagnostics(ros, name):

@@ -16,12 +16,12 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import COMMAND
+from valve_control.control.supervision.watch import BOTH
 from valve_control.nodes.adapter import decoded_point, encoded_point
 from valve_control.nodes.harness.processes import process
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import COMMAND
-from valve_control.supervision.watch import BOTH
 
 NUMBERS = st.lists(st.floats(-1e6, 1e6), max_size=4)
 

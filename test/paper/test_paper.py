@@ -13,13 +13,13 @@ from research.paper.__main__ import main
 from research.paper.figures import measured
 from research.paper.runs import CONFIG, paper_runs, values_of, valve_gain, valve_of
 from research.paper.traces import heard, load, offline, save
-from valve_control.analysis.indices import PAPER_TABLE_1
-from valve_control.identification.rational import measured_corners
+from valve_control.control.analysis.indices import PAPER_TABLE_1
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant.models import SECOND_ORDER
+from valve_control.control.simulation import offline as simulation
+from valve_control.design.identification.rational import measured_corners
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import VALVE
-from valve_control.plant.models import SECOND_ORDER
-from valve_control.simulation import offline as simulation
 
 
 @pytest.fixture(scope="module")

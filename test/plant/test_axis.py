@@ -11,10 +11,10 @@ import scipy.integrate
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from valve_control.compiling import compile_function
+from valve_control.control.compiling import compile_function
+from valve_control.control.parameters import axis as parameters
+from valve_control.control.plant import axis, orifice
 from valve_control.parameter import ParameterError
-from valve_control.parameters import axis as parameters
-from valve_control.plant import axis, orifice
 
 BAR = 1e5
 

@@ -6,13 +6,13 @@ import math
 
 import pytest
 
-from valve_control.laws import reshaping
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws import reshaping
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant import models
+from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.design.tuning import trial
 from valve_control.parameter import defaults, updated
-from valve_control.parameters.table import CONTROLLER
-from valve_control.plant import models
-from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
-from valve_control.tuning import trial
 
 
 def second_order(frequency, damping=0.8, gain=1.0):

@@ -10,13 +10,13 @@ import changed
 import numpy as np
 import pytest
 
-from valve_control import closed_loop
+from valve_control.control import closed_loop
+from valve_control.control.parameters import axis, build, stability
+from valve_control.control.parameters.table import NODES, VALVE
+from valve_control.control.plant import registry, solenoid_valve, valve
+from valve_control.control.plant.plant import PlantError, check, try_out
+from valve_control.control.simulation import batch, offline, robustness
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import axis, build, stability
-from valve_control.parameters.table import NODES, VALVE
-from valve_control.plant import registry, solenoid_valve, valve
-from valve_control.plant.plant import PlantError, check, try_out
-from valve_control.simulation import batch, offline, robustness
 
 COMMAND = 0.5 * np.sin(2.0 * np.pi * 2.0 * np.arange(1200) * 0.001)
 REAL = {
@@ -126,8 +126,8 @@ def test_a_plant_of_another_package_runs_in_the_loop(monkeypatch):
     try_out(plant, registry.TRIED)
     monkeypatch.setitem(registry._OF_PARAMS, Params, plant)
     signals = np.zeros((50, 3))
-    from valve_control.laws import open_loop
-    from valve_control.laws.signals import Start
+    from valve_control.control.laws import open_loop
+    from valve_control.control.laws.signals import Start
 
     law = open_loop.LAW.build(updated(NODES["controller"], defaults(NODES["controller"]),
                                       {"open_loop.static_gain": 1.0}))  # fmt: skip
@@ -149,7 +149,7 @@ def test_a_plant_of_another_package_runs_in_the_loop(monkeypatch):
         ({"build": lambda given: given["gone"]}, "its first step fails: KeyError: 'gone'"),
         (
             {"linear": lambda params: params},
-            "its linear gives test_plants.Params; it must be valve_control.plant.valve.Params",
+            "its linear gives test_plants.Params; it must be valve_control.control.plant.valve.Params",
         ),
         ({"module": None}, "its first step fails"),
     ],
@@ -168,7 +168,7 @@ def test_a_plant_that_is_none_is_refused_in_one_sentence(changes, said):
 
 def test_names_that_are_taken_and_modules_that_are_not_there():
     taken = dict(registry.PLANTS)
-    again = EntryPoint("x", "valve_control.plant.solenoid_valve:PLANT", registry.GROUP)
+    again = EntryPoint("x", "valve_control.control.plant.solenoid_valve:PLANT", registry.GROUP)
     with pytest.raises(PlantError, match="the name is taken by a plant of valve_control"):
         registry._plugged_in(again, taken)
     with pytest.raises(PlantError, match="it cannot be imported: ModuleNotFoundError"):

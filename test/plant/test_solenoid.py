@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from valve_control.compiling import compile_function
+from valve_control.control.compiling import compile_function
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import registry, solenoid, solenoid_valve, valve
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import VALVE
-from valve_control.plant import registry, solenoid, solenoid_valve, valve
 
 STEP = compile_function(solenoid.step)
 PERIOD = 0.001

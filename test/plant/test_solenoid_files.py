@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from valve_control.compiling import compile_function
+from valve_control.control.compiling import compile_function
+from valve_control.control.parameters import files
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import solenoid, solenoid_valve
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import files
-from valve_control.parameters.table import VALVE
-from valve_control.plant import solenoid, solenoid_valve
 
 FOLDER = Path(__file__).resolve().parents[2] / "config" / "solenoid"
 STEP = compile_function(solenoid.step)

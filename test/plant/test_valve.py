@@ -9,10 +9,10 @@ import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 
+from valve_control.control.parameters import build
+from valve_control.control.plant import valve
+from valve_control.control.plant.models import FOURTH_ORDER, MODELS
 from valve_control.parameter import ParameterError
-from valve_control.parameters import build
-from valve_control.plant import valve
-from valve_control.plant.models import FOURTH_ORDER, MODELS
 
 
 def made(**changes):

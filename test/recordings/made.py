@@ -9,14 +9,14 @@ import changed
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from valve_control.bags.writer import BagWriter
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import valve
+from valve_control.control.supervision.journal import Journal
+from valve_control.control.supervision.supervisor import Supervisor
+from valve_control.control.supervision.trajectory import Motion
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import valve
-from valve_control.supervision.journal import Journal
-from valve_control.supervision.supervisor import Supervisor
-from valve_control.supervision.trajectory import Motion
+from valve_control.recordings.bags.writer import BagWriter
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 T = STORE.types

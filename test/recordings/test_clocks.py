@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from made import BEGIN, FLOAT, PERIOD, Message, Run, in_file_order, number, write
 
-from valve_control.bags.errors import BagError
 from valve_control.cli.command import run as main
-from valve_control.identification import recorded
+from valve_control.design.identification import recorded
 from valve_control.recordings.analysis import analyze, as_dict
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.recording import align, load
 
 SIGNALS = ("/spool_command", "/spool_position", "/valve_voltage")

@@ -7,7 +7,7 @@ import pytest
 from made import BEGIN, FLOAT, PERIOD, Message, Run, in_file_order, number, write
 
 from valve_control.cli.command import run as main
-from valve_control.identification import recorded
+from valve_control.design.identification import recorded
 from valve_control.recordings import shadow
 from valve_control.recordings.analysis import analyze, as_dict
 from valve_control.recordings.recording import align, load

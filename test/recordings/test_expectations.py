@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
-from valve_control.bags.errors import BagError
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.expectations import check
 
 VALVES = {

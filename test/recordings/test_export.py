@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from made import Run, write
 
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.export import unit
 from valve_control.export.library import Library
-from valve_control.laws.registry import LAWS
 from valve_control.parameter import defaults
-from valve_control.parameters.table import CONTROLLER
 from valve_control.recordings import shadow
 from valve_control.recordings.recording import load
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from made import STORE, Message, Run, T, in_file_order, write
 
-from valve_control.bags.cdr import Decoder
-from valve_control.bags.errors import BagError
-from valve_control.bags.messages import Topic
 from valve_control.cli.command import run as main
 from valve_control.recordings.analysis import analyze, as_dict
+from valve_control.recordings.bags.cdr import Decoder
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.messages import Topic
 from valve_control.recordings.recording import align, load
 
 JOINTS = "sensor_msgs/msg/JointState"

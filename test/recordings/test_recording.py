@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from made import BEGIN, FLOAT, Run, number, write
 
-from valve_control.bags.errors import BagError
-from valve_control.parameters.table import CONTROLLER
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.simulation import offline
 from valve_control.recordings import what_if
 from valve_control.recordings.analysis import analyze, as_dict
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.mapping import parse_map
 from valve_control.recordings.recording import align, load
-from valve_control.simulation import offline
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +126,7 @@ def test_a_recorder_whose_clock_is_set_back_keeps_one_part_of_all_signals(run, t
     """After 60 % of the run, every time is 10 s earlier: the longer part is kept, of each topic the same."""
     from made import BEGIN, STORE
 
-    from valve_control.bags.writer import BagWriter
+    from valve_control.recordings.bags.writer import BagWriter
 
     with BagWriter(tmp_path / "bag", "mcap") as writer:
         known = set()
@@ -278,7 +278,7 @@ def test_topics_without_a_slash_and_types_without_msg_are_read(run, tmp_path, st
     """Other recorders write spool_position for /spool_position, std_msgs/Float64 for std_msgs/msg/Float64."""
     from made import STORE
 
-    from valve_control.bags.writer import BagWriter
+    from valve_control.recordings.bags.writer import BagWriter
 
     with BagWriter(tmp_path / "bag", storage) as writer:
         known = set()
@@ -299,7 +299,7 @@ def test_topics_without_a_slash_and_types_without_msg_are_read(run, tmp_path, st
 
 
 def test_no_messages_at_all_is_an_error(run, tmp_path):
-    from valve_control.bags.writer import BagWriter
+    from valve_control.recordings.bags.writer import BagWriter
 
     with BagWriter(tmp_path / "bag", "mcap") as writer:
         writer.add_topic("/spool_position", FLOAT, "float64 data", "")

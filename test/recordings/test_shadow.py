@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import ARRAY, BEGIN, STORE, STRING, Run, array, string, write
 
-from valve_control.bags.errors import BagError
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.supervision.journal import COLUMNS, HEAD, Journal
 from valve_control.parameter import ParameterError, defaults
-from valve_control.parameters.table import CONTROLLER
 from valve_control.recordings import shadow
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.recording import load
-from valve_control.supervision.journal import COLUMNS, HEAD, Journal
 
 
 def shadowed(path, valve="valve", **overrides):

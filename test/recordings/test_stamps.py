@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from made import BEGIN, STORE, Message, Run, T, write
 
-from valve_control.bags.errors import BagError
 from valve_control.recordings.analysis import analyze, as_dict
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.recording import align, load
 
 JOINTS, CLOCK = "sensor_msgs/msg/JointState", "rosgraph_msgs/msg/Clock"

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from made import Run, write
 from scipy.io import savemat
 
-from valve_control.bags import columns
-from valve_control.bags.errors import BagError
 from valve_control.recordings.analysis import analyze
+from valve_control.recordings.bags import columns
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.recording import align, load
 from valve_control.recordings.tables import maps_of
 

@@ -9,12 +9,12 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from valve_control.analysis.indices import rms
-from valve_control.compiling import compile_function
+from valve_control.control.analysis.indices import rms
+from valve_control.control.compiling import compile_function
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
+from valve_control.control.simulation import batch, noise, offline
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import CONTROLLER, NODES, VALVE
-from valve_control.simulation import batch, noise, offline
 
 SOURCE = NODES["command_source"]
 REAL = {
@@ -221,8 +221,8 @@ def test_counts_that_do_not_agree_are_refused():
         ({"seeds": [1.5] * 11}, "whole numbers"),
         ({"commands": np.full(50, np.nan)}, "finite"),
         ({"led": np.zeros((11, 49))}, "with their lead"),
-        ({"law_params": np.zeros(11)}, "law_params must be valve_control.laws.arc.Params"),
-        ({"controller": "oarc"}, "law_params must be valve_control.laws.oarc.Params"),
+        ({"law_params": np.zeros(11)}, "law_params must be valve_control.control.laws.arc.Params"),
+        ({"controller": "oarc"}, "law_params must be valve_control.control.laws.oarc.Params"),
     ],
 )
 def test_batches_that_do_not_fit_together_are_refused(change, text):

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from valve_control.laws import registry
+from valve_control.control.laws import registry
+from valve_control.control.parameters import build, stability
+from valve_control.control.parameters.table import COMMAND, NODES
+from valve_control.control.simulation import offline
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import build, stability
-from valve_control.parameters.table import COMMAND, NODES
-from valve_control.simulation import offline
 
 LAWS = tuple(registry.LAWS)
 REAL = {
@@ -141,8 +141,8 @@ def test_warning_comes_exactly_when_the_loop_chatters(simulate, period, weight, 
 
 def test_spectral_radius_of_a_loop_with_known_poles():
     """Plain proportional control of s² + a1·s + a0 against the closed form of the sampled loop."""
-    from valve_control.laws import pid
-    from valve_control.parameters.table import CONTROLLER
+    from valve_control.control.laws import pid
+    from valve_control.control.parameters.table import CONTROLLER
 
     values = updated(
         CONTROLLER,

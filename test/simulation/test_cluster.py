@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from valve_control.control.parameters.table import NODES
+from valve_control.control.simulation import cluster, robustness
+from valve_control.design.tuning.kept import OUTCOMES
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters.table import NODES
-from valve_control.simulation import cluster, robustness
-from valve_control.tuning.kept import OUTCOMES
 
 LIMIT = 120.0  # s
 
@@ -158,7 +158,8 @@ def test_tune_on_a_cluster_gives_the_same_bits(run, tmp_path):
 # What a user types, with a word on standard error when the command has begun.
 BEGUN = (
     "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    "from valve_control import cli, interrupts; from valve_control.tuning import kept; kept.EVERY = 0.0; "
+    "from valve_control import cli, interrupts; "
+    "from valve_control.design.tuning import kept; kept.EVERY = 0.0; "
     "interrupts.watch(); sys.exit(cli.main())"
 )
 

@@ -5,13 +5,13 @@
 import numpy as np
 import pytest
 
-from valve_control.laws import reshaping
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws import reshaping
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import files
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.simulation import batch, comparison
+from valve_control.control.simulation.comparison import PERIOD, Setup
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import files
-from valve_control.parameters.table import CONTROLLER
-from valve_control.simulation import batch, comparison
-from valve_control.simulation.comparison import PERIOD, Setup
 
 TUNED = files.config_folder() / "tuned"
 

@@ -8,10 +8,10 @@ import changed
 import numpy as np
 import pytest
 
-from valve_control.laws import command_lead
+from valve_control.control.laws import command_lead
+from valve_control.control.simulation import delivery
+from valve_control.control.simulation.delivery import Delivery
 from valve_control.parameter import ParameterError
-from valve_control.simulation import delivery
-from valve_control.simulation.delivery import Delivery
 
 TIMES = np.arange(1000) * 0.001
 SINE = np.sin(2.0 * math.pi * 3.0 * TIMES)

@@ -5,11 +5,11 @@
 import numpy as np
 import pytest
 
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import NODES
+from valve_control.control.simulation import offline
+from valve_control.control.simulation.delivery import Delivery
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import NODES
-from valve_control.simulation import offline
-from valve_control.simulation.delivery import Delivery
 
 SETTLED = 1000  # samples
 

@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 
-from valve_control.laws import pid
+from valve_control.control.laws import pid
+from valve_control.control.parameters import build, stability
+from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, stability
-from valve_control.parameters.table import CONTROLLER, VALVE
 
 W = 2.0 * math.pi * 12.0
 # 12 Hz with a damping of 0.9, and a pole at 60 Hz.
@@ -63,8 +63,8 @@ def test_compare_and_study_say_it_too(run, config, tmp_path):
 @pytest.mark.parametrize("file", ["arc", "oarc", "pid", "pid_plain", "compensator", "open_loop"])
 @pytest.mark.parametrize("plant", ["second_order", "fourth_order", "d3fxe"])
 def test_shipped_laws_on_shipped_valves_neither_cycle_nor_warn(config, file, plant, simulate):
-    from valve_control.parameters import files
-    from valve_control.simulation import offline
+    from valve_control.control.parameters import files
+    from valve_control.control.simulation import offline
 
     names = [f"{file}.yaml", *(["d3fxe.yaml"] if plant == "d3fxe" else [])]
     changes = files.given([str(config / name) for name in names], {}, [])

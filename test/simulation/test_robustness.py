@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from valve_control.cli import main
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import NODES
+from valve_control.control.simulation import offline, robustness
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import NODES
-from valve_control.simulation import offline, robustness
 
 
 def small(valves=20, seed=1, controller="oarc", lead=0.0):
@@ -81,7 +81,7 @@ def test_a_command_that_comes_to_rest_has_the_limit_of_rest():
 
 
 def test_scaled_model_has_its_poles_and_gain_scaled():
-    from valve_control.plant.models import MODELS, faster
+    from valve_control.control.plant.models import MODELS, faster
 
     model = MODELS["fourth_order"]
     fast = faster(model, 1.1, 1.25)

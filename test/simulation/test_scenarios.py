@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.commands import scenarios
+from valve_control.control.commands import scenarios
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import COMMAND
 from valve_control.parameter import ParameterError, defaults
-from valve_control.parameters import build
-from valve_control.parameters.table import COMMAND
 
 
 @given(st.floats(0.01, 10.0), st.floats(0.1, 50.0), st.floats(1.0, 500.0))

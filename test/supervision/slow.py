@@ -8,13 +8,13 @@ from typing import NamedTuple
 import changed
 import numpy as np
 
-from valve_control.analysis.indices import rms
+from valve_control.control.analysis.indices import rms
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import valve
+from valve_control.control.supervision.supervisor import Supervisor
+from valve_control.control.supervision.trajectory import Motion
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import VALVE
-from valve_control.plant import valve
-from valve_control.supervision.supervisor import Supervisor
-from valve_control.supervision.trajectory import Motion
 
 PERIOD = 0.001
 SETTLED = 400  # samples

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from research.campaigns.faults import FAULTS, FREQUENCY, PERIOD, SETTINGS
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
+from valve_control.control.plant import valve
+from valve_control.control.plant.models import FOURTH_ORDER
+from valve_control.control.simulation import offline
+from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import CONTROLLER, NODES, VALVE
-from valve_control.plant import valve
-from valve_control.plant.models import FOURTH_ORDER
-from valve_control.simulation import offline
-from valve_control.supervision.supervisor import Supervisor
 
 WEAK = 0.2  # of the gain, as in valve_simulator
 

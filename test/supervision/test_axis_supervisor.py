@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.motion import axis_pid, course, path
-from valve_control.motion.course import Goal
-from valve_control.parameters.axis import AXIS_CONTROLLER
-from valve_control.plant.machine import Reading
-from valve_control.supervision import axis_supervisor as supervisor
-from valve_control.supervision.record import Mode
+from valve_control.control.motion import axis_pid, course, path
+from valve_control.control.motion.course import Goal
+from valve_control.control.parameters.axis import AXIS_CONTROLLER
+from valve_control.control.plant.machine import Reading
+from valve_control.control.supervision import axis_supervisor as supervisor
+from valve_control.control.supervision.record import Mode
 
 MS = 1_000_000
 LIMITS = course.Limits(0.25, 2.0, 40.0)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.supervision import bumpless_transfer
-from valve_control.supervision.bumpless_transfer import NOTHING, ZERO, Offset, State
+from valve_control.control.supervision import bumpless_transfer
+from valve_control.control.supervision.bumpless_transfer import NOTHING, ZERO, Offset, State
 
 
 @given(st.floats(0.001, 10.0), st.floats(1e-4, 1e-2), st.floats(-10.0, 10.0), st.floats(-100.0, 100.0))

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from slow import PERIOD, bare, lag, run, settings
 
-from valve_control.analysis.indices import rms
-from valve_control.laws import registry
-from valve_control.parameters import build
-from valve_control.supervision import command_course, late_commands
-from valve_control.supervision.record import Mode
-from valve_control.supervision.supervisor import Supervisor
+from valve_control.control.analysis.indices import rms
+from valve_control.control.laws import registry
+from valve_control.control.parameters import build
+from valve_control.control.supervision import command_course, late_commands
+from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.supervisor import Supervisor
 
 LAWS = ("arc", "oarc", "pid", "compensator", "open_loop")
 LINEAR = command_course.Params(False, 10.0, PERIOD)

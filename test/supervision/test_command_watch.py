@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from valve_control.supervision import command_watch
-from valve_control.supervision.bumpless_transfer import ZERO, Offset
+from valve_control.control.supervision import command_watch
+from valve_control.control.supervision.bumpless_transfer import ZERO, Offset
 
 PERIOD = 0.001
 P = command_watch.Params(timeout=0.1, limit=3.0, rate=5.0, accel=100.0, period=PERIOD)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is reported, and for how long."""
 
-from valve_control.supervision import conditions
+from valve_control.control.supervision import conditions
 
 
 def test_the_first_text_stays_until_it_is_cleared():

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import valve
+from valve_control.control.supervision import cycle_watch, lock_in
+from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import valve
-from valve_control.supervision import cycle_watch, lock_in
-from valve_control.supervision.supervisor import Supervisor
 
 PERIOD = 1e-3  # s
 TUNED = [

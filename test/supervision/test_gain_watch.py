@@ -8,8 +8,8 @@ import re
 import pytest
 from test_cycle_watch import PERIOD, TUNED, Loop, sine
 
-from valve_control.plant import valve
-from valve_control.supervision import gain_watch, plausibility
+from valve_control.control.plant import valve
+from valve_control.control.supervision import gain_watch, plausibility
 
 MODEL = (20.0, 1200.0, 1200.0)  # a1 [1/s], a0, b0 [1/s²]
 

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from slow import D3FXE, PERIOD, bare, moving, run, settings, sine
 
 from research import late_commands as study
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import valve
+from valve_control.control.supervision import late_commands
+from valve_control.control.supervision.late_commands import Motion
+from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import VALVE
-from valve_control.plant import valve
-from valve_control.supervision import late_commands
-from valve_control.supervision.late_commands import Motion
-from valve_control.supervision.supervisor import Supervisor
 
 TIME = 0.006
 EACH = late_commands.design(settings())

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_cycle_watch import TUNED, Loop, sine
 
-from valve_control.supervision import noise_watch
+from valve_control.control.supervision import noise_watch
 
 PERIOD = 1e-3  # s
 

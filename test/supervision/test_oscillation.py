@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.analysis.limit_cycle import ends_at_rest, limit_cycle
+from valve_control.control.analysis.limit_cycle import ends_at_rest, limit_cycle
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import valve
+from valve_control.control.supervision import oscillation
+from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import valve
-from valve_control.supervision import oscillation
-from valve_control.supervision.supervisor import Supervisor
 
 PERIOD = 0.001
 W = 2.0 * math.pi * 12.0

@@ -9,15 +9,15 @@ import pytest
 import sizes
 from test_supervisor import FADE, LAWS, PERIOD, Loop
 
-from valve_control.compiling import compile_function
-from valve_control.laws import registry
+from valve_control.control.compiling import compile_function
+from valve_control.control.laws import registry
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import NODES, VALVE
+from valve_control.control.plant import valve
+from valve_control.control.simulation import batch, robustness
+from valve_control.control.supervision import lvdt, lvdt_watch, plausibility
+from valve_control.control.supervision.record import Mode
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import NODES, VALVE
-from valve_control.plant import valve
-from valve_control.simulation import batch, robustness
-from valve_control.supervision import lvdt, lvdt_watch, plausibility
-from valve_control.supervision.record import Mode
 
 FEEDBACK = tuple(name for name, law in registry.LAWS.items() if law.feedback)
 D3FXE = files.load(str(files.config_folder() / "d3fxe.yaml"))["valve_simulator"]

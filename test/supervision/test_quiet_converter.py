@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from valve_control.laws import registry
+from valve_control.control.laws import registry
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import valve
+from valve_control.control.supervision import lvdt
+from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import valve
-from valve_control.supervision import lvdt
-from valve_control.supervision.record import Mode
-from valve_control.supervision.supervisor import Supervisor
 
 PERIOD = 1e-3  # s
 BITS = {bits: 20.0 / 2**bits for bits in (10, 12)}  # V  steps of converters over ±10 V

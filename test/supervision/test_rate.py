@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.laws.registry import LAWS
-from valve_control.laws.signals import Start
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import valve
+from valve_control.control.supervision import rate
+from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.state_snapshot import restore, snapshot
+from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import valve
-from valve_control.supervision import rate
-from valve_control.supervision.record import Mode
-from valve_control.supervision.state_snapshot import restore, snapshot
-from valve_control.supervision.supervisor import Supervisor
 
 PERIOD = 0.001
 PARAMS = rate.Params(PERIOD, 0.15)

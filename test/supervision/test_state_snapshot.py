@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.laws import registry
+from valve_control.control.laws import registry
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.supervision.state_snapshot import account, restore, snapshot
+from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER
-from valve_control.supervision.state_snapshot import account, restore, snapshot
-from valve_control.supervision.supervisor import Supervisor
 
 LAWS = tuple(registry.LAWS)
 SETTINGS = {

@@ -12,15 +12,15 @@ import sizes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.laws import registry, reshaping
+from valve_control.control.laws import registry, reshaping
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import COMMAND, CONTROLLER, VALVE
+from valve_control.control.plant import valve
+from valve_control.control.simulation import offline
+from valve_control.control.supervision.cache_warming import CacheWarming
+from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import ParameterError, defaults, lookup, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import COMMAND, CONTROLLER, VALVE
-from valve_control.plant import valve
-from valve_control.simulation import offline
-from valve_control.supervision.cache_warming import CacheWarming
-from valve_control.supervision.record import Mode
-from valve_control.supervision.supervisor import Supervisor
 
 LAWS = tuple(registry.LAWS)
 PERIOD = 0.001

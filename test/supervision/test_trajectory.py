@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from slow import PERIOD, SETTLED, bare, moving, run, settings, sine
 
-from valve_control.commands import scenarios
-from valve_control.laws import reshaping
+from valve_control.control.commands import scenarios
+from valve_control.control.laws import reshaping
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.supervision import trajectory
+from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.supervisor import Supervisor
+from valve_control.control.supervision.trajectory import Motion
+from valve_control.control.supervision.watch import BOTH
 from valve_control.parameter import updated
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER
-from valve_control.supervision import trajectory
-from valve_control.supervision.record import Mode
-from valve_control.supervision.supervisor import Supervisor
-from valve_control.supervision.trajectory import Motion
-from valve_control.supervision.watch import BOTH
 
 RESHAPING_LAWS = ("arc", "oarc", "pid")
 STROKE = scenarios.Shape("point_to_point", 1.5, 0.0, 0.1, 1.0, 1.0, 40.0, 2000.0, 0.4, 1.0)

@@ -9,12 +9,12 @@ import changed
 import numpy as np
 import pytest
 
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.supervision import watch
+from valve_control.control.supervision.record import Memory
+from valve_control.control.supervision.trajectory import Motion
 from valve_control.export import samples, unit
 from valve_control.export.kinds import Kind
-from valve_control.laws.registry import LAWS
-from valve_control.supervision import watch
-from valve_control.supervision.record import Memory
-from valve_control.supervision.trajectory import Motion
 
 KINDS = sorted({fault.what for fault in samples.FAULTS})
 WORDS = dict.fromkeys(

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from research.theorems import adaptive, bench
-from valve_control.laws.registry import LAWS
-from valve_control.laws.signals import Start
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.parameter import defaults
-from valve_control.parameters.table import CONTROLLER
 
 
 @pytest.fixture(scope="module")

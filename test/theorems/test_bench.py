@@ -9,8 +9,8 @@ import scipy.linalg
 
 from research.theorems import bench
 from research.theorems.bench import Motion
-from valve_control.laws import reshaping
-from valve_control.laws.projection import Theta
+from valve_control.control.laws import reshaping
+from valve_control.control.laws.projection import Theta
 
 
 @pytest.mark.parametrize("truth", [(58.771, 1657.206), (120.0, 900.0), (60.0, 900.0)])

@@ -14,13 +14,13 @@ import scipy.linalg
 import sympy as sp
 
 from research.theorems import bench
-from valve_control.laws import design, oarc, pid, projection, reshaping, velocity
-from valve_control.laws.projection import Theta
-from valve_control.laws.signals import Start
+from valve_control.control.laws import design, oarc, pid, projection, reshaping, velocity
+from valve_control.control.laws.projection import Theta
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import linear_loop
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import linear_loop
-from valve_control.parameters.table import CONTROLLER
-from valve_control.plant.models import FOURTH_ORDER, SECOND_ORDER
 
 TH = sp.symbols("theta1:5")
 TE = sp.symbols("thetahat1:5")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from research.theorems import bench, learning, loop
-from valve_control.laws import dcarc, reshaping
+from valve_control.control.laws import dcarc, reshaping
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ import pytest
 import scipy.linalg
 
 from research.theorems import loop
-from valve_control.laws import dcarc
-from valve_control.laws.registry import LAWS
-from valve_control.laws.signals import Start
-from valve_control.parameters import stability
-from valve_control.plant import valve
+from valve_control.control.laws import dcarc
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import stability
+from valve_control.control.plant import valve
 
 VALVES = 150
 NOMINAL = loop.Valves(*(np.array([v]) for v in (1.0, 1.0, 1.0, 0.0, 0.0)))

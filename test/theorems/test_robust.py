@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from research.theorems import robust, tables
-from valve_control.laws.projection import Theta
+from valve_control.control.laws.projection import Theta
 
 VALVES = 60
 

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import files, linear_loop
+from valve_control.control.parameters.stability import FREE
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant import valve
+from valve_control.control.simulation import batch, comparison
+from valve_control.design.tuning import friction_swing, limit_cycles, margins, trial
+from valve_control.design.tuning.trial import Gains
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import files, linear_loop
-from valve_control.parameters.stability import FREE
-from valve_control.parameters.table import CONTROLLER
-from valve_control.plant import valve
-from valve_control.simulation import batch, comparison
-from valve_control.tuning import friction_swing, limit_cycles, margins, trial
-from valve_control.tuning.trial import Gains
 
 PERIOD = 0.001
 RUBBING = FREE._replace(coulomb=1.0, presliding=1.0)

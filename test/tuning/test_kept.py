@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from valve_control.design.tuning.kept import OUTCOMES, REQUEST, Kept, digest
 from valve_control.parameter import ParameterError
-from valve_control.tuning.kept import OUTCOMES, REQUEST, Kept, digest
 
 REQUESTED = {"laws": ["pid"], "budget": 60}
 MADE = [np.full((2, 4, 1, 3), 0.1), np.array(np.nan).reshape(1, 1, 1, 1), np.zeros((0, 4, 1, 3))]

@@ -10,16 +10,16 @@ import scipy.optimize
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import linear_loop
+from valve_control.control.parameters.stability import FREE, IDEAL
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant import valve
+from valve_control.control.plant.models import FOURTH_ORDER
+from valve_control.control.simulation import batch, comparison, many_states
+from valve_control.design.tuning import limit_cycles, margins, trial
+from valve_control.design.tuning.trial import Gains, Motion
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import linear_loop
-from valve_control.parameters.stability import FREE, IDEAL
-from valve_control.parameters.table import CONTROLLER
-from valve_control.plant import valve
-from valve_control.plant.models import FOURTH_ORDER
-from valve_control.simulation import batch, comparison, many_states
-from valve_control.tuning import limit_cycles, margins, trial
-from valve_control.tuning.trial import Gains, Motion
 
 PERIOD = 0.001
 WIDE_BOUNDS = {"theta_min": [-1e6, -1e6, 980.0, -1e6], "theta_max": [1e6, 1e6, 1e6, 1e6]}

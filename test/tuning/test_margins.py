@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import linear_loop
+from valve_control.control.parameters.stability import FREE, IDEAL
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant import valve
+from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
+from valve_control.control.simulation import batch
+from valve_control.design.tuning import margins
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import linear_loop
-from valve_control.parameters.stability import FREE, IDEAL
-from valve_control.parameters.table import CONTROLLER
-from valve_control.plant import valve
-from valve_control.plant.models import FOURTH_ORDER, TransferFunction
-from valve_control.simulation import batch
-from valve_control.tuning import margins
 
 PERIOD = 0.001
 STRONG = {"dcarc.voltage_weight": 0.007, "dcarc.disturbance_rate": 6.7}

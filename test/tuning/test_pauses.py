@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.commands import arrays
-from valve_control.laws import command_lead, reshaping
-from valve_control.laws.registry import LAWS
+from valve_control.control.commands import arrays
+from valve_control.control.laws import command_lead, reshaping
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import files
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.design.tuning import pauses, trial
+from valve_control.design.tuning.trial import Gains, Motion, Problem
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import files
-from valve_control.parameters.table import CONTROLLER
-from valve_control.tuning import pauses, trial
-from valve_control.tuning.trial import Gains, Motion, Problem
 
 PERIOD = 0.001
 MOST = 12000.0  # V/s²

@@ -10,17 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.laws import reshaping
-from valve_control.laws.free import DIGITS, Free, one, placed, present
-from valve_control.laws.law import LawError, check
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws import reshaping
+from valve_control.control.laws.free import DIGITS, Free, one, placed, present
+from valve_control.control.laws.law import LawError, check
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import files
+from valve_control.control.parameters.table import CONTROLLER, NODES
+from valve_control.control.simulation import robustness
+from valve_control.design.tuning import box, limit_cycles, margins, pauses, search, trial, tuner, verification
+from valve_control.design.tuning.search import Point
+from valve_control.design.tuning.trial import Gains
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import files
-from valve_control.parameters.table import CONTROLLER, NODES
-from valve_control.simulation import robustness
-from valve_control.tuning import box, limit_cycles, margins, pauses, search, trial, tuner, verification
-from valve_control.tuning.search import Point
-from valve_control.tuning.trial import Gains
 
 FREE = [free for law in LAWS.values() for free in law.free]
 SETTINGS = {node: defaults(table) for node, table in NODES.items()}

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 from valve_control import outputs
 from valve_control.cli import moved
 from valve_control.cli.common import check_outputs, say, tell_notes, write_json
+from valve_control.control.parameters.table import NODES
 from valve_control.parameter import Values, lookup, updated
-from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
-    from valve_control.axis.run import Run, Setup
+    from valve_control.control.axis.run import Run, Setup
 
 CONTROLLERS = lookup(NODES["controller"], "controller").choices
 
@@ -56,9 +56,9 @@ def add_commands(commands: Any) -> None:
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
-    from valve_control.axis import run
-    from valve_control.parameters import files
-    from valve_control.parameters.axis import AXIS_NODES
+    from valve_control.control.axis import run
+    from valve_control.control.parameters import files
+    from valve_control.control.parameters.axis import AXIS_NODES
 
     direct: dict[str, dict[str, Any]] = {
         "controller": {"controller": arguments.controller},
@@ -74,9 +74,9 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
 
 
 def _axis(arguments: argparse.Namespace) -> None:
-    from valve_control.axis import run
-    from valve_control.compiling import explained
-    from valve_control.laws.registry import LAWS
+    from valve_control.control.axis import run
+    from valve_control.control.compiling import explained
+    from valve_control.control.laws.registry import LAWS
 
     check_outputs(arguments, [arguments.csv], [arguments.figure])
     setup = run.setup(_settings(arguments))
@@ -127,7 +127,7 @@ def _words(setup: "Setup", found: "Run") -> list[str]:
 
 
 def _draw(path: Path, setup: "Setup", found: "Run") -> None:
-    from valve_control.analysis.figures import Line, Plot, draw_plots
+    from valve_control.control.analysis.figures import Line, Plot, draw_plots
 
     s, t = found.signals, found.time
     draw_plots(

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 from valve_control import interrupts, outputs
 from valve_control.cli.common import Progress, check_outputs, check_processes, say, write_json
 from valve_control.cli.simulate import settings_of, setup_options
+from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults
-from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
-    from valve_control.calibration.search import Problem
-    from valve_control.calibration.space import Dimension, Settings
+    from valve_control.design.calibration.search import Problem
+    from valve_control.design.calibration.space import Dimension, Settings
 
 FIELDS = ("e_M", "e_F", "e_rms", "u_rms", "c_u")
 CLEAR = 1.5  # times the best cost, within which a quantity counts as not excluded
@@ -81,8 +81,8 @@ def add_commands(commands: Any) -> None:
 
 
 def _calibrate(arguments: argparse.Namespace) -> int:
-    from valve_control.calibration import measured, objective, search, space
-    from valve_control.parameters import build
+    from valve_control.control.parameters import build
+    from valve_control.design.calibration import measured, objective, search, space
 
     check_outputs(arguments, [arguments.output])
     table = measured.read(arguments.table)
@@ -145,7 +145,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
 
 def _chosen(arguments: argparse.Namespace, base: "Settings", table: Mapping[str, Any]) -> list["Dimension"]:
     """Quantities that the search may vary."""
-    from valve_control.calibration.space import DIMENSIONS
+    from valve_control.design.calibration.space import DIMENSIONS
 
     names = [d.name for d in DIMENSIONS]
     for name in arguments.fix:
@@ -172,7 +172,7 @@ def _present(base: "Settings", dimensions: Sequence["Dimension"]) -> Any:
     """The given parameters as a point of the unit cube; prints which of them lie outside of their range."""
     import numpy as np
 
-    from valve_control.calibration.space import present
+    from valve_control.design.calibration.space import present
 
     for d in dimensions:
         value = present(base, d)
@@ -203,7 +203,7 @@ def _nearness(runs: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, An
     """Fit, ratios to the table and pairs in another order, for JSON."""
     import numpy as np
 
-    from valve_control.calibration import objective
+    from valve_control.design.calibration import objective
 
     return {
         **objective.fit(runs, table)._asdict(),
@@ -240,7 +240,7 @@ def _print_fit(result: Mapping[str, Any], dimensions: Sequence["Dimension"]) -> 
 
 def save(path: str, table: str, base: "Settings", settings: "Settings", result: Mapping[str, Any]) -> None:
     """Write what differs from the defaults as a ROS 2 parameter file. Raises OSError."""
-    from valve_control.parameters import files
+    from valve_control.control.parameters import files
 
     fits = " and ".join(
         f"{100 * result[key]['rms']:.1f} % rms ({what})"
@@ -269,7 +269,7 @@ def save(path: str, table: str, base: "Settings", settings: "Settings", result: 
 def _trials(
     arguments: argparse.Namespace, settings: "Settings", table: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    from valve_control.calibration.trials import trials
+    from valve_control.design.calibration.trials import trials
 
     found = trials(settings, list(table))
     if arguments.json != "-":
@@ -283,8 +283,8 @@ def _trials(
 def _identifiability(arguments: argparse.Namespace, problem: "Problem", point: Any) -> dict[str, Any]:
     from tqdm import tqdm
 
-    from valve_control.calibration import identifiability as ident
-    from valve_control.calibration.search import cost_at
+    from valve_control.design.calibration import identifiability as ident
+    from valve_control.design.calibration.search import cost_at
 
     count = 2 * len(problem.dimensions)
     with tqdm(total=count, desc="profiles", file=sys.stderr) as bar:

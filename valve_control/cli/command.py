@@ -25,7 +25,7 @@ from valve_control.cli import (
     tune,
 )
 from valve_control.cli.common import Parser, ended
-from valve_control.laws.registry import LEFT_OUT
+from valve_control.control.laws.registry import LEFT_OUT
 
 EXAMPLES = """examples:
   valve-control identify --set lvdt.noise=0.005 --output valve.yaml --figure bode.png

@@ -15,9 +15,9 @@ from valve_control.cli.common import check_processes, check_search, say, write_j
 from valve_control.parameter import ParameterError, word
 
 if TYPE_CHECKING:
-    from valve_control.commissioning.backup import Backup
-    from valve_control.commissioning.plan import Plan
-    from valve_control.commissioning.sequence import Result
+    from valve_control.design.commissioning.backup import Backup
+    from valve_control.design.commissioning.plan import Plan
+    from valve_control.design.commissioning.sequence import Result
     from valve_control.nodes.commission import Controller
     from valve_control.parameter import Values
 
@@ -75,7 +75,7 @@ def add_commands(commands: Any) -> None:
 
 def _commission(arguments: argparse.Namespace) -> int:
     _check(arguments)
-    from valve_control.commissioning.bench import Fault
+    from valve_control.design.commissioning.bench import Fault
 
     if arguments.undo:
         _backup(arguments)  # whether there is one is known without the node
@@ -95,7 +95,7 @@ def _commission(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    from valve_control.identification import dead_time
+    from valve_control.design.identification import dead_time
 
     check_processes("threads", arguments.threads)
     dead_time.check(arguments.sensor_delay)
@@ -109,7 +109,7 @@ def _check(arguments: argparse.Namespace) -> None:
     if not all(part.isidentifier() for part in arguments.node.strip("/").split("/")):
         raise ParameterError(f"--node {arguments.node} is no full name of a node, such as /boom/controller")
     if arguments.controller is not None:
-        from valve_control.laws.registry import LAWS
+        from valve_control.control.laws.registry import LAWS
 
         if arguments.controller not in LAWS:
             raise ParameterError(
@@ -123,7 +123,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _backup(arguments: argparse.Namespace) -> "Backup":
     """What --folder has of the parameters from before. Raises ParameterError if it has nothing."""
-    from valve_control.commissioning import backup
+    from valve_control.design.commissioning import backup
 
     kept = backup.read(Path(arguments.folder))
     if kept is None:
@@ -132,7 +132,7 @@ def _backup(arguments: argparse.Namespace) -> "Backup":
 
 
 def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
-    from valve_control.commissioning import backup, sequence
+    from valve_control.design.commissioning import backup, sequence
 
     kept = _backup(arguments)
     if kept.node != controller.name:
@@ -151,8 +151,8 @@ def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
 
 
 def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
-    from valve_control.commissioning.bench import Limits
-    from valve_control.commissioning.plan import Plan
+    from valve_control.design.commissioning.bench import Limits
+    from valve_control.design.commissioning.plan import Plan
 
     return Plan(
         Limits(arguments.max_voltage, arguments.travel),
@@ -169,9 +169,9 @@ def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
 
 
 def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
-    from valve_control.commissioning import backup, sequence
-    from valve_control.commissioning.bench import Fault
-    from valve_control.commissioning.plan import check
+    from valve_control.design.commissioning import backup, sequence
+    from valve_control.design.commissioning.bench import Fault
+    from valve_control.design.commissioning.plan import check
 
     folder = Path(arguments.folder)
     before = controller.values()
@@ -275,7 +275,7 @@ class _Steps:
     def _keep(self, name: str, node: str, values: "Values", about: str) -> None:
         from tqdm import tqdm
 
-        from valve_control.parameters import files
+        from valve_control.control.parameters import files
 
         path = Path(self._arguments.folder) / name
         outputs.write(str(path), files.as_yaml({node: values}, [about]))
@@ -291,8 +291,8 @@ class _Steps:
 
 def _texts(arguments: argparse.Namespace, result: "Result") -> dict[str, str]:
     """What is written of a commissioning that succeeded, by file."""
-    from valve_control.commissioning import report, sequence
-    from valve_control.parameters import files
+    from valve_control.control.parameters import files
+    from valve_control.design.commissioning import report, sequence
 
     made = result.verification.measured
     about = [
@@ -307,7 +307,7 @@ def _texts(arguments: argparse.Namespace, result: "Result") -> dict[str, str]:
 
 
 def _tell(arguments: argparse.Namespace, result: "Result", written: list[Path]) -> None:
-    from valve_control.commissioning import sequence
+    from valve_control.design.commissioning import sequence
 
     made = result.verification
     say(

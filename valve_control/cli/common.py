@@ -13,12 +13,12 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from valve_control import interrupts, outputs
-from valve_control.bags.errors import BagError
-from valve_control.laws.registry import LEFT_OUT
+from valve_control.control.laws.registry import LEFT_OUT
 from valve_control.parameter import ParameterError
+from valve_control.recordings.bags.errors import BagError
 
 if TYPE_CHECKING:
-    from valve_control.simulation.cluster import Cluster
+    from valve_control.control.simulation.cluster import Cluster
 
 MOST_PER_CORE = 4  # processes or threads
 MOST_SEED, MOST_VALVES = 2_000_000_000, 100_000  # of a search
@@ -125,7 +125,7 @@ def workers(arguments: argparse.Namespace) -> Iterator["Cluster | None"]:
     if arguments.cluster is None:
         yield None
         return
-    from valve_control.simulation import cluster
+    from valve_control.control.simulation import cluster
 
     with cluster.connected(arguments.cluster) as connected:
         yield connected

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from valve_control.cli.common import check_outputs
+from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, lookup
-from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
-    from valve_control.identification.bode import Corners
-    from valve_control.identification.cancellation import Agreement, Compensator
-    from valve_control.plant.models import TransferFunction
+    from valve_control.control.plant.models import TransferFunction
+    from valve_control.design.identification.bode import Corners
+    from valve_control.design.identification.cancellation import Agreement, Compensator
 
 DESIGNED = (
     "source",
@@ -64,7 +64,7 @@ def add_commands(commands: Any) -> None:
 
 
 def _compensator(arguments: argparse.Namespace) -> int:
-    from valve_control.identification import cancellation, result
+    from valve_control.design.identification import cancellation, result
 
     check_outputs(arguments, [arguments.output], [arguments.figure])
     if arguments.paper:
@@ -119,8 +119,8 @@ def _tell(
 
 
 def _model(arguments: argparse.Namespace) -> "TransferFunction":
-    from valve_control.identification import result
-    from valve_control.plant.models import MODELS, TransferFunction
+    from valve_control.control.plant.models import MODELS, TransferFunction
+    from valve_control.design.identification import result
 
     polynomials = (arguments.numerator, arguments.denominator)
     given = [
@@ -146,8 +146,8 @@ def _model(arguments: argparse.Namespace) -> "TransferFunction":
 
 
 def _parameters(made: "Compensator") -> dict[str, Values]:
-    from valve_control.identification.result import with_period
-    from valve_control.plant.models import MODELS
+    from valve_control.control.plant.models import MODELS
+    from valve_control.design.identification.result import with_period
 
     named = next((name for name, model in MODELS.items() if model == made.model), None)
     values: Values = {
@@ -167,7 +167,7 @@ def _parameters(made: "Compensator") -> dict[str, Values]:
 
 
 def _comments(made: "Compensator") -> list[str]:
-    from valve_control.identification.result import polynomial
+    from valve_control.design.identification.result import polynomial
 
     return [
         f"Pole-zero compensator for {made.bandwidth:g} Hz:",
@@ -178,14 +178,14 @@ def _comments(made: "Compensator") -> list[str]:
 
 
 def _corners(found: "Corners") -> str:
-    from valve_control.identification.result import hertz
+    from valve_control.design.identification.result import hertz
 
     return f"-3 dB at {hertz(found.minus_3db)}, -90° at {hertz(found.minus_90)}"
 
 
 def _text(made: "Compensator") -> str:
-    from valve_control.identification import bode
-    from valve_control.identification.result import polynomial, roots_text
+    from valve_control.design.identification import bode
+    from valve_control.design.identification.result import polynomial, roots_text
 
     c = made.transfer_function
     s = made.sampling
@@ -209,7 +209,7 @@ def _text(made: "Compensator") -> str:
 
 
 def _dict(made: "Compensator") -> dict[str, Any]:
-    from valve_control.identification import bode
+    from valve_control.design.identification import bode
 
     c = made.transfer_function
 
@@ -238,7 +238,7 @@ def _dict(made: "Compensator") -> dict[str, Any]:
 
 
 def _paper(arguments: argparse.Namespace) -> int:
-    from valve_control.identification import cancellation
+    from valve_control.design.identification import cancellation
 
     designed = (*DESIGNED, "bandwidth", "sample_period", "u_max")
     wrong = [name for name in designed if not any(getattr(arguments, name) is left for left in (None, False))]
@@ -255,7 +255,7 @@ def _paper(arguments: argparse.Namespace) -> int:
 
 
 def _agreement_text(a: "Agreement") -> str:
-    from valve_control.identification.result import polynomial
+    from valve_control.design.identification.result import polynomial
 
     def told(errors: tuple[float, ...]) -> str:
         return ", ".join(f"{100.0 * error:.2g} %" if abs(error) > 1e-6 else "0" for error in errors[1:])

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from valve_control.cli.common import check_outputs, say, tell_notes, write_json
+from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
-from valve_control.parameters.table import NODES
 
 CONTROLLERS = lookup(NODES["controller"], "controller").choices
 
@@ -69,9 +69,9 @@ def add_commands(commands: Any) -> None:
 def _export(arguments: argparse.Namespace) -> None:
     from tqdm import tqdm
 
+    from valve_control.control.parameters import files
+    from valve_control.control.parameters.axis import AXIS_NODES
     from valve_control.export import folder, settable, unit
-    from valve_control.parameters import files
-    from valve_control.parameters.axis import AXIS_NODES
 
     path = folder.refuse_taken(arguments.output)
     check_outputs(arguments)

@@ -8,21 +8,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control.bags.errors import BagError
 from valve_control.cli import compensator
 from valve_control.cli.common import Progress, check_outputs, clock_option, say, tell_notes, write_json
 from valve_control.cli.simulate import SCENARIOS, setup_options
-from valve_control.identification import WEIGHTINGS
+from valve_control.control.parameters.table import NODES
+from valve_control.design.identification import WEIGHTINGS
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
-from valve_control.parameters.table import NODES
+from valve_control.recordings.bags.errors import BagError
 
 if TYPE_CHECKING:
-    from valve_control.identification.characteristic import Characteristic
-    from valve_control.identification.experiment import Experiment
-    from valve_control.identification.friction import Friction
-    from valve_control.identification.rational import Fit
-    from valve_control.identification.response import Response
-    from valve_control.identification.result import Identification
+    from valve_control.design.identification.characteristic import Characteristic
+    from valve_control.design.identification.experiment import Experiment
+    from valve_control.design.identification.friction import Friction
+    from valve_control.design.identification.rational import Fit
+    from valve_control.design.identification.response import Response
+    from valve_control.design.identification.result import Identification
 
 SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
 CURVE_TABLES = (".csv", ".json")
@@ -138,7 +138,7 @@ def add_commands(commands: Any) -> None:
 
 def _identify(arguments: argparse.Namespace) -> int:
     from valve_control import outputs
-    from valve_control.identification import dead_time, result
+    from valve_control.design.identification import dead_time, result
 
     _check_curve(arguments)
     if arguments.second_order is not None:
@@ -206,8 +206,8 @@ def _second_order(text: str) -> tuple[float, float, float]:
 def _given(arguments: argparse.Namespace) -> int:
     """Write what follows from natural frequency, damping and static gain, without a test."""
     from valve_control import outputs
-    from valve_control.identification import datasheet, result
-    from valve_control.parameters import files as parameter_files
+    from valve_control.control.parameters import files as parameter_files
+    from valve_control.design.identification import datasheet, result
 
     named = {name: getattr(arguments, name) for name in (*MEASURED, *BAG_ONLY)}
     for name, value in named.items():
@@ -281,7 +281,7 @@ def _rounds(
     progress: Progress,
 ) -> "Identification":
     """What both tests give: the friction needs the lag of the model, and the model what friction leaves."""
-    from valve_control.identification import characteristic, experiment, friction
+    from valve_control.design.identification import characteristic, experiment, friction
 
     measured = experiment.estimate(tested, arguments.settle, band)
     fits, told = _fits(arguments, tested, measured)
@@ -310,7 +310,7 @@ def _check_curve(arguments: argparse.Namespace) -> None:
 def _curve(found: "Identification", path: str) -> str | bytes:
     """The characteristic curve as the file ``path``. Raises ParameterError if there is none."""
     from valve_control import outputs
-    from valve_control.identification import characteristic
+    from valve_control.design.identification import characteristic
 
     if found.curve is None:
         raise ParameterError(
@@ -337,8 +337,8 @@ def _triangle(arguments: argparse.Namespace) -> "Experiment":
 
 def _simulated(arguments: argparse.Namespace, triangle: bool = False) -> "Experiment":
     """A test of the simulated valve; ``triangle``: that of its friction."""
-    from valve_control.identification import experiment, friction
-    from valve_control.parameters import files as parameter_files
+    from valve_control.control.parameters import files as parameter_files
+    from valve_control.design.identification import experiment, friction
 
     for name in BAG_ONLY:
         if getattr(arguments, name) not in (None, []):
@@ -378,7 +378,7 @@ def _simulated(arguments: argparse.Namespace, triangle: bool = False) -> "Experi
         test = {"amplitude": friction.SHARE * number(settings["valve_simulator"], "u_max"), **test}
     command = experiment.test_values(test, period)
     if arguments.command is not None:
-        from valve_control.commands import arrays
+        from valve_control.control.commands import arrays
 
         motion = arrays.read(arguments.command)
         command = {**command, "scenario": "array"}
@@ -386,7 +386,7 @@ def _simulated(arguments: argparse.Namespace, triangle: bool = False) -> "Experi
 
 
 def _recorded(arguments: argparse.Namespace) -> "Experiment":
-    from valve_control.identification import recorded
+    from valve_control.design.identification import recorded
     from valve_control.recordings import recording, tables
 
     for name in SIMULATED:
@@ -414,7 +414,7 @@ def _found(
     rubbing: "Friction | None",
     curve: "Characteristic | None",
 ) -> "Identification":
-    from valve_control.identification import (
+    from valve_control.design.identification import (
         characteristic,
         dead_time,
         experiment,
@@ -463,7 +463,7 @@ def _fits(
 
     Without --order the response chooses. A second order that misses it then has a dead time too.
     """
-    from valve_control.identification import rational, structure
+    from valve_control.design.identification import rational, structure
 
     options = {"delayed": arguments.delay, "weighting": arguments.weighting}
     try:
@@ -487,7 +487,7 @@ def _fits(
 
 def _second(tested: "Experiment", measured: "Response", delayed: bool, weighting: str) -> "Fit":
     """The second order. Raises ParameterError if it says nothing of the valve."""
-    from valve_control.identification import experiment, rational
+    from valve_control.design.identification import experiment, rational
 
     try:
         second = rational.fit(measured, 2, delayed=delayed, weighting=weighting)

@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
-from valve_control.analysis.tables import HEADER, index_row
-from valve_control.bags.errors import BagError
 from valve_control.cli.common import Parser, check_outputs, clock_option, say, tell_notes, write_json
+from valve_control.control.analysis.tables import HEADER, index_row
+from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, lookup
-from valve_control.parameters.table import NODES
+from valve_control.recordings.bags.errors import BagError
 
 if TYPE_CHECKING:
-    from valve_control.bags.bag import Bag
-    from valve_control.bags.recover import RecoveredFile
     from valve_control.recordings.analysis import ValveAnalysis
     from valve_control.recordings.axis import Axis
+    from valve_control.recordings.bags.bag import Bag
+    from valve_control.recordings.bags.recover import RecoveredFile
     from valve_control.recordings.recording import Recording
 
 CONTROLLERS = lookup(NODES["controller"], "controller").choices
@@ -258,7 +258,7 @@ def _refuse_of_other_modes(arguments: argparse.Namespace) -> None:
 
 
 def _overrides(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    from valve_control.parameters import files
+    from valve_control.control.parameters import files
 
     direct = {"controller": {"controller": arguments.controller}}
     notes: list[str] = []
@@ -397,7 +397,7 @@ def compare_bags(arguments: argparse.Namespace) -> None:
 
 
 def _recover(arguments: argparse.Namespace) -> int:
-    from valve_control.bags.recover import recover
+    from valve_control.recordings.bags.recover import recover
 
     check_outputs(arguments)
     result = recover(Path(arguments.bag), Path(arguments.out) if arguments.out is not None else None)

@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
-from valve_control.analysis.tables import HEADER, index_row
 from valve_control.cli import moved
 from valve_control.cli.common import Once, Parser, check_outputs, clock_option, say, tell_notes, write_json
+from valve_control.control.analysis.tables import HEADER, index_row
+from valve_control.control.parameters.axis import AXIS_NODES
+from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
-from valve_control.parameters.axis import AXIS_NODES
-from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
-    from valve_control.simulation.delivery import Delivery
-    from valve_control.simulation.offline import Run
+    from valve_control.control.simulation.delivery import Delivery
+    from valve_control.control.simulation.offline import Run
 
 CONTROLLERS = lookup(NODES["controller"], "controller").choices
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
@@ -142,7 +142,7 @@ def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Value
     ``law``: for a comparison, without what other laws' files have for the controller; the notes are then
     told already. Raises ParameterError.
     """
-    from valve_control.parameters import files
+    from valve_control.control.parameters import files
 
     array = {} if arguments.command is None else {"scenario": "array", "command_file": arguments.command}
     if array and arguments.scenario is not None:
@@ -167,9 +167,9 @@ def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Value
 
 
 def _command(arguments: argparse.Namespace, values: Values) -> Any:
-    from valve_control.commands import arrays
-    from valve_control.parameters import build
-    from valve_control.simulation import offline
+    from valve_control.control.commands import arrays
+    from valve_control.control.parameters import build
+    from valve_control.control.simulation import offline
 
     if values["scenario"] == "array" and arguments.duration is None:
         return arrays.read(str(values["command_file"]))
@@ -182,7 +182,7 @@ def delivery_of(arguments: argparse.Namespace, values: Values) -> "Delivery | No
 
     Raises ParameterError.
     """
-    from valve_control.simulation import delivery
+    from valve_control.control.simulation import delivery
 
     asked = arguments.command_period, arguments.command_jitter
     if asked == (None, None) and values["command.interpolation"] == "hold":
@@ -197,7 +197,7 @@ def delivery_of(arguments: argparse.Namespace, values: Values) -> "Delivery | No
 
 
 def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:
-    from valve_control.analysis import limit_cycle
+    from valve_control.control.analysis import limit_cycle
 
     return {
         "controller": run.controller,
@@ -220,7 +220,7 @@ def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:
 def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], title: str) -> None:
     if arguments.figure is None:
         return
-    from valve_control.analysis.figures import Trace, draw_traces
+    from valve_control.control.analysis.figures import Trace, draw_traces
 
     traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
     draw_traces(Path(arguments.figure), {title: traces}, "valve_control, offline")
@@ -228,8 +228,8 @@ def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], title: str) ->
 
 
 def _simulate(arguments: argparse.Namespace) -> None:
-    from valve_control.analysis.steps import in_words
-    from valve_control.simulation import offline
+    from valve_control.control.analysis.steps import in_words
+    from valve_control.control.simulation import offline
 
     check_outputs(arguments, [arguments.csv, arguments.npz], [arguments.figure])
     settings = settings_of(arguments)
@@ -262,7 +262,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
 
 
 def _say_cycle(run: "Run") -> None:
-    from valve_control.analysis.limit_cycle import in_words
+    from valve_control.control.analysis.limit_cycle import in_words
 
     text = in_words(run.saturated, run.limit_cycle)
     if text:
@@ -292,8 +292,8 @@ def _traces(arguments: argparse.Namespace, run: "Run") -> None:
 
 
 def _compare(arguments: argparse.Namespace) -> None:
-    from valve_control.analysis.indices import PAPER_TABLE_1
-    from valve_control.simulation import offline
+    from valve_control.control.analysis.indices import PAPER_TABLE_1
+    from valve_control.control.simulation import offline
 
     if arguments.bags:
         from valve_control.cli.recordings import compare_bags
@@ -341,7 +341,7 @@ def _of_the_paper(settings: Mapping[str, Values]) -> bool:
 
 def _tell_owners(paths: Sequence[str]) -> None:
     """Say which files hold for one law, and have values that others could have taken too."""
-    from valve_control.parameters import files
+    from valve_control.control.parameters import files
 
     loaded = [files.load(path)["controller"] for path in paths]
     for path, values, law in zip(paths, loaded, files.of_laws(loaded), strict=True):

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
-from valve_control.analysis.tables import HEADER, index_row
 from valve_control.cli.common import (
     Progress,
     check_outputs,
@@ -22,11 +21,12 @@ from valve_control.cli.common import (
     write_json,
 )
 from valve_control.cli.simulate import CONTROLLERS, settings_of, setup_options
+from valve_control.control.analysis.tables import HEADER, index_row
+from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, number, updated, word
-from valve_control.parameters.table import NODES
 
 if TYPE_CHECKING:
-    from valve_control.simulation.robustness import Found, Quantity, Study
+    from valve_control.control.simulation.robustness import Found, Quantity, Study
 
 
 def add_commands(commands: Any) -> None:
@@ -69,7 +69,7 @@ def add_commands(commands: Any) -> None:
 
 
 def _study(arguments: argparse.Namespace) -> int:
-    from valve_control.simulation import robustness
+    from valve_control.control.simulation import robustness
 
     _check(arguments)
     chosen = _chosen(arguments)
@@ -136,8 +136,8 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
     """The quantities that vary: those of the study that --fix does not name. Raises ParameterError."""
-    from valve_control.parameters import files
-    from valve_control.simulation import robustness
+    from valve_control.control.parameters import files
+    from valve_control.control.simulation import robustness
 
     who = "the study" if arguments.task == "study" else arguments.task
     names = [q.name for q in robustness.BOX]
@@ -165,8 +165,8 @@ def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
 
 def _chosen(arguments: argparse.Namespace) -> "Study":
     """Study that the options ask for. Raises ParameterError."""
-    from valve_control.parameters import files
-    from valve_control.simulation import robustness
+    from valve_control.control.parameters import files
+    from valve_control.control.simulation import robustness
 
     settings = settings_of(arguments)
     given = {files.parse_setting(text)[0] for text in arguments.set}
@@ -183,7 +183,7 @@ def _chosen(arguments: argparse.Namespace) -> "Study":
         if len(periods) > 1:
             raise ParameterError("a command array has one number per sample period; give --sample-period too")
         if arguments.duration is None:  # the whole array
-            from valve_control.commands import arrays
+            from valve_control.control.commands import arrays
 
             length = len(arrays.read(word(source, "command_file")))
             settings["command_source"] = updated(
@@ -212,7 +212,7 @@ def _print(result: dict[str, Any]) -> None:
         label = name if name in ("c_u", "saturated") else f"{name} [V]"
         print(f"{label:16}" + "".join(f"{row[p]:9.4f}" for p in percents))
     # What has no integral action is off target with any disturbance, and need not be unstable.
-    from valve_control.laws.registry import LAWS
+    from valve_control.control.laws.registry import LAWS
 
     sign = "no sign of instability" if not LAWS[str(result["controller"])].feedback else "unstable"
     shares = [f"{p} s: {100.0 * s:.3f} %" for p, s in result["unstable_by_period"].items()]
@@ -226,7 +226,7 @@ def _print(result: dict[str, Any]) -> None:
 def _draw(path: Path, found: "Found", controller: str) -> None:
     import numpy as np
 
-    from valve_control.analysis.figures import COLOURS, Line, Plot, draw_plots
+    from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_plots
 
     plots = []
     for name in ("e_rms", "e_M", "e_F"):
@@ -242,9 +242,9 @@ def _draw(path: Path, found: "Found", controller: str) -> None:
 
 
 def _replay(arguments: argparse.Namespace, chosen: "Study") -> None:
-    from valve_control.analysis import limit_cycle
-    from valve_control.parameters import build, files
-    from valve_control.simulation import offline, robustness
+    from valve_control.control.analysis import limit_cycle
+    from valve_control.control.parameters import build, files
+    from valve_control.control.simulation import offline, robustness
 
     if arguments.replay < 0:
         raise ParameterError(f"--replay is {arguments.replay}; valves are numbered from 0")
@@ -270,7 +270,7 @@ def _replay(arguments: argparse.Namespace, chosen: "Study") -> None:
         outputs.write(arguments.output, files.as_yaml(settings, [comment]))
         say(arguments, f"wrote {arguments.output}")
     if arguments.figure is not None:
-        from valve_control.analysis.figures import Trace, draw_traces
+        from valve_control.control.analysis.figures import Trace, draw_traces
 
         trace = Trace(run.time, run.command, run.measurement, run.voltage)
         draw_traces(Path(arguments.figure), {title: {run.controller: trace}}, "study")

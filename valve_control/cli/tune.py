@@ -36,16 +36,16 @@ from valve_control.cli.study import box_of
 from valve_control.parameter import ParameterError, Values, defaults, number, word
 
 if TYPE_CHECKING:
-    from valve_control.analysis.indices import Indices
-    from valve_control.commissioning.recorded import Found
-    from valve_control.plant.models import TransferFunction
+    from valve_control.control.analysis.indices import Indices
+    from valve_control.control.plant.models import TransferFunction
+    from valve_control.control.simulation.cluster import Cluster
+    from valve_control.control.simulation.robustness import Quantity
+    from valve_control.design.commissioning.recorded import Found
+    from valve_control.design.tuning.kept import Kept
+    from valve_control.design.tuning.search import Told
+    from valve_control.design.tuning.trial import Limits, Motion, Problem
+    from valve_control.design.tuning.tuner import Aim, Tuned
     from valve_control.recordings.recording import Aligned, Valve
-    from valve_control.simulation.cluster import Cluster
-    from valve_control.simulation.robustness import Quantity
-    from valve_control.tuning.kept import Kept
-    from valve_control.tuning.search import Told
-    from valve_control.tuning.trial import Limits, Motion, Problem
-    from valve_control.tuning.tuner import Aim, Tuned
 
 PID = "pid"  # that is tuned beside the others
 LOUDER = 1.2  # times the chatter with commands in time, from which that with uneven ones is told
@@ -141,9 +141,9 @@ def add_commands(commands: Any) -> None:
 
 
 def _tune(arguments: argparse.Namespace) -> int:
-    from valve_control.laws.registry import LAWS
-    from valve_control.simulation.cluster import ClusterError
-    from valve_control.tuning import tuner
+    from valve_control.control.laws.registry import LAWS
+    from valve_control.control.simulation.cluster import ClusterError
+    from valve_control.design.tuning import tuner
 
     _check(arguments)
     files, arguments.command = arguments.command or [], None
@@ -198,7 +198,7 @@ def _tune(arguments: argparse.Namespace) -> int:
         if recorded is not None:
             _print_recording(result["recording"])
     if arguments.html is not None:
-        from valve_control.tuning import report
+        from valve_control.design.tuning import report
 
         outputs.write(
             arguments.html, report.page(unseen, aim, found, missing, laws, written, _typed(arguments))
@@ -263,9 +263,9 @@ def _stoppable(
     """
     from importlib.metadata import version
 
-    from valve_control.compiling import sources_digest
-    from valve_control.simulation.cluster import ClusterError
-    from valve_control.tuning.kept import Kept, digest
+    from valve_control.control.compiling import sources_digest
+    from valve_control.control.simulation.cluster import ClusterError
+    from valve_control.design.tuning.kept import Kept, digest
 
     aim = _aim(arguments)
     request = {
@@ -308,7 +308,7 @@ def _stoppable(
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    from valve_control.tuning import pauses
+    from valve_control.design.tuning import pauses
 
     if arguments.bag is None:
         for name, value in (
@@ -356,7 +356,7 @@ def _seed(arguments: argparse.Namespace) -> int:
 
 def _laws(names: str | None, usual: str) -> list[str]:
     """Laws that ``names`` asks for. Raises ParameterError."""
-    from valve_control.laws.registry import LAWS, LEFT_OUT
+    from valve_control.control.laws.registry import LAWS, LEFT_OUT
 
     if names is None:
         return [usual]
@@ -379,8 +379,8 @@ def _laws(names: str | None, usual: str) -> list[str]:
 
 def _check_free(settings: Sequence[str], laws: list[str]) -> None:
     """Raise ParameterError for a --set of a number that the search chooses for each of ``laws``."""
-    from valve_control.laws.free import entries_of
-    from valve_control.laws.registry import LAWS
+    from valve_control.control.laws.free import entries_of
+    from valve_control.control.laws.registry import LAWS
 
     chosen = [
         {name for free in LAWS[law].free for name, index in entries_of(free) if index is None} for law in laws
@@ -402,13 +402,13 @@ def _paths(output: str | None, laws: list[str]) -> dict[str, str]:
 
 
 def _aim(arguments: argparse.Namespace) -> "Aim":
-    from valve_control.tuning.tuner import Aim
+    from valve_control.design.tuning.tuner import Aim
 
     return Aim(arguments.max_chatter, arguments.max_error)
 
 
 def _limits(arguments: argparse.Namespace) -> "Limits":
-    from valve_control.tuning.trial import Limits
+    from valve_control.design.tuning.trial import Limits
 
     return Limits(
         arguments.gain_margin,
@@ -424,10 +424,10 @@ def _limits(arguments: argparse.Namespace) -> "Limits":
 
 def _motions(arguments: argparse.Namespace, settings: dict[str, Values], files: list[str]) -> list["Motion"]:
     """The commands, each of at least one second. Raises ParameterError."""
-    from valve_control.commands import arrays
-    from valve_control.parameters import build
-    from valve_control.tuning import box
-    from valve_control.tuning.trial import Motion
+    from valve_control.control.commands import arrays
+    from valve_control.control.parameters import build
+    from valve_control.design.tuning import box
+    from valve_control.design.tuning.trial import Motion
 
     if files and arguments.scenario is not None:
         raise ParameterError(
@@ -460,13 +460,13 @@ def _problems(
     recorded: "_Recorded | None" = None,
 ) -> tuple["Problem", "Problem"]:
     """What the search sees, and what verification sees. Raises ParameterError."""
-    from valve_control.laws.registry import LAWS
-    from valve_control.parameters import build
-    from valve_control.parameters import files as parameter_files
-    from valve_control.plant import models
-    from valve_control.simulation import offline
-    from valve_control.tuning import box
-    from valve_control.tuning.trial import Problem
+    from valve_control.control.laws.registry import LAWS
+    from valve_control.control.parameters import build
+    from valve_control.control.parameters import files as parameter_files
+    from valve_control.control.plant import models
+    from valve_control.control.simulation import offline
+    from valve_control.design.tuning import box
+    from valve_control.design.tuning.trial import Problem
 
     offline.check_agreement(settings["controller"], settings["valve_simulator"])
     quantities = box_of(arguments) if recorded is None else recorded.box
@@ -510,8 +510,8 @@ def _problems(
 
 def _braking(values: Values, given: Values) -> Values:
     """The controller's ``values`` with a reference that brakes in time, unless a form was given."""
+    from valve_control.control.parameters.table import CONTROLLER
     from valve_control.parameter import updated
-    from valve_control.parameters.table import CONTROLLER
 
     if "reshaping.form" in given or values["reshaping.form"] == "braking":
         return values
@@ -520,9 +520,9 @@ def _braking(values: Values, given: Values) -> Values:
 
 def _with_limits(values: Values, model: "TransferFunction", given: Values) -> Values:
     """The controller's ``values`` with (6) and (7) of the valve, unless limits were ``given``."""
-    from valve_control.laws import reshaping
+    from valve_control.control.laws import reshaping
+    from valve_control.control.parameters.table import CONTROLLER
     from valve_control.parameter import updated
-    from valve_control.parameters.table import CONTROLLER
 
     limits = reshaping.limits(model, number(values, "u_max"))
     usual = defaults(reshaping.PARAMETERS)
@@ -549,16 +549,16 @@ def _recorded(arguments: argparse.Namespace, settings: dict[str, Values]) -> _Re
     """Valve, controller and command of a recording. Raises ParameterError and BagError."""
     import numpy as np
 
-    from valve_control.analysis.indices import indices
-    from valve_control.bags.errors import BagError
-    from valve_control.commissioning import recorded as learning
-    from valve_control.identification import recorded as tests
+    from valve_control.control.analysis.indices import indices
+    from valve_control.control.parameters import files
+    from valve_control.control.parameters.table import CONTROLLER
+    from valve_control.design.commissioning import recorded as learning
+    from valve_control.design.identification import recorded as tests
+    from valve_control.design.tuning import box
+    from valve_control.design.tuning.trial import Motion
     from valve_control.parameter import updated
-    from valve_control.parameters import files
-    from valve_control.parameters.table import CONTROLLER
     from valve_control.recordings import recording
-    from valve_control.tuning import box
-    from valve_control.tuning.trial import Motion
+    from valve_control.recordings.bags.errors import BagError
 
     named = ("command", "scenario", "valve", "sample_period", "duration", "command_period", "command_jitter")
     for name in named:
@@ -625,8 +625,8 @@ def _on_recording(recorded: _Recorded, found: dict[str, "Tuned"], tuned: Values)
 
     ``tuned``: the controller's values around which the gains were searched.
     """
+    from valve_control.design.tuning import tuner
     from valve_control.recordings import what_if
-    from valve_control.tuning import tuner
 
     values = recorded.settings["controller"]
 
@@ -670,8 +670,8 @@ def _typed(arguments: argparse.Namespace) -> str:
 
 
 def _save(path: str, name: str, values: Values, one: "Tuned", arguments: argparse.Namespace) -> None:
-    from valve_control.parameters import files
-    from valve_control.tuning import tuner, verification
+    from valve_control.control.parameters import files
+    from valve_control.design.tuning import tuner, verification
 
     reached = verification.as_dict(one.chosen.verified)
     about = [
@@ -688,7 +688,7 @@ def _result(
     found: dict[str, "Tuned"], missing: dict[str, str], laws: list[str], written: dict[str, str]
 ) -> dict[str, Any]:
     """For JSON; the PID that was not asked for stands beside the laws."""
-    from valve_control.tuning import tuner
+    from valve_control.design.tuning import tuner
 
     made: dict[str, dict[str, Any]] = {}
     for name, one in found.items():
@@ -704,7 +704,7 @@ def _result(
 
 
 def _print(found: dict[str, "Tuned"]) -> None:
-    from valve_control.tuning import margins, verification
+    from valve_control.design.tuning import margins, verification
 
     if not found:
         return

@@ -15,14 +15,14 @@ from functools import partial
 
 from nicegui import ui
 
-from valve_control.commands.scenarios import SCENARIOS
+from valve_control.control.commands.scenarios import SCENARIOS
+from valve_control.control.parameters.build import as_text
+from valve_control.control.parameters.table import COMMAND
 from valve_control.dashboard.entry import EntryError, number, parse
 from valve_control.dashboard.generator import check, paced
 from valve_control.dashboard.valve import Valve
 from valve_control.dashboard.window import Window
 from valve_control.parameter import ParameterError, Value, Values, defaults, lookup, updated
-from valve_control.parameters.build import as_text
-from valve_control.parameters.table import COMMAND
 
 GENERATOR, RECORDER, REPORT, RUN = "generator", "recorder", "report", "run"  # places of programs
 SHAPE = (

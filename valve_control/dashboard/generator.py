@@ -4,11 +4,11 @@
 
 import math
 
-from valve_control.commands.scenarios import Shape, stroke_time
+from valve_control.control.commands.scenarios import Shape, stroke_time
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import COMMAND
 from valve_control.dashboard.valve import Valve
 from valve_control.parameter import ParameterError, Value, Values, lookup, word
-from valve_control.parameters import build
-from valve_control.parameters.table import COMMAND
 
 
 def largest(shape: Shape) -> float:

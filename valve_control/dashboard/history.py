@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.analysis.indices import Indices, indices
+from valve_control.control.analysis.indices import Indices, indices
 
 Array = npt.NDArray[np.float64]
 

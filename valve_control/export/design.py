@@ -11,9 +11,9 @@ import struct
 from typing import Any
 
 from valve_control import __version__
+from valve_control.control.laws.registry import LAWS
 from valve_control.export.samples import digest
 from valve_control.export.unit import Unit, leaves
-from valve_control.laws.registry import LAWS
 
 START, PRIME, MASK = 0xCBF29CE484222325, 0x100000001B3, 0xFFFFFFFFFFFFFFFF  # of FNV-1a
 

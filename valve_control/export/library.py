@@ -7,10 +7,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters.linear_loop import flatten, unflatten
 from valve_control.export import compiler, sources
 from valve_control.export.unit import Unit
-from valve_control.laws.signals import Start
-from valve_control.parameters.linear_loop import flatten, unflatten
 
 DOUBLE = ctypes.POINTER(ctypes.c_double)
 

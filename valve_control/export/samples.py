@@ -15,15 +15,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import valve
+from valve_control.control.supervision.supervisor import Supervisor
+from valve_control.control.supervision.trajectory import Motion
 from valve_control.export.kinds import Kind
 from valve_control.export.unit import Unit, in_c, leaves, numbers
-from valve_control.laws.signals import Start
 from valve_control.parameter import defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import VALVE
-from valve_control.plant import valve
-from valve_control.supervision.supervisor import Supervisor
-from valve_control.supervision.trajectory import Motion
 
 COLUMNS = ("event", "a", "b", "c", "d", "e", "result", "state")
 COUNT = 3000  # samples

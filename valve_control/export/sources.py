@@ -6,14 +6,14 @@ import math
 from typing import Any, NamedTuple
 
 from valve_control import __version__
+from valve_control.control.laws.signals import Start
+from valve_control.control.supervision.trajectory import Motion
 from valve_control.export import design, kinds, settable
 from valve_control.export.emission import WIDTH, wrapped
 from valve_control.export.kinds import BOOLEAN, INTEGER, REAL, Kind, comment, identifier
 from valve_control.export.settable import Found, Setter
 from valve_control.export.subset import Program, SubsetError
 from valve_control.export.unit import Unit, begun, leaves, places
-from valve_control.laws.signals import Start
-from valve_control.supervision.trajectory import Motion
 
 FLAGS = "-std=c99 -O2 -ffp-contract=off"  # no fast-math, no fused operations: the bits of Python
 

@@ -7,17 +7,17 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
+from valve_control.control.laws.common import COMMON
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.laws.reshaping import PARAMETERS as RESHAPING
+from valve_control.control.parameters import axis as axis_parameters
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import machine, registry
+from valve_control.control.supervision import watch
+from valve_control.control.supervision.record import Memory
 from valve_control.export import kinds
 from valve_control.export.kinds import Kind, identifier
-from valve_control.laws.common import COMMON
-from valve_control.laws.registry import LAWS
-from valve_control.laws.reshaping import PARAMETERS as RESHAPING
 from valve_control.parameter import Table, Values, number, word
-from valve_control.parameters import axis as axis_parameters
-from valve_control.parameters.table import CONTROLLER, VALVE
-from valve_control.plant import machine, registry
-from valve_control.supervision import watch
-from valve_control.supervision.record import Memory
 
 PLANTS = ("valve", "axis")
 WATCHED = (

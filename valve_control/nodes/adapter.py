@@ -30,11 +30,11 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from valve_control.control.parameters import arguments
+from valve_control.control.parameters.build import as_text
 from valve_control.nodes.rclpy_internals import override
 from valve_control.nodes.services import Unwatched
 from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, missing, updated
-from valve_control.parameters import arguments
-from valve_control.parameters.build import as_text
 
 OCTAL = re.compile(r"[+-]?0[0-7]+")
 OF_YAML = re.compile(r"^([+-]?)\.(?=inf|nan)", re.IGNORECASE)  # the point of .inf and .nan

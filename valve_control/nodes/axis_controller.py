@@ -18,8 +18,12 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from valve_control.motion import path
-from valve_control.motion.course import Goal, Limits
+from valve_control.control.motion import path
+from valve_control.control.motion.course import Goal, Limits
+from valve_control.control.parameters.axis import AXIS_CONTROLLER
+from valve_control.control.plant.machine import Reading
+from valve_control.control.supervision import axis_supervisor
+from valve_control.control.supervision.record import Mode
 from valve_control.nodes.adapter import (
     NEWEST,
     SAMPLES,
@@ -33,10 +37,6 @@ from valve_control.nodes.adapter import (
 from valve_control.nodes.lifecycle import Managed
 from valve_control.nodes.loop import run
 from valve_control.parameter import ParameterError, Values, number, word
-from valve_control.parameters.axis import AXIS_CONTROLLER
-from valve_control.plant.machine import Reading
-from valve_control.supervision import axis_supervisor
-from valve_control.supervision.record import Mode
 
 LEVELS = {
     Mode.OK: DiagnosticStatus.OK,

@@ -11,16 +11,16 @@ import numpy as np
 import numpy.typing as npt
 from sensor_msgs.msg import FluidPressure, JointState
 
-from valve_control.compiling import compile_function
+from valve_control.control.compiling import compile_function
+from valve_control.control.parameters import axis as parameters
+from valve_control.control.parameters.axis import AXIS
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import axis, machine, valve
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import SAMPLES, ParameterSet, admit
 from valve_control.nodes.loop import Worker, run
 from valve_control.nodes.valve_simulator import ValveSimulator
 from valve_control.parameter import ParameterError, Values, number, word
-from valve_control.parameters import axis as parameters
-from valve_control.parameters.axis import AXIS
-from valve_control.parameters.table import VALVE
-from valve_control.plant import axis, machine, valve
 
 Array = npt.NDArray[np.float64]
 NANO = 10**9

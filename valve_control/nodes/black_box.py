@@ -15,10 +15,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Parameter, ParameterEvent
 from rclpy.serialization import deserialize_message, serialize_message
 
-from valve_control.bags.errors import BagError
-from valve_control.bags.metadata import NAME, Qos
-from valve_control.bags.writer import BagWriter
 from valve_control.nodes.parameter_capture import EVENTS, applied
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.metadata import NAME, Qos
+from valve_control.recordings.bags.writer import BagWriter
 
 OVERHEAD = 250  # bytes that a message takes in memory beside its own
 SILENT = 3.0  # s without a word of a controller that is still known, of which there is one a second

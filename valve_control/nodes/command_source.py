@@ -13,6 +13,8 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import COMMAND
 from valve_control.nodes.adapter import (
     SAMPLES,
     NumberSubscription,
@@ -23,8 +25,6 @@ from valve_control.nodes.adapter import (
 )
 from valve_control.nodes.loop import Worker, run
 from valve_control.parameter import ParameterError, Values, number, word
-from valve_control.parameters import build
-from valve_control.parameters.table import COMMAND
 
 BEYOND = 1000.0  # V, a command out of range
 SHAPING = [p.name for p in COMMAND if not p.name.startswith("fault.")]

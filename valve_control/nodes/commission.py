@@ -20,8 +20,9 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
-from valve_control.commissioning.bench import Course, Fault, Limits, Record, Seen, Told
-from valve_control.commissioning.watch import Watch
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.design.commissioning.bench import Course, Fault, Limits, Record, Seen, Told
+from valve_control.design.commissioning.watch import Watch
 from valve_control.nodes.adapter import (
     EVERYTHING,
     SAMPLES,
@@ -33,7 +34,6 @@ from valve_control.nodes.adapter import (
 from valve_control.nodes.rclpy_internals import WaitSet
 from valve_control.nodes.transport import check_log_folder
 from valve_control.parameter import ParameterError, Value, Values
-from valve_control.parameters.table import CONTROLLER
 
 MEET = 10.0  # s  in which controller and valve have to be found
 ANSWER = 5.0  # s  in which a service has to answer

@@ -26,7 +26,14 @@ from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiA
 from std_srvs.srv import Trigger
 
 from valve_control import parameter
-from valve_control.laws.registry import LAWS, REFUSED
+from valve_control.control.laws.registry import LAWS, REFUSED
+from valve_control.control.parameters import arguments, build, files, stability
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.supervision.cache_warming import CacheWarming
+from valve_control.control.supervision.journal import OBSERVED, Journal
+from valve_control.control.supervision.record import Mode, named_terms
+from valve_control.control.supervision.supervisor import Supervisor
+from valve_control.control.supervision.trajectory import Motion
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     NEWEST,
@@ -47,13 +54,6 @@ from valve_control.nodes.lifecycle import Managed
 from valve_control.nodes.loop import Failure, run
 from valve_control.nodes.pairing import Pairing
 from valve_control.parameter import ParameterError, Values, word
-from valve_control.parameters import arguments, build, files, stability
-from valve_control.parameters.table import CONTROLLER
-from valve_control.supervision.cache_warming import CacheWarming
-from valve_control.supervision.journal import OBSERVED, Journal
-from valve_control.supervision.record import Mode, named_terms
-from valve_control.supervision.supervisor import Supervisor
-from valve_control.supervision.trajectory import Motion
 
 LEVELS = {
     Mode.OK: DiagnosticStatus.OK,

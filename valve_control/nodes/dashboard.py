@@ -25,6 +25,7 @@ from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from valve_control.control.parameters.table import DASHBOARD
 from valve_control.dashboard.entry import Field
 from valve_control.dashboard.machine import Answer, Machine
 from valve_control.dashboard.valve import LAW, NodeState, Valve
@@ -40,7 +41,6 @@ from valve_control.nodes.adapter import (
 )
 from valve_control.nodes.loop import Failure, Worker, run
 from valve_control.parameter import ParameterError, Values, number, word
-from valve_control.parameters.table import DASHBOARD
 
 POLL = 0.015  # s between two looks at what has come
 LOOK = 0.25  # s between two looks at the graph

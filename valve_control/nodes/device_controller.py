@@ -12,14 +12,14 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 
-from valve_control.drivers.device import Device
-from valve_control.drivers.driver import Condition, DriverError
+from valve_control.control.drivers.device import Device
+from valve_control.control.drivers.driver import Condition, DriverError
+from valve_control.control.parameters import drivers
+from valve_control.control.parameters.drivers import DEVICE, LIVE
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.adapter import SAMPLES, PolledSubscription, acquainted, encoded
 from valve_control.nodes.controller import COMMANDING, NEVER, WARMING, Built, Controller
 from valve_control.parameter import ParameterError, Values, word
-from valve_control.parameters import drivers
-from valve_control.parameters.drivers import DEVICE, LIVE
-from valve_control.parameters.table import CONTROLLER
 
 LEVELS = {"degraded": DiagnosticStatus.WARN, "safe": DiagnosticStatus.ERROR}
 OWN = frozenset(parameter.name for parameter in CONTROLLER)

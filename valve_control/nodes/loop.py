@@ -21,12 +21,12 @@ from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from valve_control.control.parameters.arguments import help_text, refuse_stray, refuse_unreadable
 from valve_control.nodes.adapter import PolledSubscription
 from valve_control.nodes.rclpy_internals import WaitSet
 from valve_control.nodes.services import Reception
 from valve_control.nodes.transport import check_log_folder
 from valve_control.parameter import ParameterError
-from valve_control.parameters.arguments import help_text, refuse_stray, refuse_unreadable
 
 CHORES = 0.05  # s between two looks at a node's timers beside samples ...
 IDLE_CHORES = 0.01  # s  ... and while there are none; at most twice that

@@ -6,12 +6,12 @@ import re
 import sys
 from typing import Any
 
+from valve_control.control.parameters.table import MANIFOLD, NODES
 from valve_control.nodes.adapter import ParameterSet, admit
 from valve_control.nodes.controller import Controller
 from valve_control.nodes.loop import Worker, run
 from valve_control.nodes.valve_simulator import ValveSimulator
 from valve_control.parameter import ParameterError, Values, items, word
-from valve_control.parameters.table import MANIFOLD, NODES
 
 KINDS: dict[str, Any] = {"controller": Controller, "valve_simulator": ValveSimulator}
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*$")

@@ -17,11 +17,11 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 from tqdm import tqdm
 
-from valve_control.bags.bag import Bag, Series
-from valve_control.bags.errors import BagError
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
 from valve_control.nodes.definitions import message_class
 from valve_control.nodes.transport import check_log_folder
+from valve_control.recordings.bags.bag import Bag, Series
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import decide, without_strays
 from valve_control.recordings.mapping import find_valves
 from valve_control.recordings.recording import Valve, align, chosen, load

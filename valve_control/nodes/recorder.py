@@ -19,9 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
 from valve_control import parameter
-from valve_control.bags.errors import BagError
-from valve_control.bags.metadata import Qos, Span
-from valve_control.bags.writer import BagWriter, check, usual
+from valve_control.control.parameters.table import RECORDER
 from valve_control.nodes.adapter import (
     EVERYTHING,
     SAMPLES,
@@ -36,7 +34,9 @@ from valve_control.nodes.definitions import Definition, Definitions, message_cla
 from valve_control.nodes.loop import Failure, Worker, run
 from valve_control.nodes.parameter_capture import EVENTS, ParameterCapture
 from valve_control.parameter import ParameterError, Values, items, word
-from valve_control.parameters.table import RECORDER
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.metadata import Qos, Span
+from valve_control.recordings.bags.writer import BagWriter, check, usual
 
 T = TypeVar("T", bound=tuple[Any, ...])
 DIAGNOSTICS = "/diagnostics"

@@ -20,9 +20,12 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
-from valve_control.drivers import trial
-from valve_control.drivers.device import Device
-from valve_control.drivers.driver import Condition, DriverError
+from valve_control.control.drivers import trial
+from valve_control.control.drivers.device import Device
+from valve_control.control.drivers.driver import Condition, DriverError
+from valve_control.control.parameters import drivers
+from valve_control.control.parameters.arguments import refuse_stray, values_of
+from valve_control.control.parameters.drivers import LIVE, VALVE_DRIVER, Sides
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     NEWEST,
@@ -35,9 +38,6 @@ from valve_control.nodes.adapter import (
 from valve_control.nodes.lifecycle import Managed
 from valve_control.nodes.loop import run
 from valve_control.parameter import ParameterError, Values, number, word
-from valve_control.parameters import drivers
-from valve_control.parameters.arguments import refuse_stray, values_of
-from valve_control.parameters.drivers import LIVE, VALVE_DRIVER, Sides
 
 CHECK = "--check"
 NEVER = math.inf

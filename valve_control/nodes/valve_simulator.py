@@ -15,7 +15,12 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_msgs.msg import Float64
 
-from valve_control.compiling import compile_function
+from valve_control.control.compiling import compile_function
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import registry
+from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.plant import Plant
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     SAMPLES,
@@ -28,11 +33,6 @@ from valve_control.nodes.adapter import (
 from valve_control.nodes.lifecycle import Managed
 from valve_control.nodes.loop import run
 from valve_control.parameter import ParameterError, Values, number, word
-from valve_control.parameters import build
-from valve_control.parameters.table import VALVE
-from valve_control.plant import registry
-from valve_control.plant.amplifier import saturate
-from valve_control.plant.plant import Plant
 
 POLL = 5e-5  # s between two looks for a late voltage
 STALL = 0.1  # s; a longer pause of the process is skipped, not made good

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.analysis.indices import Indices, indices
-from valve_control.analysis.segments import Segment, motions
-from valve_control.analysis.spectra import Spectrum, spectrum
-from valve_control.analysis.timing import (
+from valve_control.control.analysis.indices import Indices, indices
+from valve_control.control.analysis.segments import Segment, motions
+from valve_control.control.analysis.spectra import Spectrum, spectrum
+from valve_control.control.analysis.timing import (
     LEAST,
     PAUSE,
     Timing,
@@ -21,8 +21,8 @@ from valve_control.analysis.timing import (
     true_period,
     without_intervals,
 )
-from valve_control.bags.errors import BagError
-from valve_control.laws.registry import LAWS
+from valve_control.control.laws.registry import LAWS
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import seconds
 from valve_control.recordings.clocks import in_order, shared
 from valve_control.recordings.modes import Interval, Mode, of_samples

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.bags.bag import Bag, Series
+from valve_control.recordings.bags.bag import Bag, Series
 from valve_control.recordings.parameters import Node
 
 Floats = npt.NDArray[np.float64]

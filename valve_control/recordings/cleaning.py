@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.bags.bag import FAR, Series, edges
+from valve_control.recordings.bags.bag import FAR, Series, edges
 from valve_control.recordings.clocks import SMALL_DISORDER, in_order, steps_back
 from valve_control.recordings.mapping import Source
 from valve_control.recordings.ties import Ties, untied

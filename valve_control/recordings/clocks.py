@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
-from valve_control.bags.bag import FAR, Series, edges, stretch
-from valve_control.bags.errors import BagError
-from valve_control.bags.table import TableFile
+from valve_control.recordings.bags.bag import FAR, Series, edges, stretch
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.table import TableFile
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from valve_control.analysis.figures import COLOURS, Band, Line, Plot, Trace, draw_traces
-from valve_control.analysis.indices import Indices
-from valve_control.analysis.overlay import Motion, shift
-from valve_control.analysis.page import figure, notes, page
+from valve_control.control.analysis.figures import COLOURS, Band, Line, Plot, Trace, draw_traces
+from valve_control.control.analysis.indices import Indices
+from valve_control.control.analysis.overlay import Motion, shift
+from valve_control.control.analysis.page import figure, notes, page
 from valve_control.recordings.analysis import NONE, Analysis, Spell, modes_dict
 from valve_control.recordings.modes import Mode
 from valve_control.recordings.recording import Aligned

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from valve_control.bags.errors import BagError
+from valve_control.recordings.bags.errors import BagError
 
 FORM = re.compile(r"\s*([A-Za-z_][\w./]*)\s*(<=|>=|==|!=|<|>)\s*([^<>=!]+?)\s*$")
 OPERATORS: dict[str, Callable[[float, float], bool]] = {

@@ -6,10 +6,10 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from valve_control.bags.bag import Bag
-from valve_control.bags.cdr import Decoder, normal
-from valve_control.bags.errors import BagError
-from valve_control.drivers.scaling import Scale, ScaleError, parse
+from valve_control.control.drivers.scaling import Scale, ScaleError, parse
+from valve_control.recordings.bags.bag import Bag
+from valve_control.recordings.bags.cdr import Decoder, normal
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.tables import empty_notes, is_of, split_file, take_times, topic_of
 
 PARTS = ("spool_command", "spool_position", "valve_voltage")

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.bags.bag import Bag, Series
-from valve_control.bags.cdr import UNDECODABLE, jazzy
+from valve_control.recordings.bags.bag import Bag, Series
+from valve_control.recordings.bags.cdr import UNDECODABLE, jazzy
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from valve_control.analysis.timing import deviating, true_period
+from valve_control.control.analysis.timing import deviating, true_period
 from valve_control.recordings.recording import Aligned, Valve, at_time
 
 

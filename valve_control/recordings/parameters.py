@@ -5,10 +5,10 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from valve_control.bags.bag import Series
-from valve_control.bags.cdr import UNDECODABLE, jazzy
+from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
-from valve_control.parameters.table import NODES
+from valve_control.recordings.bags.bag import Series
+from valve_control.recordings.bags.cdr import UNDECODABLE, jazzy
 
 TOPIC = "/parameter_events"
 TYPE = "rcl_interfaces/msg/ParameterEvent"

@@ -10,16 +10,16 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.bags.bag import Bag, Series
-from valve_control.bags.cdr import UNDECODABLE, Decoder, jazzy
-from valve_control.bags.errors import BagError
+from valve_control.control.supervision.journal import Block, block
+from valve_control.control.supervision.state_snapshot import Account, account
 from valve_control.recordings import modes, parameters
+from valve_control.recordings.bags.bag import Bag, Series
+from valve_control.recordings.bags.cdr import UNDECODABLE, Decoder, jazzy
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import Samples, clean, seconds
 from valve_control.recordings.clocks import Clock, decide, of_table, without_strays
 from valve_control.recordings.mapping import STATE_TYPE, ValveTopics, find_valves
 from valve_control.recordings.stamps import fields, retimed
-from valve_control.supervision.journal import Block, block
-from valve_control.supervision.state_snapshot import Account, account
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.analysis import limit_cycle
-from valve_control.analysis.figures import Line, Plot
-from valve_control.analysis.indices import indices, rms
-from valve_control.analysis.page import figure, notes, page, table
-from valve_control.analysis.segments import Segment
-from valve_control.analysis.tables import HEADER, index_row
+from valve_control.control.analysis import limit_cycle
+from valve_control.control.analysis.figures import Line, Plot
+from valve_control.control.analysis.indices import indices, rms
+from valve_control.control.analysis.page import figure, notes, page, table
+from valve_control.control.analysis.segments import Segment
+from valve_control.control.analysis.tables import HEADER, index_row
 from valve_control.recordings.analysis import segment_indices
 from valve_control.recordings.report import index_table
 from valve_control.recordings.shadow import Shadow

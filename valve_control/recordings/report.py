@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control import outputs
-from valve_control.analysis.figures import Band, Line, Plot
-from valve_control.analysis.indices import Indices
-from valve_control.analysis.page import figure, notes, page, table
-from valve_control.analysis.tables import HEADER, index_row
+from valve_control.control.analysis.figures import Band, Line, Plot
+from valve_control.control.analysis.indices import Indices
+from valve_control.control.analysis.page import figure, notes, page, table
+from valve_control.control.analysis.tables import HEADER, index_row
 from valve_control.recordings.analysis import (
     Analysis,
     Part,

@@ -17,16 +17,16 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control import parameter
-from valve_control.bags.errors import BagError
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.supervision.journal import COLUMNS, COUNTED, Block, Event, observe
+from valve_control.control.supervision.state_snapshot import restore, snapshot
+from valve_control.control.supervision.supervisor import Supervisor
+from valve_control.control.supervision.trajectory import Motion
 from valve_control.parameter import ParameterError, defaults, updated
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import Samples, seconds
 from valve_control.recordings.recording import Valve
-from valve_control.supervision.journal import COLUMNS, COUNTED, Block, Event, observe
-from valve_control.supervision.state_snapshot import restore, snapshot
-from valve_control.supervision.supervisor import Supervisor
-from valve_control.supervision.trajectory import Motion
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.bags.bag import Bag, Series
-from valve_control.bags.cdr import Decoder
-from valve_control.bags.errors import BagError
+from valve_control.recordings.bags.bag import Bag, Series
+from valve_control.recordings.bags.cdr import Decoder
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import Clock
 
 Integers = npt.NDArray[np.int64]

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.bags.bag import Bag
-from valve_control.bags.errors import BagError
-from valve_control.bags.table import KINDS, TableFile
-from valve_control.drivers.scaling import Scale, ScaleError, parse
+from valve_control.control.drivers.scaling import Scale, ScaleError, parse
+from valve_control.recordings.bags.bag import Bag
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.table import KINDS, TableFile
 
 TIME = "time"
 ROW = "row"  # the number of a row from 0, as in time=row*0.001

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
-from valve_control.analysis.timing import LATE, true_period
+from valve_control.control.analysis.timing import LATE, true_period
 from valve_control.recordings.clocks import MANY, in_order, shared, usual_step
 
 Integers = npt.NDArray[np.int64]

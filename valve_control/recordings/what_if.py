@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.analysis.indices import rms
-from valve_control.bags.errors import BagError
+from valve_control.control.analysis.indices import rms
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.simulation import offline
 from valve_control.parameter import Values, defaults, updated
-from valve_control.parameters.table import CONTROLLER, VALVE
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.parameters import Node
 from valve_control.recordings.recording import Aligned, Valve
-from valve_control.simulation import offline
 
 Floats = npt.NDArray[np.float64]
 

@@ -5,8 +5,8 @@
 from contextlib import suppress
 from pathlib import Path
 
-from valve_control.drivers.driver import DriverError, Kind, Reading
-from valve_control.drivers.ticks import Ticks
+from valve_control.control.drivers.driver import DriverError, Kind, Reading
+from valve_control.control.drivers.ticks import Ticks
 from valve_control.parameter import Parameter
 
 

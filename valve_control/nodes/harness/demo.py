@@ -12,10 +12,12 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from valve_control import outputs
-from valve_control.analysis import limit_cycle
-from valve_control.analysis.figures import Trace, draw_traces
-from valve_control.analysis.indices import PAPER_TABLE_1, Indices, indices
-from valve_control.analysis.tables import HEADER, index_row
+from valve_control.control.analysis import limit_cycle
+from valve_control.control.analysis.figures import Trace, draw_traces
+from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices, indices
+from valve_control.control.analysis.tables import HEADER, index_row
+from valve_control.control.parameters import build
+from valve_control.control.simulation import offline
 from valve_control.nodes.harness.processes import (
     TOPICS,
     Listener,
@@ -29,8 +31,6 @@ from valve_control.nodes.harness.processes import (
     wait_until,
 )
 from valve_control.parameter import Values
-from valve_control.parameters import build
-from valve_control.simulation import offline
 
 Array = npt.NDArray[np.float64]
 SHIFT_SAMPLES = 200  # over which readings and voltages are matched

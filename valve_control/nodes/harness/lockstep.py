@@ -13,6 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control import outputs
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.simulation import offline
+from valve_control.control.simulation.offline import Run
 from valve_control.nodes.adapter import needs_numbers
 from valve_control.nodes.harness.processes import (
     Listener,
@@ -26,10 +30,6 @@ from valve_control.nodes.harness.processes import (
     wait_until,
 )
 from valve_control.parameter import lookup, number
-from valve_control.parameters import build
-from valve_control.parameters.table import CONTROLLER
-from valve_control.simulation import offline
-from valve_control.simulation.offline import Run
 
 Array = npt.NDArray[np.float64]
 

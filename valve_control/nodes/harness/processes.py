@@ -23,6 +23,9 @@ from rclpy.utilities import remove_ros_args
 from tqdm import tqdm
 
 from valve_control import interrupts
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.arguments import matches
+from valve_control.control.parameters.axis import ROS_NODES
 from valve_control.nodes.adapter import (
     EVERYTHING,
     NumberSubscription,
@@ -30,9 +33,6 @@ from valve_control.nodes.adapter import (
 )
 from valve_control.nodes.transport import RANGE, check_log_folder, use_own_profile
 from valve_control.parameter import ParameterError, Values, defaults, updated
-from valve_control.parameters import build, files
-from valve_control.parameters.arguments import matches
-from valve_control.parameters.axis import ROS_NODES
 
 Array = npt.NDArray[np.float64]
 TOPICS = ("spool_command", "spool_position", "valve_voltage")

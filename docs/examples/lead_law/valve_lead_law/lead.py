@@ -5,12 +5,12 @@
 import sys
 from typing import NamedTuple
 
-from valve_control.laws import reshaping, velocity
-from valve_control.laws.free import Free
-from valve_control.laws.law import Law
-from valve_control.laws.signals import Start
+from valve_control.control.laws import reshaping, velocity
+from valve_control.control.laws.free import Free
+from valve_control.control.laws.law import Law
+from valve_control.control.laws.signals import Start
+from valve_control.control.plant.amplifier import saturate
 from valve_control.parameter import Parameter, Table, Values, number
-from valve_control.plant.amplifier import saturate
 
 
 class Params(NamedTuple):

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Makes command arrays, one number for each sample: read from a file, or sampled from a shape."""
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control import inputs
+from valve_control.control.commands import scenarios
+from valve_control.parameter import ParameterError
+
+Array = npt.NDArray[np.float64]
+LARGEST = 1e6  # V  in a file, whose commands a controller limits to command_limit
+
+
+def sampled(shape: scenarios.Shape, period: float, samples: int) -> Array:
+    """Command [V] at each of ``samples`` samples, ``period`` [s] apart."""
+    return np.array([scenarios.command(shape, k * period) for k in range(samples)])
+
+
+def read(path: str) -> Array:
+    """One column of commands [V] from a CSV or NPY file. Raises ParameterError."""
+    if not path:
+        raise ParameterError("scenario 'array' needs command_file, a CSV or NPY file")
+    inputs.check(path, "command file")
+    try:
+        if Path(path).suffix == ".npy":
+            array: npt.NDArray[Any] = np.load(path, allow_pickle=False)
+        else:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # an empty file is refused below
+                array = np.loadtxt(path, delimiter=",", comments="#", ndmin=1)
+    except OSError as error:
+        raise ParameterError(f"command file {path} cannot be read: {error.strerror or error}") from error
+    except (ValueError, EOFError) as error:
+        reason = str(error).splitlines()[0].rstrip(".")
+        raise ParameterError(
+            f"command file {path} must hold one number a line (CSV) or a one-dimensional array (NPY): "
+            f"{reason}"
+        ) from error
+    if np.iscomplexobj(array):
+        raise ParameterError(f"command file {path} holds complex numbers; it must hold real ones")
+    try:
+        numbers: Array = np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ParameterError(f"command file {path} must hold numbers, not {array.dtype}") from error
+    if numbers.ndim == 2 and 1 in numbers.shape:
+        numbers = numbers.ravel()
+    if numbers.ndim != 1 or numbers.size == 0:
+        raise ParameterError(
+            f"command file {path} must hold one column of numbers; its shape is {numbers.shape}"
+        )
+    if not np.all(np.isfinite(numbers)):
+        first = int(np.flatnonzero(~np.isfinite(numbers))[0])
+        raise ParameterError(f"command file {path} has {numbers[first]} in entry {first + 1}")
+    if np.any(np.abs(numbers) > LARGEST):
+        first = int(np.flatnonzero(np.abs(numbers) > LARGEST)[0])
+        raise ParameterError(
+            f"command file {path} has {numbers[first]:g} V in entry {first + 1}; commands lie within "
+            f"±{LARGEST:g} V"
+        )
+    return numbers

@@ -1,0 +1,81 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Describes the pole-zero compensator (12), (13) or of any design: open loop, the reading is not fed back."""
+
+from valve_control.control.laws import biquads
+from valve_control.control.laws.free import Free
+from valve_control.control.laws.law import Law
+from valve_control.control.plant import models
+from valve_control.parameter import Parameter, ParameterError, Table, Values, number, word
+
+PARAMETERS: Table = (
+    Parameter(
+        "compensator.design",
+        "printed_fourth_order",
+        "",
+        "printed_second_order: (12), printed_fourth_order: (13), or designed from compensator.model",
+        choices=("printed_second_order", "printed_fourth_order", "designed"),
+    ),
+    Parameter(
+        "compensator.model",
+        "fourth_order",
+        "",
+        "valve model that a designed compensator cancels: (2), (3) or custom",
+        choices=("second_order", "fourth_order", "custom"),
+    ),
+    Parameter(
+        "compensator.bandwidth", 25.0, "Hz", "wanted -3 dB bandwidth of a designed compensator", 0.1, 1e4
+    ),
+    Parameter(
+        "compensator.order",
+        0,
+        "",
+        "poles of the Bessel filter that a designed compensator leaves; 0: one more than it must have",
+        0,
+        6,
+    ),
+    Parameter(
+        "compensator.cancel_zeros",
+        True,
+        "",
+        "whether a designed compensator cancels the stable zeros of the model too; (13) does not",
+    ),
+    *models.custom_parameters("compensator."),
+)
+
+
+def build(values: Values) -> biquads.Params:
+    """The compensator's Params from the controller's values. Raises ParameterError."""
+    from valve_control.control.laws import design  # scipy.signal takes half a second
+
+    chosen = word(values, "compensator.design")
+    period = number(values, "sample_period")
+    try:
+        if chosen == "printed_second_order":
+            transfer_function = design.PRINTED_SECOND_ORDER
+        elif chosen == "printed_fourth_order":
+            transfer_function = design.PRINTED_FOURTH_ORDER
+        else:
+            transfer_function = design.pole_zero_compensator(
+                models.chosen(values, "compensator.model", "compensator."),
+                number(values, "compensator.bandwidth"),
+                bool(values["compensator.cancel_zeros"]),
+                int(number(values, "compensator.order")),
+            )
+        return design.compensator_params(transfer_function, period, number(values, "u_max"))
+    except design.DesignError as error:
+        raise ParameterError(str(error)) from error
+
+
+LAW = Law(
+    name="compensator",
+    text="pole-zero compensator, open loop (12), (13)",
+    module=biquads,
+    parameters=PARAMETERS,
+    build=build,
+    reshapes=biquads.no_reshaping,
+    steady_command=biquads.steady_command,
+    free=(Free("compensator.bandwidth", 5.0, 100.0),),
+    variants=({"compensator.design": "designed"},),
+    form=tuple(p.name for p in PARAMETERS),
+)

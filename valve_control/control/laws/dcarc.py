@@ -1,0 +1,874 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Desired-compensation adaptive robust control with a Kalman observer; derivation in docs/laws/dcarc.md.
+
+The voltage of the inverted model and a compensation that is learned come from the reference alone, free
+of noise. A steady-state Kalman filter estimates state and input disturbance from the reading, LQR feeds back
+what is left of the error. The weights of the compensation are fitted to the estimated disturbance by least
+squares.
+"""
+
+import math
+import sys
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.control.laws import least_squares, magnet, reshaping
+from valve_control.control.laws.dcarc_parts import (
+    Combination,
+    Course,
+    Equivalent,
+    Gains,
+    Inverse,
+    Model,
+    Move,
+    Past,
+    Rest,
+    Row,
+    combined,
+    dot,
+    moved,
+    past_dot,
+)
+from valve_control.control.laws.free import Free
+from valve_control.control.laws.law import Law
+from valve_control.control.laws.least_squares import NOTHING, Weights
+from valve_control.control.laws.projection import clip
+from valve_control.control.laws.signals import Start
+from valve_control.control.plant import models
+from valve_control.control.plant.amplifier import saturate
+from valve_control.parameter import Parameter, ParameterError, Table, Values, defaults, number, numbers
+
+Array = npt.NDArray[np.float64]
+WEIGHTS = (
+    "[gain -, bristle V, bristle V, bristle V, standstill V, flow force V/V, offset V, damping V/(V/s), "
+    "inertia V/(V/s²)]"
+)
+CALM = 0.1  # s  after which a reference that has come to rest tells nothing more of the weights
+MEMORY = 0.2  # s  over which the mean squares of the disturbance are taken
+ALLOWED = 1.5  # of the disturbance over what is assumed, in mean squares
+NAMES = ("gain", "bristle", "bristle", "bristle", "standstill", "flow force", "offset", "damping", "inertia")
+
+
+RESTING = magnet.Terms(0.0, 0.0, magnet.NONE, magnet.NONE)
+TURN = 0.25  # of the half width of the hysteresis, over which the direction of the force turns
+SPREAD = 0.5  # of the half width, standard deviation of its weight
+HIGHEST = 3.0  # half widths, up to which its weight may go
+SIDES = 0.5  # -  difference of the gains of both sides, up to which its weight may go
+
+
+class Bristles(NamedTuple):
+    """Deflections of three bristles over those of sliding, or their presliding [V]."""
+
+    first: float
+    second: float
+    third: float
+
+
+class Params(NamedTuple):
+    """Constants of the law."""
+
+    model: Model
+    kalman: Gains
+    feedback: Row  # K of LQR, on the state when the voltage begins to act
+    waiting: Past  # the same on voltages that have not acted yet
+    unexplained: float  # the same on the disturbance
+    wanted: Combination  # K·x_r
+    full: Move  # over one period
+    half: Move  # over half a period
+    model_voltage: Combination  # u_r
+    standing: Rest  # for each 1 V
+    moving: Rest  # for each 1 V/s
+    presliding: Bristles  # V
+    standstill_rate: float  # V/s
+    jitter: float  # V/s    mean speed at which noise shakes the spool
+    lag_share: float  # -      share of the way that the regressor's lag goes in a period
+    theta_initial: Weights
+    theta_min: Weights
+    theta_max: Weights
+    prior: Weights  # variances of the initial weights
+    forget: float  # -      share of what is known of the weights that is lost in a sample of motion
+    calm: float  # -      share of the motion that is left a sample later
+    fit_variance: float  # V²     of the estimated disturbance around what the weights can explain
+    memory: float  # -      share of a sample in the mean squares of ``Burden``
+    assumed: Weights  # variances of the initial weights from which the valve has left what is assumed
+    assumed_variance: float  # V²     likewise of what the weights cannot explain
+    magnet: magnet.Params
+    equivalent: Equivalent
+    u_max: float  # V
+    period: float  # s
+    reshaping: reshaping.Params
+
+
+class Estimate(NamedTuple):
+    """What the observer knows: state of the model, disturbance and past positions."""
+
+    state: Row  # position [V], velocity [V/s] and up to four inner states
+    disturbance: float  # V  at the input, without what the compensation makes good
+    past: Past  # V
+    held: Past  # V  voltages of the samples before, on the model
+
+
+class Fit(NamedTuple):
+    """What is learned."""
+
+    regressor: Weights  # as late as the estimated disturbance
+    variance: Weights  # of the weights
+    moving: float  # -  1.0 while the reference moves, going to 0.0 when it rests
+
+
+class Burden(NamedTuple):
+    """Disturbance that the initial weights leave to observer and fit, in mean squares over MEMORY."""
+
+    found: float  # V²
+    assumed: float  # V²
+
+
+class State(NamedTuple):
+    """Reference, inverse of the model, bristles, observer and what is learned."""
+
+    reference: reshaping.State
+    smooth: float  # V    the reference behind the filter that gives it a third derivative
+    rate_before: float  # V/s  rate of the latter a sample ago
+    inverse: Inverse
+    bristles: Bristles
+    estimate: Estimate  # predicted for this sample
+    fit: Fit
+    burden: Burden
+    theta: Weights
+    magnet: magnet.State
+
+
+class Desired(NamedTuple):
+    """What the reference asks for in the middle of the coming period."""
+
+    force: Weights  # regressor of the fit
+    voltage: Weights  # regressor of the compensation, led by the coil
+    bristles: Bristles  # at the end of the period
+    force_rate: float  # V/s  of the force that the voltage of the inverted model makes
+    magnet: magnet.Terms
+
+
+class Terms(NamedTuple):
+    """What the law computed at this sample."""
+
+    reference: float  # V     x_vd
+    reference_rate: float  # V/s
+    reference_accel: float  # V/s²
+    position: float  # V     estimate of the true position, without the LVDT's dead time
+    velocity: float  # V/s   estimate
+    z1: float  # V     tracking error
+    innovation: float  # V     reading minus what the observer expected
+    disturbance: float  # V     input disturbance that the compensation does not explain
+    burden: float  # V²    mean square of what the initial weights would leave to the observer
+    burden_bound: float  # V²    most of it that is assumed
+    model_voltage: float  # V     u_r
+    compensation_voltage: float  # V     u_c
+    feedback_voltage: float  # V     -K(x̂ - x_r)
+    unsaturated_voltage: float  # V
+    gain: float  # weights, used at this sample
+    bristle1: float
+    bristle2: float
+    bristle3: float
+    standstill: float
+    flow: float
+    offset: float
+    damping: float
+    inertia: float
+
+
+def corrected(p: Params, e: Estimate, innovation: float) -> Estimate:
+    """Estimate with the reading taken in, which is ``innovation`` [V] off what was predicted."""
+    g = p.kalman
+    return Estimate(
+        Row(
+            e.state.x0 + g.state.x0 * innovation,
+            e.state.x1 + g.state.x1 * innovation,
+            e.state.x2 + g.state.x2 * innovation,
+            e.state.x3 + g.state.x3 * innovation,
+            e.state.x4 + g.state.x4 * innovation,
+            e.state.x5 + g.state.x5 * innovation,
+        ),
+        e.disturbance + g.disturbance * innovation,
+        Past(
+            e.past.first + g.past.first * innovation,
+            e.past.second + g.past.second * innovation,
+            e.past.third + g.past.third * innovation,
+            e.past.fourth + g.past.fourth * innovation,
+        ),
+        e.held,
+    )
+
+
+def predicted(p: Params, e: Estimate, voltage: float, explained: float) -> Estimate:
+    """Estimate for the next sample, with ``voltage`` [V] on the model.
+
+    ``explained`` [V]: what the compensation makes good of the disturbance from now on.
+    """
+    m, x, d = p.model, e.state, e.disturbance
+    acting = voltage
+    if m.waits > 0.0:
+        acting = m.direct * voltage + past_dot(m.acting, e.held)
+    u = acting + d
+    following = Estimate(
+        Row(
+            dot(m.row0, x) + m.input.x0 * u + m.force.x0 * d,
+            dot(m.row1, x) + m.input.x1 * u + m.force.x1 * d,
+            dot(m.row2, x) + m.input.x2 * u + m.force.x2 * d,
+            dot(m.row3, x) + m.input.x3 * u + m.force.x3 * d,
+            dot(m.row4, x) + m.input.x4 * u + m.force.x4 * d,
+            dot(m.row5, x) + m.input.x5 * u + m.force.x5 * d,
+        ),
+        d + explained,
+        Past(
+            dot(m.passing, x) + m.passing_input * u + m.passing_force * d,
+            e.past.first,
+            e.past.second,
+            e.past.third,
+        ),
+        Past(voltage, e.held.first, e.held.second, e.held.third),
+    )
+    if m.waits > 0.0:
+        return begun(m, following, past_dot(m.leaving, e.held))
+    return following
+
+
+def begun(m: Model, e: Estimate, voltage: float) -> Estimate:
+    """Estimate ``e`` with the ``voltage`` [V] that acts at the beginning of the period."""
+    x, c = e.state, m.early
+    return Estimate(
+        Row(
+            x.x0 + c.x0 * voltage,
+            x.x1 + c.x1 * voltage,
+            x.x2 + c.x2 * voltage,
+            x.x3 + c.x3 * voltage,
+            x.x4 + c.x4 * voltage,
+            x.x5 + c.x5 * voltage,
+        ),
+        e.disturbance,
+        Past(e.past.first + m.passing_early * voltage, e.past.second, e.past.third, e.past.fourth),
+        e.held,
+    )
+
+
+def dragged(deflection: float, way: float, path: float) -> float:
+    """Deflection of a bristle after ``way`` preslidings, implicit Euler of dz/dt = (v - s·z)/δ.
+
+    ``path``: preslidings of the mean speed s in the period, |v| and what the jitter of the spool adds to it.
+    """
+    return (deflection + way) / (1.0 + path)
+
+
+def desired(p: Params, s: State, accel: float) -> Desired:
+    """Regressors in the middle of the coming period, and the bristles at its end.
+
+    The voltage of a force F is F + τ_c·dF/dt. All is from the reference; ``accel`` [V/s²]: its acceleration
+    from the next sample on. (11) has the rate of the coming period, and the acceleration in the middle is the
+    mean of those at both ends, the jerk their difference.
+    """
+    reference, rate, accel = reshaping.smoothed(p.reshaping, s.reference, accel, s.smooth)
+    before = (rate - s.rate_before) / p.period
+    middle = Course(
+        reference + 0.5 * p.period * rate, rate, 0.5 * (accel + before), (accel - before) / p.period
+    )
+    voltage = combined(p.model_voltage, moved(p.half, s.inverse, reference, rate), middle)
+    way, path = rate * p.period, math.sqrt(rate * rate + p.jitter * p.jitter) * p.period
+    bristles = Bristles(
+        dragged(s.bristles.first, way / p.presliding.first, path / p.presliding.first),
+        dragged(s.bristles.second, way / p.presliding.second, path / p.presliding.second),
+        dragged(s.bristles.third, way / p.presliding.third, path / p.presliding.third),
+    )
+    share = rate / p.standstill_rate
+    slow = 1.0 / (1.0 + share * share)
+    standstill = bristles.second / (1.0 + share * share)
+    coil, lead = p.magnet.coil, p.magnet.lead
+    force, force_rate = voltage, 0.0
+    if p.magnet.on > 0.0 or coil > 0.0:
+        force, force_rate = magnet.forced(p.magnet, s.magnet, voltage, p.period)
+    fitted = Weights(
+        force,
+        bristles.first,
+        bristles.second,
+        bristles.third,
+        standstill,
+        middle.reference,
+        1.0,
+        rate,
+        middle.accel,
+    )
+    compensated = fitted
+    if coil > 0.0:
+        second = bristles.second + lead * (bristles.second - s.bristles.second)
+        compensated = Weights(
+            voltage,
+            bristles.first + lead * (bristles.first - s.bristles.first),
+            second,
+            bristles.third + lead * (bristles.third - s.bristles.third),
+            second * slow,
+            middle.reference + coil * rate,
+            1.0,
+            rate + coil * middle.accel,
+            middle.accel + coil * middle.jerk,
+        )
+    extra = RESTING
+    if p.magnet.on > 0.0:
+        total = force + least_squares.dot(s.theta, fitted)
+        led = voltage + least_squares.dot(s.theta, compensated)
+        extra = magnet.terms(p.magnet, s.magnet, total, led)
+    return Desired(fitted, compensated, bristles, force_rate, extra)
+
+
+def motion(p: Params, s: State) -> float:
+    """Whether the reference moves at the next sample, or has just come to rest: 1.0, going to 0.0.
+
+    At rest all regressors are constant, and nothing tells one weight from another.
+    """
+    share = s.reference.rate / p.standstill_rate
+    return max(p.calm * s.fit.moving, share * share / (1.0 + share * share))
+
+
+def weighed(p: Params, s: State, left: float) -> Burden:
+    """Burden with one more sample, at which the present weights leave ``left`` [V] to the observer."""
+    x, before = s.fit.regressor, s.burden
+    found = left - least_squares.change(s.theta, p.theta_initial, x)
+    assumed = p.assumed_variance + least_squares.dot(least_squares.product(p.assumed, x), x)
+    if p.magnet.on > 0.0:
+        m = s.magnet
+        found -= magnet.change(m.weights, p.magnet.initial, m.regressor)
+        assumed += magnet.dot(magnet.product(p.magnet.prior, m.regressor), m.regressor)
+    return Burden(
+        before.found + p.memory * (found * found - before.found),
+        before.assumed + p.memory * (assumed - before.assumed),
+    )
+
+
+def initial(p: Params, start: Start) -> State:
+    """State that starts at ``start`` with the initial weights and relaxed bristles.
+
+    The observer is where a steady motion at ``start.velocity`` would have brought it. What the voltage of
+    ``start`` differs by from that of the model, and from the compensation, is its disturbance.
+    """
+    v, t, ages = start.velocity, p.theta_initial, p.model.ages
+    position = start.measurement + v * past_dot(p.model.shown, ages)
+    s, m = p.standing, p.moving
+    state = Row(
+        s.state.x0 * position + m.state.x0 * v,
+        s.state.x1 * position + m.state.x1 * v,
+        s.state.x2 * position + m.state.x2 * v,
+        s.state.x3 * position + m.state.x3 * v,
+        s.state.x4 * position + m.state.x4 * v,
+        s.state.x5 * position + m.state.x5 * v,
+    )
+    past = Past(
+        position - v * ages.first,
+        position - v * ages.second,
+        position - v * ages.third,
+        position - v * ages.fourth,
+    )
+    reference, rate = start.reference, start.reference_rate
+    inverse = Inverse(
+        s.inverse.zeta * reference + m.inverse.zeta * rate,
+        s.inverse.rate * reference + m.inverse.rate * rate,
+        s.inverse.accel * reference + m.inverse.accel * rate,
+        s.inverse.jerk * reference + m.inverse.jerk * rate,
+    )
+    others = t.flow * reference + t.offset + t.damping * rate
+    sent = (start.voltage - others) / (1.0 + t.gain)
+    disturbance = s.voltage * position + m.voltage * v - sent
+    return State(
+        reshaping.State(reshaping.unsmoothed(p.reshaping, reference, rate), rate),
+        reference,
+        rate,
+        inverse,
+        Bristles(0.0, 0.0, 0.0),
+        Estimate(state, disturbance, past, Past(sent, sent, sent, sent)),
+        Fit(NOTHING, p.prior, 0.0),
+        Burden(0.0, p.fit_variance),
+        t,
+        _started(p, inverse, reference, rate),
+    )
+
+
+def _started(p: Params, inverse: Inverse, reference: float, rate: float) -> magnet.State:
+    """The magnet in a steady motion of the reference, with its initial weights."""
+    m = p.magnet
+    force = combined(p.model_voltage, inverse, Course(reference, rate, 0.0, 0.0))
+    return magnet.State(force, 0.0, force, 0.0, m.initial, magnet.NONE, m.prior)
+
+
+def compensated(p: Params, s: State, d: Desired) -> float:
+    """Voltage [V] of the compensation without the gain's part."""
+    others = least_squares.dot(s.theta, d.voltage) - s.theta.gain * d.voltage.gain
+    if p.magnet.on > 0.0:
+        others += magnet.dot(s.magnet.weights, d.magnet.voltage)
+    return others
+
+
+def advanced(
+    p: Params, s: magnet.State, d: Desired, left: float, sharpness: float, fresh: float
+) -> magnet.State:
+    """The magnet a sample later, its weights fitted like the others to ``left`` [V] (as in ``step``)."""
+    m = p.magnet
+    if m.on == 0.0:
+        if m.coil == 0.0:
+            return s
+        return magnet.State(d.force.gain, d.force_rate, 0.0, 0.0, s.weights, s.regressor, s.variance)
+    px = magnet.product(s.variance, s.regressor)
+    step, forget = left * sharpness, p.forget * fresh
+    return magnet.State(
+        d.force.gain,
+        d.force_rate,
+        d.magnet.total,
+        d.magnet.direction,
+        magnet.Pair(
+            clip(s.weights.direction - px.direction * step, m.lower.direction, m.upper.direction),
+            clip(s.weights.positive - px.positive * step, m.lower.positive, m.upper.positive),
+        ),
+        magnet.lagged(s.regressor, d.magnet.force, p.lag_share),
+        magnet.Pair(
+            least_squares.sharper(s.variance.direction, px.direction, sharpness, forget, m.prior.direction),
+            least_squares.sharper(s.variance.positive, px.positive, sharpness, forget, m.prior.positive),
+        ),
+    )
+
+
+def step(
+    p: Params, s: State, command: float, measurement: float, offset: float
+) -> tuple[float, State, Terms]:
+    """One sample: returns voltage [V] within ±u_max, the next state and the terms.
+
+    The model takes the voltage after saturation, so that the observer stays true. The weights rest while
+    the amplifier saturates, since the valve then does not follow the reference, of which the regressor is
+    made, and while the reference rests.
+    """
+    shaping = reshaping.acceleration(p.reshaping, s.reference, command)
+    reference, rate, accel = reshaping.smoothed(p.reshaping, s.reference, shaping, s.smooth)
+    d = desired(p, s, shaping)
+    phi = d.voltage
+
+    innovation = (
+        measurement - p.model.present * s.estimate.state.x0 - past_dot(p.model.shown, s.estimate.past)
+    )
+    estimate = corrected(p, s.estimate, innovation)
+
+    scale = 1.0 + s.theta.gain
+    others = compensated(p, s, d)
+    before = Course(reference, 0.5 * (rate + s.rate_before), (rate - s.rate_before) / p.period, 0.0)
+    aim = combined(p.wanted, s.inverse, before)
+    feedback = aim - dot(p.feedback, estimate.state)
+    if p.model.waits > 0.0:
+        feedback -= past_dot(p.waiting, estimate.held) + p.unexplained * estimate.disturbance
+    unsaturated = scale * (phi.gain + feedback - estimate.disturbance) + others
+    wanted = unsaturated + offset
+    voltage = saturate(wanted, p.u_max)
+
+    delayed = s.fit.regressor
+    px = least_squares.product(s.fit.variance, delayed)
+    spread = p.fit_variance + least_squares.dot(px, delayed)
+    if p.magnet.on > 0.0:
+        spread += magnet.dot(magnet.product(s.magnet.variance, s.magnet.regressor), s.magnet.regressor)
+    sharpness = 1.0 / spread
+    fresh = s.fit.moving if voltage == wanted else 0.0  # share of a sample that there is to learn from
+    sharpness *= fresh
+    left = scale * estimate.disturbance
+    theta = least_squares.moved(s.theta, px, left * sharpness, p.theta_min, p.theta_max)
+    variance = least_squares.learned(s.fit.variance, px, sharpness, p.forget * fresh, p.prior)
+    extra = advanced(p, s.magnet, d, left, sharpness, fresh)
+    explained = least_squares.change(theta, s.theta, delayed) / scale
+    if p.magnet.on > 0.0:
+        explained += magnet.change(extra.weights, s.magnet.weights, s.magnet.regressor) / scale
+    burden = weighed(p, s, left)
+    state = State(
+        reshaping.advance(p.reshaping, s.reference, shaping),
+        reference + rate * p.period,
+        rate,
+        moved(p.full, s.inverse, reference, rate),
+        d.bristles,
+        predicted(p, estimate, (voltage - others) / scale, explained),
+        Fit(least_squares.lagged(delayed, d.force, p.lag_share), variance, motion(p, s)),
+        burden,
+        theta,
+        extra,
+    )
+    terms = Terms(
+        reference=reference,
+        reference_rate=rate,
+        reference_accel=accel,
+        position=estimate.state.x0,
+        velocity=estimate.state.x1,
+        z1=measurement - reference,
+        innovation=innovation,
+        disturbance=estimate.disturbance,
+        burden=burden.found,
+        burden_bound=ALLOWED * burden.assumed,
+        model_voltage=phi.gain,
+        compensation_voltage=s.theta.gain * phi.gain + others,
+        feedback_voltage=scale * feedback,
+        unsaturated_voltage=unsaturated,
+        gain=s.theta.gain,
+        bristle1=s.theta.bristle1,
+        bristle2=s.theta.bristle2,
+        bristle3=s.theta.bristle3,
+        standstill=s.theta.standstill,
+        flow=s.theta.flow,
+        offset=s.theta.offset,
+        damping=s.theta.damping,
+        inertia=s.theta.inertia,
+    )
+    return voltage, state, terms
+
+
+def hold(p: Params, s: State, command: float, measurement: float, voltage: float) -> State:
+    """State after a sample at which nothing was read: ``voltage`` [V] held on, the weights rest.
+
+    The observer goes on with its model; ``measurement`` [V], a straight line between the readings before and
+    after the gap, would tell it less.
+    """
+    shaping = reshaping.acceleration(p.reshaping, s.reference, command)
+    reference, rate, _ = reshaping.smoothed(p.reshaping, s.reference, shaping, s.smooth)
+    d = desired(p, s, shaping)
+    others = compensated(p, s, d)
+    return State(
+        reshaping.advance(p.reshaping, s.reference, shaping),
+        reference + rate * p.period,
+        rate,
+        moved(p.full, s.inverse, reference, rate),
+        d.bristles,
+        predicted(p, s.estimate, (voltage - others) / (1.0 + s.theta.gain), 0.0),
+        Fit(least_squares.lagged(s.fit.regressor, d.force, p.lag_share), s.fit.variance, motion(p, s)),
+        s.burden,
+        s.theta,
+        advanced(p, s.magnet, d, 0.0, 0.0, 0.0),
+    )
+
+
+PARAMETERS: Table = (
+    Parameter(
+        "dcarc.model",
+        "fourth_order",
+        "",
+        "valve model that is inverted and observed: (2), (3) or custom",
+        choices=("second_order", "fourth_order", "custom"),
+    ),
+    *models.custom_parameters("dcarc."),
+    Parameter(
+        "dcarc.smoothing",
+        0.001,
+        "s",
+        "time constant of a filter behind (8), for the third derivative of the reference that a model with "
+        "three more poles than zeros needs; without effect on other models",
+        1e-5,
+        0.1,
+    ),
+    Parameter(
+        "dcarc.coil",
+        0.0,
+        "s",
+        "lag of the force behind the voltage, a pole of a model with three more poles than zeros: the "
+        "disturbance is then a force, and the compensation leads it by the coil; 0.0: none",
+        0.0,
+        0.1,
+    ),
+    Parameter(
+        "dcarc.hysteresis",
+        0.0,
+        "V",
+        "half width of the magnet's hysteresis, initial weight of the direction of the force; 0.0: no such "
+        "term",
+        0.0,
+        10.0,
+    ),
+    Parameter(
+        "dcarc.sides",
+        0.0,
+        "-",
+        "relative difference that is expected between the gains of two solenoids, standard deviation of the "
+        "weight of the positive part of the force; 0.0: no such term",
+        0.0,
+        1.0,
+    ),
+    Parameter("dcarc.lvdt_noise", 0.0056, "V", "standard deviation of the LVDT's noise", 1e-6, 10.0),
+    Parameter("dcarc.lvdt_resolution", 0.0037, "V", "step of the LVDT's converter", 0.0, 10.0),
+    Parameter("dcarc.delay", 0.0, "s", "dead time of LVDT and bus, at most 4 sample periods", 0.0, 0.4),
+    Parameter(
+        "dcarc.actuator_delay",
+        0.0,
+        "s",
+        "dead time of bus and amplifier before the valve, at most 4 sample periods",
+        0.0,
+        0.4,
+    ),
+    Parameter(
+        "dcarc.input_noise",
+        1.2,
+        "V",
+        "standard deviation of what disturbs the input from sample to sample, for the Kalman filter",
+        0.0,
+        1e3,
+    ),
+    Parameter(
+        "dcarc.disturbance_rate",
+        6.0,
+        "V/√s",
+        "intensity of the random walk of the input disturbance, for the Kalman filter",
+        1e-3,
+        1e4,
+    ),
+    Parameter(
+        "dcarc.voltage_weight", 0.17, "V²/V²", "weight of the voltage against the error in LQR", 1e-9, 1e6
+    ),
+    Parameter(
+        "dcarc.presliding",
+        [0.007, 0.018, 0.044],
+        "V",
+        "presliding of the three bristles that the reference drags",
+        1e-6,
+        10.0,
+        length=3,
+    ),
+    Parameter(
+        "dcarc.standstill_rate",
+        0.32,
+        "V/s",
+        "rate of the reference at which half of what the standstill weight adds is left; below, weights rest",
+        1e-6,
+        1e4,
+    ),
+    Parameter(
+        "dcarc.theta_initial",
+        [0.0] * 9,
+        "",
+        f"initial weights of the compensation: {WEIGHTS}; setting it starts them anew",
+        -1e3,
+        1e3,
+        length=9,
+    ),
+    Parameter(
+        "dcarc.theta_min",
+        [-0.4, -3.0, -3.0, -3.0, -3.0, -1.0, -1.0, -0.03, -0.0003],
+        "",
+        f"lower bounds of the weights: {WEIGHTS}",
+        -1e3,
+        1e3,
+        length=9,
+    ),
+    Parameter(
+        "dcarc.theta_max",
+        [0.6, 3.0, 3.0, 3.0, 3.0, 1.0, 1.0, 0.03, 0.0003],
+        "",
+        f"upper bounds of the weights: {WEIGHTS}",
+        -1e3,
+        1e3,
+        length=9,
+    ),
+    Parameter(
+        "dcarc.theta_spread",
+        [0.2, 0.46, 0.46, 0.46, 1.1, 1.3, 1.0, 1.8e-5, 3.4e-5],
+        "",
+        f"how far the weights may be from the initial ones, standard deviations; 0.0 switches off; the "
+        f"monitor of assumptions counts at least the defaults: {WEIGHTS}",
+        0.0,
+        1e3,
+        length=9,
+    ),
+    Parameter(
+        "dcarc.fit_noise",
+        1.2,
+        "V",
+        "how closely the weights follow the estimated disturbance, standard deviation; larger is slower",
+        1e-4,
+        1e3,
+    ),
+    Parameter(
+        "dcarc.forgetting",
+        0.2,
+        "1/s",
+        "rate at which what was learned gets uncertain again; 0.0: never",
+        0.0,
+        100.0,
+    ),
+)
+
+
+USUAL = defaults(PARAMETERS)
+
+
+def _weights(values: Values) -> tuple[Weights, Weights, Weights, Weights]:
+    """Initial weights, bounds and spreads. Raises ParameterError."""
+    start, lower, upper, spread = (
+        numbers(values, f"dcarc.theta_{what}") for what in ("initial", "min", "max", "spread")
+    )
+    for i, name in enumerate(NAMES):
+        if not lower[i] <= start[i] <= upper[i]:
+            raise ParameterError(
+                f"dcarc.theta_initial[{i}] ({name}) is {start[i]:g}; it must lie between "
+                f"dcarc.theta_min[{i}], {lower[i]:g}, and dcarc.theta_max[{i}], {upper[i]:g}"
+            )
+    if lower[0] <= -1.0:
+        raise ParameterError(
+            f"dcarc.theta_min[0] (gain) is {lower[0]:g}; it must be above -1, since 1 + it scales the voltage"
+        )
+    return Weights(*start), Weights(*lower), Weights(*upper), Weights(*spread)
+
+
+def _magnet(values: Values, period: float) -> magnet.Params:
+    half, sides, coil = (number(values, f"dcarc.{name}") for name in ("hysteresis", "sides", "coil"))
+    most_sides = SIDES if sides > 0.0 else 0.0
+    return magnet.Params(
+        on=1.0 if half > 0.0 or sides > 0.0 else 0.0,
+        coil=coil,
+        lead=coil / period,
+        turn=TURN * half if half > 0.0 else 1.0,
+        initial=magnet.Pair(half, 0.0),
+        lower=magnet.Pair(0.0, -most_sides),
+        upper=magnet.Pair(HIGHEST * half, most_sides),
+        prior=magnet.Pair((SPREAD * half) ** 2, sides**2),
+    )
+
+
+def build(values: Values) -> Params:
+    """Law from the controller's values. Raises ParameterError."""
+    from valve_control.control.laws import dcarc_design  # scipy.linalg takes a while
+
+    period = number(values, "sample_period")
+    start, lower, upper, spread = _weights(values)
+    noise = number(values, "dcarc.fit_noise")
+    # A search makes spreads and noise small to calm the adaptation, which says nothing of the valve.
+    usual, usual_noise = numbers(USUAL, "dcarc.theta_spread"), number(USUAL, "dcarc.fit_noise")
+    assumed = Weights(*(max(s, u) if s > 0.0 else 0.0 for s, u in zip(spread, usual, strict=True)))
+    valve_model = models.chosen(values, "dcarc.model", "dcarc.")
+    try:
+        made = dcarc_design.design(
+            valve_model,
+            period,
+            number(values, "dcarc.delay"),
+            number(values, "dcarc.lvdt_noise"),
+            number(values, "dcarc.lvdt_resolution"),
+            number(values, "dcarc.input_noise"),
+            number(values, "dcarc.disturbance_rate"),
+            number(values, "dcarc.voltage_weight"),
+            number(values, "dcarc.coil"),
+            number(values, "dcarc.actuator_delay"),
+        )
+    except dcarc_design.DesignError as error:
+        raise ParameterError(str(error)) from error
+    return Params(
+        model=made.model,
+        kalman=made.kalman,
+        feedback=made.feedback,
+        waiting=made.waiting,
+        unexplained=made.unexplained,
+        wanted=made.wanted,
+        full=made.full,
+        half=made.half,
+        model_voltage=made.model_voltage,
+        standing=made.standing,
+        moving=made.moving,
+        presliding=Bristles(*numbers(values, "dcarc.presliding")),
+        standstill_rate=number(values, "dcarc.standstill_rate"),
+        jitter=made.jitter,
+        lag_share=made.lag_share,
+        theta_initial=start,
+        theta_min=lower,
+        theta_max=upper,
+        prior=least_squares.product(spread, spread),
+        forget=-math.expm1(-number(values, "dcarc.forgetting") * period),
+        calm=math.exp(-period / CALM),
+        fit_variance=noise**2,
+        memory=-math.expm1(-period / MEMORY),
+        assumed=least_squares.product(assumed, assumed),
+        assumed_variance=max(noise, usual_noise) ** 2,
+        magnet=_magnet(values, period),
+        equivalent=made.equivalent,
+        u_max=number(values, "u_max"),
+        period=period,
+        reshaping=reshaping.build(values)._replace(
+            smoothing=-math.expm1(-period / number(values, "dcarc.smoothing")) / period
+            if dcarc_design.excess(valve_model) > 2
+            else 0.0,
+            dead_time=number(values, "dcarc.actuator_delay"),
+        ),
+    )
+
+
+def model(p: Params) -> tuple[float, float, float]:
+    """a1, a0 and b0 of the second-order model of the same slow behaviour."""
+    return p.equivalent.a1, p.equivalent.a0, p.equivalent.b0
+
+
+def sampled_model(p: Params) -> tuple[Array, Array] | None:
+    """The model itself, with the voltages on their way to it as more states; None: ``model`` will do.
+
+    That is the case with two more poles than zeros, order 2 to 4 and no dead time of the actuator.
+    """
+    m = p.model
+    if p.reshaping.smoothing == 0.0 and not any(m.row4) and m.waits == 0.0:
+        return None
+    n, held = len(m.input), len(m.acting)
+    a, b = np.zeros((n + held, n + held)), np.zeros(n + held)
+    a[:n, :n] = [m.row0, m.row1, m.row2, m.row3, m.row4, m.row5]
+    a[:n, n:] = np.outer(m.input, m.acting) + np.outer(m.early, m.leaving)
+    a[n + 1 :, n:-1] = np.eye(held - 1)
+    b[:n], b[n] = m.direct * np.array(m.input), 1.0
+    return a, b
+
+
+def without_adaptation(p: Params, s: State) -> tuple[Params, State]:
+    """The law with its weights at rest."""
+    still = p._replace(prior=NOTHING, magnet=p.magnet._replace(prior=magnet.NONE))
+    return still, s._replace(
+        fit=s.fit._replace(variance=NOTHING), magnet=s.magnet._replace(variance=magnet.NONE)
+    )
+
+
+LAW = Law(
+    name="dcarc",
+    text="desired compensation, Kalman observer and LQR",
+    module=sys.modules[__name__],
+    parameters=PARAMETERS,
+    build=build,
+    model=model,
+    sampled_model=sampled_model,
+    form=(
+        "dcarc.model",
+        "dcarc.numerator",
+        "dcarc.denominator",
+        "dcarc.coil",
+        "dcarc.delay",
+        "dcarc.actuator_delay",
+        "dcarc.smoothing",
+        "dcarc.hysteresis",
+        "dcarc.sides",
+    ),
+    dead_time="dcarc.delay",
+    linear=without_adaptation,
+    free=(
+        Free("dcarc.disturbance_rate", 0.5, 60.0),
+        Free("dcarc.input_noise", 0.05, 10.0),
+        Free("dcarc.voltage_weight", 1e-3, 3.0, powers=(0, 2)),
+        Free("dcarc.fit_noise", 0.1, 10.0),
+        Free("dcarc.forgetting", 0.003, 3.0, powers=(1, 0)),
+        Free(
+            "dcarc.presliding[0]",
+            0.002,
+            0.05,
+            followers=(("dcarc.presliding[1]", 2.5), ("dcarc.presliding[2]", 6.25)),
+        ),
+        Free("dcarc.standstill_rate", 0.03, 3.0),
+        Free("dcarc.theta_spread[0]", 0.005, 0.6),
+        Free(
+            "dcarc.theta_spread[1]",
+            0.01,
+            3.0,
+            followers=(("dcarc.theta_spread[2]", 1.0), ("dcarc.theta_spread[3]", 1.0)),
+        ),
+        Free("dcarc.theta_spread[4]", 0.01, 3.0),
+        Free("dcarc.theta_spread[5]", 0.01, 3.0),
+        Free("dcarc.theta_spread[6]", 0.01, 3.0),
+        Free("dcarc.theta_spread[7]", 1e-6, 0.03, powers=(-1, -1)),
+        Free("dcarc.theta_spread[8]", 1e-6, 3e-4, powers=(-2, -1)),
+    ),
+    remedy="shorten sample_period, or raise dcarc.voltage_weight or lower dcarc.disturbance_rate",
+)

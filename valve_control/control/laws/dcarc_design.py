@@ -1,0 +1,528 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Constants of dcarc, designed once: sampled model, its inverse, Kalman filter, LQR (docs/laws/dcarc.md)."""
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from valve_control.control.laws.dcarc_parts import (
+    Combination,
+    Equivalent,
+    Gains,
+    Inverse,
+    Model,
+    Move,
+    Past,
+    Rest,
+    Row,
+)
+from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.valve import observability_form
+
+Array = npt.NDArray[np.float64]
+MOST_DELAY = 4  # sample periods
+MOST_POLES = 6
+EXCESS = (2, 3)  # more poles than zeros, as many as the reference has derivatives
+DOUBLINGS = 50  # of the terms of a sum, at most; enough for poles at 1 - 1e-14
+MOST_ZEROS = MOST_POLES - EXCESS[0]
+SLOWEST_ZERO = (
+    10.0  # 1/s  zeros of the model must decay at least as fast, since the inverse has them as poles
+)
+LEAST_DAMPING = 0.1  # -  of these zeros
+
+
+class DesignError(ValueError):
+    """A law that cannot be designed as asked; the message is one sentence."""
+
+
+class Design(NamedTuple):
+    """What ``design`` makes; fields as in ``dcarc.Params``."""
+
+    model: Model
+    kalman: Gains
+    feedback: Row
+    waiting: Past
+    unexplained: float
+    wanted: Combination
+    full: Move
+    half: Move
+    model_voltage: Combination
+    standing: Rest
+    moving: Rest
+    lag_share: float
+    jitter: float
+    equivalent: Equivalent
+
+
+class Observed(NamedTuple):
+    """What is observed: x⁺ = A·x + b·u + w, y = c·x + v, of model, disturbance and past positions."""
+
+    a: Array
+    b: Array
+    c: Array
+    process: Array  # covariance of w
+    reading: float  # V²  variance of v
+
+
+class Readings(NamedTuple):
+    """What of ``Observed`` follows from the model and its dead time alone; not to be changed."""
+
+    order: int  # of the model
+    a: Array
+    b: Array
+    c: Array
+
+
+class Inverted(NamedTuple):
+    """Rows of coefficients of (ζ, …, its highest inner derivative, r, ṙ, r̈, …), e = n - m derivatives."""
+
+    rate: Array  # of the inner states, m×(m + e + 1)
+    voltage: Array  # u_r
+    state: Array  # x_r, n×(m + e + 1)
+
+
+class Reference(NamedTuple):
+    """What of a design follows from the inverse of the model alone."""
+
+    of: Inverted
+    full: Move
+    half: Move
+    standing: Rest
+    moving: Rest
+
+
+def sampled(a: Array, b: Array, period: float, scale: Array) -> tuple[Array, Array]:
+    """A and b of x' = a·x + b·u over one ``period`` [s] with u held, exactly; ``scale``: sizes of x."""
+    n = len(b)
+    whole = np.zeros((n + 1, n + 1))
+    whole[:n, :n], whole[:n, n] = a * scale / scale[:, None], b / scale
+    moved = scipy.linalg.expm(whole * period)
+    return moved[:n, :n] / scale * scale[:, None], moved[:n, n] * scale
+
+
+def excess(model: TransferFunction) -> int:
+    """Poles less zeros."""
+    poles, zeros = (
+        len(np.trim_zeros(np.asarray(part), "f")) for part in (model.denominator, model.numerator)
+    )
+    return poles - zeros
+
+
+def _from_force(model: TransferFunction, coil: float) -> TransferFunction:
+    """Position over a force that lags its voltage by ``coil`` [s]."""
+    return TransferFunction(tuple(np.polymul(model.numerator, [coil, 1.0]).tolist()), model.denominator)
+
+
+def balanced(model: TransferFunction) -> bool:
+    """Whether the numbers of ``model`` need to be balanced before the matrix exponential.
+
+    The models of order 2 to 4 with two fewer zeros do not.
+    """
+    n = len(observability_form(model)[1])
+    return n > 4 or excess(model) > EXCESS[0]
+
+
+def scale_of(model: TransferFunction) -> Array:
+    """Sizes of the states of the observability form: powers of a speed of the model's poles."""
+    a, _ = observability_form(model)
+    speeds = np.abs(np.linalg.eigvals(a))
+    speed = float(np.max(speeds))
+    if balanced(model):
+        speed = float(np.exp(np.mean(np.log(np.maximum(speeds, 1.0)))))
+    return np.array([max(speed, 1.0) ** i for i in range(len(a))])
+
+
+def check(model: TransferFunction) -> None:
+    """Raise DesignError for a model that the law does not take, or that cannot be inverted."""
+    numerator = np.trim_zeros(np.asarray(model.numerator, dtype=float), "f")
+    denominator = np.trim_zeros(np.asarray(model.denominator, dtype=float), "f")
+    order, zeros = len(denominator) - 1, len(numerator) - 1
+    if not EXCESS[0] <= order <= MOST_POLES or order - zeros not in EXCESS:
+        raise DesignError(
+            f"the model of dcarc has {order} poles and {zeros} zeros; it must have {EXCESS[0]} to "
+            f"{MOST_POLES} poles and two or three fewer zeros, because the reference has up to three "
+            "derivatives"
+        )
+    for zero in np.roots(numerator):
+        if zero.real > -SLOWEST_ZERO or -zero.real < LEAST_DAMPING * abs(zero):
+            where = f"{zero.real:.4g}" if zero.imag == 0.0 else f"{zero.real:.4g} ± {abs(zero.imag):.4g}j"
+            raise DesignError(
+                f"the model of dcarc has a zero at {where} rad/s and cannot be inverted; zeros must lie "
+                f"left of -{SLOWEST_ZERO:g} rad/s and have a damping ratio of at least {LEAST_DAMPING:g}"
+            )
+
+
+def inverted(model: TransferFunction) -> Inverted:
+    """Inverse of ``model``: B(p)ζ = r, u_r = A(p)ζ, x_r the states of the observability form.
+
+    Raises DesignError for a model that cannot be inverted.
+    """
+    check(model)
+    b = np.trim_zeros(np.asarray(model.numerator, dtype=float), "f")[::-1]
+    a = np.trim_zeros(np.asarray(model.denominator, dtype=float), "f")[::-1]
+    b, a = b / a[-1], a / a[-1]
+    n, m = len(a) - 1, len(b) - 1
+    rows = np.zeros((n + 1, n + 1))  # row j: the j-th derivative of ζ
+    rows[:m, :m] = np.eye(m)
+    for i in range(n - m + 1):
+        rows[m + i, m + i] = 1.0
+        rows[m + i] = (rows[m + i] - b[:m] @ rows[i : m + i]) / b[m]
+    companion = np.diag(np.ones(n - 1), 1)
+    companion[-1] = -a[:n]
+    output = np.concatenate([b, np.zeros(n - m - 1)])
+    form = np.array([output @ np.linalg.matrix_power(companion, i) for i in range(n)])
+    return Inverted(rows[1 : m + 1], a @ rows, form @ rows[:n])
+
+
+@functools.lru_cache(maxsize=32)
+def readings(model: TransferFunction, period: float, delay: float, coil: float = 0.0) -> Readings:
+    """Model, disturbance and past positions in samples of ``period`` [s].
+
+    The reading y(k) is the position ``delay`` [s] before. With m = ⌈delay/period⌉, the first of m past
+    positions is that between two samples at which a reading m - 1 samples later looks. The disturbance is a
+    voltage, or a force that lags its voltage by ``coil`` [s].
+    """
+    a, b = observability_form(model)
+    _, f = observability_form(_from_force(model, coil)) if coil > 0.0 else (a, b)
+    n = len(b)
+    periods = delay / period
+    m = math.ceil(periods - 1e-9)
+    size = n + 1 + m
+    scale = scale_of(model) if balanced(model) else np.ones(n)
+    transition, held = sampled(a, b, period, scale)
+    pushed = sampled(a, f, period, scale)[1]
+    whole, column, output = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    whole[:n, :n], whole[:n, n], whole[n, n] = transition, pushed, 1.0
+    column[:n] = held
+    output[n + m if m else 0] = 1.0
+    if m:
+        rest = (m - periods) * period
+        within, part = sampled(a, b, rest, scale)
+        whole[n + 1, :n], column[n + 1] = within[0], part[0]
+        whole[n + 1, n] = sampled(a, f, rest, scale)[1][0]
+        for i in range(n + 2, size):
+            whole[i, i - 1] = 1.0
+    return Readings(n, whole, column, output)
+
+
+def observed(
+    model: TransferFunction,
+    period: float,
+    delay: float,
+    reading: float,
+    input_noise: float,
+    walk: float,
+    coil: float = 0.0,
+) -> Observed:
+    """``readings`` with noise.
+
+    ``reading`` [V] and ``input_noise`` [V]: standard deviations; ``walk`` [V]: of the disturbance's step in
+    one period; ``coil`` [s]: lag of the force behind the voltage, 0.0 where both are one.
+    """
+    n, a, b, c = readings(model, period, delay, coil)
+    shaken = np.concatenate([a[:n, n], [0.0], a[n + 1 :, n]])
+    process = input_noise**2 * np.outer(shaken, shaken)
+    process[n, n] += walk**2
+    return Observed(a, b, c, process, reading**2)
+
+
+def kalman(o: Observed, scale: Array) -> Array:
+    """Gain of the steady-state Kalman filter, P·c/(c·P·c + R) with P of the Riccati equation.
+
+    ``scale``: sizes of the states, which put the equation's numbers close to 1. Raises DesignError.
+    """
+    a = o.a * scale / scale[:, None]
+    c = (o.c * scale)[:, None]
+    process = o.process / scale / scale[:, None]
+    try:
+        p = scipy.linalg.solve_discrete_are(a.T, c, process, np.array([[o.reading]]))
+        gain = (p @ c)[:, 0] / ((c.T @ p @ c)[0, 0] + o.reading)
+        radius = np.max(np.abs(np.linalg.eigvals(a - np.outer(a @ gain, c[:, 0]))))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise DesignError(f"dcarc has no Kalman filter with these noises: {_reason(error)}") from error
+    if not radius < 1.0:
+        raise DesignError(
+            f"dcarc has no Kalman filter with these noises: its largest pole would be {radius:.6f}; raise "
+            "dcarc.disturbance_rate or dcarc.input_noise, or lower dcarc.lvdt_noise"
+        )
+    gained: Array = gain * scale
+    return gained
+
+
+def regulator(a: Array, b: Array, weight: float, scale: Array) -> Array:
+    """Gain K of the LQR that minimises Σ x_1² + ``weight``·u². Raises DesignError."""
+    a = a * scale / scale[:, None]
+    b = (b / scale)[:, None]
+    n = len(scale)
+    state = np.zeros((n, n))
+    state[0, 0] = 1.0
+    try:
+        s = scipy.linalg.solve_discrete_are(a, b, state, np.array([[weight]]))
+        gain = (b.T @ s @ a)[0] / (weight + (b.T @ s @ b)[0, 0])
+        radius = np.max(np.abs(np.linalg.eigvals(a - b @ gain[None, :])))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise DesignError(
+            f"dcarc has no LQR with dcarc.voltage_weight {weight:g}: {_reason(error)}"
+        ) from error
+    if not radius < 1.0:
+        raise DesignError(
+            f"dcarc has no LQR with dcarc.voltage_weight {weight:g}: its largest pole would be {radius:.6f}"
+        )
+    gained: Array = gain / scale
+    return gained
+
+
+def _reason(error: Exception) -> str:
+    return "the Riccati equation has no finite solution" if not str(error) else str(error).rstrip(".")
+
+
+def mean_lag(o: Observed, gain: Array, at: int) -> float:
+    """Samples, at least 1, by which the estimate of ``at`` is late: sum of its errors after a step of 1."""
+    correction = np.eye(len(gain)) - np.outer(gain, o.c)
+    errors = correction @ np.linalg.inv(np.eye(len(gain)) - o.a @ correction)
+    return float(errors[at, at])
+
+
+def jitter(o: Observed, gain: Array, feedback: Array, scale: Array) -> float:
+    """Mean speed [V/s] at which the noise of the reading shakes the spool through ``feedback``.
+
+    √(2/π) of the velocity's standard deviation on the model without friction, from the Lyapunov equation
+    of model and observer in the loop. ``scale``: sizes of the observer's states. Raises DesignError.
+    """
+    n, size = len(feedback), len(gain)
+    own = [i for i in range(size) if i != n]  # the model's states; its disturbance is none
+    a, b, c = o.a * scale / scale[:, None], o.b / scale, o.c * scale
+    gain = gain / scale
+    k = np.concatenate([feedback, [1.0], np.zeros(size - n - 1)]) * scale
+    moved, corrected = a - np.outer(b, k), np.eye(size) - np.outer(gain, c)
+    whole = np.block(
+        [
+            [a[np.ix_(own, own)] - (k @ gain) * np.outer(b[own], c[own]), -np.outer(b[own], k @ corrected)],
+            [np.outer(moved @ gain, c[own]), moved @ corrected],
+        ]
+    )
+    shaken = np.concatenate([-(k @ gain) * b[own], moved @ gain])
+    covariance = o.reading * np.outer(shaken, shaken)
+    with np.errstate(all="ignore"):
+        for _ in range(DOUBLINGS):  # Σ of wholeⁱ·Q·wholeⁱᵀ, twice as many terms each time (Smith 1968)
+            before, covariance = covariance, covariance + whole @ covariance @ whole.T
+            if np.array_equal(before, covariance):
+                break
+            whole = whole @ whole
+    variance = float(covariance[1, 1])
+    if not math.isfinite(variance):
+        raise DesignError("dcarc has no finite response to the noise of the LVDT with these weights")
+    return math.sqrt(2.0 / math.pi * max(variance, 0.0)) * float(scale[1])
+
+
+def _row(numbers: Array) -> Row:
+    return Row(*(float(v) for v in np.concatenate([numbers, np.zeros(MOST_POLES - len(numbers))])))
+
+
+def _past(numbers: Array) -> Past:
+    return Past(*(float(v) for v in np.concatenate([numbers, np.zeros(MOST_DELAY - len(numbers))])))
+
+
+def _inverse(numbers: Array) -> Inverse:
+    return Inverse(*(float(v) for v in np.concatenate([numbers, np.zeros(MOST_ZEROS - len(numbers))])))
+
+
+def _combination(row: Array, zeros: int) -> Combination:
+    """``row`` of coefficients as in ``Inverted``, of a model with so many ``zeros``."""
+    inner = np.concatenate([row[:zeros], np.zeros(MOST_ZEROS - zeros)])
+    reference = np.concatenate([row[zeros:], np.zeros(EXCESS[1] + 1 - len(row) + zeros)])
+    return Combination(*(float(v) for v in (*inner, *reference)))
+
+
+def _move(rate: Array, time: float) -> Move:
+    """Inner states after ``time`` [s] with a reference that moves in a straight line, exactly."""
+    m = len(rate)
+    whole = np.zeros((m + 2, m + 2))
+    whole[:m, : m + 1] = rate[:, : m + 1]
+    whole[m, m + 1] = 1.0
+    after = scipy.linalg.expm(whole * time)[:m]
+    zeta, first, second, third = (_inverse(after[:, i] if m > i else np.zeros(0)) for i in range(MOST_ZEROS))
+    return Move(zeta, first, second, third, _inverse(after[:, m]), _inverse(after[:, m + 1]))
+
+
+def _rest(of: Inverted, reference: float, rate: float) -> Rest:
+    """Steady motion through ``reference`` [V] at ``rate`` [V/s]."""
+    m = len(of.rate)
+    inner = np.zeros(m, dtype=np.float64)
+    if m:
+        # ζ = p + q·t in ζ' = a·ζ + b·r with r = reference + rate·t: a·q + b·rate = 0, a·p + b·reference = q.
+        q = np.linalg.solve(of.rate[:, :m], -of.rate[:, m] * rate)
+        inner[:] = np.linalg.solve(of.rate[:, :m], q - of.rate[:, m] * reference)
+    whole = np.concatenate([inner, [reference, rate], np.zeros(of.voltage.size - m - 2)])
+    return Rest(_row(of.state @ whole), _inverse(inner), float(of.voltage @ whole))
+
+
+@functools.lru_cache(maxsize=32)
+def reference(model: TransferFunction, period: float) -> Reference:
+    """Inverse of ``model``, and how it moves in one ``period`` [s]. Raises DesignError."""
+    of = inverted(model)
+    return Reference(
+        of=of,
+        full=_move(of.rate, period),
+        half=_move(of.rate, 0.5 * period),
+        standing=_rest(of, 1.0, 0.0),
+        moving=_rest(of, 0.0, 1.0),
+    )
+
+
+class Waiting(NamedTuple):
+    """The way of the voltage to the valve: periods that it waits, and what it does then."""
+
+    periods: int  # whole ones
+    input: Array  # n  column of the voltage that acts at the end of a period
+    early: Array  # n  of the one before, which acts at its beginning
+    late: float  # of the first on the position that is the first of the past ones
+    passing_early: float  # of the one before
+    transition: Array  # n×n  over the dead time
+    held: Array  # n×MOST_DELAY  of the voltages before, until the one of now begins to act
+    pushed: Array  # n  of the disturbance until then
+
+
+def waiting(model: TransferFunction, period: float, coil: float, dead_time: float, age: float) -> Waiting:
+    """Dead time of the actuator [s]: a voltage acts so much later than it is sent, for one ``period``.
+
+    ``age`` [s]: of the first of the past positions, at the next sample; see ``readings`` for ``coil``.
+    """
+    a, b = observability_form(model)
+    _, f = observability_form(_from_force(model, coil)) if coil > 0.0 else (a, b)
+    scale = scale_of(model)
+    periods = math.floor(dead_time / period + 1e-9)
+    begin = max(dead_time - periods * period, 0.0)  # of the later voltage within a period
+    whole, full = sampled(a, b, period, scale)
+    until, before = sampled(a, b, begin, scale)
+    after, then = sampled(a, b, period - begin, scale)
+    seen = period - age  # within a period
+    if seen > begin:
+        rest, last = sampled(a, b, seen - begin, scale)
+        first = rest @ before
+    else:
+        last, first = np.zeros(len(b)), sampled(a, b, seen, scale)[1]
+    held = np.zeros((len(b), MOST_DELAY + 1))
+    power = np.eye(len(b))
+    for i in range(periods):
+        held[:, i] = power @ full
+        power = whole @ power
+    held[:, periods] = power @ before
+    transition, pushed = power @ until, sampled(a, f, dead_time, scale)[1]
+    return Waiting(
+        periods,
+        then,
+        after @ before,
+        float(last[0]),
+        float(first[0]),
+        transition,
+        held[:, :MOST_DELAY],
+        pushed,
+    )
+
+
+@functools.lru_cache(maxsize=32)
+def equivalent(model: TransferFunction) -> Equivalent:
+    """Second-order model with the static gain and the two slowest poles of ``model``."""
+    poles = np.roots(model.denominator)
+    slow = poles[np.argsort(np.abs(poles))[:2]]
+    a1, a0 = float(-np.sum(slow).real), float(np.prod(np.abs(slow)))
+    return Equivalent(a1, a0, a0 * model.static_gain)
+
+
+@functools.lru_cache(maxsize=32)
+def design(
+    model: TransferFunction,
+    period: float,
+    delay: float,
+    noise: float,
+    resolution: float,
+    input_noise: float,
+    disturbance_rate: float,
+    voltage_weight: float,
+    coil: float,
+    dead_time: float,
+) -> Design:
+    """The law for ``model`` at ``period`` [s], with a reading ``delay`` [s] late.
+
+    ``noise`` and ``resolution`` [V]: of the LVDT; ``input_noise`` [V], ``disturbance_rate`` [V/√s]: what the
+    Kalman filter assumes of the input; ``voltage_weight``: of LQR; ``coil`` [s]: lag of the force behind the
+    voltage; ``dead_time`` [s]: of the actuator. Raises DesignError.
+    """
+    at = reference(model, period)
+    if coil > 0.0 and excess(model) <= EXCESS[0]:
+        raise DesignError(
+            f"dcarc.coil is {coil:g} s; the model must then have three more poles than zeros, or dcarc.coil "
+            "must be 0"
+        )
+    if delay > MOST_DELAY * period * (1.0 + 1e-9):
+        raise DesignError(
+            f"dcarc.delay is {delay:g} s; at a sample period of {period:g} s it must be at most "
+            f"{MOST_DELAY * period:g} s"
+        )
+    if dead_time > MOST_DELAY * period * (1.0 + 1e-9):
+        raise DesignError(
+            f"dcarc.actuator_delay is {dead_time:g} s; at a sample period of {period:g} s it must be at most "
+            f"{MOST_DELAY * period:g} s"
+        )
+    n, zeros = readings(model, period, delay).order, len(at.of.rate)
+    reading = math.sqrt(noise**2 + resolution**2 / 12.0)
+    o = observed(model, period, delay, reading, input_noise, disturbance_rate * math.sqrt(period), coil)
+    m = len(o.a) - n - 1
+    sizes = scale_of(model)
+    scale = np.concatenate([sizes, [1.0], np.ones(m)])
+    gain = kalman(o, scale)
+    transition, held = o.a[:n, :n], o.b[:n]
+    feedback = regulator(transition, held, voltage_weight, sizes)
+    ages = np.array([delay - (m - i) * period for i in range(1, m + 1)])
+    shown = np.array([0.0] * (m - 1) + [1.0] * min(m, 1))
+    full = np.zeros((MOST_POLES, n))
+    full[:n] = transition
+    rows = [_row(row) for row in full]
+    passing = o.a[n + 1, :n] if m else np.zeros(n)
+    wait = waiting(model, period, coil, dead_time, ages[0] if m else 0.0)
+    acting, late = held, float(o.b[n + 1]) if m else 0.0
+    if dead_time > 0.0:
+        acting, late = wait.input, wait.late
+    return Design(
+        model=Model(
+            row0=rows[0],
+            row1=rows[1],
+            row2=rows[2],
+            row3=rows[3],
+            row4=rows[4],
+            row5=rows[5],
+            input=_row(acting),
+            force=_row(o.a[:n, n] - acting),
+            passing=_row(passing),
+            passing_input=late if m else 0.0,
+            passing_force=float(o.a[n + 1, n]) - late if m else 0.0,
+            waits=1.0 if dead_time > 0.0 else 0.0,
+            direct=1.0 if wait.periods == 0 else 0.0,
+            acting=_past(np.eye(MOST_DELAY + 1)[wait.periods][1:]),
+            leaving=_past(np.eye(MOST_DELAY + 2)[wait.periods + 1][1 : MOST_DELAY + 1]),
+            early=_row(wait.early),
+            passing_early=wait.passing_early if m else 0.0,
+            present=0.0 if m else 1.0,
+            shown=_past(shown),
+            ages=_past(ages),
+        ),
+        kalman=Gains(_row(gain[:n]), float(gain[n]), _past(gain[n + 1 :])),
+        feedback=_row(feedback @ wait.transition if dead_time > 0.0 else feedback),
+        waiting=_past(feedback @ wait.held),
+        unexplained=float(feedback @ wait.pushed),
+        wanted=_combination(feedback @ at.of.state, zeros),
+        full=at.full,
+        half=at.half,
+        model_voltage=_combination(at.of.voltage, zeros),
+        standing=at.standing,
+        moving=at.moving,
+        lag_share=1.0 / mean_lag(o, gain, n),
+        jitter=jitter(o, gain, feedback, scale),
+        equivalent=equivalent(model),
+    )

@@ -1,0 +1,190 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Describes a control law to the rest of the package: name, parameters, equations and abilities."""
+
+import inspect
+import math
+import types
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, get_type_hints
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.control.laws import reshaping
+from valve_control.control.laws.free import Free, entries_of
+from valve_control.control.laws.projection import Theta
+from valve_control.control.laws.signals import Start
+from valve_control.parameter import Table, Value, Values, defaults
+
+Array = npt.NDArray[np.float64]
+PACKAGE = "valve_control"
+FIELDS = {"Params": ("u_max", "period"), "Terms": ("reference", "z1", "unsaturated_voltage")}
+FORMS = {
+    "initial": ("params", "start"),
+    "step": ("params", "state", "command", "measurement", "offset"),
+    "hold": ("params", "state", "command", "measurement", "voltage"),
+}
+
+
+def unchanged(params: Any, state: Any) -> tuple[Any, Any]:
+    """``params`` and ``state`` themselves, for a law whose step is linear as it is."""
+    return params, state
+
+
+def by_slow_motion(params: Any) -> None:
+    """None, for a law whose loop is checked on (1) with what ``Law.model`` gives."""
+
+
+def always(params: Any) -> bool:
+    """True, for a law that reshapes its command with every set of gains."""
+    return True
+
+
+def reshaped_steady_command(params: Any, start: Start) -> float:
+    """Command [V] under which the reshaped reference goes on as at ``start``."""
+    return reshaping.steady_command(params.reshaping, start.measurement, start.velocity)
+
+
+class Law(NamedTuple):
+    """A control law: where its equations are, its parameters, and what it can do."""
+
+    name: str  # of the parameter `controller`, and before the dot of its own parameters
+    text: str  # what it is, in a few words
+    module: types.ModuleType  # Params, State, Terms, initial, step and hold, as in laws/__init__.py
+    parameters: Table
+    build: Callable[[Values], Any]  # Params from the controller's values; raises ParameterError
+    # a1 [1/s], a0 [1/s²] and b0 [1/s²] of the model that a set of Params believes in; None: no feedback
+    model: Callable[[Any], tuple[float, float, float]] | None = None
+    # transition matrix (n×n) and input column (n) of the sampled model that a set of Params believes in,
+    # position first, where (1) leaves out what the loop needs; None: (1) with what ``model`` gives will do
+    sampled_model: Callable[[Any], tuple[Array, Array] | None] = by_slow_motion
+    reshapes: Callable[[Any], bool] = always  # whether a set of Params follows a reshaped reference
+    # command under which the law goes on as it is, from which a takeover lets the real one fade in
+    steady_command: Callable[[Any, Start], float] = reshaped_steady_command
+    form: tuple[str, ...] = ()  # parameters after whose change the state means something else
+    dead_time: str = ""  # parameter of the dead time [s] of LVDT and bus that it knows of; "": none
+    linear: Callable[[Any, Any], tuple[Any, Any]] = unchanged  # Params and State with a linear step
+    free: tuple[Free, ...] = ()  # numbers that a tuner may choose, besides those of the reshaping
+    variants: tuple[Mapping[str, Value], ...] = (
+        {},
+    )  # settings with each of which it is tuned, the best wins
+    remedy: str = "shorten sample_period or lower the gains"  # of a loop that is unstable
+    package: str = PACKAGE  # that brings it
+
+    @property
+    def title(self) -> str:
+        """Name and package, for messages."""
+        return f"the law '{self.name}' of the package {self.package}"
+
+    @property
+    def feedback(self) -> bool:
+        """Whether the voltage depends on the reading."""
+        return self.model is not None
+
+    @property
+    def adapts(self) -> bool:
+        """Whether it has estimates, the field ``theta`` of its state."""
+        return "theta" in self.module.State._fields
+
+    @property
+    def estimates_valve(self) -> bool:
+        """Whether the estimates are the four parameters of (4)."""
+        return get_type_hints(self.module.State).get("theta") is Theta
+
+    @property
+    def term_labels(self) -> tuple[str, ...]:
+        """Names of the terms that it computes at each sample."""
+        return tuple(self.module.Terms._fields)
+
+
+class LawError(ValueError):
+    """Says why a law cannot be used; the message is one sentence without the law's name."""
+
+
+def check(law: Any) -> Law:
+    """Return ``law`` if it has the form of a law. Raises LawError."""
+    if not isinstance(law, Law):
+        raise LawError(f"it is {law!r}; it must be a valve_control.control.laws.law.Law")
+    if not (law.name.isidentifier() and law.name.islower()):
+        raise LawError(f"its name is '{law.name}'; it must be one word in lower case")
+    for part, needed in FIELDS.items():
+        _check_record(law.module, part, needed)
+    _check_record(law.module, "State", ())
+    for part, wanted in FORMS.items():
+        _check_function(law.module, part, wanted)
+    for parameter in law.parameters:
+        if not parameter.name.startswith(f"{law.name}."):
+            raise LawError(f"its parameter {parameter.name} must begin with '{law.name}.'")
+    if law.dead_time and law.dead_time not in {p.name for p in law.parameters}:
+        raise LawError(f"its dead_time is '{law.dead_time}'; it must be one of its parameters")
+    own = defaults(law.parameters)
+    for free in law.free:
+        _check_free(free, own)
+    if law.adapts and f"{law.name}.theta_initial" not in {p.name for p in law.parameters}:
+        raise LawError(f"its state has estimates; there must be a parameter {law.name}.theta_initial")
+    return law
+
+
+def try_out(law: Law, values: Values) -> None:
+    """Build ``law`` from ``values`` and compute one step and one hold. Raises LawError."""
+    try:
+        params = law.build({**values, **defaults(law.parameters)})
+        state = law.module.initial(params, Start(0.1, 0.0, 0.1, 0.0, 0.0))
+        result = law.module.step(params, state, 0.2, 0.1, 0.0)
+        held = law.module.hold(params, state, 0.2, 0.1, 0.0)
+    except Exception as error:
+        raise LawError(f"its first step fails: {type(error).__name__}: {error}") from error
+    if not (isinstance(result, tuple) and len(result) == 3):
+        raise LawError("its step must return (voltage, state, terms)")
+    voltage, after, terms = result
+    if type(voltage) is not float or not math.isfinite(voltage):
+        raise LawError(f"its step gives {voltage!r} as voltage; it must be a finite float")
+    for what, value, kind in (
+        ("initial gives", state, law.module.State),
+        ("step gives", after, law.module.State),
+        ("hold gives", held, law.module.State),
+        ("step gives", terms, law.module.Terms),
+    ):
+        if type(value) is not kind:
+            raise LawError(f"its {what} {type(value).__name__}; it must be {kind.__name__}")
+
+
+def _check_free(free: Any, own: Values) -> None:
+    if not isinstance(free, Free):
+        raise LawError(f"it has {free!r} to choose; it must be a valve_control.control.laws.free.Free")
+    for name, index in entries_of(free):
+        if not isinstance(own.get(name), float if index is None else list):
+            raise LawError(f"it has {free.name} to choose, and {name} is none of its numbers")
+    if not free.low < free.high or (free.logarithmic and free.low <= 0.0):
+        raise LawError(f"the range of {free.name} goes from {free.low:g} to {free.high:g}")
+    try:
+        unit = free.unit({**defaults(reshaping.PARAMETERS), **own})
+    except KeyError as error:
+        raise LawError(f"the unit of {free.name} asks for {error}, which is none of its numbers") from error
+    if not (math.isfinite(unit) and unit > 0.0):
+        raise LawError(f"the unit of {free.name} is {unit:g} with the default values; it must be above 0")
+
+
+def _check_record(module: types.ModuleType, part: str, needed: tuple[str, ...]) -> None:
+    kind = getattr(module, part, None)
+    if not hasattr(kind, "_fields"):
+        raise LawError(f"{module.__name__} has no NamedTuple {part}")
+    assert kind is not None
+    for name in needed:
+        if name not in kind._fields:
+            raise LawError(f"{module.__name__}.{part} has no field {name}")
+    for name, hint in get_type_hints(kind).items():
+        if hint is not float and not hasattr(hint, "_fields"):
+            raise LawError(f"{module.__name__}.{part}.{name} must be a float or a NamedTuple of floats")
+
+
+def _check_function(module: types.ModuleType, part: str, wanted: tuple[str, ...]) -> None:
+    function = getattr(module, part, None)
+    if not isinstance(function, types.FunctionType):
+        raise LawError(f"{module.__name__} has no function {part}({', '.join(wanted)})")
+    found = tuple(inspect.signature(function).parameters)
+    if len(found) != len(wanted):
+        raise LawError(
+            f"{module.__name__}.{part} takes ({', '.join(found)}); it must take ({', '.join(wanted)})"
+        )

@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Builds the immutable parameters of laws, valve and command shape from checked values."""
+
+from typing import Any
+
+import numpy as np
+
+from valve_control.control.commands import arrays
+from valve_control.control.commands.arrays import Array
+from valve_control.control.commands.scenarios import Shape, steps_of, stroke_time
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.plant import registry
+from valve_control.control.plant.models import TransferFunction
+from valve_control.parameter import ParameterError, Value, Values, number, word
+
+
+def valve_model(values: Values) -> TransferFunction:
+    """Linear model of the valve, with its gain scaled. Raises ParameterError."""
+    return registry.chosen(values).model(values)
+
+
+def law_params(values: Values) -> Any:
+    """Params of the law that ``controller`` names.
+
+    Every other law is built too, so that a set that could not be switched to is refused at once.
+    Raises ParameterError.
+    """
+    return {name: law.build(values) for name, law in LAWS.items()}[word(values, "controller")]
+
+
+def valve_params(values: Values) -> Any:
+    """Params of the plant that the simulator's parameter `valve` names. Raises ParameterError."""
+    return registry.chosen(values).build(values)
+
+
+def shape(values: Values) -> Shape:
+    """Command shape from the command source's values. Raises ParameterError."""
+    made = Shape(
+        scenario=word(values, "scenario"),
+        amplitude=number(values, "amplitude"),
+        offset=number(values, "offset"),
+        start=number(values, "start"),
+        frequency=number(values, "frequency"),
+        end_frequency=number(values, "end_frequency"),
+        max_velocity=number(values, "max_velocity"),
+        max_accel=number(values, "max_accel"),
+        cycle=number(values, "cycle"),
+        sweep_time=number(values, "sweep_time"),
+        steps=int(number(values, "steps")),
+        cycles=int(number(values, "cycles")),
+        step_time=number(values, "step_time"),
+    )
+    if made.scenario == "stepped_sine":
+        needed = made.start + steps_of(made)[-1].end
+        if needed > number(values, "duration"):
+            raise ParameterError(
+                f"duration is {number(values, 'duration'):g} s; the stepped sine takes {needed:.4g} s"
+            )
+    if made.scenario == "point_to_point":
+        ramp, cruise, _ = stroke_time(abs(made.amplitude), made.max_velocity, made.max_accel)
+        needed = 2.0 * (2.0 * ramp + cruise)
+        if needed > made.cycle:
+            raise ParameterError(
+                f"cycle is {made.cycle:g} s; a stroke of {made.amplitude:g} V there and back takes "
+                f"{needed:.3g} s"
+            )
+    return made
+
+
+def commands(values: Values) -> Array:
+    """Command [V] of each sample from the command source's values. Raises ParameterError."""
+    period = number(values, "sample_period")
+    n = max(1, round(number(values, "duration") / period))
+    highest = highest_frequency(values)
+    if highest >= 0.5 / period:
+        raise ParameterError(
+            f"{highest:g} Hz is not below Nyquist's frequency, {0.5 / period:g} Hz at a sample period of "
+            f"{period:g} s"
+        )
+    if values["scenario"] == "array":
+        array = arrays.read(word(values, "command_file"))
+        return np.concatenate([array[:n], np.full(max(0, n - len(array)), array[-1])])
+    return arrays.sampled(shape(values), period, n)
+
+
+def highest_frequency(values: Values) -> float:
+    """Highest frequency [Hz] of the command source's shape, 0 for a shape that has none."""
+    scenario = word(values, "scenario")
+    if scenario in ("sweep", "stepped_sine"):
+        return max(number(values, "frequency"), number(values, "end_frequency"))
+    return number(values, "frequency") if scenario in ("sine", "triangle") else 0.0
+
+
+def derivatives(commands: Array, period: float) -> tuple[Array, Array]:
+    """Rates [V/s] and accelerations [V/s²] of ``commands`` [V], by central differences, at rest at ends."""
+    padded = np.concatenate([commands[:1], commands, commands[-1:]])
+    rates = (padded[2:] - padded[:-2]) / (2.0 * period)
+    return rates, (padded[2:] - 2.0 * commands + padded[:-2]) / (period * period)
+
+
+def as_text(value: Value) -> str:
+    """``value`` as YAML would have it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return "[" + ", ".join(str(v) for v in value) + "]"
+    return f'"{value}"' if value == "" else str(value)

@@ -1,0 +1,160 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Checks whether sample period, gains and valve fit together: poles of the sampled loop.
+
+The law is closed around the model that it believes in, with a margin; and, where a valve is known, around
+that valve: its order, gain, dead time and flow force. Friction, resolution and saturation have no poles:
+their effect shows in a run, simulation/offline.py.
+"""
+
+import cmath
+import math
+from typing import Any
+
+import numpy as np
+
+from valve_control.control.laws.law import Law
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import linear_loop
+from valve_control.control.parameters.linear_loop import LinearValves
+from valve_control.control.plant import registry, valve
+from valve_control.control.plant.models import TransferFunction
+
+GAIN_MARGIN = 1.25  # of b0; the real valve's b0 lies that far from θ(0), and so does (2)
+MOST_DELAY = 50.0  # periods of dead time; more is left to the run
+FARTHEST = 40  # dB  by which a gain is changed to find one with which an unstable loop is stable
+PROBED, SETTLED = 0.01, 0.5  # V, s  command with which a law without feedback is tried, and how long
+OFF = 0.5  # -  error of its position over the command from which on it is told
+STABLE = 1.0 + 1e-6  # largest modulus of a pole, with room for rounding
+
+
+FREE = valve.Disturbance(
+    coulomb=0,
+    static_ratio=1,
+    stribeck_velocity=1,
+    velocity_scale=1,
+    presliding=0,
+    flow_force=0,
+    offset=0,
+    stiffness_drift=0,
+    gain_drift=0,
+)  # of friction and of everything else
+IDEAL = valve.Lvdt(0.0, 0.0, 0.0, 0.0)
+
+
+def spectral_radius(law: Law, params: Any, theta: tuple[float, ...]) -> float:
+    """Largest modulus of the loop's poles, estimates frozen, on the model s² + a1·s + a0 with gain b0.
+
+    A value of 1 or more means that this law is unstable on its own design model at this sample period.
+
+    ``theta``: a1 [1/s], a0 [1/s²] and b0 [1/s²] of that model.
+    """
+    return abs(_pole(law, params, _simple(params, theta)))
+
+
+def _simple(params: Any, theta: tuple[float, ...]) -> LinearValves:
+    model = TransferFunction((theta[2],), (1.0, theta[0], theta[1]))
+    plant = valve.design(model, params.period, params.u_max, 1.0, FREE, IDEAL)
+    return linear_loop.linear_valves([plant])
+
+
+def _believed(law: Law, params: Any, gain: float) -> LinearValves:
+    """The model that ``law`` believes in, with so many times its gain."""
+    exact = law.sampled_model(params)
+    if exact is not None:
+        return linear_loop.undelayed(exact[0], gain * exact[1])
+    assert law.model is not None
+    a1, a0, b0 = law.model(params)
+    return _simple(params, (a1, a0, gain * b0))
+
+
+def _pole(law: Law, params: Any, valves: LinearValves) -> complex:
+    linear = linear_loop.linear_law(law, params, frozen=True)
+    return complex(linear_loop.dominant_poles(linear, valves)[0])
+
+
+def dominant_pole(law: Law, params: Any, plant: Any) -> complex:
+    """The pole of largest modulus of the sampled loop around ``plant``, without its friction and noise."""
+    return _pole(law, params, linear_loop.linear_valves([plant]))
+
+
+def warning(law: Law, params: Any) -> str:
+    """One sentence if the sampled loop is unstable with b0 as assumed or 2 dB above it, else ""."""
+    if law.model is None:
+        return ""
+    believed = _believed(law, params, 1.0)
+    at_rest = abs(_pole(law, params, believed))
+    radius = max(at_rest, abs(_pole(law, params, _believed(law, params, GAIN_MARGIN))))
+    if radius < 1.0:
+        return ""
+    told = (
+        f"{law.name} with these gains is unstable, or within 2 dB of it, at a sample period of "
+        f"{params.period:g} s (largest pole of the sampled loop: {radius:.3f})"
+    )
+    if at_rest < 1.0:
+        return f"{told}; {law.remedy}"
+    return f"{told}; {_advice(law, params, believed, law.remedy)}"
+
+
+def valve_warning(law: Law, params: Any, plant: Any) -> str:
+    """One sentence if the sampled loop around this very valve is unstable, else ""."""
+    if not law.feedback:
+        return _static_warning(law, params, plant)
+    if registry.linear(plant).lvdt.delay > MOST_DELAY:
+        return ""
+    valves = linear_loop.linear_valves([plant])
+    pole = _pole(law, params, valves)
+    if abs(pole) <= STABLE:
+        return ""
+    frequency = abs(cmath.phase(pole)) / (2.0 * math.pi * params.period)
+    return (
+        f"{law.name} with these gains is unstable on this valve (largest pole of the sampled loop: "
+        f"{abs(pole):.3f}, at {frequency:.3g} Hz); {_advice(law, params, valves, 'lower the gains')}, or "
+        "give the law this valve's parameters"
+    )
+
+
+def _static_warning(law: Law, params: Any, plant: Any) -> str:
+    """One sentence if a law without feedback brings ``plant`` to another position than the command."""
+    state = law.module.initial(params, Start(0.0, 0.0, 0.0, 0.0, 0.0))
+    voltage = 0.0
+    for _ in range(math.ceil(SETTLED / plant.period)):
+        voltage, state, _ = law.module.step(params, state, PROBED, 0.0, 0.0)
+    (a,), (b,) = linear_loop.linear_valves([plant])[:2]
+    there = float(np.linalg.lstsq(np.eye(4) - a, b, rcond=None)[0][0]) * voltage / PROBED
+    if abs(there - 1.0) <= OFF:
+        return ""
+    return (
+        f"{law.name} has no feedback: on this valve the spool comes to rest at {there:.3g} times the "
+        "command; give the law this valve's parameters"
+    )
+
+
+def stable_gains(law: Law, params: Any, valves: LinearValves) -> tuple[int | None, int | None]:
+    """By how many dB the loop's gain has to fall, or to rise, until the unstable loop is stable; None: never.
+
+    ``valves``: one. The loop is cut at the voltage, as for its margins (tuning/margins.py).
+    """
+    linear = linear_loop.linear_law(law, params, frozen=True)
+    steps = np.arange(1, FARTHEST + 1)
+    factors = 10.0 ** (np.concatenate([-steps, steps]) / 20.0)
+    gained = valves._replace(
+        a=np.repeat(valves.a, len(factors), axis=0),
+        b=factors[:, None] * valves.b,
+        now=np.repeat(valves.now, len(factors), axis=0),
+        before=np.repeat(valves.before, len(factors), axis=0),
+        late=np.repeat(valves.late, len(factors)),
+    )
+    poles = np.abs(linear_loop.dominant_poles(linear, gained)).reshape(2, -1)
+    down, up = (int(steps[np.argmax(row)]) if np.any(row) else None for row in poles <= STABLE)
+    return down, up
+
+
+def _advice(law: Law, params: Any, valves: LinearValves, lower: str) -> str:
+    """Which way the gains have to go until the loop around ``valves`` (one) is stable; ``lower``: down."""
+    down, up = stable_gains(law, params, valves)
+    if down is not None and (up is None or down <= up):
+        return f"it is stable with {down} dB less gain in the loop: {lower}"
+    if up is not None:
+        return f"it is stable with {up} dB more gain in the loop: raise the gains"
+    return "no gain in the loop makes it stable: choose gains for another model"

@@ -1,0 +1,420 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Lists the parameters of all nodes; descriptors, YAML, command line and reference are made from it."""
+
+from valve_control.control.laws import reshaping
+from valve_control.control.laws.common import SAMPLE_PERIOD, U_MAX
+from valve_control.control.laws.registry import LAWS, LEFT_OUT
+from valve_control.control.plant import common, models, registry
+from valve_control.parameter import Parameter, Table
+
+AUTOSTART = Parameter(
+    "autostart", True, "", "configure and activate at the start; false waits for lifecycle transitions"
+)
+REALTIME: Table = (
+    Parameter("realtime.lock_memory", False, "", "lock the process in memory (mlockall)"),
+    Parameter(
+        "realtime.priority", 0, "", "SCHED_FIFO priority of all threads; 0: leave the scheduler", 0, 99
+    ),
+    Parameter("realtime.cpus", "", "", "CPUs the process may use, such as 2 or 2,3; empty: leave them"),
+)
+FAULT_SAMPLES = Parameter(
+    "fault.samples", 0, "", "samples that an injected fault lasts; 0: until it is set to none", 0, 10**9
+)
+
+CONTROLLER: Table = (
+    Parameter(
+        "controller",
+        "arc",
+        "",
+        "control law; changing it while running is bumpless",
+        choices=tuple(LAWS),
+        left_out=tuple(LEFT_OUT.items()),
+    ),
+    SAMPLE_PERIOD,
+    U_MAX,
+    Parameter("command_limit", 10.0, "V", "commands are limited to ± this", 0.1, 100.0),
+    Parameter(
+        "command.interpolation",
+        "hold",
+        "",
+        "between commands that are slower than the LVDT, by their time stamps: hold; linear: a straight line "
+        "to the newest, which takes a command period; extrapolate: to where the next one will be; bridge: "
+        "along the course of the last ones, see command.bridge",
+        choices=("hold", "linear", "extrapolate", "bridge"),
+    ),
+    Parameter(
+        "command.bridge",
+        0.006,
+        "s",
+        "time for which a command or point of a trajectory that is late is bridged by the course of those "
+        "before; then the last one holds; 0.0: it holds at once",
+        0.0,
+        0.1,
+    ),
+    Parameter(
+        "transfer_time",
+        0.05,
+        "s",
+        "time constant with which the step between two laws fades after a change of controller",
+        0.001,
+        10.0,
+    ),
+    Parameter("state_decimation", 10, "", "every n-th sample appears on ~/state; 0: none", 0, 100000),
+    Parameter(
+        "state_topics",
+        [""],
+        "",
+        "terms of ~/state that are also published one by one under their names, as numbers on ~/terms/NAME, "
+        "for tools that show no labels; those that the law in force does not have are silent; empty: none",
+    ),
+    Parameter(
+        "memory_period",
+        1.0,
+        "s",
+        "time between two accounts of all that the controller remembers, on ~/memory, with which a recording "
+        "can be replayed from its middle; 0.0: none, and no ~/journal",
+        0.0,
+        3600.0,
+    ),
+    Parameter(
+        "command_timeout",
+        0.5,
+        "s",
+        "silence of the command after which the spool returns to neutral; 0.0: never",
+        0.0,
+        1e6,
+    ),
+    Parameter("neutral_rate", 20.0, "V/s", "largest rate on the return to neutral", 0.01, 1e5),
+    Parameter("neutral_accel", 400.0, "V/s²", "largest acceleration on the return to neutral", 0.1, 1e7),
+    Parameter("saturation_limit", 1.0, "s", "saturation that lasts longer is reported", 0.001, 1e6),
+    Parameter(
+        "oscillation_limit",
+        1.0,
+        "V",
+        "amplitude from which a sustained oscillation of the voltage that the command does not explain is "
+        "reported; 0.0: none",
+        0.0,
+        1000.0,
+    ),
+    Parameter(
+        "lvdt.hold_samples",
+        20,
+        "",
+        "missing or unusable LVDT readings in a row that are bridged; after one more the voltage is 0 V",
+        0,
+        10000,
+    ),
+    Parameter(
+        "lvdt.recovery_samples",
+        20,
+        "",
+        "sound LVDT readings in a row after which control returns from 0 V",
+        1,
+        100000,
+    ),
+    Parameter("lvdt.limit", 11.0, "V", "readings beyond ± this are out of range", 0.1, 1000.0),
+    Parameter(
+        "lvdt.max_rate",
+        500.0,
+        "V/s",
+        "fastest motion of a spool; a reading that moved faster is a jump",
+        0.1,
+        1e7,
+    ),
+    Parameter("lvdt.tolerance", 0.1, "V", "jump that noise alone can make", 0.0, 100.0),
+    Parameter(
+        "lvdt.frozen_samples",
+        20,
+        "",
+        "equal readings in a row from which a frozen LVDT is looked for; 0: not watched",
+        0,
+        100000,
+    ),
+    Parameter(
+        "lvdt.frozen_voltage",
+        0.5,
+        "V",
+        "motion of the voltage that must show in noisy readings unless the LVDT is frozen; a quiet LVDT is "
+        "judged by lvdt.disturbance and by its speed before",
+        0.001,
+        100.0,
+    ),
+    Parameter(
+        "lvdt.period_limit",
+        0.15,
+        "-",
+        "readings whose period is further off sample_period than this share are not controlled; from 2 % on "
+        "it is reported",
+        0.02,
+        1000.0,
+    ),
+    Parameter(
+        "lvdt.disturbance",
+        5.0,
+        "V",
+        "largest friction and offset together; readings that defy a larger voltage, or that run against the "
+        "voltage, have the wrong sign or slope, and readings of a quiet converter that stand against it are "
+        "frozen; 0.0: readings are not compared with the voltage, and 5 V hold for standing ones",
+        0.0,
+        100.0,
+    ),
+    Parameter(
+        "lvdt.excitation",
+        0.1,
+        "V",
+        "standard deviation of voltage and reading in motion, from which they are compared",
+        0.001,
+        100.0,
+    ),
+    Parameter(
+        "lvdt.slow", 1.0, "V/s", "readings that move slower are not compared with the voltage", 0.01, 1e4
+    ),
+    Parameter(
+        "lvdt.hold_off",
+        0.3,
+        "s",
+        "0 V after a jump of the readings, or after their disagreement with the voltage; twice as long after "
+        "each further one, until motion has shown that they agree",
+        0.001,
+        1e6,
+    ),
+    Parameter("lvdt.hold_off_limit", 60.0, "s", "longest of these times", 0.001, 1e6),
+    Parameter(
+        "lockstep",
+        False,
+        "",
+        "wait at each reading for the command of the same number (for clock: lockstep with a command source)",
+    ),
+    Parameter(
+        "save_file",
+        "controller.yaml",
+        "",
+        "file of ~/save_parameters, absolute or relative to the folder in which the node was started",
+    ),
+    Parameter("load_file", "", "", "file of ~/load_parameters, likewise; empty: that of save_file"),
+    AUTOSTART,
+    *REALTIME,
+    *reshaping.PARAMETERS,
+    *(parameter for law in LAWS.values() for parameter in law.parameters),
+)
+
+VALVE: Table = (
+    SAMPLE_PERIOD,
+    U_MAX,
+    Parameter(
+        "valve",
+        "fourth_order",
+        "",
+        "linear model of the valve: second_order (2), fourth_order (3) or custom; solenoid: coil, "
+        "hysteresis, two sides, spool with friction and stops",
+        choices=tuple(registry.CHOICES),
+        left_out=tuple(registry.LEFT_OUT.items()),
+    ),
+    *models.custom_parameters(""),
+    common.GAIN_SCALE,
+    Parameter("seed", 1, "", "seed of the LVDT noise", 0, 2**31 - 1),
+    Parameter(
+        "patience",
+        0.01,
+        "s",
+        "how long the next sample is held back for a voltage that is late; then the last one holds",
+        0.0,
+        1.0,
+    ),
+    *common.DISTURBANCES,
+    Parameter("listeners", 1, "", "lockstep: subscriptions to wait for before the first reading", 1, 100),
+    *common.LVDT,
+    Parameter(
+        "clock",
+        "wall",
+        "",
+        "wall: one sample per period of real time; lockstep: the next as soon as the voltage has come",
+        choices=("wall", "lockstep"),
+    ),
+    Parameter(
+        "voltage_timeout",
+        0.1,
+        "s",
+        "silence of the voltage after which it counts as 0 V and the spring centres the spool; 0.0: never",
+        0.0,
+        1e6,
+    ),
+    Parameter(
+        "fault.lvdt",
+        "none",
+        "",
+        "injected fault of the LVDT; a lost reading is sent as a frame that DDS cannot read; flipped and "
+        "half are of sign and gain",
+        choices=(
+            "none",
+            "lost",
+            "silent",
+            "frozen",
+            "out_of_range",
+            "not_finite",
+            "jump",
+            "flipped",
+            "half",
+            "second_publisher",
+        ),
+    ),
+    Parameter("fault.jump", 3.0, "V", "size of the fault jump", -100.0, 100.0),
+    Parameter(
+        "fault.valve",
+        "none",
+        "",
+        "injected fault of the valve: a stuck spool, or a weak solenoid (a fifth of the gain)",
+        choices=("none", "stuck", "weak"),
+    ),
+    FAULT_SAMPLES,
+    AUTOSTART,
+    *REALTIME,
+    *(parameter for plant in registry.PLANTS.values() for parameter in plant.parameters),
+)
+
+COMMAND: Table = (
+    SAMPLE_PERIOD,
+    Parameter(
+        "scenario",
+        "point_to_point",
+        "",
+        "command shape, or array for the numbers in command_file",
+        choices=("point_to_point", "sine", "triangle", "step", "sweep", "stepped_sine", "constant", "array"),
+    ),
+    Parameter("command_file", "", "", "CSV or NPY file with one command per sample period (array)"),
+    Parameter(
+        "trigger",
+        "timer",
+        "",
+        "what paces the commands: a timer of the node's own, spool_position (one command per reading), "
+        "valve_voltage (one per voltage: in time for the next reading, and not too soon), or "
+        "lockstep (the first at once, each further one per reading, none lost)",
+        choices=("timer", "spool_position", "valve_voltage", "lockstep"),
+    ),
+    Parameter(
+        "message",
+        "command",
+        "",
+        "what is published: command: numbers on spool_command; trajectory: with their derivatives on "
+        "spool_trajectory",
+        choices=("command", "trajectory"),
+    ),
+    Parameter("every", 1, "", "sample periods from one message to the next", 1, 1000),
+    Parameter("listeners", 1, "", "subscriptions to wait for before the command begins", 0, 100),
+    Parameter("delay", 0.5, "s", "pause between their arrival and the beginning", 0.0, 1e6),
+    Parameter("duration", 6.0, "s", "length; afterwards the last command is held", 0.001, 1e6),
+    Parameter("amplitude", 2.92, "V", "height, stroke or amplitude", -10.0, 10.0),
+    Parameter("offset", 0.0, "V", "added to the command", -10.0, 10.0),
+    Parameter("start", 0.25, "s", "standstill before the motion", 0.0, 1e6),
+    Parameter(
+        "frequency", 6.0, "Hz", "of sine, triangle; start of the sweep; first of the stepped sine", 1e-4, 1e4
+    ),
+    Parameter("end_frequency", 60.0, "Hz", "end of the sweep; last of the stepped sine", 1e-4, 1e4),
+    Parameter("sweep_time", 5.0, "s", "duration of the sweep", 1e-3, 1e6),
+    Parameter("steps", 30, "", "frequencies of the stepped sine, evenly spaced in logarithm", 1, 1000),
+    Parameter("cycles", 5, "", "of the triangle; least ones of each frequency of the stepped sine", 1, 10000),
+    Parameter("step_time", 1.0, "s", "least time of each frequency of the stepped sine", 0.0, 1e4),
+    Parameter("max_velocity", 8.0, "V/s", "of the point-to-point motion", 1e-3, 1e4),
+    Parameter("max_accel", 64.0, "V/s²", "of the point-to-point motion", 1e-3, 1e6),
+    Parameter("cycle", 5.81, "s", "point to point: there and back again", 1e-2, 1e6),
+    Parameter(
+        "fault.command",
+        "none",
+        "",
+        "injected fault of the command",
+        choices=("none", "silent", "not_finite", "out_of_range", "second_publisher"),
+    ),
+    FAULT_SAMPLES,
+)
+
+MANIFOLD: Table = (
+    Parameter(
+        "valves",
+        ["valve_1", "valve_2"],
+        "",
+        "names of the valves; each gets a namespace and a node of its own in this process",
+    ),
+    Parameter(
+        "node",
+        "controller",
+        "",
+        "what is hosted for each valve",
+        choices=("controller", "valve_simulator"),
+    ),
+)
+
+RECORDER: Table = (
+    Parameter("bag", "", "", "folder to write, which must not exist; empty: valve_bag_<date>_<time> here"),
+    Parameter(
+        "storage",
+        "auto",
+        "",
+        "storage of the bag; auto: mcap, or sqlite3 where the Python package mcap is not installed",
+        choices=("auto", "mcap", "sqlite3"),
+    ),
+    Parameter(
+        "compression",
+        "none",
+        "",
+        "compression of the bag's chunks; storage sqlite3 has none",
+        choices=("none", "zstd", "lz4"),
+    ),
+    Parameter(
+        "topics",
+        [""],
+        "",
+        "regular expressions, one of which must match the whole name of a topic; empty: commands, readings, "
+        "voltages, states and memories of all valves, /diagnostics and /clock; /parameter_events always",
+    ),
+    Parameter("max_size", 0.0, "MB", "size after which the bag's next file begins; 0.0: never", 0.0, 1e6),
+    Parameter("max_duration", 0.0, "s", "time after which the bag's next file begins; 0.0: never", 0.0, 1e6),
+    Parameter("flush_period", 0.25, "s", "at most this much is lost if the recorder is killed", 0.02, 1.0),
+    Parameter("min_free", 64.0, "MB", "room on the disk at which the recording is ended", 0.0, 1e6),
+    Parameter("report_period", 5.0, "s", "time between two lines about the progress", 0.1, 1e6),
+    Parameter(
+        "black_box",
+        False,
+        "",
+        "keep the last seconds in memory; they become a bag when a controller reports a condition or falls "
+        "silent, or ~/save_box is called; bag is then the beginning of the bags' names (empty: black_box)",
+    ),
+    Parameter("box.seconds", 10.0, "s", "black box: time before what happened", 1.0, 600.0),
+    Parameter("box.after", 2.0, "s", "black box: time after what happened", 0.0, 60.0),
+    Parameter("box.keep", 10, "", "black box: number of bags that are kept, the newest", 1, 10_000),
+    Parameter("box.max_size", 100.0, "MB", "black box: memory for messages", 1.0, 10_000.0),
+)
+
+DASHBOARD: Table = (
+    Parameter("port", 8080, "", "port of the page on 127.0.0.1; 0: any that is free", 0, 65535),
+    Parameter(
+        "token",
+        "",
+        "",
+        "word that the page's address must have (?token=...) to change anything; empty: a new one each time",
+    ),
+    Parameter("folder", "out/dashboard", "", "folder of recordings, reports and results of runs"),
+)
+
+ROS = ("use_sim_time", "start_type_description_service")
+NODES: dict[str, Table] = {
+    "controller": CONTROLLER,
+    "valve_simulator": VALVE,
+    "command_source": COMMAND,
+    "manifold": MANIFOLD,
+    "recorder": RECORDER,
+    "dashboard": DASHBOARD,
+}
+
+# What running nodes alone read, so that it does nothing offline.
+NODE_ONLY = frozenset(
+    {p.name for p in (AUTOSTART, *REALTIME, *MANIFOLD, *RECORDER, *DASHBOARD)}
+    | {p.name for p in (*VALVE, *COMMAND) if p.name.startswith("fault.")}
+    | {"save_file", "load_file", "state_topics"}
+    | {"patience", "listeners", "clock", "voltage_timeout", "trigger", "every", "delay"}
+)
+
+
+def is_of_ros(name: str) -> bool:
+    """Whether ``name`` is a parameter that ROS itself gives to every node."""
+    return name in ROS or name.startswith("qos_overrides.")

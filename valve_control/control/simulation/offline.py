@@ -1,0 +1,229 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Simulates one whole run offline: law, valve and command as in the nodes, without middleware."""
+
+import os
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.control import closed_loop
+from valve_control.control.analysis import steps
+from valve_control.control.analysis.indices import Indices, indices, rms
+from valve_control.control.analysis.limit_cycle import LimitCycle, limit_cycle
+from valve_control.control.compiling import explained
+from valve_control.control.laws import command_lead, reshaping
+from valve_control.control.laws.law import Law
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import build, stability
+from valve_control.control.plant import registry
+from valve_control.control.plant.models import LIKE, TransferFunction
+from valve_control.control.simulation import delivery
+from valve_control.control.simulation.delivery import Delivery
+from valve_control.parameter import ParameterError, Values, number, word
+
+Array = npt.NDArray[np.float64]
+PROBES = (0.3, 1.0)  # V  steps with which a valve is tried
+PROBE = 1.0  # s  length of a trial, and how long a limit cycle has to be there at its end
+PROBE_END = 0.2  # s
+CUT = 0.01  # share of the samples, from which on limits that are too low for the valve are told of
+PIECE = 1_000_000  # samples between two words about progress
+
+
+class Run(NamedTuple):
+    """Traces and results of one run, all sampled at ``period``."""
+
+    controller: str
+    period: float  # s
+    command: Array  # V, of the upper level
+    position: Array  # V, true
+    measurement: Array  # V
+    voltage: Array  # V
+    terms: dict[str, Array]  # of the law, by name
+    theta: list[float] | None  # θ̂ at the end, of laws that adapt
+    indices: Indices  # error from the measurement, as in the paper
+    true_error: dict[str, float]  # from the true position
+    saturated: float  # -  share of the samples at the limit of the voltage
+    limit_cycle: LimitCycle | None
+    warning: str  # "" if none
+    steps: tuple[float, float] | None = None  # overshoot [-], settling time [s] of the worst; None: no steps
+
+    @property
+    def time(self) -> Array:
+        """Time [s] of each sample."""
+        return np.arange(len(self.command), dtype=np.float64) * self.period
+
+
+def check_agreement(controller_values: Values, valve_values: Values) -> None:
+    """Raise ParameterError unless controller and valve have the same sample period and voltage limit."""
+    for name in ("sample_period", "u_max"):
+        if controller_values[name] != valve_values[name]:
+            raise ParameterError(
+                f"{name} is {controller_values[name]} for the controller and {valve_values[name]} "
+                "for the valve; they must agree"
+            )
+
+
+def simulate(
+    controller_values: Values,
+    valve_values: Values,
+    command: Array,
+    compiled: bool = True,
+    noise_start: int = 0,
+    told: Callable[[int], None] | None = None,
+    alone: bool = False,
+    delivered: Delivery | None = None,
+) -> Run:
+    """Simulate the loop over ``command`` [V], one entry per sample. Raises ParameterError.
+
+    ``noise_start``: how many LVDT readings the simulator had already made when the controller joined.
+    ``told`` is called with the number of samples done since its last call. ``alone``: the parameters of
+    other laws are not looked at. ``delivered``: how the command comes; None: one for each sample, in time.
+    The error is that from ``command`` all the same.
+    """
+    check_agreement(controller_values, valve_values)
+    if noise_start < 0:
+        raise ParameterError(f"noise_start is {noise_start}; it must be 0 or more")
+    name = word(controller_values, "controller")
+    law = LAWS[name]
+    law_params = law.build(controller_values) if alone else build.law_params(controller_values)
+    valve_params = build.valve_params(valve_values)
+    limit = number(controller_values, "command_limit")
+    command = np.clip(np.ascontiguousarray(command, dtype=np.float64), -limit, limit)
+    period = valve_params.period
+    n = len(command)
+    labels = law.term_labels
+    check_memory(noise_start + n, len(labels))
+    random = np.random.default_rng(int(number(valve_values, "seed")))
+    noise = random.standard_normal(noise_start + n)[noise_start:]
+    signals = np.zeros((n, len(closed_loop.SIGNALS)))
+    terms = np.zeros((n, len(labels)))
+    plant = registry.plant_of(valve_params).module
+    valve_state = plant.initial(valve_params)
+    first = plant.read(valve_params, valve_state, noise[0])
+    law_state = law.module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
+    lead = command_lead.build(controller_values, law.reshapes(law_params))
+    if delivered is None:
+        led = command_lead.applied(lead, command)
+    else:
+        led = delivery.led(lead, delivery.received(controller_values, command, delivered))
+    end = closed_loop.parts(law_state, valve_state)
+    with explained(law.title):
+        for start in range(0, n, PIECE):
+            piece = slice(start, start + PIECE)
+            end = closed_loop.run_valve(
+                law.module,
+                closed_loop.parts(law_params, valve_params),
+                end,
+                led[piece],
+                noise[piece],
+                signals[piece],
+                terms[piece],
+                compiled,
+            )
+            if told is not None:
+                told(len(led[piece]))
+    position, measurement, voltage = signals.T
+    least = number(controller_values, "oscillation_limit")
+    warnings_found = [
+        stability.warning(law, law_params),
+        stability.valve_warning(law, law_params, valve_params),
+    ]
+    if not warnings_found[1]:
+        warnings_found.append(_probe(law, law_params, valve_params, least, compiled))
+    warnings_found.append(_cut(law, law_params, terms, build.valve_model(valve_values)))
+    true_error = position - command
+    rest = position[:1]  # from which a command may begin with a step
+    answer = steps.answer(np.concatenate([rest, command]), np.concatenate([rest, position]), period)
+    return Run(
+        controller=name,
+        period=period,
+        command=command,
+        position=position,
+        measurement=measurement,
+        voltage=voltage,
+        terms={label: terms[:, i] for i, label in enumerate(labels)},
+        theta=list(end.law.theta) if law.adapts else None,
+        indices=indices(measurement - command, voltage, period),
+        true_error={"e_M": float(np.max(np.abs(true_error))), "e_rms": rms(true_error)},
+        saturated=float(np.mean(np.abs(voltage) >= valve_params.u_max)),
+        limit_cycle=limit_cycle(voltage, command, period, least, compiled),
+        warning="; ".join(filter(None, warnings_found)),
+        steps=None if answer is None else (float(answer.overshoot), float(answer.settling)),
+    )
+
+
+def _cut(law: Law, params: Any, terms: Array, model: TransferFunction) -> str:
+    """One sentence if limits far below what the valve can do cut the reference in a run with these ``terms``.
+
+    ``terms``: n×m, as the law names them.
+    """
+    if not law.reshapes(params):
+        return ""
+    own: reshaping.Params = params.reshaping
+    could = reshaping.limits(model, params.u_max)
+    said = []
+    for name, term, limit in (
+        ("reshaping.max_accel", "reference_accel", own.max_accel),
+        ("reshaping.max_rate", "reference_rate", own.max_rate),
+    ):
+        if name in could and LIKE * limit < number(could, name):
+            share = float(np.mean(np.abs(terms[:, law.term_labels.index(term)]) >= limit * (1.0 - 1e-9)))
+            if share > CUT:
+                said.append(
+                    f"{name} {limit:g} cuts the reference in {100.0 * share:.2g} % of the samples, and the "
+                    f"valve can follow {number(could, name):g}"
+                )
+    return "; ".join(said)
+
+
+def check_memory(samples: float, terms: int = 0) -> None:
+    """Raise ParameterError for a run of a law with so many ``terms`` that the machine cannot hold."""
+    numbers = terms + len(closed_loop.SIGNALS) + 6  # command, with its lead, noise, errors, limit cycle
+    need, have = 8.0 * samples * numbers, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if need > have:
+        raise ParameterError(
+            f"a run of {samples:.0f} samples takes {need / 1e9:.0f} GB of memory and this machine has "
+            f"{have / 1e9:.0f} GB; shorten the duration or lengthen sample_period"
+        )
+
+
+def _probe(law: Law, law_params: Any, plant: Any, least: float, compiled: bool) -> str:
+    """One sentence if a step brings the loop around ``plant`` into a limit cycle, else "".
+
+    The poles know nothing of saturation, friction and adaptation, with which a loop that is stable for small
+    motions can go on for ever after a larger one. Tried without noise and drift.
+    """
+    if not law.feedback or least == 0.0:
+        return ""
+    kind = registry.plant_of(plant)
+    quiet = kind.steady(kind.quiet(plant))
+    n = round(PROBE / plant.period)
+    for height in PROBES:
+        signals = np.zeros((n, len(closed_loop.SIGNALS)))
+        command = np.full(n, height)
+        command[0] = 0.0
+        rest = kind.module.initial(quiet)
+        first = kind.module.read(quiet, rest, 0.0)
+        begun = law.module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
+        closed_loop.run_valve(
+            law.module,
+            closed_loop.parts(law_params, quiet),
+            closed_loop.parts(begun, rest),
+            command,
+            np.zeros(n),
+            signals,
+            np.zeros((0, len(law.term_labels))),
+            compiled,
+        )
+        cycle = limit_cycle(signals[:, 2], command, plant.period, least, compiled)
+        if cycle is not None and cycle.end > PROBE - PROBE_END:
+            return (
+                f"on this valve a step of {height:g} V brings {law.name} into a limit cycle at "
+                f"{cycle.frequency:.3g} Hz with {cycle.amplitude:.2g} V, although its poles at rest are "
+                "stable; lower the gains"
+            )
+    return ""

@@ -1,0 +1,229 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the upper level of an axis: follows paths, holds a position without one, and stops on a fault.
+
+Three modes, as of the valve's supervisor:
+
+ok        the axis follows its path, or holds its position;
+degraded  the same, but something is reported: a goal or a trajectory was refused, readings are bridged;
+safe      stopped: 0 V is commanded until ``reset``, because the sensors cannot be believed, the axis does not
+          follow, or somebody asked for it.
+"""
+
+import math
+import types
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from valve_control.control.motion import axis_pid, path, upper
+from valve_control.control.motion.course import Goal
+from valve_control.control.parameters import axis as parameters
+from valve_control.control.plant.machine import Reading
+from valve_control.control.supervision import axis_watch
+from valve_control.control.supervision.record import Mode
+from valve_control.parameter import ParameterError, Values, number, word
+
+NANO = 1e-9
+REPORTED = 1.0  # s for which a refusal stays reported
+
+
+class Params(NamedTuple):
+    """The upper level and what is watched."""
+
+    level: types.ModuleType  # the upper level, of upper.LEVELS
+    upper: Any
+    watch: axis_watch.Params
+    error_limit: float  # m  0.0: none
+    period: float  # s
+
+
+class State(NamedTuple):
+    """All that is remembered between two samples."""
+
+    upper: Any
+    watch: axis_watch.State
+    path: path.Path | None
+    begun: int | None  # ns  time of the path's beginning, None: with the next reading
+    goal: Goal | None  # None before the first reading
+    jerk: float  # m/s³  of the goal
+    command: float  # V
+    terms: Any
+    stopped: str  # why; "": it is not
+    bridged: str  # what is wrong with the reading that is bridged
+    refused: str  # what was refused of late
+    refused_until: float  # samples
+    time: int  # ns  of the last reading
+    samples: int
+
+
+def design(values: Values) -> tuple[Params, path.Range]:
+    """Params from the values of ``axis_controller``, and what the axis can do. Raises ParameterError."""
+    machine = word(values, "machine")
+    if not machine:
+        raise ParameterError(
+            "machine is empty; it must name a file in config/axis, or be the path of a parameter file, from "
+            "which stroke and velocity gains are taken"
+        )
+    known = parameters.known_machine(machine)
+    if number(known, "sample_period") != number(values, "sample_period"):
+        raise ParameterError(
+            f"sample_period is {number(known, 'sample_period'):g} s for the machine '{machine}' and "
+            f"{number(values, 'sample_period'):g} s for axis_controller; they must be equal"
+        )
+    built = parameters.axis_params(known)
+    moved = axis_pid.build(values, *parameters.velocity_gains(built, known))
+    low, high, beyond = 0.0, built.cylinder.stroke, moved.limit - moved.overlap
+    if beyond <= 0.0:
+        raise ParameterError(f"overlap is {moved.overlap:g} V, no less than spool_limit, {moved.limit:g} V")
+    level = upper.LEVELS[word(values, "upper_level")]
+    watch = axis_watch.Params(
+        low,
+        high,
+        number(values, "sensor.tolerance"),
+        number(values, "sensor.max_speed"),
+        number(values, "sensor.pressure_high"),
+        number(values, "sensor.pressure_jump"),
+        int(number(values, "sensor.hold_samples")),
+    )
+    able = path.Range(
+        low, high, moved.gain_out * beyond, moved.gain_in * beyond, number(values, "start_tolerance")
+    )
+    made = parameters.upper_level(values, built, known)
+    return Params(level, made, watch, number(values, "error_limit"), number(values, "sample_period")), able
+
+
+def needs_pressures(p: Params) -> bool:
+    """Whether the upper level works with the pressures."""
+    return bool(p.level.NEEDS_PRESSURES)
+
+
+def at_rest(p: Params) -> State:
+    """Before the first reading."""
+    return State(
+        p.level.initial(p.upper),
+        axis_watch.UNKNOWN,
+        None,
+        None,
+        None,
+        0.0,
+        0.0,
+        p.level.AT_REST,
+        "",
+        "",
+        "",
+        0.0,
+        0,
+        0,
+    )
+
+
+def mode(s: State) -> tuple[Mode, str]:
+    """Mode and reason."""
+    if s.stopped:
+        return Mode.SAFE, f"stopped, 0 V: {s.stopped}"
+    if s.goal is None:
+        return Mode.OK, "no position reading yet"
+    if s.bridged:
+        return Mode.DEGRADED, f"{s.bridged}; the last command holds"
+    if s.samples < s.refused_until:
+        return Mode.DEGRADED, s.refused
+    return Mode.OK, "holds its position" if s.path is None else "follows its path"
+
+
+def stopped(s: State, why: str) -> State:
+    """State after a stop; the first reason stays."""
+    return s if s.stopped else s._replace(stopped=why, command=0.0, path=None, bridged="")
+
+
+def reset(p: Params, s: State) -> State:
+    """State that holds the position of the next reading, whatever was before."""
+    return at_rest(p)._replace(samples=s.samples)
+
+
+def refused(p: Params, s: State, text: str) -> State:
+    """State that reports a refusal."""
+    return s._replace(refused=text, refused_until=s.samples + REPORTED / p.period)
+
+
+def begin(s: State, new: path.Path, at: int | None) -> State:
+    """State that follows a ``new`` path from the time ``at`` [ns] on, or from the next reading on."""
+    return s._replace(path=new, begun=at)
+
+
+def present(s: State) -> Goal | None:
+    """Goal at which a new path begins; None while there is none to be had."""
+    return None if s.stopped else s.goal
+
+
+def found(p: Params, s: State, position: float) -> State:
+    """State before the first sample: the axis is at ``position`` [m], which is its goal if it is believed."""
+    if s.stopped or axis_watch.position_fault(p.watch, s.watch, position, 0.0):
+        return s
+    return s._replace(goal=Goal(position, 0.0, 0.0))
+
+
+def sample(p: Params, s: State, reading: Reading, time: int) -> State:
+    """State after a ``reading`` made at ``time`` [ns]; its ``command`` is that of this sample."""
+    elapsed = (time - s.time) * NANO if s.samples > 0 else p.period
+    if not elapsed > 0.0:
+        elapsed = p.period
+    both = (reading.pressure_a, reading.pressure_b) if needs_pressures(p) else None
+    s = found(p, s, reading.position)
+    fault, watch = axis_watch.step(p.watch, s.watch, reading.position, both, elapsed)
+    s = s._replace(watch=watch, time=time, samples=s.samples + 1)
+    if s.stopped:
+        return s
+    if fault:
+        if s.goal is None or watch.wrong > p.watch.hold_samples:
+            return stopped(s, fault)
+        return s._replace(bridged=fault)
+    goal, begun, following = s.goal, s.begun, s.path
+    assert goal is not None  # a sound reading makes one
+    before = goal
+    if following is not None:
+        begun = time if begun is None else begun
+        if time >= begun:
+            goal = path.goal_of(following, time - begun)
+        if time >= begun + following.end:
+            following = None
+    command, after, terms = p.level.step(p.upper, s.upper, goal, reading)
+    if not math.isfinite(command):
+        return stopped(s, f"the upper level's command is {command}")
+    if 0.0 < p.error_limit < abs(terms.error):
+        return stopped(
+            s, f"the position is {abs(terms.error):.4g} m off its goal, error_limit is {p.error_limit:g} m"
+        )
+    return s._replace(
+        upper=after,
+        path=following,
+        begun=begun,
+        goal=goal,
+        jerk=(goal.acceleration - before.acceleration) / p.period,
+        command=command,
+        terms=terms,
+        bridged="",
+    )
+
+
+def without_pressures(s: State, rooms: Sequence[str]) -> State:
+    """State when no pressure of ``rooms`` has ever come, which the upper level needs."""
+    topics = " and ".join(f"pressure_{room}" for room in rooms)
+    return stopped(s, f"there is no {topics}, which axis_arc needs; the upper_level axis_pid needs none")
+
+
+def estimates(p: Params, s: State) -> dict[str, str]:
+    """What the upper level has learnt of the axis, in words by name with unit."""
+    return {name: f"{value:.4g}" for name, value in p.level.estimates(s.upper).items()}
+
+
+def silent(s: State, elapsed: float) -> State:
+    """State when no position has come for ``elapsed`` [s]."""
+    return stopped(s, f"no position for {elapsed:.3g} s") if s.goal is not None else s
+
+
+def spool_motion(p: Params, s: State) -> axis_pid.Motion:
+    """Motion of the spool that is commanded: at rest where it is held or stopped."""
+    if s.stopped or s.goal is None:
+        return axis_pid.Motion(s.command, 0.0, 0.0)
+    moved: axis_pid.Motion = p.level.motion(p.upper, s.upper, s.goal, s.jerk, s.terms)
+    return moved

@@ -1,0 +1,172 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Holds all that a supervisor remembers between two samples, and reports conditions in it."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
+from enum import IntEnum
+from typing import Any, TypeVar
+
+from valve_control.control.laws import command_lead
+from valve_control.control.laws import velocity as tachometer
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.supervision import (
+    bumpless_transfer,
+    command_course,
+    command_watch,
+    conditions,
+    cycle_watch,
+    gain_watch,
+    late_commands,
+    lock_in,
+    lvdt,
+    lvdt_watch,
+    noise_watch,
+    oscillation,
+    plausibility,
+    rate,
+)
+from valve_control.control.supervision import trajectory as points
+from valve_control.parameter import ParameterError, one_of
+
+HEAD = ("sample", "mode", "command", "measurement", "voltage", "offset")
+NEVER = -1.0  # s
+AT_REST = tachometer.State(0.0, 0.0)
+NO_MOTION = points.Motion(0.0, 0.0, 0.0)
+F = TypeVar("F", bound=Callable[..., Any])
+COUNTS = (
+    "lvdt_lost", "lvdt_refused", "command_refused", "command_limited", "saturated", "assumption_violations",
+    "law_not_finite", "safe_stops",
+)  # fmt: skip
+
+
+def named_terms(names: Sequence[str]) -> tuple[str, ...]:
+    """``names`` of terms of ~/state, each once. Raises ParameterError for one that no law has."""
+    known = sorted({*HEAD, *(label for law in LAWS.values() for label in law.term_labels)})
+    for name in names:
+        if name not in known:
+            near = get_close_matches(name, known, n=2)
+            hint = f"did you mean {one_of(near)}?" if near else f"they are {', '.join(known)}"
+            raise ParameterError(f"state_topics has '{name}', which is no term of any law; {hint}")
+    return tuple(dict.fromkeys(names))
+
+
+class Mode(IntEnum):
+    """Whether the law has the valve."""
+
+    OK = 0
+    DEGRADED = 1
+    SAFE = 2
+
+
+@dataclass(slots=True)
+class Memory:
+    """All that is remembered between two samples, beside parameters; a snapshot keeps it up to ``said``."""
+
+    samples: int = 0
+    now: float = 0.0  # s  since init
+    voltage: float = 0.0  # V
+    sequence: int | None = None  # number of the last reading
+    judged: lvdt.State = lvdt.NOTHING  # the readings one by one
+    pace: rate.State = rate.UNKNOWN  # their period
+    trust: lvdt_watch.State = lvdt_watch.NOTHING  # in the LVDT
+    measurement: float = math.nan  # V  last believable reading, none before the first
+    velocity: tachometer.State = AT_REST
+    evidence: plausibility.State | None = None  # whether readings answer the voltage
+    command: command_watch.State = command_watch.NOTHING
+    used: float | None = None  # V  the command at the sample before, without offset
+    effective: float = math.nan  # V  the same, as the law got it, none before the first
+    transfer: bumpless_transfer.State = bumpless_transfer.NOTHING
+    course: command_course.State | None = None  # of commands that are joined
+    upper: late_commands.State | None = None  # commands, and how they go on while one is late
+    trajectory: points.State | None = None  # instead of commands
+    lead: command_lead.State | None = None  # of the command, none without it or without the law
+    law: Any | None = None  # state of the law, none while it does not have the valve
+    former: Any | None = None  # state of the law when it had the valve last, none if that is of no use
+    kept: tuple[str, tuple[float, ...] | None] = ("", None)  # law and its estimates before the start
+    saturated_for: float = 0.0  # s
+    cycle: oscillation.State = oscillation.NOTHING
+    swing: oscillation.State = oscillation.NOTHING  # the same, from one limit of the voltage to the other
+    probe: lock_in.State = lock_in.NOTHING  # of these cycles
+    source: str = ""  # of cycles that go on: oscillation, lvdt_hum, none
+    pause: cycle_watch.Pause = cycle_watch.NEVER  # after cycles at the limit of the voltage
+    noise: noise_watch.State = noise_watch.NOTHING  # of the readings
+    gain: gain_watch.State = gain_watch.NOTHING  # of the readings over the voltage
+    said: conditions.State = conditions.NOTHING
+    motion: points.Motion = NO_MOTION  # wanted at this sample
+    fading: bool = True  # whether an offset of ``transfer`` may be other than 0
+    jumped_until: float = NEVER  # s  until when a jump that was bridged counts, -1: there is none
+    name: str = ""  # of the law
+    changed: bool = False  # set with each change of the reported conditions, cleared by the reader
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTS, 0))
+
+
+_NAMES = tuple(one.name for one in fields(Memory))
+KEPT = _NAMES[: _NAMES.index("said") + 1]  # by a snapshot
+
+
+def node_only(function: F) -> F:
+    """Mark ``function`` as one whose calls exported C leaves out: it changes nothing that others read."""
+    function.node_only = True  # type: ignore[attr-defined]
+    return function
+
+
+def tell(m: Memory, said: conditions.State) -> None:
+    """Report what is ``said``, and nothing else."""
+    if said.texts is not m.said.texts:
+        m.changed = True
+    m.said = said
+
+
+@node_only
+def report(m: Memory, name: str, text: str) -> None:
+    """Report ``text`` under ``name``, unless something is reported there already."""
+    tell(m, conditions.report(m.said, name, text))
+
+
+@node_only
+def clear(m: Memory, name: str) -> None:
+    """Report nothing under ``name`` any more."""
+    if name in m.said.texts:
+        tell(m, conditions.clear(m.said, name))
+
+
+@node_only
+def latch(m: Memory, name: str, text: str, lasting: float = conditions.LATCH) -> None:
+    """Report an event of this moment for ``lasting`` [s]."""
+    tell(m, conditions.latch(m.said, name, text, m.now, lasting))
+
+
+@node_only
+def expire(m: Memory) -> None:
+    """Report those events no more that are over."""
+    if m.said.expiry:
+        tell(m, conditions.step(m.said, m.now))
+
+
+@node_only
+def count(m: Memory, name: str) -> None:
+    """Count one more event."""
+    m.counts[name] += 1
+
+
+@node_only
+def forget_saturation(m: Memory) -> None:
+    """Drop what the voltages until now have shown of saturation."""
+    m.saturated_for = 0.0
+    clear(m, "saturation")
+
+
+@node_only
+def forget_gain(m: Memory) -> None:
+    """Drop what is known of the gain of the readings over the voltage."""
+    m.gain = gain_watch.NOTHING
+    clear(m, "lvdt_gain")
+
+
+@node_only
+def forget_motion(m: Memory) -> None:
+    """Drop the motion from which the gain of the readings over the voltage is being measured."""
+    m.gain = gain_watch.anew(m.gain)

@@ -1,0 +1,393 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Runs one law: rejects implausible readings, bridges gaps, forces 0 V on faults, swaps laws without a bump.
+
+Three modes:
+
+ok        the law has the valve;
+degraded  the law has the valve, but something is reported: a silent or refused command, bridged readings,
+          long saturation, a limit cycle, a broken assumption, a second publisher;
+safe      0 V, the spring centres the spool: the LVDT is implausible, or the law produced NaN or infinity.
+
+The steps are in watch.py, functions on one memory (record.py), from which exported C is made too. Here
+is what only a node has: other laws and parameters, the period of the readings, counters and telemetry.
+
+Time is counted in samples, so that a run is repeatable; only the silence of the LVDT, during which no sample
+comes, has to be told from outside (``silence``).
+"""
+
+import math
+import types
+from collections.abc import Callable
+from typing import Any
+
+from valve_control.control.laws.law import Law
+from valve_control.control.laws.projection import clip
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.plant.amplifier import saturate
+from valve_control.control.supervision import (
+    bumpless_transfer,
+    command_watch,
+    law_watch,
+    rate,
+    trajectory,
+    watch,
+)
+from valve_control.control.supervision.record import (
+    HEAD,
+    Memory,
+    Mode,
+    clear,
+    count,
+    forget_gain,
+    latch,
+    report,
+    tell,
+)
+from valve_control.parameter import Values, number, word
+
+
+def unused(voltage: float) -> None:
+    """Placeholder for a receiver of the voltage, where nobody needs it before the sample ends."""
+
+
+def are_finite(voltage: float, terms: tuple[float, ...]) -> bool:
+    """Whether ``voltage`` [V] and each of ``terms`` are finite: a finite sum has finite parts."""
+    return math.isfinite(voltage + sum(terms)) or watch.are_finite(voltage, terms)
+
+
+class Supervisor:
+    """Controls one valve: takes readings and commands, returns voltages, and reports conditions."""
+
+    def __init__(self) -> None:
+        self.name = ""  # of the law
+        self.values: Values = {}  # in use
+        self.memory = Memory()
+        self._answered = True
+        self._form: tuple[Any, ...] = ()  # after whose change the law's state means something else
+        self._descriptor: Law | None = None
+        self._watched: tuple[int, str] | None = None  # of the terms, and what is said if the next is below it
+        self._terms: tuple[float, ...] = ()  # of the law at the last sample
+        self._give: Callable[[float], None] = unused
+        self._params: watch.Params  # these three from apply on
+        self._watch_law: law_watch.Params
+        self._steps: types.SimpleNamespace
+        self._sample: Callable[..., float]
+        self.start()
+
+    # Life
+
+    def start(self) -> None:
+        """Begin at rest with 0 V, as after switching on; parameters and counters are kept."""
+        before, theta = self.memory, self.theta
+        kept = before.kept if theta is None else (self.name, theta)
+        self.memory = Memory(samples=before.samples, kept=kept, name=self.name, counts=before.counts)
+        report(self.memory, "lvdt_missing", "no LVDT reading yet")
+
+    def apply(self, values: Values, params: Any) -> None:
+        """Take checked ``values`` and the law's ``params`` built from them into use, between two samples."""
+        m, made = self.memory, watch.design(values, params, self._answered)
+        former = self._params if self._form else None
+        self.values, self._params = values, made
+        self._watch_law = law_watch.design(values)
+        if former is not None and made.lvdt.comparison != former.lvdt.comparison:
+            m.evidence = None
+            forget_gain(m)
+        if former is not None and made.lvdt.period != former.lvdt.period:
+            m.pace = rate.UNKNOWN
+            clear(m, "lvdt_rate")
+            clear(m, "lvdt_bursts")
+        if (
+            former is None
+            or former.lead is None
+            or made.lead is None
+            or former.lead.period != made.lead.period
+        ):
+            m.lead = None
+        if made.joining is None:
+            m.course = None
+        if made.late is None or former is None or former.late is None or former.late.every != made.late.every:
+            m.upper = None
+        m.voltage = saturate(m.voltage, self._watch_law.u_max)
+        m.command = command_watch.limited(made.command, m.command)
+        self._use_law(values, params, None if former is None else former.law)
+
+    def _use_law(self, values: Values, params: Any, former: Any) -> None:
+        """Let another law, or another form of it, take over from the one with the params ``former``."""
+        m, name = self.memory, word(values, "controller")
+        form = (name, number(values, "sample_period"), *(values[key] for key in LAWS[name].form))
+        estimates = getattr(params, "theta_initial", None)
+        anew = form[0] == self.name and estimates != getattr(former, "theta_initial", None)
+        if anew and m.law is None:
+            m.former = None
+        if form == self._form and not anew:
+            return
+        before, law = self._descriptor, LAWS[name]
+        same_reference = before is not None and before.reshapes(former)
+        if law is not before:
+            own = {"hand_out": self._hand_out, "observe": self._observe, "are_finite": are_finite}
+            self._steps = watch.with_places({**watch.places_of(law), **own})
+            self._sample = self._steps.sample
+        self._descriptor = law
+        self._form = form
+        self.name = m.name = name
+        self._watched = law_watch.watched(law.module.Terms._fields)
+        self._terms = ()
+        if m.law is None:
+            return
+        begun = m.law._replace(theta=estimates) if anew else m.law
+        if same_reference and law.reshapes(params):
+            self._steps.go_on(self._params, m, begun, bumpless_transfer.followed(former, begun))
+        else:
+            self._steps.take_over(self._params, m, begun, True)
+
+    def reset(self) -> None:
+        """Set estimates and filters to their start, without a bump; doubts about the LVDT are dropped."""
+        self.memory.kept = ("", None)
+        if self._form:
+            self._steps.reset(self._params, self.memory)
+
+    # Inputs
+
+    def command(self, value: float, interval: float = 0.0) -> None:
+        """Take in a command [V] from the upper level.
+
+        ``interval`` [s]: by which it was sent after the one before, if that is known.
+        """
+        watch.command(self._params, self.memory, float(value), float(interval))
+
+    def trajectory(self, point: trajectory.Motion, interval: float = 0.0) -> bool:
+        """Take in a point of a trajectory from the upper level; whether it can be used.
+
+        ``interval`` [s]: by which its time stamp is after that of the one before, 0 if that is not known.
+        A trajectory has precedence over commands for as long as it is not silent.
+        """
+        return watch.trajectory(self._params, self.memory, point, interval)
+
+    def trajectory_refused(self, positions: int, velocities: int, accelerations: int) -> None:
+        """A point of a trajectory came with so many entries."""
+        count(self.memory, "command_refused")
+        latch(self.memory, "command_refused", trajectory.refusal(positions, velocities, accelerations))
+
+    def trajectory_gone(self) -> None:
+        """Who sent the trajectory has left, others have not: commands are taken again."""
+        watch.trajectory_gone(self.memory)
+
+    def command_gone(self) -> None:
+        """Report that the upper level has left: its command counts as silent at once."""
+        watch.command_gone(self.memory)
+
+    def observe(self, name: str, text: str) -> None:
+        """Report ``text`` under ``name``, a condition seen from outside; "" ends it."""
+        if text != self.conditions.get(name, ""):
+            clear(self.memory, name)
+            if text:
+                report(self.memory, name, text)
+
+    def silence(self, elapsed: float, stalled: bool = False) -> float:
+        """Report that no reading was answered for too long; returns the voltage [V].
+
+        ``elapsed`` [s]: since the last reading or the last call; ``stalled``: readings have come, but this
+        process stood still.
+        """
+        self.memory.pace = rate.interrupted(self.memory.pace)
+        return watch.silence(self._params, self.memory, elapsed, stalled)
+
+    def sample(
+        self,
+        reading: float,
+        sequence: int | None = None,
+        elapsed: float = 0.0,
+        give: Callable[[float], None] = unused,
+    ) -> float:
+        """Answer one LVDT reading [V]; returns the voltage [V] to apply until the next one.
+
+        ``sequence``: number of the reading, from which lost ones are known; ``elapsed`` [s]: real time since
+        the one before, if it is known: the spool may have moved that long. ``give`` gets the voltage too,
+        once, as soon as it is certain: before what only the next sample needs. It must not raise.
+        """
+        assert self._form, "apply comes first"
+        m, p = self.memory, self._params
+        self._give = give
+        lost, last, m.sequence = 0, m.sequence, sequence
+        if sequence is not None and last is not None and sequence > last + 1:
+            lost = 0 if "lvdt_publishers" in m.said.texts else sequence - last - 1
+            m.counts["lvdt_lost"] += lost
+        m.samples += 1
+        before = m.pace.means
+        pace = rate.step(p.lvdt.pace, m.pace, elapsed, 1 + lost)
+        changed, m.pace = pace.level != m.pace.level, pace
+        if changed:
+            clear(m, "lvdt_rate")
+            if pace.level == 1:
+                report(m, "lvdt_rate", rate.text(p.lvdt.pace, pace))
+        if pace.means is not before:
+            self._tell_bursts(pace)
+        voltage = self._sample(p, m, reading, lost, elapsed, pace.level == 2)
+        self._hand_out(voltage)
+        return voltage
+
+    def _tell_bursts(self, pace: rate.State) -> None:
+        """Report whether readings come in bursts, after a window of their period."""
+        if not rate.bursts(pace):
+            clear(self.memory, "lvdt_bursts")
+        elif pace.share < 1.0:
+            report(self.memory, "lvdt_bursts", rate.bursts_text(self._params.lvdt.pace, pace))
+
+    def _hand_out(self, voltage: float) -> None:
+        give, self._give = self._give, unused
+        give(voltage)
+
+    def _observe(self, m: Memory, terms: Any, voltage: float) -> None:
+        """Watch a step of the law for what is only reported."""
+        self._terms = terms
+        p = self._watch_law
+        m.saturated_for, said = law_watch.step(p, m.saturated_for, m.said, voltage)
+        if said is not m.said:
+            tell(m, said)
+        if abs(voltage) >= p.u_max:
+            m.counts["saturated"] += 1
+        if self._watched is not None:
+            at, text = self._watched
+            if terms[at] > terms[at + 1]:
+                m.counts["assumption_violations"] += 1
+                latch(m, "assumptions", text)
+
+    # What it says
+
+    @property
+    def answered(self) -> bool:
+        """Whether the readings are those of a valve that gets these voltages."""
+        return self._answered
+
+    @answered.setter
+    def answered(self, answered: bool) -> None:
+        self._answered = answered
+        if self._form:
+            self._params = self._params._replace(answered=answered)
+
+    @property
+    def voltage(self) -> float:
+        """Voltage [V] in force."""
+        return self.memory.voltage
+
+    @property
+    def samples(self) -> int:
+        """Readings that have come."""
+        return self.memory.samples
+
+    @property
+    def changed(self) -> bool:
+        """Whether the reported conditions have changed; cleared by the reader."""
+        return self.memory.changed
+
+    @changed.setter
+    def changed(self, changed: bool) -> None:
+        self.memory.changed = changed
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Events since the process began, by name."""
+        return self.memory.counts
+
+    @property
+    def conditions(self) -> dict[str, str]:
+        """All reported conditions: sentences by name."""
+        return self.memory.said.texts
+
+    @property
+    def mode(self) -> Mode:
+        """Present mode."""
+        if self.memory.trust.blocked or "lvdt_missing" in self.conditions:
+            return Mode.SAFE
+        return Mode.DEGRADED if self.conditions else Mode.OK
+
+    @property
+    def reason(self) -> str:
+        """All reported conditions in one line."""
+        return "; ".join(self.conditions.values()) or "controlling"
+
+    @property
+    def command_in_force(self) -> float | None:
+        """Command [V] in force, None before the first."""
+        return self.memory.command.value
+
+    @property
+    def joins(self) -> bool:
+        """Whether the time between two commands counts."""
+        return self._params.joining is not None or (self._params.late is not None and self._params.late.every)
+
+    @property
+    def has_trajectory(self) -> bool:
+        """Whether the command is a trajectory's."""
+        return self.memory.trajectory is not None
+
+    @property
+    def command_left(self) -> bool:
+        """Whether the upper level has left, and no command has come since."""
+        return self.memory.command.gone_since is not None
+
+    @property
+    def measurement(self) -> float:
+        """The last believable reading [V], NaN before the first."""
+        return self.memory.measurement
+
+    @property
+    def bridged(self) -> int:
+        """Number of consecutive readings that could not be believed and are being bridged."""
+        return 0 if self.memory.trust.blocked else self.memory.trust.bridged
+
+    @property
+    def begun(self) -> bool:
+        """Whether a believable reading has come since the start."""
+        return "lvdt_missing" not in self.conditions
+
+    @property
+    def theta(self) -> tuple[float, ...] | None:
+        """Present estimates of a law that adapts, else None."""
+        m = self.memory
+        state: Any = m.law if m.law is not None else m.former
+        if state is None or "theta" not in state._fields or "theta_min" not in self._params.law._fields:
+            return None
+        return tuple(map(clip, state.theta, self._params.law.theta_min, self._params.law.theta_max))
+
+    @property
+    def terms(self) -> tuple[float, ...]:
+        """Terms of the law at the last sample, () while it does not have the valve."""
+        return self._terms if self.memory.law is not None else ()
+
+    @property
+    def assumed(self) -> dict[str, float]:
+        """What the law's assumptions bound, and that bound, at the last sample; {} if they bound nothing."""
+        terms = self.terms
+        if self._watched is None or not terms:
+            return {}
+        at, fields = self._watched[0], self.labels()[len(HEAD) :]
+        return {fields[i]: terms[i] for i in (at, at + 1)}
+
+    def labels(self) -> tuple[str, ...]:
+        """Names of the numbers of ``telemetry``."""
+        assert self._descriptor is not None, "apply comes first"
+        return (*HEAD, *self._descriptor.module.Terms._fields)
+
+    def telemetry(self) -> list[float]:
+        """Numbers of this sample; the law's terms are NaN while it does not have the valve."""
+        m = self.memory
+        terms = self.terms or (math.nan,) * (len(self.labels()) - len(HEAD))
+        return [
+            float(m.samples),
+            float(self.mode),
+            m.effective,
+            m.measurement,
+            m.voltage,
+            m.transfer.voltage.value,
+            *terms,
+        ]
+
+    def present_values(self) -> Values:
+        """The parameters in use, with the present estimates as the initial ones of the running law."""
+        values, kept = dict(self.values), self.memory.kept
+        theta = self.theta or (kept[1] if kept[0] == self.name else None)
+        if theta is not None:
+            values[f"{self.name}.theta_initial"] = list(theta)
+        return values

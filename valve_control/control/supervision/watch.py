@@ -1,0 +1,792 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Steps one valve from reading to voltage: the supervisor's machine, for nodes, replay and exported C.
+
+All functions work on one ``Memory``, which they change, and on ``Params``, which they do not.
+``with_places`` puts the functions of a law, and of who runs the machine, in the places that are kept for
+them. The translator of export/ makes C of the same functions; it leaves out the calls of those that are
+marked as ``node_only``.
+"""
+
+import collections
+import math
+import types
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, get_type_hints
+
+from valve_control.control.compiling import bind
+from valve_control.control.laws import command_lead, reshaping, velocity
+from valve_control.control.laws.law import Law
+from valve_control.control.laws.projection import Theta, clip
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.laws.signals import Start
+from valve_control.control.plant.amplifier import saturate
+from valve_control.control.supervision import (
+    bumpless_transfer,
+    command_course,
+    command_watch,
+    conditions,
+    cycle_watch,
+    gain_watch,
+    late_commands,
+    lock_in,
+    lvdt,
+    lvdt_watch,
+    noise_watch,
+    oscillation,
+    plausibility,
+    rate,
+)
+from valve_control.control.supervision import trajectory as points
+from valve_control.control.supervision.record import (
+    NEVER,
+    Memory,
+    clear,
+    count,
+    expire,
+    forget_gain,
+    forget_motion,
+    forget_saturation,
+    latch,
+    node_only,
+    report,
+)
+from valve_control.parameter import Values, number, word
+
+BOTH = "spool_command is ignored while spool_trajectory commands"
+PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
+TOLD = (
+    *(
+        "samples",
+        "sequence",
+        "pace",
+        "kept",
+        "saturated_for",
+        "noise",
+        "gain",
+        "said",
+        "name",
+        "changed",
+        "counts",
+    ),
+)  # of the memory, what C leaves out
+
+
+class Params(NamedTuple):
+    """A law and what is expected of its inputs."""
+
+    law: Any  # of the law
+    command: command_watch.Params
+    lvdt: lvdt_watch.Params
+    cycles: cycle_watch.Params  # of the voltage
+    noise: noise_watch.Params  # of the readings
+    gain: gain_watch.Params | None  # of the readings over the voltage
+    lead: command_lead.Params | None  # of the command
+    transfer: bumpless_transfer.Params
+    joining: command_course.Params | None  # of commands
+    late: late_commands.Params | None  # how commands that are late are bridged
+    reshapes: bool  # whether the law follows a reshaped reference
+    probation: float  # V  limit of the voltage while readings are doubted
+    lockstep: bool  # whether the law starts as offline, wherever spool and command are
+    answered: bool  # whether the readings are those of a valve that gets these voltages
+
+
+def design(values: Values, law: Any, answered: bool = True) -> Params:
+    """Params from the controller's values and the Params of its ``law``. Raises ParameterError."""
+    reshaped = LAWS[word(values, "controller")].reshapes(law)
+    watched = lvdt_watch.design(values, law)
+    probation = lvdt_watch.PROBATION * number(values, "lvdt.disturbance") or math.inf
+    return Params(
+        law,
+        command_watch.design(values),
+        watched,
+        cycle_watch.Params(
+            oscillation.Params(number(values, "oscillation_limit"), watched.period),
+            cycle_watch.between(law.u_max, watched.period),
+            cycle_watch.between(min(law.u_max, probation), watched.period),
+            lock_in.Model(watched.judge.a1, watched.judge.a0, watched.judge.b0, watched.period),
+            watched.hold_off,
+            watched.hold_off_limit,
+        ),
+        noise_watch.design(
+            watched.judge.b0,
+            watched.period,
+            1.0 if watched.comparison is None else watched.comparison.block,
+        ),
+        None if watched.comparison is None else gain_watch.design(watched.comparison),
+        command_lead.build(values, reshaped),
+        bumpless_transfer.design(number(values, "transfer_time"), number(values, "sample_period")),
+        command_course.design(values),
+        late_commands.design(values),
+        reshaped and hasattr(law, "reshaping"),
+        lvdt_watch.PROBATION * number(values, "lvdt.disturbance"),
+        bool(values["lockstep"]),
+        answered,
+    )
+
+
+# Places
+
+
+def law_initial(p: Any, start: Start) -> Any:
+    """Place of the law's ``initial``."""
+    raise NotImplementedError
+
+
+def law_step(p: Any, s: Any, command: float, measurement: float, offset: float) -> Any:
+    """Place of the law's ``step``."""
+    raise NotImplementedError
+
+
+def law_hold(p: Any, s: Any, command: float, measurement: float, voltage: float) -> Any:
+    """Place of the law's ``hold``."""
+    raise NotImplementedError
+
+
+def law_steady_command(p: Any, start: Start) -> float:
+    """Place of the law's ``steady_command``."""
+    raise NotImplementedError
+
+
+def law_resumed(p: Any, former: Any) -> Any:
+    """Place of ``as_designed``, ``with_estimates`` or ``bumpless_transfer.resumed``."""
+    raise NotImplementedError
+
+
+def law_commanded(p: Any, motion: points.Motion) -> float:
+    """Place of ``by_motion`` or ``by_position``."""
+    raise NotImplementedError
+
+
+@node_only
+def hand_out(voltage: float) -> None:
+    """Place of what is done with the voltage [V] as soon as it is certain."""
+
+
+@node_only
+def observe(m: Memory, terms: Any, voltage: float) -> None:
+    """Place of what is done with a law's step afterwards."""
+
+
+def are_finite(voltage: float, terms: Any) -> bool:
+    """Whether a law's ``voltage`` [V] and each of its ``terms`` are finite; place of a quicker way, too."""
+    return math.isfinite(voltage) and all(map(math.isfinite, terms))
+
+
+def as_designed(p: Any, former: Any) -> Any:
+    """Parameters with which a law without estimates starts again."""
+    return p
+
+
+def with_estimates(p: Any, former: Any) -> Any:
+    """Parameters with which a law starts again from the estimates that it had."""
+    return p._replace(theta_initial=Theta(*map(clip, former.theta, p.theta_min, p.theta_max)))
+
+
+def by_motion(p: Any, motion: points.Motion) -> float:
+    """Command [V] with which a law that reshapes follows ``motion``."""
+    return reshaping.command_of(p.reshaping, motion.position, motion.velocity, motion.acceleration)
+
+
+def by_position(p: Any, motion: points.Motion) -> float:
+    """Command [V] of a law that does not reshape."""
+    return motion.position
+
+
+# Inputs
+
+
+def command(p: Params, m: Memory, value: float, interval: float) -> None:
+    """Take in a command ``value`` [V], sent ``interval`` [s] after the one before, 0 if that is not known.
+
+    It is limited; one that is not finite is refused, and any while a trajectory commands.
+    """
+    if not math.isfinite(value):
+        m.command = command_watch.taken(p.command, m.command, value, m.now)
+        count(m, "command_refused")
+        latch(m, "command_refused", f"command {value} refused, the last one holds")
+        return
+    if follows_trajectory(p, m):
+        latch(m, "command_both", BOTH)
+        return
+    m.trajectory = None
+    if p.joining is not None:
+        arrival = m.now + p.joining.period
+        limited = saturate(value, p.joining.limit)
+        m.course = command_course.taken(p.joining, m.course, limited, interval, arrival)
+        m.upper = None
+    elif p.late is not None:
+        limited = saturate(value, p.late.limit)
+        before = m.upper if m.command.homing is None else None
+        m.upper = late_commands.taken(p.late, before, limited, interval, m.now + p.late.period)
+    renew(p, m, value)
+
+
+def trajectory(p: Params, m: Memory, point: points.Motion, interval: float) -> bool:
+    """Take in a ``point`` of a trajectory; whether it can be used.
+
+    ``interval`` [s]: by which its time stamp is after that of the one before, 0 if that is not known.
+    """
+    follows = follows_trajectory(p, m)
+    backwards = -interval if follows else 0.0
+    if not points.usable(point, backwards):
+        count(m, "command_refused")
+        latch(m, "command_refused", points.fault(point, backwards))
+        return False
+    before = m.trajectory if follows else None
+    arrival = m.now + p.command.period
+    m.trajectory = points.taken(p.late, before, point, interval, arrival, p.command.period)
+    m.course = None
+    m.upper = None
+    renew(p, m, point.position)
+    return True
+
+
+def trajectory_gone(m: Memory) -> None:
+    """Take commands again: the sender of the trajectory has left."""
+    m.trajectory = None
+
+
+def command_gone(m: Memory) -> None:
+    """Count the command as silent at once: the upper level has left."""
+    m.command = command_watch.left(m.command, m.now)
+
+
+def follows_trajectory(p: Params, m: Memory) -> bool:
+    """Whether there is a trajectory that is not silent."""
+    if m.trajectory is None or m.command.gone_since is not None:
+        return False
+    patience = PATIENCE if p.command.timeout == 0.0 else p.command.timeout
+    return m.now <= m.trajectory.arrival + patience
+
+
+def renew(p: Params, m: Memory, value: float) -> None:
+    """The upper level has spoken: its command ``value`` [V] counts from the next sample on."""
+    m.command = command_watch.taken(p.command, m.command, value, m.now)
+    clear(m, "command_missing")
+    if m.command.value != value:
+        count(m, "command_limited")
+        latch(m, "command_limited", f"command {value:g} V limited to {m.command.value:g} V")
+
+
+def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
+    """Switch off after ``elapsed`` [s] without a reading, too long to be bridged; returns the voltage [V].
+
+    ``stalled``: readings have come, but this process stood still.
+    """
+    m.now += elapsed
+    m.upper = None
+    m.trust = m.trust._replace(sound=0)
+    if m.trust.blocked == "" and m.law is not None:
+        leapt = has_leapt(m)
+        if stalled:
+            switch_off(p, m, "stalled", leapt)
+            report(
+                m,
+                "stalled",
+                f"the controller's process stood still for more than {p.lvdt.hold_samples} samples",
+            )
+        else:
+            switch_off(p, m, "lvdt_silent", leapt)
+            report(m, "lvdt_silent", f"{lvdt.TEXTS['silent']} for more than {p.lvdt.hold_samples} samples")
+    return m.voltage
+
+
+def reset(p: Params, m: Memory) -> None:
+    """Set estimates and filters to their start, without a bump, and drop doubts about the LVDT."""
+    end_doubt(m)
+    forget_gain(m)
+    m.pause = cycle_watch.NEVER
+    m.former = None
+    if m.law is not None:
+        take_over(p, m, None, True)
+
+
+def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpaced: bool) -> float:
+    """Voltage [V] until the next reading, after this one [V], before which ``lost`` ones did not come.
+
+    A reading that is not finite is bridged as one that cannot be believed. ``elapsed`` [s]: real time since
+    the one before, 0 if it is not known; ``unpaced``: readings come at a wrong period.
+    """
+    before = m.now
+    m.now += (1 + min(lost, p.lvdt.hold_samples)) * p.lvdt.period
+    if lost > 0 and m.upper is not None:
+        m.upper = late_commands.after_gap(m.upper, before, m.now)
+    expire(m)
+    if m.now > m.jumped_until:
+        m.jumped_until = NEVER
+    blocked = m.trust.blocked != ""
+    fault, m.judged = lvdt.step(p.lvdt.judge, m.judged, reading, lost, m.voltage, blocked, elapsed)
+    if fault != lvdt.SOUND:
+        refuse(p, m, fault, lost)
+        return m.voltage
+    gap = lost + m.trust.bridged
+    if gap > 0:
+        bridge(p, m, gap, reading)
+    if unpaced and m.trust.blocked == "":
+        switch_off(p, m, "lvdt_period", False)
+        report(m, "lvdt_period", rate.text(p.lvdt.pace, m.pace))
+    applied = m.voltage
+    if m.trust.blocked != "":
+        back = recover(p, m, reading, gap > 0 or unpaced or m.now < m.pause.until)
+        if not back:
+            m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
+            return applied
+    if m.law is None:
+        begin(p, m, reading)
+    if not advance(p, m, 0, reading):
+        leave_the_finite(p, m)
+    voltage = m.voltage
+    m.measurement = reading
+    m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, reading)
+    m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
+    if m.evidence is not None and m.evidence.held == 0.0:
+        watch_noise(p, m, applied)
+        watch_gain(p, m)
+        confront(p, m)
+    if m.law is not None and p.cycles.cycling.amplitude > 0.0:
+        watch_cycles(p, m, reading, voltage)
+    return voltage
+
+
+# Readings that cannot be believed, or do not come
+
+
+def condition_of(fault: str) -> str:
+    """Name of the condition of a reading's ``fault``."""
+    if fault == "not_finite":
+        return "lvdt_not_finite"
+    if fault == "out_of_range":
+        return "lvdt_out_of_range"
+    if fault == "jump":
+        return "lvdt_jump"
+    return "lvdt_frozen"
+
+
+def refuse(p: Params, m: Memory, fault: str, lost: int) -> None:
+    """Bridge a reading that cannot be believed, or switch off if there have been too many."""
+    count(m, "lvdt_refused")
+    m.trust = lvdt_watch.refused(m.trust, lost)
+    if m.trust.blocked != "":
+        return
+    if fault == "frozen" or m.trust.bridged > p.lvdt.hold_samples:
+        switch_off(p, m, condition_of(fault), False)
+        report(m, condition_of(fault), lvdt.TEXTS[fault])
+        return
+    if fault == "jump":
+        m.jumped_until = m.now + conditions.LATCH
+    latch(m, f"{condition_of(fault)}_bridged", f"{lvdt.TEXTS[fault]}: bridged")
+
+
+def bridge(p: Params, m: Memory, gap: int, reading: float) -> None:
+    """Step the law over ``gap`` samples before a sound ``reading`` [V], or switch off."""
+    leapt = has_leapt(m)
+    m.trust = m.trust._replace(bridged=0)
+    if m.trust.blocked != "" or m.law is None:
+        return
+    if gap > p.lvdt.hold_samples:
+        switch_off(p, m, "lvdt_silent", leapt)
+        report(m, "lvdt_silent", f"{gap} LVDT readings lost in a row")
+        return
+    latch(m, "lvdt_bridged", "LVDT readings lost: bridged")
+    newest = m.command.value
+    finite = advance(p, m, gap, reading)
+    m.command = m.command._replace(value=newest)
+    if not finite:
+        leave_the_finite(p, m)
+
+
+def has_leapt(m: Memory) -> bool:
+    """Whether readings that are being bridged leapt: after a gap they would be taken for motion."""
+    return m.trust.bridged > 0 and m.jumped_until >= 0.0
+
+
+@node_only
+def watch_noise(p: Params, m: Memory, applied: float) -> None:
+    """Measure the noise of the readings after a block at whose end ``applied`` [V] is on."""
+    standing = m.judged.standing
+    m.noise = noise_watch.step(p.noise, m.noise, standing.second, standing.grain, applied)
+    tell_noise(m)
+
+
+@node_only
+def watch_gain(p: Params, m: Memory) -> None:
+    """Compare the gain of the readings over the voltage with that of the start, after a block."""
+    if p.gain is None or p.lvdt.comparison is None or m.evidence is None or m.trust.doubt.times > 0.0:
+        return
+    before = m.gain.strange
+    m.gain = gain_watch.step(p.gain, p.lvdt.comparison, m.gain, m.evidence.shown)
+    if m.gain.strange == before:
+        return
+    if gain_watch.has_changed(p.gain, m.gain):
+        report(m, "lvdt_gain", gain_watch.text(m.gain))
+    else:
+        clear(m, "lvdt_gain")
+
+
+@node_only
+def tell_noise(m: Memory) -> None:
+    """Report the noise of the readings after a window of it, or that it is calm again."""
+    if m.noise.blocks > 0.0:
+        return
+    if noise_watch.is_loud(m.noise):
+        report(m, "lvdt_noise", noise_watch.text(m.noise))
+    else:
+        clear(m, "lvdt_noise")
+
+
+def confront(p: Params, m: Memory) -> None:
+    """Switch off if readings and voltage have shown together that the readings are wrong."""
+    if p.lvdt.comparison is None or m.evidence is None or m.trust.blocked != "" or not p.answered:
+        return
+    found, doubt = plausibility.verdict(p.lvdt.comparison, m.evidence, m.trust.doubt)
+    if found == "gain" and cycle_watch.unexplained(m.cycle, m.swing):
+        return  # even cycles have a gain of their own if readings are late
+    if found != "":
+        report(
+            m,
+            "lvdt_disagrees",
+            f"{lvdt.TEXTS['disagrees']}: "
+            f"{plausibility.words(found, p.lvdt.comparison, m.evidence, m.trust.doubt)}",
+        )
+        switch_off(p, m, "lvdt_disagrees", False)
+    elif doubt.times != m.trust.doubt.times:
+        end_doubt(m)
+
+
+def end_doubt(m: Memory) -> None:
+    """Trust the LVDT again."""
+    m.trust = m.trust._replace(doubt=plausibility.TRUST)
+    clear(m, "lvdt_doubted")
+
+
+# Cycles of the voltage
+
+
+def watch_cycles(p: Params, m: Memory, reading: float, voltage: float) -> None:
+    """Look for even cycles in the ``voltage`` [V] after ``reading`` [V], and measure them while they last."""
+    cycles, swings, rising = m.cycle.cycles, m.swing.cycles, m.cycle.command_rising
+    m.cycle = oscillation.step(p.cycles.cycling, m.cycle, m.now, voltage, m.effective)
+    full = p.cycles.full if m.trust.doubt.times == 0.0 else p.cycles.doubted
+    if abs(voltage) >= full.amplitude or m.cycle.command_rising != rising:
+        m.swing = oscillation.step(full, m.swing, m.now, voltage, m.effective)
+    if m.probe.frequency > 0.0:
+        m.probe = lock_in.step(m.probe, voltage, reading, p.lvdt.period)
+    if m.cycle.cycles != cycles:
+        judge_cycles(p, m, m.cycle, full.amplitude)
+    if m.swing.cycles != swings and m.law is not None:
+        judge_cycles(p, m, m.swing, full.amplitude)
+
+
+def judge_cycles(p: Params, m: Memory, cycle: oscillation.State, high: float) -> None:
+    """Report ``cycle`` after one more in a row, and its source; ``high`` [V]: amplitude of saturated ones.
+
+    Switch off if they stay saturated.
+    """
+    if max(m.cycle.cycles, m.swing.cycles) < cycle_watch.BEGUN:
+        m.probe = lock_in.NOTHING
+        m.source = ""
+    if cycle.cycles < cycle_watch.BEGUN or oscillation.explained(cycle):
+        return
+    if m.probe.frequency == 0.0:
+        m.probe = lock_in.begun(1.0 / cycle.length, p.lvdt.period)
+        return
+    if not oscillation.sustained(cycle) or not lock_in.finished(m.probe):
+        return
+    found = lock_in.found(p.cycles.model, m.probe)
+    m.source = cycle_watch.source(cycle, found, high, m.judged.standing.grain)
+    tell_cycles(m, cycle, found)
+    if p.answered and oscillation.amplitude(cycle) >= high and cycle_watch.lasts(cycle):
+        report(m, "limit_cycle", cycle_watch.stop_text(m.source, cycle, found))
+        m.pause = cycle_watch.paused(p.cycles, m.pause, m.now)
+        switch_off(p, m, "limit_cycle", False)
+
+
+@node_only
+def tell_cycles(m: Memory, cycle: oscillation.State, found: lock_in.Found) -> None:
+    """Report ``cycle`` under the name of its source."""
+    text, lasting = cycle_watch.text(m.source, cycle, found), cycle_watch.lasting(cycle)
+    if m.source == cycle_watch.HUM:
+        latch(m, "lvdt_hum", text, lasting)
+    else:
+        latch(m, "oscillation", text, lasting)
+
+
+# Off and on again
+
+
+def leave_the_finite(p: Params, m: Memory) -> None:
+    """Switch off: the law has produced NaN or infinity, or raised an error."""
+    count(m, "law_not_finite")
+    switch_off(p, m, "law_not_finite", False)
+    report(m, "law_not_finite", f"the control law {m.name} produced NaN or infinity")
+    m.former = None
+
+
+def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
+    """Give 0 V because of ``name``; ``leapt``: readings had leapt."""
+    trust = lvdt_watch.switched_off(p.lvdt, m.trust, m.evidence, name, m.now, p.answered, leapt)
+    if trust.doubt.times != m.trust.doubt.times:
+        clear(m, "lvdt_doubted")
+    m.trust = trust
+    count(m, "safe_stops")
+    m.voltage = 0.0
+    m.former = m.law
+    m.law = None
+    m.transfer = bumpless_transfer.NOTHING
+    m.fading = False
+    m.lead = None
+    m.upper = None
+    m.cycle = oscillation.NOTHING  # switching on and off is no limit cycle of law and valve
+    m.swing = oscillation.NOTHING
+    m.probe = lock_in.NOTHING
+    m.source = ""
+    forget_saturation(m)
+    forget_motion(m)
+
+
+def recover(p: Params, m: Memory, reading: float, anew: bool) -> bool:
+    """Whether the law has the valve again: enough sound readings have come, and the spool is at rest."""
+    before = lvdt_watch.Motion(m.measurement, m.velocity, m.evidence)
+    trust, motion = lvdt_watch.recovered(p.lvdt, m.trust, before, reading, anew, m.now)
+    if trust.blocked == "":
+        clear(m, m.trust.blocked)
+    m.trust = trust
+    m.measurement = motion.measurement
+    m.velocity = motion.velocity
+    m.evidence = motion.evidence
+    if trust.blocked != "":
+        return False
+    if trust.doubt.times > 0.0:
+        report(m, "lvdt_doubted", lvdt.TEXTS["doubted"])
+    welcome(p, m, reading)
+    take_over(p, m, m.former, False)
+    return True
+
+
+def welcome(p: Params, m: Memory, reading: float) -> None:
+    """Let the law hold the valve at ``reading`` [V] until a command comes."""
+    clear(m, "lvdt_missing")
+    m.command = command_watch.welcomed(p.command, m.command, reading, m.now)
+    if m.command.homing is not None:
+        report(m, "command_silent", command_watch.SILENT)
+    if m.command.value is None:
+        report(m, "command_missing", "no command yet")
+
+
+def begin(p: Params, m: Memory, reading: float) -> None:
+    """Start the law: as offline if all is at rest, without a bump if spool or command are elsewhere."""
+    m.measurement = reading
+    m.velocity = velocity.State(reading, 0.0)
+    welcome(p, m, reading)
+    wanted = 0.0 if m.command.value is None else m.command.value
+    if p.lockstep or max(abs(reading), abs(wanted)) <= p.lvdt.judge.tolerance:
+        m.law = law_initial(p.law, Start(reading, m.voltage, reading, 0.0, 0.0))
+    else:
+        take_over(p, m, None, False)
+
+
+def take_over(p: Params, m: Memory, former: Any | None, following: bool) -> None:
+    """Start the law where the spool is, with the estimates of its ``former`` state.
+
+    ``following``: the spool has been following the command until now.
+    """
+    follow(p, m, m.now)
+    y, v = m.measurement, m.velocity.velocity
+    start = Start(y, m.voltage, y, v, v)
+    base = target(p, m)  # which may end a way home and begin an offset
+    base -= m.transfer.command.value
+    # A spool that follows has the rate of the command; one from elsewhere has to lose its own.
+    offset = bumpless_transfer.Offset(law_steady_command(p.law, start) - base, 0.0 if following else v)
+    law = p.law if former is None else law_resumed(p.law, former)
+    m.law = law_initial(law, start)
+    m.transfer = bumpless_transfer.State(m.transfer.voltage, offset, True)
+    m.fading = True
+
+
+def go_on(p: Params, m: Memory, former: Any, reference: Any) -> None:
+    """Start the law where the spool is, with the estimates of the ``former`` state of another.
+
+    ``reference``: the one that this law followed, with its rate.
+    """
+    follow(p, m, m.now)
+    y, v = m.measurement, m.velocity.velocity
+    start = Start(y, m.voltage, reference.reference, reference.rate, v)
+    target(p, m)
+    m.law = law_initial(law_resumed(p.law, former), start)
+    m.transfer = m.transfer._replace(taking_over=True)
+    m.fading = True
+
+
+# The law
+
+
+def advance(p: Params, m: Memory, gap: int, reading: float) -> bool:
+    """Step the law over ``gap`` samples before ``reading`` [V], or without a gap over this sample.
+
+    False if it produced NaN or infinity, or raised an error: C goes on with what it computes instead.
+    """
+    try:
+        if gap > 0:
+            hold(p, m, gap, reading)
+            return True
+        return control(p, m, reading)
+    except (ArithmeticError, ValueError):
+        return False
+
+
+def hold(p: Params, m: Memory, gap: int, reading: float) -> None:
+    """Step the law over ``gap`` samples without a reading, on a straight line to ``reading`` [V]."""
+    slope = (reading - m.measurement) / (gap + 1)
+    newest, used = m.command.value, m.used
+    for i in range(1, gap + 1):
+        between = m.measurement + i * slope
+        now = m.now - (gap + 1 - i) * p.lvdt.period
+        moves_on = p.late is not None and p.late.every and m.upper is not None
+        if m.course is not None or m.trajectory is not None or moves_on:
+            follow(p, m, now)
+        elif newest is not None and used is not None and m.command.homing is None:
+            m.command = m.command._replace(value=used + i * (newest - used) / (gap + 1))
+        m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, between)
+        take_in(p, m, now)
+        wanted = target(p, m)
+        m.law = law_hold(p.law, m.law, wanted, between, m.voltage)
+        if m.fading:
+            fade(p, m)
+
+
+def control(p: Params, m: Memory, reading: float) -> bool:
+    """Compute one step of the law and hand out its voltage; False, and none, if it is not finite."""
+    law = p.law
+    if m.trust.doubt.times != 0.0 and p.lvdt.comparison is not None:
+        law = law._replace(u_max=min(law.u_max, p.probation))
+    follow(p, m, m.now)
+    take_in(p, m, m.now)
+    wanted = target(p, m)
+    m.effective = wanted
+    m.used = m.command.value
+    if m.transfer.taking_over:
+        _, _, first = law_step(law, m.law, wanted, reading, 0.0)
+        m.transfer = bumpless_transfer.begun(m.transfer, m.voltage - first.unsaturated_voltage)
+        m.fading = True
+    voltage, after, terms = law_step(law, m.law, wanted, reading, m.transfer.voltage.value)
+    if not are_finite(voltage, terms):
+        return False
+    m.voltage = voltage
+    hand_out(voltage)
+    m.law = after
+    observe(m, terms, voltage)
+    if m.fading:
+        fade(p, m)
+    return True
+
+
+def fade(p: Params, m: Memory) -> None:
+    """Let both offsets of a takeover decay by one period."""
+    m.transfer = bumpless_transfer.step(p.transfer, m.transfer)
+    voltage, command = m.transfer.voltage, m.transfer.command
+    m.fading = voltage.value != 0.0 or voltage.rate != 0.0 or command.value != 0.0 or command.rate != 0.0
+
+
+def follow(p: Params, m: Memory, now: float) -> None:
+    """The command in force is that of trajectory or course at ``now`` [s], if there is one."""
+    if m.trajectory is not None:
+        m.motion = points.motion(p.late, m.trajectory, now, p.command.limit)
+        m.command = m.command._replace(value=m.motion.position)
+    elif m.course is not None and p.joining is not None:
+        m.command = m.command._replace(value=saturate(command_course.value(m.course, now), p.joining.limit))
+    elif m.upper is not None and p.late is not None and m.command.homing is None:
+        m.command = m.command._replace(value=late_commands.value(p.late, m.upper, now))
+
+
+def take_in(p: Params, m: Memory, now: float) -> None:
+    """The command of the sample at ``now`` [s], from which its lead follows."""
+    value = m.command.value
+    if m.trajectory is not None:
+        m.lead = None
+    elif p.lead is not None and value is not None:
+        before = command_lead.initial(value) if m.lead is None else m.lead
+        if m.course is None:
+            m.lead = command_lead.step(p.lead, before, value)
+        else:
+            slope = command_course.rate(m.course, now)
+            m.lead = command_lead.known(p.lead, before, value, slope, 0.0)
+
+
+def target(p: Params, m: Memory) -> float:
+    """Command [V] of this sample, with its lead or its derivatives, and with its offset."""
+    homing = m.command.homing is not None
+    wanted, m.command, offset = command_watch.step(p.command, m.command, m.transfer.command, m.now)
+    if homing != (m.command.homing is not None):
+        if homing:
+            m.transfer = m.transfer._replace(command=offset)
+            m.fading = True
+            clear(m, "command_silent")
+        else:
+            report(m, "command_silent", command_watch.SILENT)
+    value = m.command.value
+    if value is None or m.command.homing is not None:
+        return wanted
+    if m.trajectory is not None and p.reshapes:
+        return law_commanded(p.law, m.motion) + m.transfer.command.value
+    if p.lead is None or m.lead is None:
+        return wanted
+    return command_lead.led(p.lead, m.lead, value) + m.transfer.command.value
+
+
+# What stands in the places
+
+
+def with_places(places: Mapping[str, Any]) -> types.SimpleNamespace:
+    """The functions of this file with others in their ``places``."""
+    own = {n: f for n, f in {**globals(), **places}.items() if getattr(f, "__module__", "") == __name__}
+    functions = {n: f for n, f in own.items() if isinstance(f, types.FunctionType)}
+    return types.SimpleNamespace(**bind(functions, places))
+
+
+def places_of(law: Law) -> dict[str, Callable[..., Any]]:
+    """The functions of ``law`` by the names of their places."""
+    module = law.module
+    moved = by_motion if "reshaping" in module.Params._fields else by_position
+    return {
+        "law_initial": module.initial,
+        "law_step": module.step,
+        "law_hold": module.hold,
+        "law_steady_command": law.steady_command,
+        "law_resumed": bumpless_transfer.resumed,
+        "law_commanded": moved,
+    }
+
+
+def bound(law: Law) -> types.SimpleNamespace:
+    """Params, State and the functions of this file for ``law`` alone, as they are exported to C."""
+    module = law.module
+    hints = get_type_hints(module.Params)
+    adapts = law.adapts and "theta_initial" in hints
+    params = _record(Params, {"law": module.Params})
+    state = module.State | None
+    memory = _record(Memory, {"law": state, "former": state}, TOLD)
+    memory.__name__, memory.changes = "State", True
+    others = {
+        "Params": params,
+        "State": memory,
+        "Theta": hints["theta_initial"] if adapts else Theta,
+        "law_resumed": with_estimates if adapts else as_designed,
+    }
+    made = with_places({**places_of(law), **others})
+    kinds = {Params: params, Memory: memory, Any | None: state}
+    for function in vars(made).values():
+        if getattr(function, "__module__", "") == __name__ and isinstance(function, types.FunctionType):
+            own = function.__annotations__
+            own.update({argument: kinds.get(kind, kind) for argument, kind in own.items()})
+    return made
+
+
+def _record(template: Any, given: dict[str, Any], without: tuple[str, ...] = ()) -> Any:
+    """A NamedTuple with the fields of ``template``, other types of some, and ``without`` others."""
+    hints = {n: h for n, h in {**get_type_hints(template), **given}.items() if n not in without}
+    made: Any = collections.namedtuple(template.__name__, list(hints))  # type: ignore[misc]
+    made.__annotations__ = hints
+    made.__module__, made.__doc__ = __name__, template.__doc__
+    setattr(made, "template", template)  # noqa: B010  # with the comments of the fields
+    return made

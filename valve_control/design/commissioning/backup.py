@@ -1,0 +1,77 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Keeps the parameters from before a commissioning in a file, so that they come back whatever happens."""
+
+import itertools
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from valve_control import outputs
+from valve_control.control.parameters import arguments, files
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.parameter import ParameterError, Value, Values
+
+PARAMETERS = "before.yaml"
+STATE = "state.json"
+EARLIER = "earlier"  # folder of what earlier commissionings left
+RUNNING, DONE, ABORTED, UNDONE = "running", "commissioned", "aborted", "undone"
+
+
+class Backup(NamedTuple):
+    """The parameters of one controller from before, and how its commissioning stands."""
+
+    node: str  # full name
+    values: Values
+    state: str
+
+
+def write(folder: Path, node: str, values: Values) -> None:
+    """Write the parameters of ``node``, and that its commissioning runs. Raises OSError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = files.as_yaml(
+        {node: values}, ["Parameters from before the commissioning; --undo brings them back."]
+    )
+    outputs.write(str(folder / PARAMETERS), text)
+    mark(folder, node, RUNNING)
+
+
+def set_aside(folder: Path, results: Sequence[str]) -> Path | None:
+    """Move parameters, state and ``results`` of an earlier commissioning to a folder of their own.
+
+    Returns that folder, which ``read`` takes as well; None: nothing was left. Raises OSError.
+    """
+    left = [path for name in (*results, STATE, PARAMETERS) if (path := folder / name).exists()]
+    if not left:
+        return None
+    places = (folder / EARLIER / str(number) for number in itertools.count(1))
+    place = next(path for path in places if not path.exists())
+    place.mkdir(parents=True)
+    for path in left:
+        path.rename(place / path.name)
+    return place
+
+
+def mark(folder: Path, node: str, state: str) -> None:
+    """Write how the commissioning of ``node`` stands. Raises OSError."""
+    outputs.write(str(folder / STATE), outputs.as_json({"node": node, "state": state}))
+
+
+def read(folder: Path) -> Backup | None:
+    """What ``folder`` has, None if it has nothing. Raises ParameterError for files that are damaged."""
+    path = folder / STATE
+    if not path.exists():
+        return None
+    try:
+        told: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        node, state = str(told["node"]), str(told["state"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ParameterError(f"{path} is damaged: {error}") from error
+    values = arguments.addressed(str(folder / PARAMETERS), node, CONTROLLER)
+    return Backup(node, values, state)
+
+
+def differences(present: Values, wanted: Values) -> dict[str, Value]:
+    """What has to be set so that ``present`` becomes ``wanted``."""
+    return {name: value for name, value in wanted.items() if present.get(name) != value}

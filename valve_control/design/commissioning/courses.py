@@ -1,0 +1,100 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Gives the commands of each test, reading by reading, within the limits of voltage and travel.
+
+While the law is ``open_loop`` with a static gain of 1 a command is the voltage itself.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.control.commands.scenarios import Step
+from valve_control.design.commissioning.bench import Course, Limits
+
+Floats = npt.NDArray[np.float64]
+REACH = 0.8  # of the travel, at which a course turns round
+CLOSE = 0.9  # of the travel, that a spool may go on to after a turn
+LOWER = 0.9  # factor by which a sine is made smaller where the reading reaches that
+CALM = 0.05  # s  between two such factors, so that the spool can follow
+LATE = 0.005  # s  of a ramp that are made good after a pause of this process
+
+
+def rest(duration: float) -> Course:
+    """0 V for ``duration`` [s]."""
+    seen = yield 0.0
+    while seen.time < duration:
+        seen = yield 0.0
+
+
+def triangle(
+    limits: Limits, rate: float, turns: int, turned_at: Callable[[float], None] = lambda time: None
+) -> Course:
+    """Voltage that rises and falls at ``rate`` [V/s], with ``turns`` turns, and ends at 0 V.
+
+    It turns where the voltage reaches its limit, or the reading REACH of the travel. Where the spool goes on
+    after a turn to CLOSE of the travel, it turns earlier the next time, by as much as the spool went on.
+    ``turned_at`` gets the time [s] of each turn.
+    """
+    value, direction, last = 0.0, 1.0, 0.0
+    left, turned, beyond = turns, math.inf, 0.0
+    seen = yield 0.0
+    while left > 0:
+        value += direction * rate * min(LATE, seen.time - last)
+        last = seen.time
+        if -direction * seen.reading > CLOSE * limits.travel:
+            beyond = max(beyond, -direction * seen.reading - turned)
+        if direction * value >= limits.voltage or direction * seen.reading >= REACH * limits.travel - beyond:
+            value = max(-limits.voltage, min(limits.voltage, value))
+            turned = max(0.0, direction * seen.reading)
+            direction = -direction
+            left -= 1
+            turned_at(seen.time)
+        seen = yield value
+    while value != 0.0:
+        change = rate * min(LATE, seen.time - last)
+        last = seen.time
+        value = math.copysign(max(0.0, abs(value) - change), value)
+        seen = yield value + 0.0
+
+
+def triangle_time(limits: Limits, rate: float, turns: int, turned: Sequence[float]) -> float:
+    """About how long [s] a triangle takes of which the times ``turned`` [s] of the turns until now are known.
+
+    Until its first turn it is taken to reach the limit of the voltage.
+    """
+    if not turned:
+        return 2.0 * turns * limits.voltage / rate
+    if len(turned) == 1:
+        return 2.0 * turns * turned[0]
+    stretch = (turned[-1] - turned[0]) / (len(turned) - 1)
+    return turned[-1] + (turns - len(turned) + 0.5) * stretch
+
+
+def stepped_sine(limits: Limits, steps: Sequence[Step], amplitude: float, offset: float) -> Course:
+    """Sines of ``amplitude`` around ``offset`` [V], one frequency after the other.
+
+    The amplitude becomes smaller, and stays so, where the reading reaches REACH of the travel.
+    """
+    lowered = 0.0
+    seen = yield max(-limits.voltage, min(limits.voltage, offset))
+    for step in steps:
+        while seen.time < step.end:
+            time = seen.time
+            if abs(seen.reading) > REACH * limits.travel and time > lowered + CALM:
+                amplitude *= LOWER
+                lowered = time
+            value = offset + amplitude * math.sin(2.0 * math.pi * step.frequency * (time - step.start))
+            seen = yield max(-limits.voltage, min(limits.voltage, value))
+    yield 0.0
+
+
+def motion(wanted: Floats, period: float) -> Course:
+    """Commands of a ``wanted`` motion [V], one entry a sample, that begins and ends at 0 V."""
+    seen = yield float(wanted[0])
+    last = len(wanted) - 1
+    while (k := round(seen.time / period)) <= last:
+        seen = yield float(wanted[k])
+    yield 0.0

@@ -1,0 +1,184 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Tunes the law for the fitted valve, and judges the run that verifies the gains on the running one."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.control.analysis.indices import Indices, indices
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters.table import CONTROLLER, NODES
+from valve_control.control.plant.models import scale_of
+from valve_control.control.simulation import offline
+from valve_control.design.commissioning import model, plant
+from valve_control.design.commissioning.bench import Progress, Record
+from valve_control.design.commissioning.plan import Plan
+from valve_control.design.commissioning.plant import Plant
+from valve_control.design.commissioning.statics import Rest
+from valve_control.design.tuning import box, trial, tuner
+from valve_control.design.tuning.trial import Motion, Problem
+from valve_control.design.tuning.tuner import Aim, Tuned
+from valve_control.parameter import Values, defaults, number, updated
+
+Floats = npt.NDArray[np.float64]
+WORSE = 1.5  # times error and chatter of the simulation, that the running valve may have
+SLACK = 0.002  # V  of error beside that
+CONTENDS = 1.5  # times the error of the new gains, up to which those from before are tried on the valve too
+VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
+
+
+class Gains(NamedTuple):
+    """What tuning chose, and what it was chosen on."""
+
+    tuned: Tuned
+    motions: list[Motion]
+    valve: Values  # of the simulated valve, with the limit of the voltage that is in force
+    chosen: Values  # the controller's parameters that are set
+
+
+class Verification(NamedTuple):
+    """The verification run, and what the simulation of the fitted valve says of it."""
+
+    record: Record
+    measured: Indices
+    expected: Indices  # with the new gains, on the commands as they came
+    punctual: Indices  # with the new gains, on commands that come in time
+    away: float  # V  how far the commands were from those, at most
+    former: Indices | None  # with the parameters from before, None if those saturate or are unstable
+    reasons: list[str]  # why the gains are not accepted
+    before: Indices | None = None  # measured with the parameters from before, None if they were not tried
+
+
+def tuned(
+    plan: Plan, before: Values, found: Plant, known: model.Known, rest: Rest, wider: float, told: Progress
+) -> Gains:
+    """Gains for the fitted valve and a box around it, ``wider`` times as wide as usual.
+
+    The gains in force are among the first that are tried, if they are of the same law.
+
+    Beyond the usual one a voltage that the controller reports as an oscillation counts even on a spool that
+    swings by itself: the running one may have shown just that. What ``told`` raises ends the search.
+
+    Raises ParameterError.
+    """
+    limits, period = plan.limits, number(before, "sample_period")
+    valve = updated(
+        NODES["valve_simulator"],
+        defaults(NODES["valve_simulator"]),
+        plant.values(found, rest, period, limits.voltage),
+    )
+    own = model.controller_values(known, plan.law)
+    values = updated(
+        CONTROLLER,
+        before,
+        {**own, "controller": plan.law, "u_max": limits.voltage, "command_limit": limits.travel},
+    )
+    motions = model.motions(found, known, limits, period)
+    settings = {
+        "controller": values,
+        "valve_simulator": valve,
+        "command_source": updated(
+            NODES["command_source"], defaults(NODES["command_source"]), {"sample_period": period}
+        ),
+    }
+    quantities = model.box(found, period, wider)
+    seen, other = (
+        box.study_of(settings, quantities, count, seed)
+        for count, seed in ((plan.valves, plan.seed), (plan.unseen, plan.seed + box.UNSEEN_SEED))
+    )
+    problem = Problem(
+        values,
+        motions,
+        box.drawn(seen),
+        box.bounding(seen),
+        trial.USUAL,
+        False,
+        False,
+        plan.seed,
+        wider > 1.0,
+        scale_of(found.model),
+    )
+    unseen = problem._replace(
+        plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + box.UNSEEN_SEED
+    )
+    law = LAWS[plan.law]
+    total = plan.budget * len(tuner.variants(law, values))
+    verifying = VERIFYING * plan.unseen / plan.valves
+
+    def done(sets: float, verifications: int = 1) -> None:
+        told(sets, total + verifications * verifying)
+
+    done(0.0)
+    made = tuner.tuned(
+        law, problem, unseen, Aim(plan.chatter, None, plan.firm), plan.budget, plan.seed, done, plan.threads,
+        lambda tried: done(total + tried * verifying, tried + 1),
+        [before] if before["controller"] == plan.law else [],
+    )  # fmt: skip
+    done(total + verifying)
+    return Gains(made, motions, valve, {**own, **made.chosen.changes, "controller": made.law})
+
+
+def judged(plan: Plan, before: Values, gains: Gains, wanted: Floats, record: Record) -> Verification:
+    """Judge the ``record`` of a verification run by the simulation of the same commands.
+
+    ``wanted``: commands [V], n, as they would have come in time.
+
+    Raises ParameterError.
+    """
+    chatter = plan.chatter if gains.tuned.chatter is None else gains.tuned.chatter
+    measured = _indices(record)
+    limited = {"u_max": plan.limits.voltage, "command_limit": plan.limits.travel}
+    values = updated(CONTROLLER, before, {**gains.chosen, **limited})
+    made = offline.simulate(values, gains.valve, record.command)
+    punctual = offline.simulate(values, gains.valve, wanted)
+    former: Indices | None = None
+    with np.errstate(over="ignore", invalid="ignore"):
+        old = offline.simulate(updated(CONTROLLER, before, limited), gains.valve, record.command)
+    if np.all(np.isfinite(old.measurement)):
+        former = old.indices
+    reasons = []
+    most = WORSE * made.indices.e_rms + SLACK
+    if not measured.e_rms <= most:
+        reasons.append(
+            f"the error is {1e3 * measured.e_rms:.3g} mV rms on the running valve, and "
+            f"{1e3 * made.indices.e_rms:.3g} mV in simulation: the model does not describe this valve"
+        )
+    most_chatter = WORSE * max(chatter, made.indices.c_u)
+    if not measured.c_u <= most_chatter:
+        reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
+    n = min(len(wanted), len(record.command))
+    away = float(np.nanmax(np.abs(record.command[:n] - wanted[:n])))
+    return Verification(record, measured, made.indices, punctual.indices, away, former, reasons)
+
+
+def contends(plan: Plan, made: Verification) -> bool:
+    """Whether the parameters from before may be as good as those of ``made``, as far as simulation knows."""
+    return (
+        made.former is not None
+        and made.former.e_rms < CONTENDS * made.measured.e_rms
+        and made.former.c_u <= WORSE * plan.chatter
+    )
+
+
+def against(plan: Plan, made: Verification, record: Record) -> Verification:
+    """Judge ``made`` by the ``record`` of the same run with the parameters from before."""
+    before = _indices(record)
+    reasons = list(made.reasons)
+    if before.e_rms < made.measured.e_rms and before.c_u <= WORSE * plan.chatter:
+        reasons.append(
+            f"on the running valve the parameters from before do better, {1e3 * before.e_rms:.3g} mV rms "
+            f"instead of {1e3 * made.measured.e_rms:.3g} mV"
+        )
+    return made._replace(before=before, reasons=reasons)
+
+
+def _indices(record: Record) -> Indices:
+    known = np.isfinite(record.reading) & np.isfinite(record.voltage) & np.isfinite(record.command)
+    return indices(
+        np.where(known, record.reading - record.command, 0.0),
+        np.where(known, record.voltage, 0.0),
+        record.period,
+        known,
+    )

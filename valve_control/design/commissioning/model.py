@@ -1,0 +1,193 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Derives the controller's model and estimates from the fitted valve, and the box of valves to tune for."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.control.commands import scenarios
+from valve_control.control.commands.arrays import sampled
+from valve_control.control.laws.dcarc_design import MOST_DELAY
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.simulation.robustness import Quantity
+from valve_control.design.commissioning.bench import Limits
+from valve_control.design.commissioning.plant import Plant
+from valve_control.design.commissioning.statics import Rest
+from valve_control.design.identification import dead_time, first_gains, rational, theta
+from valve_control.design.identification.bode import held_response
+from valve_control.design.identification.lvdt import Lvdt
+from valve_control.design.identification.response import Response
+from valve_control.design.tuning.trial import Motion
+from valve_control.parameter import ParameterError, Values
+
+Floats = npt.NDArray[np.float64]
+FREQUENCIES = 40
+LOWEST, HIGHEST = 0.5, 100.0  # Hz
+FASTEST = 0.2  # of the sampling frequency
+LATE = 0.2  # sample periods of dead time from which on a model has one
+CERTAIN = 0.01  # of the response
+SPREAD = 0.1  # of gain and speed, that one valve has from day to day
+RUBBING = 0.3  # of friction, likewise
+OFFSET = 0.2  # V  likewise
+LATER = 0.5  # sample periods, likewise
+DRIVEN = 0.7  # of the limit of the voltage, that motions may need
+ROOM = 0.65  # of the travel, that they may take
+STATIC = 0.5  # of what the voltage reaches, that they may take
+ACCELERATION = 8.0  # 1/s  times the velocity of a stroke, as in the default motion
+PAUSE = 0.4  # s  after a stroke
+SINE = 0.3  # of the stroke
+LONG = 1.5  # s  least length of the sine
+
+
+class Known:
+    """What the controller gets to know of the valve."""
+
+    def __init__(
+        self, found: Plant, rest: Rest, period: float, u_max: float, law: str, sensor_delay: float = 0.0
+    ) -> None:
+        """Fit the models of the laws to ``found``, and see that ``law`` can take its own.
+
+        Raises ParameterError.
+        """
+        frequency = np.geomspace(LOWEST, min(HIGHEST, FASTEST / period), FREQUENCIES)
+        value = held_response(found.model, frequency, period, found.delay)
+        exact = Response(
+            frequency, value, CERTAIN * np.abs(value), np.ones(len(value)), period, "fitted valve", ()
+        )
+        order, zeros = len(found.model.denominator) - 1, len(found.model.numerator) - 1
+        late = found.delay > LATE * period
+        self.second = rational.fit(exact, 2, weighting="relative")
+        best = rational.fit(exact, order, zeros, late, "relative") if order > 2 else self.second
+        self.theta = theta.suggest(exact, self.second, best, u_max)
+
+        lvdt = Lvdt(rest.noise, rest.resolution)
+        delay = found.delay if late else 0.0
+        whole = first_gains.Valve(
+            found.model, delay, self.theta, lvdt, period, u_max, sensor_delay=sensor_delay
+        )
+        gains = first_gains.first(whole)
+        own = f"{law}.denominator"
+        refused = _refusal(gains, law)
+        if refused is not None and own in (p.name for p in CONTROLLER) and own not in gains.values:
+            gains = _simpler(exact, whole, law, refused)
+        self.gains = gains.values
+        self.notes = (*gains.notes, *dead_time.notes(delay, sensor_delay))
+
+
+def _simpler(
+    exact: Response,
+    whole: first_gains.Valve,
+    law: str,
+    refused: str,
+) -> first_gains.Gains:
+    """First gains of ``law``, which takes no model of the form of ``whole``, with one of lower order.
+
+    It is a third order without zeros, or has zeros far away that cannot be inverted, or too much dead time.
+    Raises ParameterError.
+    """
+    reason = refused
+    for lower in range(max(2, len(whole.model.denominator) - 2), 1, -1):
+        try:
+            simpler = rational.fit(exact, lower, None, True, "relative", MOST_DELAY * whole.period)
+        except ParameterError as error:
+            reason = str(error)
+            continue
+        if np.max(np.abs(np.roots(simpler.model.numerator)), initial=0.0) > math.pi / whole.period:
+            continue  # a zero that is not in the data
+        gains = first_gains.first(whole._replace(model=simpler.model, delay=simpler.delay), whole)
+        if f"{law}.denominator" in gains.values:
+            note = (
+                f"{law} gets a model of order {lower} with {1e3 * simpler.delay:.2g} ms of dead time, "
+                f"because {refused}"
+            )
+            return gains._replace(notes=(note, *gains.notes))
+        reason = _refusal(gains, law) or reason
+    raise ParameterError(f"{law} gets no model: {reason}")
+
+
+def _refusal(gains: first_gains.Gains, law: str) -> str | None:
+    """Why there are no first gains of ``law``; None: there are, or nobody sought them."""
+    return next((note.partition(": ")[2] for note in gains.notes if note.startswith(f"{law}'s")), None)
+
+
+def controller_values(known: Known, law: str) -> Values:
+    """First gains and model of ``law``, and the estimates by which readings are compared with the voltage.
+
+    With the limits of the reference, where those of the D3FXE do not fit the valve.
+    """
+    own = {name: value for name, value in known.gains.items() if name.startswith((f"{law}.", "reshaping."))}
+    estimates = {
+        "arc.theta_initial": list(known.theta.initial),
+        "arc.theta_min": list(known.theta.lower),
+        "arc.theta_max": list(known.theta.upper),
+    }
+    return {**estimates, **own}
+
+
+def box(found: Plant, period: float, wider: float = 1.0) -> list[Quantity]:
+    """What one valve may be from day to day, around what was found; ``wider``: times as far as usual."""
+    spread, rubbing, shift = wider * SPREAD, wider * RUBBING, wider * OFFSET
+    friction, offset = found.friction.coulomb, max(-9.0, min(9.0, found.offset))
+    quantities = [
+        Quantity("gain", 1.0 - spread, 1.0 + spread, "-"),
+        Quantity("speed", 1.0 - spread, 1.0 + spread, "-"),
+        Quantity("disturbance.offset", offset - shift, offset + shift, "V"),
+        Quantity("lvdt.delay", found.delay, found.delay + wider * LATER * period, "s"),
+    ]
+    if friction > 0.0:
+        low, high = (1.0 - rubbing) * friction, (1.0 + rubbing) * friction
+        quantities.append(Quantity("friction.coulomb", low, high, "V"))
+    return quantities
+
+
+def motions(found: Plant, known: Known, limits: Limits, period: float) -> list[Motion]:
+    """Strokes and a sine, as fast as the valve can follow within ``limits``. Raises ParameterError."""
+    left = DRIVEN * limits.voltage - found.friction.coulomb - abs(found.offset)
+    height = min(ROOM * limits.travel, STATIC * left * abs(found.model.static_gain))
+    if height <= 0.0:
+        raise ParameterError(
+            f"friction and offset take up the limit of the voltage, {limits.voltage:g} V, so that no motion "
+            "can be tuned on"
+        )
+    b0, a1, a0 = (float(v) for v in known.second.values[:3])
+
+    def need(wanted: Floats) -> float:
+        rate = np.gradient(wanted, period)
+        return float(np.max(np.abs(np.gradient(rate, period) + a1 * rate + a0 * wanted))) / b0
+
+    strokes = next(
+        (m for v in np.geomspace(20.0, 0.1, 40) if need(m := _strokes(height, float(v), period)) <= left),
+        None,
+    )
+    small = SINE * height
+    sine = next(
+        (m for f in np.geomspace(20.0, 0.5, 40) if need(m := _sine(small, float(f), period)) <= left), None
+    )
+    made = [Motion(name, m) for name, m in (("strokes", strokes), ("sine", sine)) if m is not None]
+    if not made:
+        raise ParameterError("no motion can be found that the valve follows within the limit of the voltage")
+    return made
+
+
+def _strokes(height: float, velocity: float, period: float) -> Floats:
+    """There and back to either side, with a pause after each stroke."""
+    acceleration = ACCELERATION * velocity
+    ramp, cruise, _ = scenarios.stroke_time(height, velocity, acceleration)
+    half = 2.0 * ramp + cruise + PAUSE
+    shape = scenarios.Shape(
+        "point_to_point", height, 0.0, 0.0, 1.0, 1.0, velocity, acceleration, 2.0 * half, 1.0
+    )
+    there = sampled(shape, period, max(2, round(2.0 * half / period)))
+    return np.concatenate([there, -there])
+
+
+def _sine(height: float, frequency: float, period: float) -> Floats:
+    """Whole cycles that begin and end softly."""
+    cycles = max(3, math.ceil(LONG * frequency))
+    n = round(cycles / (frequency * period))
+    time = np.arange(n) * period
+    ends = np.clip(np.minimum(time, time[-1] - time) * frequency, 0.0, 1.0)
+    wave: Floats = height * ends * np.sin(2.0 * np.pi * frequency * time)
+    return wave

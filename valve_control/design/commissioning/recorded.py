@@ -1,0 +1,257 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Learns a valve that is known in outline from a recording of normal operation, in closed loop.
+
+The valve is simulated under the recorded voltages, and what one valve differs in from its like (gain, speed,
+offset, friction, dead time) is fitted to the readings. The voltage is known, so that feedback biases nothing
+as long as the noise of a reading tells nothing of the next one's. A quantity that the recording does not
+determine stays as it was known, and in the box as wide as before.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.optimize
+
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import NODES
+from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.models import faster
+from valve_control.control.simulation.robustness import Quantity
+from valve_control.design.commissioning.plant import positions
+from valve_control.design.identification import lvdt
+from valve_control.design.identification.experiment import Experiment, held
+from valve_control.parameter import ParameterError, Values, number, updated
+
+Floats = npt.NDArray[np.float64]
+LONGEST = 90.0  # s  of a recording that are looked at: those with the most motion
+START = 0.3  # s  in which the simulated valve, which begins at rest, comes to where the spool was
+LEAST_MOTION = 5.0  # times the noise: least standard deviation of readings that tell something
+QUIET = 1e-3  # V  noise that is assumed at least
+CONFIDENCE = 1.96
+LAGS = 2.0  # s  over which residuals may be alike
+EVALUATIONS = 30
+STEP = 2e-3  # of a unit below, for the Jacobian
+
+
+class Learnt(NamedTuple):
+    """One quantity as the recording shows it."""
+
+    name: str
+    unit: str
+    value: float  # of gain and speed: times that of the known valve
+    bound: float  # half-width of its 95 % confidence interval
+    determined: bool
+
+
+class Found(NamedTuple):
+    """The valve of a recording."""
+
+    values: Values  # of the simulated valve
+    learnt: list[Learnt]
+    residual: float  # V  rms, of the readings
+    noise: float  # V
+    notes: list[str]
+
+
+class _Form(NamedTuple):
+    name: str
+    unit: str
+    scale: float  # of a unit of the search
+    certain: float  # largest bound that counts as determined
+    margin: float  # that the box has beyond what was found, for another day
+
+
+FORMS = (
+    _Form("gain", "-", 0.1, 0.1, 0.05),
+    _Form("speed", "-", 0.1, 0.1, 0.05),
+    _Form("disturbance.offset", "V", 0.1, 0.05, 0.1),
+    _Form("friction.coulomb", "V", 0.1, 0.05, 0.1),
+    _Form("lvdt.delay", "s", 0.001, 0.0005, 0.00025),
+)
+
+
+def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> Found:
+    """What the recording ``tested`` shows of the ``known`` valve; quantities ``fixed`` stay as they are.
+
+    Raises ParameterError, one sentence, for a recording without excitation.
+    """
+    voltage, reading, notes = _most_motion(held(tested.voltage), tested.position, tested.period)
+    voltage = np.nan_to_num(voltage)
+    seen = lvdt.observe(reading)
+    usable = np.isfinite(reading)
+    moved = float(np.std(reading[usable])) if np.any(usable) else 0.0
+    noise = max(QUIET, float(np.hypot(seen.noise, seen.resolution / np.sqrt(12.0))))
+    if moved < LEAST_MOTION * noise:
+        raise ParameterError(
+            f"{tested.source} has no excitation: the readings move by {moved:.2g} V (standard deviation) and "
+            f"have {noise:.2g} V of noise; record the loop while its command moves"
+        )
+    base = updated(
+        NODES["valve_simulator"],
+        known,
+        {"sample_period": tested.period, "u_max": max(0.1, tested.u_max)},
+    )
+    begin = {form.name: _present(form.name, base) for form in FORMS}
+    free = [form for form in FORMS if form.name not in fixed]
+    usable[: round(START / tested.period)] = False
+    unknown: list[Learnt] = []
+    while free:
+        x, bounds, residual = _search(base, begin, free, voltage, reading, usable)
+        found = [
+            Learnt(
+                form.name,
+                form.unit,
+                _value(form, begin, x[i]),
+                float(bounds[i]),
+                bool(bounds[i] <= form.certain),
+            )
+            for i, form in enumerate(free)
+        ]
+        worst = int(np.argmax([one.bound / form.certain for one, form in zip(found, free, strict=True)]))
+        if found[worst].determined:
+            values = _with(base, {one.name: one.value for one in found})
+            values = updated(
+                NODES["valve_simulator"],
+                values,
+                {"lvdt.noise": seen.noise, "lvdt.resolution": seen.resolution},
+            )
+            return Found(values, [*found, *unknown], residual, noise, notes)
+        unknown.append(found[worst]._replace(value=begin[found[worst].name]))
+        del free[worst]
+    raise ParameterError(
+        f"{tested.source} has no excitation: its motion determines none of "
+        f"{', '.join(one.name for one in unknown)}; record the loop while its command moves"
+    )
+
+
+def box(found: Found, usual: Sequence[Quantity]) -> list[Quantity]:
+    """The ``usual`` box, narrower in what was determined, around the valve that was found."""
+    certain = {one.name: one for one in found.learnt if one.determined}
+    forms = {form.name: form for form in FORMS}
+    made = []
+    for q in usual:
+        if q.name not in forms:
+            continue
+        if q.name not in certain:
+            made.append(q)
+            continue
+        one = certain[q.name]
+        middle = 1.0 if q.name in ("gain", "speed") else one.value
+        reach = one.bound + forms[q.name].margin
+        low = middle - reach
+        made.append(q._replace(low=max(0.0, low) if q.low >= 0.0 else low, high=middle + reach))
+    return made
+
+
+def _present(name: str, values: Values) -> float:
+    return 1.0 if name in ("gain", "speed") else number(values, name)
+
+
+def _value(form: _Form, begin: Mapping[str, float], x: float) -> float:
+    return float(begin[form.name] + form.scale * (x - 1.0))
+
+
+def _with(base: Values, quantities: Mapping[str, float]) -> Values:
+    """``base`` with the quantities in their places. Raises ParameterError."""
+    model = faster(build.valve_model(base), quantities.get("gain", 1.0), quantities.get("speed", 1.0))
+    others = {name: value for name, value in quantities.items() if name not in ("gain", "speed")}
+    return updated(
+        NODES["valve_simulator"],
+        base,
+        {
+            **others,
+            "valve": "custom",
+            "gain_scale": 1.0,
+            "numerator": list(model.numerator),
+            "denominator": list(model.denominator),
+        },
+    )
+
+
+def _search(
+    base: Values,
+    begin: Mapping[str, float],
+    free: Sequence[_Form],
+    voltage: Floats,
+    reading: Floats,
+    usable: npt.NDArray[np.bool_],
+) -> tuple[Floats, Floats, float]:
+    """Numbers of the search, their 95 % bounds in the quantities' units, and the rms residual [V]."""
+    quiet = {**base, "lvdt.noise": 0.0, "lvdt.resolution": 0.0}
+
+    def residual(x: Floats) -> Floats:
+        quantities = {form.name: _value(form, begin, float(v)) for form, v in zip(free, x, strict=True)}
+        with np.errstate(over="ignore", invalid="ignore"):
+            position = positions(build.valve_params(_with(quiet, quantities)), voltage)
+        rest: Floats = np.clip(np.nan_to_num(position - reading, nan=1e3)[usable], -1e3, 1e3)
+        return rest
+
+    low, high = [], []
+    for form in free:
+        least, most = {"gain": (0.2, 5.0), "speed": (0.2, 5.0)}.get(form.name, (0.0, 9.0))
+        if form.name == "disturbance.offset":
+            least = -9.0
+        if form.name == "lvdt.delay":
+            most = 0.02
+        low.append(1.0 + (least - begin[form.name]) / form.scale)
+        high.append(1.0 + (most - begin[form.name]) / form.scale)
+    start = np.clip(np.ones(len(free)), np.array(low) + 0.02, np.array(high) - 0.02)
+    done = scipy.optimize.least_squares(
+        residual, start, bounds=(low, high), diff_step=STEP, max_nfev=EVALUATIONS
+    )
+    rest = np.asarray(done.fun, dtype=np.float64)
+    variance = float(np.mean(rest**2)) * _alike(rest, number(base, "sample_period"))
+    inverse = np.linalg.pinv(done.jac.T @ done.jac, rcond=1e-12)
+    seen = np.linalg.norm(done.jac, axis=0)
+    deviation = np.sqrt(np.diag(inverse) * variance)
+    bounds = CONFIDENCE * np.where(seen > 0.0, deviation, np.inf) * [form.scale for form in free]
+    return np.asarray(done.x), bounds, float(np.sqrt(np.mean(rest**2)))
+
+
+def _alike(rest: Floats, period: float) -> float:
+    """Samples of residual that tell as much as one: they are alike over a while, as a model's errors are."""
+    centred = rest - np.mean(rest)
+    size = 1 << (2 * len(centred) - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
+    correlation = np.fft.irfft(spectrum, size)[: max(2, round(LAGS / period))]
+    if correlation[0] <= 0.0:
+        return 1.0
+    correlation = correlation / correlation[0]
+    ends = np.flatnonzero(correlation < 0.05)
+    end = int(ends[0]) if len(ends) else len(correlation)
+    return float(1.0 + 2.0 * np.sum(correlation[1:end]))
+
+
+def _most_motion(voltage: Floats, reading: Floats, period: float) -> tuple[Floats, Floats, list[str]]:
+    """The part of at most LONGEST in which the voltage moves most, and a note if something is left out."""
+    length = round(LONGEST / period)
+    if len(voltage) <= length:
+        return voltage, reading, []
+    steps = np.abs(np.diff(np.nan_to_num(voltage), prepend=0.0))
+    total = np.concatenate([[0.0], np.cumsum(steps)])
+    first = int(np.argmax(total[length:] - total[:-length]))
+    note = (
+        f"{LONGEST:g} s from {first * period:.1f} s on, in which the voltage moves most, stand for a "
+        f"recording of {len(voltage) * period:.0f} s"
+    )
+    return voltage[first : first + length], reading[first : first + length], [note]
+
+
+def motion(command: Floats, period: float, limit: float, longest: float = 8.0) -> Floats:
+    """Up to ``longest`` [s] of a recorded ``command`` [V] in which it moves most, reached from 0 V gently."""
+    known = np.flatnonzero(np.isfinite(command))
+    if len(known) == 0:
+        raise ParameterError("the recording has no command, so there is nothing to tune on")
+    filled = np.interp(np.arange(len(command)), known, command[known])
+    filled = np.array([saturate(float(v), limit) for v in filled])
+    length = round(longest / period)
+    if len(filled) > length:
+        total = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(filled, prepend=filled[0])))])
+        first = int(np.argmax(total[length:] - total[:-length]))
+        filled = filled[first : first + length]
+    ramp = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, max(2, round(0.5 / period))))
+    made: Floats = np.concatenate([ramp * filled[0], filled])
+    return made

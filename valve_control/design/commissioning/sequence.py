@@ -1,0 +1,434 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Goes through a commissioning step by step, and brings the parameters from before back if it fails.
+
+While it goes on, the controller itself keeps the limits: ``u_max`` is that of the voltage, ``lvdt.limit``
+that of the travel, and a command that falls silent leads to neutral. So they hold whatever becomes of this
+process.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control import interrupts
+from valve_control.design.commissioning import backup, courses, gains, model, plant, small_signal, statics
+from valve_control.design.commissioning.bench import Bench, Course, Fault, Record, Swings
+from valve_control.design.commissioning.gains import Gains, Verification
+from valve_control.design.commissioning.plan import Plan, limiting
+from valve_control.design.commissioning.plant import Plant
+from valve_control.design.commissioning.statics import Friction, Rest, Static
+from valve_control.design.identification.response import Response
+from valve_control.design.tuning import tuner, verification
+from valve_control.design.tuning.tuner import Tuned
+from valve_control.parameter import ParameterError, Values, number
+
+Floats = npt.NDArray[np.float64]
+SPRING = 0.5  # s  in which the spring centres the spool
+STILL = 2.0  # s  at rest
+RATE = 0.4  # 1/s  times the limit of the voltage: rate of the triangle
+TURNS = 4  # of the triangle
+PAUSE = 0.3  # s  after each motion of the verification run
+REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
+# Times as wide as usual, the boxes of valves around the model that gains are sought for: the second one where
+# those for the first do not hold.
+BOXES = (1.0, 2.0)
+DOUBTED = (2.0, 3.0)  # likewise, where the model does not explain the readings
+NAMED = 3  # parts of the tests that a note names as not explained
+# Of the step "model", in percent, what is done when the fits of the response are, and when the valve is.
+RESPONSE, VALVE, WHOLE = 25.0, 95.0, 100.0
+
+
+class Result(NamedTuple):
+    """All that a commissioning found, as far as it came."""
+
+    plan: Plan
+    before: Values
+    rest: Rest
+    slow: Record
+    static: Static
+    friction: Friction
+    sine: Record
+    response: Response
+    plant: Plant
+    tuned: Tuned
+    applied: Values  # what is different from before, for good
+    verification: Verification
+    notes: list[str]
+    seconds: dict[str, float]  # by step
+
+
+class Refused(RuntimeError):
+    """The user does not want to go on."""
+
+
+class Steps(Protocol):
+    """Who goes through the steps with the valve."""
+
+    def confirm(self, text: str) -> bool:
+        """Whether to go on with a step; ``text`` says what it does."""
+
+    def progress(self, name: str, done: float, total: float) -> None:
+        """``done`` of ``total`` of the step ``name`` are over."""
+
+    def found(self, valve: Values) -> None:
+        """The valve as parameters of the simulated one, as soon as it is known."""
+
+    def refused(self, changes: Values, reason: str) -> None:
+        """Gains that are not accepted, and why."""
+
+
+@contextmanager
+def reversible(bench: Bench, before: Values, said: Callable[[str], None]) -> Iterator[None]:
+    """At whatever ends the block: 0 V at once, then the parameters ``before``.
+
+    ``said`` gets what became of it.
+    """
+    try:
+        yield
+    except BaseException:
+        with interrupts.held_back():
+            try:
+                bench.off()
+                said("the controller is inactive and gives 0 V")
+            except Fault as fault:
+                said(f"the controller could not be switched off: {fault}")
+            restore(bench, before)
+            said("all its parameters are as before")
+        raise
+
+
+def restore(bench: Bench, before: Values) -> int:
+    """Set all parameters ``before``; returns how many differed. Raises Fault if they are not back."""
+    return _bring_to(bench, before, "set back")
+
+
+def _bring_to(bench: Bench, wanted: Values, done: str = "set") -> int:
+    """Set what differs from all the parameters ``wanted``; returns how many. Raises Fault."""
+    changes = backup.differences(bench.values(), wanted)
+    if changes:
+        bench.apply(changes)
+        left = backup.differences(bench.values(), wanted)
+        if left:
+            raise Fault(f"{', '.join(left)} could not be {done}")
+    return len(changes)
+
+
+def run(bench: Bench, plan: Plan, before: Values, steps: Steps) -> Result:
+    """Commission the valve of ``bench``, whose controller has the parameters ``before``.
+
+    Raises Fault, ParameterError (one sentence) or Refused; the controller then is as it was left: call it
+    within ``reversible``.
+    """
+    return _Commissioning(bench, plan, before, steps).run()
+
+
+class _Commissioning:
+    """One valve on its way from the parameters ``before`` to new ones."""
+
+    def __init__(self, bench: Bench, plan: Plan, before: Values, steps: Steps) -> None:
+        self._bench, self._plan, self._before, self._steps = bench, plan, before, steps
+        self._limits, self._period = plan.limits, number(before, "sample_period")
+        self._seconds: dict[str, float] = {}
+
+    def run(self) -> Result:
+        limits, period, before = self._limits, self._period, self._before
+        self._ask(
+            f"0 V; the controller gets its limits (±{limits.voltage:g} V, reading within ±{limits.travel:g} "
+            f"V) and the law open_loop; then {STILL:g} s at 0 V"
+        )
+        self._bench.off()
+        self._open_loop()
+        rest = statics.at_rest(self._drive("noise at rest", courses.rest(STILL), lambda: STILL))
+        slow = self._triangle()
+        static = statics.slow(slow, rest, limits)
+        planned = small_signal.plan(limits, rest, static, period)
+        sine = self._sine(planned)
+        with self._timed("model"):
+            self._modelled(0.0)
+            response, fits, friction = small_signal.linear(
+                sine, planned, static, rest, lambda done, total: self._modelled(RESPONSE * done / total)
+            )
+            found = plant.fitted(
+                [slow, sine], fits, friction, static.offset, rest,
+                lambda done, total: self._modelled(RESPONSE + (VALVE - RESPONSE) * done / total),
+                self._plan.threads, lambda: small_signal.richer(response),
+            )  # fmt: skip
+            self._modelled(VALVE)
+            self._steps.found(plant.values(found, rest, period, number(before, "u_max")))
+            known = model.Known(
+                found, rest, period, number(before, "u_max"), self._plan.law, self._plan.sensor_delay
+            )
+            self._modelled(WHOLE)
+        made, verified, notes = self._gains(found, known, rest)
+        self._ask("the new gains stay; voltage and travel get their limits from before back")
+        final = {**before, **made.chosen}
+        _bring_to(self._bench, final)
+        self._bench.watch(
+            limits._replace(voltage=number(before, "u_max"), travel=number(before, "lvdt.limit"))
+        )
+        notes = [
+            *response.notes,
+            *_unexplained(found, slow, sine, planned, rest),
+            *known.notes,
+            *notes,
+            *_late(verified),
+        ]
+        notes += _louder(self._plan, made.tuned, rest)
+        return Result(
+            self._plan, before, rest, slow, static, found.friction, sine, response, found, made.tuned,
+            backup.differences(before, final), verified, notes, self._seconds,
+        )  # fmt: skip
+
+    def _open_loop(self) -> None:
+        """From inactive to 0 V: open loop within the limits, the other parameters as before."""
+        _bring_to(self._bench, {**self._before, **limiting(self._before, self._limits)})
+        self._bench.on()
+        # Where the law from before left the spool is not the commissioning's doing.
+        self._bench.drive(courses.rest(SPRING), self._limits._replace(travel=np.inf), lambda done: None)
+        self._bench.apply({"lvdt.limit": self._limits.travel})
+
+    def _triangle(self) -> Record:
+        limits, rate = self._limits, RATE * self._limits.voltage
+        self._ask(
+            f"a slow triangle of the voltage up to ±{limits.voltage:g} V, turned at {courses.REACH:.0%} of "
+            "the travel"
+        )
+        turned: list[float] = []
+        return self._drive(
+            "slow triangle",
+            courses.triangle(limits, rate, TURNS, turned.append),
+            lambda: courses.triangle_time(limits, rate, TURNS, turned),
+        )
+
+    def _sine(self, planned: small_signal.Plan) -> Record:
+        length = planned.steps[-1].end
+        self._ask(
+            f"{length:.0f} s of sines of {planned.amplitude:.2g} V from {planned.steps[0].frequency:g} to "
+            f"{planned.steps[-1].frequency:g} Hz"
+        )
+        course = courses.stepped_sine(self._limits, planned.steps, planned.amplitude, planned.offset)
+        return self._drive("stepped sine", course, lambda: length)
+
+    def _gains(self, found: Plant, known: model.Known, rest: Rest) -> tuple[Gains, Verification, list[str]]:
+        """Gains that hold, also on the valve, and notes on those that did not. Raises ParameterError."""
+        refusals: list[str] = []
+        boxes = BOXES if found.error <= plant.EXPLAINED else DOUBTED
+        for wider in boxes:
+            made = self._tuned(found, known, rest, wider, refusals)
+            reasons = made.tuned.chosen.verified.reasons
+            if not reasons:
+                verified, reasons = self._verified(made)
+                if verified is not None and not reasons:
+                    return made, verified, [_taken_at_last(wider, text) for text in refusals]
+                self._bench.off()
+                if wider != boxes[-1]:
+                    self._open_loop()
+            refusals.append("; ".join(reasons))
+            self._steps.refused(made.chosen, refusals[-1])
+        raise ParameterError(_not_accepted(refusals, boxes[-1]))
+
+    def _tuned(
+        self, found: Plant, known: model.Known, rest: Rest, wider: float, refusals: list[str]
+    ) -> Gains:
+        tried = f"{self._plan.budget} sets of gains of {self._plan.law} are tried in simulation"
+        if refusals:
+            tried = (
+                f"these gains are not accepted ({refusals[-1]}); {tried}, for valves {wider:g} times as far "
+                "from the model"
+            )
+        self._ask(f"{tried}; the valve stays at 0 V")
+
+        def told(done: float, total: float) -> None:
+            self._bench.watch(self._limits)
+            self._steps.progress("tuning", done, total)
+
+        with self._timed("tuning"):
+            try:
+                return gains.tuned(self._plan, self._before, found, known, rest, wider, told)
+            except ParameterError as error:
+                if not refusals:
+                    raise
+                raise ParameterError(_not_accepted([*refusals, str(error)], wider)) from error
+
+    def _verified(self, made: Gains) -> tuple[Verification | None, list[str]]:
+        """The verification run, None if it ended early, and why the gains are not accepted."""
+        pause = np.zeros(round(PAUSE / self._period))
+        parts = [part for motion in made.motions for part in (motion.wanted, pause)]
+        wanted = np.concatenate([*parts, np.zeros(round(REST / self._period))])
+        length = len(wanted) * self._period
+        self._ask(
+            f"the new gains of {self._plan.law} are set, and the valve moves for {length:.0f} s in closed "
+            "loop"
+        )
+        self._bench.apply({**made.chosen, "command_limit": self._limits.travel})
+        try:
+            record = self._drive("verification", courses.motion(wanted, self._period), lambda: length)
+        except Swings as fault:
+            return None, [str(fault)]
+        verified = gains.judged(self._plan, self._before, made, wanted, record)
+        if not verified.reasons and gains.contends(self._plan, verified):
+            verified = self._against_before(verified, wanted)
+        return verified, verified.reasons
+
+    def _against_before(self, made: Verification, wanted: Floats) -> Verification:
+        """``made`` judged by the same run with the parameters from before; swings of them are no rival."""
+        length = len(wanted) * self._period
+        self._ask(
+            f"the parameters from before are set for {length:.0f} s of the same motion, because in "
+            "simulation they come near the new gains"
+        )
+        kept = self._bench.values()
+        limits = {name: kept[name] for name in ("u_max", "lvdt.limit", "command_limit", "command_timeout")}
+        _bring_to(self._bench, {**self._before, **limits})
+        try:
+            record = self._drive(
+                "verification of before", courses.motion(wanted, self._period), lambda: length
+            )
+        except Swings:
+            self._bench.off()
+            _bring_to(self._bench, kept)
+            self._bench.on()
+            return made
+        _bring_to(self._bench, kept)
+        return gains.against(self._plan, made, record)
+
+    def _drive(self, name: str, course: Course, about: Callable[[], float]) -> Record:
+        """Record of ``course``, the step ``name``; ``about``: how long [s] it takes."""
+        with self._timed(name):
+            record = self._bench.drive(
+                course,
+                self._limits,
+                lambda done: self._steps.progress(name, min(done, about()), about()),
+            )
+            self._steps.progress(name, about(), about())
+        return record
+
+    def _ask(self, text: str) -> None:
+        if not self._steps.confirm(text):
+            raise Refused("stopped by the user")
+
+    def _modelled(self, percent: float) -> None:
+        self._bench.watch(self._limits)
+        self._steps.progress("model", percent, WHOLE)
+
+    @contextmanager
+    def _timed(self, name: str) -> Iterator[None]:
+        """Add the time of the block to that of the step ``name``."""
+        began = time.monotonic()
+        try:
+            yield
+        finally:
+            self._seconds[name] = self._seconds.get(name, 0.0) + time.monotonic() - began
+
+
+def _not_accepted(refusals: list[str], wider: float) -> str:
+    """Why neither the first gains nor those for a box that is ``wider`` are accepted."""
+    if len(refusals) == 1:
+        return f"the gains are not accepted: {refusals[0]}"
+    return (
+        f"the gains are not accepted: {refusals[0]}; nor are those for valves {wider:g} times as far "
+        f"from the model: {refusals[1]}"
+    )
+
+
+def _taken_at_last(wider: float, refusal: str) -> str:
+    return (
+        f"the first gains were not accepted ({refusal}); those in force are for valves {wider:g} times as "
+        "far from the model"
+    )
+
+
+def _unexplained(
+    found: Plant, slow: Record, sine: Record, planned: small_signal.Plan, rest: Rest
+) -> list[str]:
+    """A sentence about what the model does not describe, and one about a spool that swings."""
+    notes = []
+    if found.error > plant.EXPLAINED:
+        parts = [plant.Stretch("the slow triangle", 0, 0, len(slow.reading))]
+        parts += [
+            plant.Stretch(f"the sine of {one.frequency:.3g} Hz", 1, one.first, one.end)
+            for one in small_signal.stretches(planned, sine)
+        ]
+        worst = plant.unexplained(found, [slow, sine], rest, parts)[:NAMED]
+        told = ", ".join(f"{name} by {error:.2g} times" for name, error in worst)
+        notes.append(
+            f"the model misses the readings by {found.error:.2g} times what noise and "
+            f"{plant.MODEL_ERROR:.0%} of the motion allow ({told}); models of second to fourth order were "
+            "tried, with friction, offset and dead time: the gains are judged by the running valve, and were "
+            f"sought for valves {DOUBTED[0]:g} or {DOUBTED[-1]:g} times as far from the model as usual"
+        )
+    if found.presliding > 0.0:
+        notes.append(
+            "the spool swings on the bristles of its friction: without them no model describes the readings; "
+            f"the one that does has a presliding of {1e3 * found.presliding:.2g} mV"
+        )
+    return notes
+
+
+def _late(made: Verification) -> list[str]:
+    """A sentence about commands that came late, where that makes most of the error."""
+    late, punctual = made.expected.e_rms, made.punctual.e_rms
+    if not late > gains.WORSE * punctual + gains.SLACK:
+        return []
+    return [
+        f"the commands of the verification run came late, and were up to {made.away:.2g} V away from those "
+        f"in time: with them the simulation has {1e3 * late:.3g} mV of error, and {1e3 * punctual:.3g} mV "
+        "with commands in time"
+    ]
+
+
+def _louder(plan: Plan, tuned: Tuned, rest: Rest) -> list[str]:
+    """A sentence about a limit of c_u that had to give way."""
+    if tuned.chatter is None or tuned.chatter <= plan.chatter:
+        return []
+    least = min(point.chatter for _, point in tuned.front)
+    return [
+        f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * rest.noise:.2g} mV of noise "
+        f"(least of {tuned.tried} sets: {least:.3g}); those of least error up to {tuned.chatter:.3g} are "
+        "taken; --max-chatter sets a limit that is kept in any case"
+    ]
+
+
+def as_dict(result: Result) -> dict[str, Any]:
+    """For JSON."""
+    made, found = result.verification, result.plant
+    return {
+        "limits": {"voltage": result.plan.limits.voltage, "travel": result.plan.limits.travel},
+        "rest": result.rest._asdict(),
+        "static": result.static._asdict(),
+        "response": {
+            "frequency_hz": result.response.frequency,
+            "real": result.response.value.real,
+            "imaginary": result.response.value.imag,
+            "deviation": result.response.deviation,
+        },
+        "valve": {
+            "numerator": list(found.model.numerator),
+            "denominator": list(found.model.denominator),
+            "static_gain": found.model.static_gain,
+            "delay_s": found.delay,
+            "offset": found.offset,
+            "friction": found.friction._asdict(),
+            "presliding": found.presliding,
+            "error": found.error,
+        },
+        "chatter_limit": {"wanted": result.plan.chatter, "kept": result.tuned.chatter},
+        "law": result.tuned.law,
+        "tuned": tuner.as_dict(result.tuned),
+        "applied": result.applied,
+        "verification": {
+            "measured": made.measured._asdict(),
+            "simulated": made.expected._asdict(),
+            "simulated_in_time": made.punctual._asdict(),
+            "measured_before": None if made.before is None else made.before._asdict(),
+            "simulated_before": None if made.former is None else made.former._asdict(),
+            "unseen_valves": verification.as_dict(result.tuned.chosen.verified),
+        },
+        "notes": result.notes,
+        "seconds": result.seconds,
+    }

@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Tells rest position, noise, static gain, friction and dead zone from a rest and from a slow triangle."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.design.commissioning.bench import Limits, Record
+from valve_control.design.identification import lvdt
+from valve_control.parameter import ParameterError
+
+Floats = npt.NDArray[np.float64]
+WINDOW = 0.02  # s  over which readings are averaged
+SLIDING = 0.2  # of the stroke after a turn, from which on the spool is taken to slide
+MOVED = 0.03  # of the stroke, from which on it has moved after a turn ...
+DEVIATIONS = 5.0  # ... and times the noise of the averaged reading
+LEAST_STROKE = 0.1  # V
+HELD = 3.0  # times as large as in motion: the most that friction at rest is believed to be
+
+
+class Rest(NamedTuple):
+    """The valve at 0 V."""
+
+    position: float  # V
+    noise: float  # V  standard deviation
+    resolution: float  # V  step of the converter; 0.0: none
+
+
+class Static(NamedTuple):
+    """The valve in slow motion: u = y/gain + offset ± friction."""
+
+    gain: float  # V/V
+    offset: float  # V  that holds the spool at 0 V
+    friction: float  # V  in motion, with what motion at this rate needs anyway
+    rate: float  # V/s  of the voltage
+    dead_zone: float  # V  by which the voltage changes after a turn until the spool moves
+    stroke: float  # V  of the reading
+    residual: float  # V  rms, of the voltage
+
+
+def at_rest(record: Record) -> Rest:
+    """Position, noise and resolution of a ``record`` at 0 V. Raises ParameterError."""
+    known = record.reading[np.isfinite(record.reading)]
+    if len(known) < lvdt.WINDOW:
+        raise ParameterError(f"only {len(known)} readings came at rest; at least {lvdt.WINDOW} are needed")
+    seen = lvdt.observe(record.reading)
+    return Rest(float(np.mean(known)), seen.noise, seen.resolution)
+
+
+def slow(record: Record, rest: Rest, limits: Limits) -> Static:
+    """Static gain, friction and dead zone from the slow triangle of a ``record``. Raises ParameterError."""
+    width = max(1, round(WINDOW / record.period))
+    reading = _averaged(_filled(record.reading), width)
+    voltage = _averaged(record.voltage, width)
+    stroke = float(np.ptp(reading))
+    if stroke < LEAST_STROKE:
+        raise ParameterError(
+            f"the spool moved by {stroke:.2g} V alone under {float(np.max(np.abs(voltage))):.3g} V; give a "
+            "higher limit of the voltage or of the travel"
+        )
+    if float(np.sum((reading - np.mean(reading)) * (voltage - np.mean(voltage)))) <= 0.0:
+        raise ParameterError(
+            "the spool moves against the voltage; turn the sign of one of them before anything else"
+        )
+    ends = _turns(record.voltage)
+    rows, sides, zones = [], [], []
+    least = max(MOVED * stroke, DEVIATIONS * (rest.noise + rest.resolution) / np.sqrt(width))
+    for first, end in zip(ends[:-1], ends[1:], strict=True):
+        side = float(np.sign(voltage[end] - voltage[first]))
+        moved = side * (reading[first : end + 1] - reading[first])
+        # The averaged turn itself reaches a little beyond both of its sides.
+        gone = np.flatnonzero(moved > moved[: width + 1].min() + least)
+        if len(gone):
+            zones.append(abs(float(voltage[first + gone[0]] - record.voltage[first])))
+        beyond = np.flatnonzero(moved > SLIDING * stroke)
+        if len(beyond) == 0:
+            continue
+        chosen = np.arange(first + beyond[0], end - width, width)
+        rows.append(np.column_stack([reading[chosen], voltage[chosen]]))
+        sides.append(np.full(len(chosen), side))
+    if len({side for part in sides for side in part[:1]}) < 2:
+        raise ParameterError("the spool moved to one side alone; give a higher limit of the voltage")
+    data, side_of = np.concatenate(rows), np.concatenate(sides)
+    matrix = np.column_stack([data[:, 0], np.ones(len(data)), side_of])
+    (slope, offset, friction), *_ = np.linalg.lstsq(matrix, data[:, 1], rcond=None)
+    residual = data[:, 1] - matrix @ np.array([slope, offset, friction])
+    steps = np.abs(np.diff(record.voltage[ends[0] : ends[-1] + 1]))
+    return Static(
+        gain=1.0 / float(slope),
+        offset=float(offset),
+        friction=max(0.0, float(friction)),
+        rate=float(np.sum(steps)) / (record.period * max(1, len(steps))),
+        dead_zone=float(np.median(zones)) if zones else 0.0,
+        stroke=stroke,
+        residual=float(np.sqrt(np.mean(residual**2))),
+    )
+
+
+class Friction(NamedTuple):
+    """Friction as voltage."""
+
+    coulomb: float  # V  in motion
+    static_ratio: float  # -  at rest, over that
+
+
+def friction(static: Static, lag: float, rest: Rest) -> Friction:
+    """Friction proper, without what a valve with the ``lag`` [s] needs to move at the triangle's rate."""
+    coulomb = max(0.0, static.friction - static.rate * lag)
+    if coulomb < max(rest.noise, rest.resolution):
+        return Friction(0.0, 1.0)
+    held = static.dead_zone - coulomb - static.rate * lag
+    return Friction(coulomb, min(HELD, max(1.0, held / coulomb)))
+
+
+def _turns(voltage: Floats) -> npt.NDArray[np.int64]:
+    """Samples at which a triangle turns, the last one being its end."""
+    steps = np.sign(np.diff(voltage))
+    moving = np.flatnonzero(steps)
+    if len(moving) == 0:
+        return np.zeros(0, dtype=np.int64)
+    changes = moving[1:][steps[moving[1:]] != steps[moving[:-1]]]
+    return np.concatenate([changes, moving[-1:] + 1]).astype(np.int64)
+
+
+def _filled(reading: Floats) -> Floats:
+    known = np.flatnonzero(np.isfinite(reading))
+    filled: Floats = np.interp(np.arange(len(reading)), known, reading[known])
+    return filled
+
+
+def _averaged(signal: Floats, width: int) -> Floats:
+    padded = np.concatenate(
+        [np.full(width // 2, signal[0]), signal, np.full(width - 1 - width // 2, signal[-1])]
+    )
+    mean: Floats = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
+    return mean

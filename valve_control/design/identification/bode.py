@@ -1,0 +1,187 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Computes frequency responses, corners and roots of transfer functions, continuous and sampled."""
+
+import cmath
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.signal
+
+from valve_control.control.laws import biquads
+from valve_control.control.plant.models import TransferFunction
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+LOWEST, HIGHEST = 1e-5, 1e4  # Hz between which corners are looked for
+GRID = 4000  # frequencies of that search
+APART = 1e-6  # of a pole, by which the poles of partial fractions are apart at least
+
+
+class Root(NamedTuple):
+    """A real pole or zero, or a pair of complex ones."""
+
+    frequency: float  # Hz, |s|/2π
+    damping: float  # -Re s/|s|; below 0 right of the imaginary axis
+    pair: bool
+
+
+class Corners(NamedTuple):
+    """Frequencies at which a response falls to -3 dB and to -90°."""
+
+    minus_3db: float | None  # Hz
+    minus_90: float | None  # Hz
+
+
+def response(model: TransferFunction, frequency: Floats, delay: float = 0.0) -> Complexes:
+    """Continuous response at ``frequency`` [Hz] with a dead time ``delay`` [s]."""
+    w = 2.0 * np.pi * frequency
+    _, value = scipy.signal.freqs(model.numerator, model.denominator, w)
+    late: Complexes = value * np.exp(-1j * w * delay)
+    return late
+
+
+def held_response(model: TransferFunction, frequency: Floats, period: float, delay: float = 0.0) -> Complexes:
+    """Response from held input to sampled output at ``frequency`` [Hz], exact below Nyquist's frequency.
+
+    Input k is held from t_k to t_k + ``period`` [s]; output k is read at t_k, just before input k counts.
+    So y_k depends on inputs up to k-1, as in the loop, and the hold's half sample of delay is in it. The dead
+    time ``delay`` [s] need not be a whole number of periods. Raises ValueError unless the model has more
+    poles than zeros.
+    """
+    scaled, scale = _time_scaled(model)
+    a, b, c = _companion(scaled)
+    n = len(b)
+    whole = math.floor(delay / period + 1e-12)
+    part = max(0.0, delay / period - whole)
+    hold, drive = _held(a, b, period * scale)
+    z = np.exp(2j * np.pi * frequency * period)
+    pencil = z[:, None, None] * np.eye(n) - hold
+    state = np.linalg.solve(pencil, np.broadcast_to(drive, (len(z), n, 1)))[:, :, 0]
+    if part == 0.0:
+        value: Complexes = (state @ c) * z ** (-whole)
+        return value
+    # Between two samples the state runs on for the rest of the period under the input of its beginning.
+    rest, driven = _held(a, b, period * scale * (1.0 - part))
+    later: Complexes = (state @ (c @ rest) + c @ driven[:, 0]) * z ** (-(whole + 1))
+    return later
+
+
+def quick_held_response(
+    model: TransferFunction, frequency: Floats, period: float, delay: float = 0.0
+) -> Complexes:
+    """``held_response`` of a stable model by its partial fractions, in a tenth of the time.
+
+    Poles are taken up to 3e-6 of themselves away, so that no two are the same: five digits hold.
+    """
+    poles = np.roots(model.denominator).astype(np.complex128)
+    poles *= 1.0 + APART * np.arange(len(poles))
+    between = poles[:, None] - poles + np.eye(len(poles))
+    residues = np.polyval(model.numerator, poles) / (model.denominator[0] * np.prod(between, axis=1))
+    turn = np.exp(poles * period)
+    z = np.exp(2j * np.pi * frequency * period)
+    state = (turn - 1.0) / poles / (z[:, None] - turn)
+    whole = math.floor(delay / period + 1e-12)
+    part = max(0.0, delay / period - whole)
+    if part == 0.0:
+        value: Complexes = (state @ residues) * z ** (-whole)
+        return value
+    rest = np.exp(poles * period * (1.0 - part))
+    later: Complexes = (state * rest + (rest - 1.0) / poles) @ residues * z ** (-(whole + 1))
+    return later
+
+
+def _held(a: Floats, b: Floats, time: float) -> tuple[Floats, Floats]:
+    """Transition and input matrix of x' = a·x + b·u over ``time`` with u held."""
+    n = len(b)
+    transition, drive, *_ = scipy.signal.cont2discrete((a, b[:, None], np.eye(n), np.zeros((n, 1))), time)
+    return transition, drive
+
+
+def _time_scaled(model: TransferFunction) -> tuple[TransferFunction, float]:
+    """``model`` over s/scale, its highest denominator coefficient 1; scale [rad/s] is its poles' middle."""
+    denominator = np.trim_zeros(np.asarray(model.denominator, dtype=np.float64), "f")
+    numerator = np.trim_zeros(np.asarray(model.numerator, dtype=np.float64), "f")
+    n = len(denominator) - 1
+    if n < 1 or len(numerator) > n:
+        raise ValueError(
+            f"{max(0, len(numerator) - 1)} zeros and {n} poles: a valve has more poles than zeros"
+        )
+    scale = float(np.exp(np.mean(np.log(np.maximum(np.abs(np.roots(denominator)), 1e-3)))))
+    d = denominator / denominator[0] * scale ** -np.arange(n + 1.0)
+    m = numerator / denominator[0] * scale ** -(np.arange(len(numerator)) + n + 1.0 - len(numerator))
+    return TransferFunction(tuple(map(float, m)), tuple(map(float, d))), scale
+
+
+def _companion(model: TransferFunction) -> tuple[Floats, Floats, Floats]:
+    """Matrices A, B, C of the controllable form of a model."""
+    n = len(model.denominator) - 1
+    a = np.diag(np.ones(n - 1), 1)
+    a[-1] = -np.asarray(model.denominator[1:])[::-1]
+    b = np.zeros(n)
+    b[-1] = 1.0
+    c = np.zeros(n)
+    c[: len(model.numerator)] = model.numerator[::-1]
+    return a, b, c
+
+
+def sections_response(p: biquads.Params, frequency: Floats, period: float) -> Complexes:
+    """Response of a compensator's sections at ``frequency`` [Hz], one sample every ``period`` [s]."""
+    delay = np.exp(-2j * np.pi * frequency * period)
+    value = np.ones(len(frequency), dtype=np.complex128)
+    for g in (p.first, p.second, p.third):
+        value *= (g.b0 + delay * (g.b1 + delay * g.b2)) / (1.0 + delay * (g.a1 + delay * g.a2))
+    return value
+
+
+def corners(evaluate: Callable[[Floats], Complexes], highest: float = HIGHEST) -> Corners:
+    """First frequencies [Hz] of -3 dB and -90°, relative to the response's value at ``LOWEST``."""
+    frequency = np.geomspace(LOWEST, highest, GRID)
+    found: list[float | None] = []
+    for read in (_decibels, _degrees):
+        below = np.flatnonzero(read(evaluate(frequency)) < (-3.0 if read is _decibels else -90.0))
+        if len(below) == 0 or below[0] == 0:
+            found.append(None)
+            continue
+        last = int(below[0])
+        # The start stays in, since both are counted from there; the bracket is made fine.
+        fine = np.concatenate([frequency[:last], np.linspace(frequency[last - 1], frequency[last], 200)[1:]])
+        value = read(evaluate(fine))[last - 1 :]
+        level = -3.0 if read is _decibels else -90.0
+        i = int(np.argmax(value < level))
+        f0, f1 = fine[last - 2 + i], fine[last - 1 + i]
+        part = (value[i - 1] - level) / (value[i - 1] - value[i])
+        found.append(float(f0 + part * (f1 - f0)))
+    return Corners(*found)
+
+
+def _decibels(value: Complexes) -> Floats:
+    size: Floats = 20.0 * np.log10(np.maximum(np.abs(value / value[0]), 1e-300))
+    return size
+
+
+def _degrees(value: Complexes) -> Floats:
+    turn: Floats = np.degrees(np.unwrap(np.angle(value / value[0])))
+    return turn
+
+
+def model_corners(model: TransferFunction, delay: float = 0.0) -> Corners:
+    """-3 dB and -90° of a continuous model."""
+    return corners(lambda frequency: response(model, frequency, delay))
+
+
+def roots(coefficients: tuple[float, ...]) -> list[Root]:
+    """Roots of a polynomial in s, slowest first; a complex pair is one entry."""
+    trimmed = np.trim_zeros(np.asarray(coefficients, dtype=np.float64), "f")
+    made = []
+    for value in np.roots(trimmed):
+        size = abs(value)
+        pair = abs(value.imag) > 1e-9 * size
+        if pair and value.imag < 0.0:
+            continue
+        damping = -math.cos(cmath.phase(value)) if size > 0.0 else 0.0
+        made.append(Root(size / (2.0 * math.pi), damping, pair))
+    return sorted(made, key=lambda root: root.frequency)

@@ -1,0 +1,360 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Tells the characteristic curve of a valve, in both directions, from a slow triangle of its voltage.
+
+Play of the magnet and friction of the spool shift the two branches apart along the voltage; gain, overlap
+and null belong to the mean of both. On each side of the middle, each stroke is a straight line
+x = g·(u - e ± W): its slope is the gain of that side, the mean of its two directions the edge e of the
+overlap, and half of their distance W what play and friction take together. The lag of slow motions is taken
+off.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.optimize
+import scipy.stats
+
+from valve_control import outputs
+from valve_control.control.analysis.figures import COLOURS
+from valve_control.design.identification.experiment import Experiment, held
+from valve_control.design.identification.friction import (
+    PRESLIDING,
+    Friction,
+    friction,
+    sliding,
+    strokes_of,
+    turning,
+)
+from valve_control.parameter import ParameterError
+
+Floats = npt.NDArray[np.float64]
+Stroke = tuple[int, int, float]  # first sample, number of samples, direction 1.0 or -1.0
+POINTS = 100
+STRAIGHT = (0.15, 0.8)  # of the end of a stroke, between which a side is a straight line
+LEAST_POINTS = 20
+CONFIDENCE = 0.95
+END = 0.05  # of a stroke, in which it shows a stop ...
+FLAT = 0.2  # ... where its slope is below this share of the gain
+TOLD_OVERLAP, TOLD_GAIN = 0.05, 0.03  # V and share of the gain, from which on they are told beside bounds
+LEAST_SHARED = 0.08  # V  half of the hysteresis, below which its shares are not told
+SEEN, LEAST_WAY = 3.0, 5e-4  # times the noise and V, beyond which a way behind a turn counts
+EXACT = 0.02  # V  beyond which a point of the turn counts less
+BEYOND = 1.2  # times that half, which the friction of a fit may have
+BEGUN = (0.005, 0.02, 0.08)  # V  preslidings from which its search begins
+SAME = 0.1  # of the friction, by which that of the curve may differ where its presliding is to count
+TOLD_PLAY = 0.05  # V
+TOLD_NULL = 0.02  # of u_max, from which on a null offset is told
+
+
+class Bounded(NamedTuple):
+    """A quantity with the half-width of its 95 % confidence interval."""
+
+    value: float
+    bound: float
+
+
+class Side(NamedTuple):
+    """One side of the middle."""
+
+    gain: Bounded  # V/V
+    edge: Bounded  # V  voltage from which on the spool moves to this side, mean of both directions
+    stop: Bounded | None  # V  position at which the spool stands still; None: not reached
+
+
+class Shares(NamedTuple):
+    """What play of the magnet and friction of the spool have of half the hysteresis."""
+
+    play: float  # V  half width
+    friction: float  # V
+    presliding: float  # V
+
+
+class Characteristic(NamedTuple):
+    """The static curve."""
+
+    voltage: Floats  # V, POINTS
+    rising: Floats  # V, position with rising voltage
+    falling: Floats  # V
+    rising_bound: Floats  # V, half-widths of their 95 % confidence intervals
+    falling_bound: Floats  # V
+    positive: Side
+    negative: Side
+    overlap: Bounded  # V  between the edges; below 0: underlap
+    null: Bounded  # V  voltage in the middle of the overlap
+    hysteresis: Bounded  # V  between rising and falling voltage at one position: 2·(play + friction)
+    strokes: int
+    shares: "Shares | None" = None  # of the hysteresis; None: not to be told
+
+    @property
+    def lopsided(self) -> bool:
+        """Whether one gain and no overlap do not describe the curve."""
+        ratio = self.positive.gain.value / self.negative.gain.value - 1.0
+        unsure = math.hypot(*(s.gain.bound / s.gain.value for s in (self.positive, self.negative)))
+        return abs(self.overlap.value) > max(TOLD_OVERLAP, self.overlap.bound) or abs(ratio) > max(
+            TOLD_GAIN, unsure
+        )
+
+
+def characteristic(tested: Experiment, lag: float) -> Characteristic:
+    """The curve from a triangle of the voltage; ``lag`` [s] of slow motions. Raises ParameterError."""
+    voltage = held(tested.voltage)
+    known = np.flatnonzero(np.isfinite(tested.position))
+    reading = np.interp(np.arange(len(voltage)), known, tested.position[known])
+    strokes, lag = strokes_of(voltage), lag + 0.5 * tested.period
+    found = curve(voltage, reading, strokes, lag, tested.period)
+    half = 0.5 * found.hysteresis.value
+    if found.lopsided or half < LEAST_SHARED:
+        return found
+    slope, offset, _ = sliding(voltage, reading, strokes)
+    turned = turning(voltage, reading, strokes, tested.period, slope, offset, lag)
+    return found._replace(shares=_shares(*turned, half))
+
+
+def with_friction(tested: Experiment, lag: float) -> tuple[Friction, Characteristic | None]:
+    """Friction and curve from a triangle of the voltage; no curve if the spool moves to one side alone.
+
+    An overlap and unequal gains look like friction and offset on strokes that end on one side each: where the
+    curve has them, friction is half of its hysteresis and the offset its null. Raises ParameterError.
+    """
+    rubbing = friction(tested, lag)
+    try:
+        found = characteristic(tested, lag)
+    except ParameterError:
+        return rubbing, None
+    if not found.lopsided:
+        return rubbing, found
+    level = max(0.0, 0.5 * found.hysteresis.value)
+    return rubbing._replace(
+        coulomb=level,
+        presliding=rubbing.presliding if abs(rubbing.coulomb - level) < SAME * level else 0.0,
+        static_gain=0.5 * (found.positive.gain.value + found.negative.gain.value),
+        offset=-found.null.value,
+    ), found
+
+
+def curve(
+    voltage: Floats, reading: Floats, strokes: Sequence[Stroke], lag: float, period: float
+) -> Characteristic:
+    """The curve from ``strokes`` of ``voltage`` [V] and ``reading`` [V], n; ``lag`` [s] with half a sample.
+
+    Raises ParameterError unless there are two strokes in each direction that move the spool to both sides.
+    """
+    static = [_static(voltage, reading, stroke, lag, period) for stroke in strokes]
+    if min(sum(s[2] == d for s in strokes) for d in (1.0, -1.0)) < 2:
+        raise ParameterError("the characteristic curve needs two strokes of the voltage in each direction")
+    up = [one for one, stroke in zip(static, strokes, strict=True) if stroke[2] > 0.0]
+    down = [one for one, stroke in zip(static, strokes, strict=True) if stroke[2] < 0.0]
+    low = max(float(np.min(u)) for u, _ in static)
+    high = min(float(np.max(u)) for u, _ in static)
+    grid = np.linspace(low, high, POINTS)
+    rising, falling = (np.array([np.interp(grid, *_sorted(u, x)) for u, x in part]) for part in (up, down))
+    sides, widths = [], []
+    for sign in (1.0, -1.0):
+        lines = [np.array([_line(u, x, sign) for u, x in part]) for part in (up, down)]
+        gain = _mean(np.concatenate([part[:, 0] for part in lines]))
+        rises, falls = (_mean(part[:, 1]) for part in lines)
+        noise = math.hypot(rises.bound, falls.bound)
+        edge = Bounded(0.5 * (rises.value + falls.value), 0.5 * noise)
+        widths.append(Bounded(rises.value - falls.value, noise))
+        sides.append(Side(gain, edge, _stop(up if sign > 0.0 else down, sign, gain.value)))
+    positive, negative = sides
+    unsure = math.hypot(positive.edge.bound, negative.edge.bound)
+    return Characteristic(
+        grid,
+        np.mean(rising, axis=0),
+        np.mean(falling, axis=0),
+        _bound(rising),
+        _bound(falling),
+        positive,
+        negative,
+        Bounded(positive.edge.value - negative.edge.value, unsure),
+        Bounded(0.5 * (positive.edge.value + negative.edge.value), 0.5 * unsure),
+        Bounded(0.5 * (widths[0].value + widths[1].value), 0.5 * math.hypot(*(w.bound for w in widths))),
+        len(strokes),
+    )
+
+
+def _shares(x: Floats, w: Floats, noise: float, half: float) -> Shares | None:
+    """Play and friction, together ``half`` [V], from the mean turn of the strokes.
+
+    Behind a turn the voltage first goes through the play while the spool stands still; then the bristles
+    turn round with the way Δx of the spool. So w, what the voltage has beyond the position, is
+    half - 2·F·exp(-Δx/δ), and its amplitude at Δx = 0 is that of the friction F alone.
+    """
+    turn = int(np.argmin(x[: len(x) // 2]))
+    way, rest = x[turn:] - x[turn], half - w[turn:]
+    seen = (way > max(SEEN * noise, LEAST_WAY)) & (way < PRESLIDING[1])
+    if np.count_nonzero(seen) < LEAST_POINTS:
+        return None
+    way, rest = way[seen], rest[seen]
+    made = [
+        scipy.optimize.least_squares(
+            lambda p: rest - 2.0 * p[0] * np.exp(-way / p[1]),
+            [0.5 * half, delta],
+            bounds=([0.0, PRESLIDING[0]], [BEYOND * half, PRESLIDING[1]]),
+            loss="soft_l1",
+            f_scale=EXACT,
+        )
+        for delta in BEGUN
+    ]
+    level, delta = min(made, key=lambda one: one.cost).x
+    return Shares(max(0.0, half - float(level)), min(half, float(level)), float(delta))
+
+
+def _static(
+    voltage: Floats, reading: Floats, stroke: Stroke, lag: float, period: float
+) -> tuple[Floats, Floats]:
+    """Voltage [V] that the spool answers at each sample of a stroke, and the reading [V]."""
+    first, length, direction = stroke
+    u, x = voltage[first : first + length], reading[first : first + length]
+    rate = abs(float(u[-1] - u[0])) / (period * max(1, length - 1))
+    return u - direction * rate * lag, x
+
+
+def _sorted(u: Floats, x: Floats) -> tuple[Floats, Floats]:
+    order = np.argsort(u, kind="stable")
+    return u[order], x[order]
+
+
+def _line(u: Floats, x: Floats, sign: float) -> tuple[float, float]:
+    """Gain [V/V] and voltage [V] at 0 V of the straight part of a stroke on the side ``sign``."""
+    end = float(np.max(sign * x))
+    part = (sign * x > STRAIGHT[0] * end) & (sign * x < STRAIGHT[1] * end)
+    if end <= 0.0 or np.count_nonzero(part) < LEAST_POINTS:
+        side = "above" if sign > 0.0 else "below"
+        raise ParameterError(f"the spool does not move {side} 0 V in a stroke of the slow triangle")
+    # Noise is in the reading, the voltage is exact.
+    gain, at_zero = np.polyfit(u[part], x[part], 1)
+    if not gain > 0.0:
+        raise ParameterError("the spool of the slow triangle does not follow the voltage")
+    return float(gain), float(-at_zero / gain)
+
+
+def _stop(strokes: Sequence[tuple[Floats, Floats]], sign: float, gain: float) -> Bounded | None:
+    """Position [V] of a stop on the side ``sign`` at the end of ``strokes``; None: they do not reach it."""
+    ends, slopes = [], []
+    for u, x in strokes:
+        last = slice(-max(LEAST_POINTS, round(END * len(u))), None)
+        slopes.append(float(np.polyfit(u[last], x[last], 1)[0]))
+        ends.append(float(np.mean(x[last])))
+    return _mean(np.array(ends)) if np.mean(slopes) < FLAT * gain else None
+
+
+def _mean(values: Floats) -> Bounded:
+    return Bounded(float(np.mean(values)), float(_bound(values[:, None])[0]))
+
+
+def _bound(rows: Floats) -> Floats:
+    """Half-widths of the 95 % confidence intervals of the means of ``rows``, strokes by points."""
+    n = len(rows)
+    quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, n - 1))
+    width: Floats = quantile * np.std(rows, axis=0, ddof=1) / math.sqrt(n)
+    return width
+
+
+def notes(found: Characteristic, u_max: float) -> list[str]:
+    """What the curve has beside one gain, and what readings do not tell of its null, as sentences."""
+    made = []
+    if found.lopsided:
+        made.append(
+            f"the curve has an overlap of {found.overlap.value:.3g} ± {found.overlap.bound:.2g} V and gains "
+            f"of {found.positive.gain.value:.4g} and {found.negative.gain.value:.4g} V/V above and below; "
+            "the model has one gain and no overlap"
+        )
+    if found.shares is not None and found.shares.play > TOLD_PLAY:
+        made.append(
+            f"{found.shares.play:.2g} V of the friction are play (hysteresis of the magnet): the spool "
+            "stands still after a turn of the voltage; the model has no play and takes both for friction"
+        )
+    if abs(found.null.value) > max(TOLD_NULL * u_max, found.null.bound):
+        made.append(
+            f"the null is at {found.null.value:.3g} ± {found.null.bound:.2g} V, "
+            f"{100.0 * abs(found.null.value) / u_max:.2g} % of u_max; a bias of the LVDT moves it too, and "
+            "no reading shows that: look at the edges or the flow at command 0"
+        )
+    return made
+
+
+def text(found: Characteristic) -> str:
+    """The curve in a few lines for the terminal."""
+
+    def bounded(one: Bounded, unit: str) -> str:
+        return f"{one.value:.4g} ± {one.bound:.2g} {unit}"
+
+    stops = [
+        f"{side.stop.value:.3g} V" if side.stop is not None else "not reached"
+        for side in (found.negative, found.positive)
+    ]
+    shared = ""
+    if found.shares is not None:
+        shared = (
+            f"  half of the hysteresis: play {found.shares.play:.3g} V, friction "
+            f"{found.shares.friction:.3g} V with a presliding of {1e3 * found.shares.presliding:.3g} mV"
+        )
+    return "\n".join(
+        [
+            f"characteristic: gain {bounded(found.positive.gain, 'V/V')} above, "
+            f"{bounded(found.negative.gain, 'V/V')} below ({found.strokes} strokes)",
+            f"  overlap {bounded(found.overlap, 'V')}, null {bounded(found.null, 'V')}, hysteresis "
+            f"{bounded(found.hysteresis, 'V')}",
+            f"  stops: {stops[0]} below, {stops[1]} above",
+            *([] if found.shares is None else [shared]),
+        ]
+    )
+
+
+def as_dict(found: Characteristic) -> dict[str, Any]:
+    """For JSON."""
+
+    def bounded(one: Bounded | None) -> dict[str, float] | None:
+        return None if one is None else one._asdict()
+
+    def side(one: Side) -> dict[str, Any]:
+        return {name: bounded(value) for name, value in one._asdict().items()}
+
+    return {
+        "positive": side(found.positive),
+        "negative": side(found.negative),
+        **{name: bounded(getattr(found, name)) for name in ("overlap", "null", "hysteresis")},
+        "strokes": found.strokes,
+        "half_of_hysteresis": None if found.shares is None else found.shares._asdict(),
+        **{name: getattr(found, name).tolist() for name in COLUMNS},
+    }
+
+
+COLUMNS = ("voltage", "rising", "falling", "rising_bound", "falling_bound")
+
+
+def csv_text(found: Characteristic) -> str:
+    """The curve as CSV, one row a voltage; all in V."""
+    rows = zip(*(getattr(found, name) for name in COLUMNS), strict=True)
+    lines = [",".join(f"{name}_v" for name in COLUMNS)]
+    lines += [",".join(f"{value:.10g}" for value in row) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def figure(found: Characteristic, path: str) -> bytes:
+    """Draw both directions with their bounds and the two gains, as the file ``path``."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    drawn, axes = plt.subplots(figsize=(7.0, 5.0))
+    for name, colour in (("rising", COLOURS[0]), ("falling", COLOURS[1])):
+        middle, bound = getattr(found, name), getattr(found, f"{name}_bound")
+        axes.plot(found.voltage, middle, color=colour, label=f"{name} voltage")
+        axes.fill_between(found.voltage, middle - bound, middle + bound, color=colour, alpha=0.3, lw=0.0)
+    for side, end in ((found.positive, found.voltage[-1]), (found.negative, found.voltage[0])):
+        at = np.array([side.edge.value, end])
+        axes.plot(at, side.gain.value * (at - side.edge.value), color="black", ls="--", lw=1.0)
+    axes.set_xlabel("voltage [V]")
+    axes.set_ylabel("position [V]")
+    axes.grid(True, alpha=0.4)
+    axes.legend(loc="upper left")
+    drawn.tight_layout()
+    return outputs.figure_bytes(drawn, path)

@@ -1,0 +1,221 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Tests a valve: excites it with voltages, takes its readings, and estimates the frequency response."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.control.commands import scenarios
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import COMMAND, CONTROLLER
+from valve_control.control.simulation import offline
+from valve_control.design.identification import response
+from valve_control.design.identification.rational import Fit, measured_corners
+from valve_control.design.identification.response import Response, Segment
+from valve_control.parameter import ParameterError, Values, number, updated
+
+Floats = npt.NDArray[np.float64]
+DEFAULTS = {"scenario": "stepped_sine", "frequency": 0.5, "end_frequency": 100.0, "sweep_time": 60.0}
+ROOM = 0.4  # times the sampling frequency, above which no frequency is tried unasked
+STILL = 1e-6  # V within which a voltage does not move
+LONGEST = 50_000_000  # samples
+STUCK = 0.005  # V/V, a response that no moving spool stays below
+SPAN = 5.0  # highest over lowest frequency that a model needs at least
+HELD_TRAVEL = 0.1  # V, and
+HELD_GAIN = 0.25  # V/V, below both of which a spool may be held by friction: its bristles give a few 0.01 V
+SAMPLES = 20.0  # in a period of a valve's natural frequency, where holding the voltage costs 9° of phase
+DIVERGED = 1e3  # times u_max, beyond which a position has run away
+
+
+class Experiment(NamedTuple):
+    """Voltages [V] and readings [V], sample by sample; NaN where a reading was lost."""
+
+    source: str
+    period: float  # s
+    voltage: Floats
+    position: Floats
+    segments: tuple[Segment, ...]  # stretches of one frequency; empty: any motion
+    u_max: float  # V
+    notes: tuple[str, ...]
+    feedback: str = ""  # the law that the voltage came from, if it looks at the reading
+
+
+def simulated(controller: Values, valve: Values, command: Values, motion: Floats | None = None) -> Experiment:
+    """Simulate a test: the command source's shape, or ``motion`` [V], is the voltage, without feedback.
+
+    Raises ParameterError.
+    """
+    open_loop = updated(
+        CONTROLLER,
+        controller,
+        {"controller": "open_loop", "open_loop.static_gain": 1.0, "command_limit": 100.0},
+    )
+    _check_stable(valve)
+    period = number(valve, "sample_period")
+    segments: tuple[Segment, ...] = ()
+    if motion is None:
+        motion = build.commands(command)
+    if command["scenario"] == "stepped_sine":
+        shape = build.shape(command)
+        segments = tuple(
+            Segment(
+                math.ceil((shape.start + step.start) / period - 1e-9),
+                min(len(motion), math.floor((shape.start + step.end) / period + 1e-9)),
+                step.frequency,
+            )
+            for step in scenarios.steps_of(shape)
+        )
+    u_max = number(open_loop, "u_max")
+    largest = float(np.max(np.abs(motion)))
+    if largest >= u_max:
+        raise ParameterError(
+            f"the test reaches {largest:g} V and would saturate at u_max, {u_max:g} V; "
+            "choose a smaller amplitude"
+        )
+    with np.errstate(over="ignore", invalid="ignore"):
+        run = offline.simulate(open_loop, valve, motion, alone=True)
+    if not np.all(np.abs(run.measurement) <= DIVERGED * u_max):
+        raise ParameterError(
+            "the position runs away, so the valve has no frequency response without feedback"
+        )
+    source = f"{command['scenario']}, up to {largest:.3g} V, {len(motion) * period:.4g} s"
+    return Experiment(
+        f"simulated valve ({source})", period, run.voltage, run.measurement, segments, u_max, ()
+    )
+
+
+def _check_stable(values: Values) -> None:
+    """Raise ParameterError for a valve that cannot be tested without feedback."""
+    model = build.valve_model(values)
+    # Flow force feeds the position back to the input.
+    feedback = number(values, "flow_force")
+    poles = np.roots(np.polyadd(model.denominator, feedback * np.asarray(model.numerator)))
+    worst = poles[np.argmax(poles.real)]
+    if worst.real >= -1e-9 * abs(worst):
+        raise ParameterError(
+            f"the valve is unstable (a pole at {worst:.3g} rad/s), so it has no frequency response without "
+            "feedback"
+        )
+
+
+def test_values(given: dict[str, object], period: float) -> Values:
+    """Values of the command source for a test: ``given`` ones, with a duration that holds all of it."""
+    base: dict[str, object] = {**DEFAULTS, "end_frequency": min(100.0, ROOM / period)}
+    values = {p.name: p.default for p in COMMAND}
+    values = updated(COMMAND, values, {**base, "duration": 1e6, **given})
+    start = number(values, "start")
+    if "duration" in given:
+        needed, duration = start + number(values, "sweep_time"), number(values, "duration")
+        if values["scenario"] == "sweep" and duration < needed:
+            raise ParameterError(f"duration is {duration:g} s; the sweep takes {needed:.4g} s (sweep_time)")
+        return values
+    if values["scenario"] == "stepped_sine":
+        length = scenarios.steps_of(build.shape(values))[-1].end
+    elif values["scenario"] == "sweep":
+        length = number(values, "sweep_time")
+    elif values["scenario"] == "triangle":
+        length = number(values, "cycles") / number(values, "frequency")
+    else:
+        length = 60.0
+    if start + length > LONGEST * period:
+        raise ParameterError(f"the test takes {start + length:.4g} s, which is more than {LONGEST} samples")
+    return updated(COMMAND, values, {"duration": start + length})
+
+
+def held(signal: Floats) -> Floats:
+    """Copy of ``signal`` in which the last value before each gap fills the gap."""
+    known = np.where(np.isfinite(signal), np.arange(len(signal)), 0)
+    return signal[np.maximum.accumulate(known)]
+
+
+def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | None) -> Response:
+    """Frequency response of the valve in an experiment; ``band`` [Hz] limits it. Raises ParameterError."""
+    measured = _estimate(experiment, settle, band)
+    largest = float(np.max(np.abs(measured.value)))
+    if largest < STUCK:
+        raise ParameterError(
+            f"the spool hardly moves, by at most {largest:.2g} V per volt; is the amplitude too small for "
+            "its friction?"
+        )
+    lowest, highest = float(measured.frequency[0]), float(measured.frequency[-1])
+    if highest < SPAN * lowest:
+        raise ParameterError(
+            f"the response is known from {lowest:.4g} to {highest:.4g} Hz alone; a model needs them over "
+            f"{SPAN:g}:1 at least"
+        )
+    return measured
+
+
+def excitation_notes(measured: Response, fits: Sequence[Fit]) -> list[str]:
+    """That the test moves the valve too little for bounds, and how well it tells the response."""
+    orders = [str(made.order) for made in fits if not made.bounded]
+    if not orders:
+        return []
+    least, usual = float(np.min(measured.coherence)), float(np.median(measured.coherence))
+    unsure = float(np.median(measured.deviation / np.abs(measured.value)))
+    return [
+        f"no 95 % bounds of order {' and '.join(orders)}: what it leaves of the response is not noise; the "
+        f"excitation has {len(measured.frequency)} frequencies, coherence {least:.3f} and more (half of them "
+        f"{usual:.3f}), usual uncertainty {100.0 * unsure:.2g} %; a stepped sine or a longer test tells more"
+    ]
+
+
+def range_notes(measured: Response, second: Fit, best: Fit, simulated: bool) -> list[str]:
+    """Limits of the result by the sample period and the range of the frequencies, as sentences.
+
+    ``simulated``: the test has options that can be changed.
+    """
+    made = []
+    highest, most = float(measured.frequency[-1]), ROOM / measured.period
+    if measured_corners(measured, best.model.static_gain).minus_3db is None and highest < 0.9 * most:
+        further = min(most, 10.0 * highest)
+        made.append(
+            f"no -3 dB up to {highest:.4g} Hz: the valve goes further than the test; "
+            + (f"with --set end_frequency={further:.4g}" if simulated else f"up to {further:.4g} Hz")
+            + " it tells more"
+        )
+    natural = math.sqrt(max(0.0, second.model.denominator[-1])) / (2.0 * math.pi)
+    if natural * measured.period * SAMPLES > 1.0:
+        made.append(
+            f"the sample period of {1e3 * measured.period:.4g} ms is too long for this valve, which has "
+            f"{1.0 / (natural * measured.period):.2g} samples in a period of its natural frequency of "
+            f"{natural:.3g} Hz; {1e3 / (SAMPLES * natural):.2g} ms is the longest that its model and gains "
+            "can be relied on with"
+        )
+    return made
+
+
+def check_travel(experiment: Experiment, static_gain: float) -> None:
+    """Raise ParameterError for a spool that moved by no more than friction gives that holds it.
+
+    Held, a spool answers as a stiffer valve would, linear and with narrow bounds; by its response alone it
+    cannot be told from one. ``static_gain`` [V/V]: of the fit.
+    """
+    amplitude = 0.5 * float(np.nanmax(experiment.voltage) - np.nanmin(experiment.voltage))
+    travel = abs(static_gain) * amplitude
+    if abs(static_gain) < HELD_GAIN and travel < HELD_TRAVEL:
+        raise ParameterError(
+            f"{amplitude:.3g} V moved the spool by {travel:.2g} V alone, which is what friction gives while "
+            "it holds a spool; test with a larger amplitude"
+        )
+
+
+def _estimate(experiment: Experiment, settle: float, band: tuple[float, float] | None) -> Response:
+    voltage = held(experiment.voltage)
+    response.check_saturation(voltage[np.isfinite(voltage)], experiment.u_max)
+    if not np.any(np.abs(voltage - voltage[0]) > STILL):
+        raise ParameterError("the voltage does not move, so there is no excitation")
+    if experiment.segments:
+        segments = [s for s in experiment.segments if band is None or band[0] <= s.frequency <= band[1]]
+        if not segments:
+            raise ParameterError(f"no frequency of the test lies between {band[0]:g} and {band[1]:g} Hz")  # type: ignore[index]
+        return response.stepped(experiment.voltage, experiment.position, segments, experiment.period, settle)
+    low, high = band or (DEFAULTS["frequency"], min(100.0, ROOM / experiment.period))
+    assert isinstance(low, float) and isinstance(high, float)
+    known = np.flatnonzero(np.isfinite(experiment.position))
+    position = np.interp(np.arange(len(voltage)), known, experiment.position[known])
+    return response.spectral(voltage, position, experiment.period, low, high)

@@ -1,0 +1,272 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Gives every law of the package gains with which it may run on an identified valve for a first time.
+
+The gains of the paper belong to the D3FXE. They are carried over by what they mean: ρ by b0², the weight of
+the voltage by the square of the static gain, PID's poles by the valve's speed. Each law's loop is then closed
+around the identified model at the corners of a box, and its bandwidth is halved until all poles of the
+sampled loop are inside the unit circle.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from valve_control.control.laws import arc, dcarc, oarc, pid, reshaping
+from valve_control.control.laws.law import Law
+from valve_control.control.parameters import stability
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant import models, valve
+from valve_control.control.plant.models import TransferFunction
+from valve_control.design.identification import dead_time
+from valve_control.design.identification.friction import Friction
+from valve_control.design.identification.lvdt import Lvdt
+from valve_control.design.identification.rational import Fit, check_worth, fit
+from valve_control.design.identification.response import Response
+from valve_control.design.identification.theta import GAINS, SPEEDS, Suggestion
+from valve_control.parameter import ParameterError, Value, Values, defaults, number, numbers, updated
+
+LATER = (0.0, 1.0)  # sample periods of dead time beyond what was identified
+HALVINGS = 6
+AHEAD = 1.1  # times the valve's natural frequency, where PID's poles are put
+QUIETEST = (
+    5e-4  # V  noise that is assumed at least: a model is never so exact that readings could be believed
+)
+BRISTLES = (1, 2, 3)  # of dcarc's weights
+PRESLIDINGS = (0.4, 1.0, 2.5)  # of the three bristles over the measured one
+CLOSE, LEAST_SPREAD = 0.3, 0.1  # -, V  spread of the weights around the measured friction
+HIGHEST = 1.5  # times the measured friction, up to which a weight may go
+OFFSET_SPREAD = 0.2  # V
+OFFSET_ROOM = 0.5  # V  beyond the measured offset, up to which a weight may go at least
+CERTAIN = 2.0  # bounds that a dead time must be above 0
+
+
+class Gains(NamedTuple):
+    """Parameters of the controller, and what there is to say about them."""
+
+    values: Values
+    notes: tuple[str, ...]
+
+
+class Valve(NamedTuple):
+    """What is known of the valve."""
+
+    model: TransferFunction
+    delay: float  # s  dead time that goes with it
+    theta: Suggestion
+    lvdt: Lvdt
+    period: float  # s
+    u_max: float  # V
+    friction: Friction | None = None  # None: not tested
+    sensor_delay: float = 0.0  # s  what of the dead time is the sensor's; the rest is the actuator's
+
+
+def with_dead_time(
+    measured: Response, best: Fit, weighting: str
+) -> tuple[TransferFunction, float, tuple[str, ...]]:
+    """Model of the order of ``best`` with its dead time [s], and a note on the latter.
+
+    Where ``best`` has none, it is fitted too; it counts if it is certain, and the coefficients belong to it.
+    """
+    if "delay" in best.names:
+        return best.model, best.delay, ()
+    try:
+        late = fit(measured, best.order, len(best.model.numerator) - 1, True, weighting)
+        check_worth(late)
+    except ParameterError:
+        return best.model, 0.0, ()
+    if not late.delay > CERTAIN * late.bounds[-1] or not late.error < best.error:
+        return best.model, 0.0, ()
+    note = (
+        f"the readings are {1e3 * late.delay:.3f} ± {1e3 * late.bounds[-1]:.2g} ms late; dcarc gets this "
+        "dead time and the coefficients that go with it; with --delay so does everything else"
+    )
+    return late.model, late.delay, (note,)
+
+
+def first(known: Valve, around: Valve | None = None) -> Gains:
+    """Gains of ``pid``, ``arc``, ``oarc`` and ``dcarc``, and limits of the reference for an unusual valve.
+
+    ``around``: the valve on which, and on whose box, they have to be stable, where ``known`` has a simpler
+    model than that.
+    """
+    values: Values = {**reshaping.limits(known.model, known.u_max), **reshaping.at_period(known.period)}
+    notes: list[str] = []
+    makers: tuple[tuple[Law, Callable[[Valve, float], Values]], ...] = (
+        (pid.LAW, _pid),
+        (arc.LAW, _arc),
+        (oarc.LAW, _oarc),
+        (dcarc.LAW, dcarc_values),
+    )
+    corners = list(_corners(known if around is None else around))
+    for law, make in makers:
+        try:
+            made = _safe(law, make, known, corners)
+        except ParameterError as error:
+            notes.append(f"{law.name}'s gains are left out: {error}")
+            continue
+        values.update(made)
+    return Gains(values, tuple(notes))
+
+
+def _safe(
+    law: Law, make: Callable[[Valve, float], Values], known: Valve, corners: list[valve.Params]
+) -> Values:
+    """Parameters of ``law`` with the highest bandwidth that is stable at all ``corners``.
+
+    Raises ParameterError.
+    """
+    base = {**defaults(CONTROLLER), "sample_period": known.period, **reshaping.at_period(known.period)}
+    share = 1.0
+    for _ in range(HALVINGS + 1):
+        made = make(known, share)
+        params = law.build(updated(CONTROLLER, base, made))
+        worst = max(abs(stability.dominant_pole(law, params, plant)) for plant in corners)
+        if worst < 1.0:
+            return made
+        share *= 0.5
+    raise ParameterError(
+        f"none were found that are stable with {GAINS[0]:g} to {GAINS[1]:g} times the gain, {SPEEDS[0]:g} to "
+        f"{SPEEDS[1]:g} times the speed and {LATER[1]:g} sample period of dead time more"
+    )
+
+
+def _corners(known: Valve) -> Iterator[valve.Params]:
+    """The identified valve, and the corners of the box around it."""
+    for gain, speed, later in [
+        (1.0, 1.0, 0.0),
+        *((g, s, d) for g in GAINS for s in SPEEDS for d in LATER),
+    ]:
+        denominator = tuple(c * speed**i for i, c in enumerate(known.model.denominator))
+        surplus = len(known.model.denominator) - len(known.model.numerator)
+        numerator = tuple(c * speed ** (i + surplus) for i, c in enumerate(known.model.numerator))
+        lvdt = valve.Lvdt(0.0, 0.0, 0.0, known.delay / known.period + later)
+        yield valve.design(
+            TransferFunction(numerator, denominator), known.period, known.u_max, gain, stability.FREE, lvdt
+        )
+
+
+def _pid(known: Valve, share: float) -> Values:
+    """Reference form: three poles of (55) where the valve's are, or what of them needs no negative gain."""
+    a1, a0, b0 = known.theta.initial[:3]
+    speed = AHEAD * math.sqrt(a0)
+    kp, ki, kd = pid.place_poles(speed / (2.0 * math.pi), a1, a0, b0)
+    return _plain(
+        {
+            "pid.form": "reference",
+            "pid.theta": [a1, a0, b0],
+            "pid.kp": share * max(kp, 0.0),
+            "pid.ki": share * ki,
+            "pid.kd": share * max(kd, 0.0),
+        }
+    )
+
+
+def _rates(law: str, share: float) -> list[float]:
+    """Adaptation rates with ``share`` of the bandwidth.
+
+    An estimate and the error that it corrects are a loop of second order, s² + k2·s + γ·φ²: γ goes with the
+    square of k2, whatever the size of θ.
+    """
+    return [share**2 * g for g in numbers(defaults(CONTROLLER), f"{law}.gamma")]
+
+
+def _estimates(law: str, theta: Suggestion) -> Values:
+    return {
+        f"{law}.theta_initial": list(theta.initial),
+        f"{law}.theta_min": list(theta.lower),
+        f"{law}.theta_max": list(theta.upper),
+    }
+
+
+def _arc(known: Valve, share: float) -> Values:
+    k1, k2 = (number(defaults(CONTROLLER), f"arc.{name}") for name in ("k1", "k2"))
+    return _plain(
+        {
+            **_estimates("arc", known.theta),
+            "arc.gamma": _rates("arc", share),
+            "arc.k1": share * k1,
+            "arc.k2": share * k2,
+        }
+    )
+
+
+def _oarc(known: Valve, share: float) -> Values:
+    """ρ = b0², which puts z2 on the scale of V/s."""
+    k1, k2, ks1, ks2 = (number(defaults(CONTROLLER), f"oarc.{name}") for name in ("k1", "k2", "ks1", "ks2"))
+    return _plain(
+        {
+            **_estimates("oarc", known.theta),
+            "oarc.z2_weight": known.theta.initial[2] ** 2,
+            "oarc.gamma": _rates("oarc", share),
+            "oarc.k1": share * k1,
+            "oarc.k2": share**2 * k2,
+            "oarc.ks1": share * ks1,
+            "oarc.ks2": share * ks2,
+        }
+    )
+
+
+def _bristles(friction: Friction) -> Values:
+    """Weights that begin at the measured friction, closer around it; the second bristle has its presliding.
+
+    A presliding that was not told leaves those of the bristles as they are.
+    """
+    own = defaults(CONTROLLER)
+    start = list(numbers(own, "dcarc.theta_initial"))
+    highest = list(numbers(own, "dcarc.theta_max"))
+    spread = list(numbers(own, "dcarc.theta_spread"))
+    start[2] = friction.coulomb
+    start[6] = -friction.offset
+    for i in BRISTLES:
+        highest[i] = max(highest[i], HIGHEST * friction.coulomb)
+        spread[i] = max(CLOSE * friction.coulomb, LEAST_SPREAD)
+    spread[6] = OFFSET_SPREAD
+    lowest = list(numbers(own, "dcarc.theta_min"))
+    lowest[6] = min(lowest[6], start[6] - OFFSET_ROOM)
+    highest[6] = max(highest[6], start[6] + OFFSET_ROOM)
+    made: Values = {
+        "dcarc.theta_initial": start,
+        "dcarc.theta_min": lowest,
+        "dcarc.theta_max": highest,
+        "dcarc.theta_spread": spread,
+    }
+    if friction.presliding > 0.0:
+        made["dcarc.presliding"] = [share * friction.presliding for share in PRESLIDINGS]
+    return made
+
+
+def dcarc_values(known: Valve, share: float = 1.0) -> Values:
+    """The model itself, its noises and friction, and the weight of the voltage by the static gain squared.
+
+    Less bandwidth is a larger weight of the voltage, and a disturbance that is expected to change less.
+    """
+    own = defaults(CONTROLLER)
+    gain = known.model.static_gain / models.FOURTH_ORDER.static_gain
+    slower: Values = {}
+    if share < 1.0:  # the disturbance's estimate is a part of the loop too
+        slower["dcarc.disturbance_rate"] = share**2 * number(own, "dcarc.disturbance_rate")
+    return _plain(
+        {
+            **(_bristles(known.friction) if known.friction is not None else {}),
+            **slower,
+            "dcarc.model": "custom",
+            "dcarc.numerator": list(known.model.numerator),
+            "dcarc.denominator": list(known.model.denominator),
+            **dead_time.of_dcarc(known.delay, known.sensor_delay),
+            "dcarc.lvdt_noise": max(known.lvdt.noise, QUIETEST),
+            "dcarc.lvdt_resolution": known.lvdt.resolution,
+            "dcarc.voltage_weight": number(own, "dcarc.voltage_weight") * gain**2 / share**2,
+        }
+    )
+
+
+def _plain(values: Values) -> Values:
+    """Ten digits of each number."""
+
+    def short(value: Value) -> Value:
+        if isinstance(value, list):
+            return [float(f"{v:.10g}") if isinstance(v, float) else v for v in value]  # type: ignore[return-value]
+        return float(f"{value:.10g}") if isinstance(value, float) else value
+
+    return {name: short(value) for name, value in values.items()}

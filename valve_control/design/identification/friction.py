@@ -1,0 +1,261 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Tells friction level and presliding of a valve from a slow triangle of its voltage.
+
+The derivation is in docs/howto/identify.md. Sliding steadily, the spool is where u = x/G + o ± (F + τ·v/G)
+puts it, with its static gain G, offset o, Coulomb friction F and the lag τ of the valve. Behind each turn the
+bristles turn round: the friction follows the spool's way Δx as F·(1 - c·exp(-Δx/δ)), with the presliding δ.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.optimize
+
+from valve_control.control.plant.models import TransferFunction
+from valve_control.design.identification.experiment import Experiment, held
+from valve_control.design.identification.response import Segment
+from valve_control.parameter import ParameterError
+
+Floats = npt.NDArray[np.float64]
+TEST: dict[str, object] = {
+    "scenario": "triangle",
+    "amplitude": 4.0,
+    "offset": 0.0,
+    "frequency": 0.2,
+    "cycles": 9,
+    "start": 0.25,
+}
+SHARE = 0.6  # of u_max, amplitude of a stepped sine beside it: above most friction
+WHOLE = 0.9  # of the largest travel of the voltage, that a stroke has to have
+EQUAL = 0.02  # by which strokes may differ in length
+STRAIGHT = 0.02  # of the travel, by which they may be bent
+LEAST_STROKES = 4
+STEADY = (0.7, 0.97)  # part of a stroke that counts as steady sliding
+TURNED = -0.2  # of the friction level: bristles have turned round for certain, and
+SLIDING = 0.85  # nearly slide
+WINDOW = 0.004  # s  over which readings are taken together
+SMOOTH = 5  # windows over which the velocity is taken
+RESOLVED = 0.001  # V  deviation that friction may have from a single exponential
+PRESLIDING = (1e-3, 0.3)  # V  looked for
+LEAST_FRICTION = 0.1  # V  below which presliding is not told
+LEAST_WINDOWS = 10
+HIGHEST = 9  # harmonic of a stepped sine that is looked at
+SETTLED = 0.4  # s
+TOLD_OFFSET = 0.1  # V  from which on its possible causes are told
+MISFIT = 1.5  # deviations, rms, from which on friction is not that of bristles which turn round
+SLOWEST = 5.0  # lags of the valve, that a stroke takes at least between its turn and STEADY
+
+
+class Friction(NamedTuple):
+    """What a triangle tells of a valve."""
+
+    coulomb: float  # V  Coulomb friction as input voltage
+    presliding: float  # V  deflection of the bristles; 0.0: not to be told
+    static_gain: float  # V/V  of the valve as it was tested
+    offset: float  # V  input disturbance
+    strokes: int  # that it comes from
+
+
+def lag_of(model: TransferFunction, delay: float) -> float:
+    """Time [s] by which slow motions lag behind the voltage, with a dead time ``delay`` [s]."""
+    n, d = model.numerator, model.denominator
+    return d[-2] / d[-1] - (n[-2] / n[-1] if len(n) > 1 else 0.0) + delay
+
+
+def strokes_of(voltage: Floats) -> list[tuple[int, int, float]]:
+    """Whole strokes of a triangle: first sample, number of samples, direction 1.0 or -1.0.
+
+    All have the length of the shortest. The first one is left out: the bristles before it began at rest.
+    Raises ParameterError.
+    """
+    steps = np.diff(voltage)
+    moving = np.flatnonzero(steps != 0.0)
+    directions = np.sign(steps[moving])
+    turns = [0, *(np.flatnonzero(np.diff(directions) != 0.0) + 1), len(moving)]
+    found = []
+    for a, b in zip(turns[:-1], turns[1:], strict=True):
+        if b > a:
+            found.append((int(moving[a]), int(moving[b - 1]) + 1 - int(moving[a]), float(directions[a])))
+    travel = float(np.ptp(voltage)) if len(voltage) else 0.0
+    whole = [s for s in found if abs(voltage[s[0] + s[1]] - voltage[s[0]]) > WHOLE * travel]
+    lengths = [n for _, n, _ in whole]
+    if len(whole) <= LEAST_STROKES or max(lengths) - min(lengths) > 1.0 + EQUAL * max(lengths):
+        raise ParameterError(
+            f"the voltage of the friction test has {len(whole)} whole strokes"
+            + ("" if len(whole) <= LEAST_STROKES else f" of {min(lengths)} to {max(lengths)} samples")
+            + f"; it must be a triangle with more than {LEAST_STROKES} equal ones"
+        )
+    for first, length, _ in whole:
+        line = np.linspace(voltage[first], voltage[first + length], length + 1)
+        bent = float(np.max(np.abs(voltage[first : first + length + 1] - line)))
+        if bent > STRAIGHT * travel:
+            raise ParameterError(
+                f"the voltage of the friction test is up to {bent:.2g} V beside straight lines; it must be a "
+                "triangle"
+            )
+    return [(first, min(lengths), direction) for first, _, direction in whole[1:]]
+
+
+def friction(tested: Experiment, lag: float) -> Friction:
+    """Friction from a triangle of the voltage; ``lag`` [s]: see ``lag_of``. Raises ParameterError."""
+    voltage = held(tested.voltage)
+    known = np.flatnonzero(np.isfinite(tested.position))
+    if len(known) < 2 or not np.all(np.isfinite(voltage)):
+        raise ParameterError("the friction test begins without voltages, or has no readings")
+    reading = np.interp(np.arange(len(voltage)), known, tested.position[known])
+    if float(np.max(np.abs(voltage))) >= tested.u_max:
+        raise ParameterError(f"the voltage of the friction test saturates at u_max, {tested.u_max:g} V")
+    strokes = strokes_of(voltage)
+    length = strokes[0][1]
+    lag += 0.5 * tested.period  # the voltage is held
+    if STEADY[0] * length * tested.period < SLOWEST * lag:
+        raise ParameterError(
+            f"a stroke of the friction test takes {length * tested.period:.3g} s; on this valve it must take "
+            f"{SLOWEST * lag / STEADY[0]:.3g} s or more"
+        )
+    slope, offset, beyond = sliding(voltage, reading, strokes)
+    speed = abs(voltage[strokes[0][0] + length] - voltage[strokes[0][0]]) / (length * tested.period) / slope
+    coulomb = max(0.0, beyond - slope * lag * speed)
+    presliding = 0.0
+    if coulomb >= LEAST_FRICTION:
+        presliding = _presliding(
+            *turning(voltage, reading, strokes, tested.period, slope, offset, lag), coulomb
+        )
+    return Friction(coulomb, presliding, 1.0 / slope, -offset, len(strokes))
+
+
+def without(tested: Experiment, found: Friction) -> Experiment:
+    """``tested``, a stepped sine, with the voltage that friction takes of each sample taken off.
+
+    The friction is that of a bristle which the harmonics of the position drag. ``found`` without a
+    presliding has one of PRESLIDING's lower bound. Raises ParameterError.
+    """
+    if not tested.segments:
+        raise ParameterError("friction is taken off a stepped sine alone")
+    delta = found.presliding if found.presliding > 0.0 else PRESLIDING[0]
+    voltage = tested.voltage.copy()
+    for segment in tested.segments:
+        position = _harmonics(tested, segment)
+        if position is None:
+            continue
+        voltage[segment.first : segment.end] -= found.coulomb * _dragged(position, delta)
+    return tested._replace(voltage=voltage)
+
+
+def _harmonics(tested: Experiment, segment: Segment) -> Floats | None:
+    """Position [V] of a stretch and one sample more by its steady odd harmonics; None: too few readings."""
+    count = segment.end - segment.first
+    steps = np.arange(count + 1)
+    omega = 2.0 * math.pi * segment.frequency * tested.period
+    order = max(1, min(HIGHEST, int(0.9 * math.pi / omega)))
+    angles = np.outer(steps, omega * np.arange(1, order + 1, 2))
+    basis = np.column_stack([np.ones(count + 1), np.cos(angles), np.sin(angles)])
+    reading = tested.position[segment.first : segment.end]
+    usable = np.isfinite(reading) & (steps[:-1] >= min(SETTLED / tested.period, 0.5 * count))
+    if np.count_nonzero(usable) < 2 * basis.shape[1]:
+        return None
+    fitted: Floats = basis @ np.linalg.lstsq(basis[:-1][usable], reading[usable], rcond=None)[0]
+    return fitted
+
+
+def offset_notes(found: Friction) -> list[str]:
+    """What readings do not tell of the offset, as sentences."""
+    if abs(found.offset) < TOLD_OFFSET:
+        return []
+    return [
+        f"the offset of {found.offset:.3g} V may be one of the valve, a bias of the LVDT of "
+        f"{found.offset * found.static_gain:.3g} V, or some of both: readings do not tell them apart, and "
+        "with a bias the spool stands off by it; look at the edges or the flow at command 0"
+    ]
+
+
+def _dragged(position: Floats, delta: float) -> Floats:
+    """Deflections of a bristle, over those of sliding, at the end of each step of ``position`` [V]."""
+    z = 0.0
+    found = np.empty(len(position) - 1)
+    for k, way in enumerate((np.diff(position) / delta).tolist()):
+        z = (z + way) / (1.0 + abs(way))
+        found[k] = z
+    return found
+
+
+def sliding(
+    voltage: Floats, reading: Floats, strokes: list[tuple[int, int, float]]
+) -> tuple[float, float, float]:
+    """1/G [V/V], offset [V] and what the direction adds [V], from the steady part of all strokes."""
+    rows, wanted = [], []
+    for first, length, direction in strokes:
+        part = slice(first + round(STEADY[0] * length), first + round(STEADY[1] * length))
+        x = reading[part]
+        rows.append(np.column_stack([x, np.ones(len(x)), np.full(len(x), direction)]))
+        wanted.append(voltage[part])
+    slope, offset, beyond = np.linalg.lstsq(np.concatenate(rows), np.concatenate(wanted), rcond=None)[0]
+    if not slope > 0.0:
+        raise ParameterError("the spool of the friction test does not follow the voltage")
+    return float(slope), float(offset), float(beyond)
+
+
+def turning(
+    voltage: Floats,
+    reading: Floats,
+    strokes: list[tuple[int, int, float]],
+    period: float,
+    slope: float,
+    offset: float,
+    lag: float,
+) -> tuple[Floats, Floats, float]:
+    """Mean position [V] and friction [V] of all strokes, turned to rise, and the position's noise."""
+    size = max(1, round(WINDOW / period))
+    count = strokes[0][1] // size
+    x = np.zeros(count)
+    w = np.zeros(count)
+    for first, _, direction in strokes:
+        part = slice(first, first + count * size)
+        x += direction * reading[part].reshape(count, size).mean(axis=1) / len(strokes)
+        rest = voltage[part] - slope * reading[part] - offset
+        w += direction * rest.reshape(count, size).mean(axis=1) / len(strokes)
+    velocity = np.gradient(x, size * period)
+    velocity = np.convolve(np.pad(velocity, SMOOTH // 2, mode="edge"), np.full(SMOOTH, 1.0 / SMOOTH), "valid")
+    noise = float(np.std(np.diff(x[-count // 4 :], 2))) / math.sqrt(6.0)
+    return x, w - slope * lag * velocity, noise
+
+
+def _presliding(x: Floats, w: Floats, noise: float, coulomb: float) -> float:
+    """δ [V] of w = F·(1 - c·exp(-Δx/δ)) between TURNED and SLIDING; 0.0: not to be told.
+
+    A spool that swings on its bristles when it turns shakes them loose: that is no exponential, and 0.0 too.
+    A point counts by the noise of the friction and by that of the position, which the slope dw/dx shows.
+    """
+    beyond = np.flatnonzero(w > SLIDING * coulomb)
+    end = int(beyond[0]) if len(beyond) else len(w)
+    before = np.flatnonzero(w[:end] < TURNED * coulomb)
+    begin = int(before[-1]) + 1 if len(before) else 0
+    if end - begin < LEAST_WINDOWS:
+        return 0.0
+    way, w = x[begin:end] - x[begin], w[begin:end]
+
+    def weighed(delta: float) -> tuple[Floats, Floats]:
+        """What is left at each point, over its deviation, and the deviations [V]."""
+        left = np.exp(-way / delta)
+        deviation = np.hypot(RESOLVED, 2.0 * coulomb / delta * left * noise)
+        part, wanted = left / deviation, (coulomb - w) / deviation
+        return wanted - (part @ wanted) / (part @ part) * part, deviation
+
+    def misfit(delta: float) -> float:
+        return math.sqrt(float(np.mean(weighed(delta)[0] ** 2)))
+
+    def cost(logarithm: float) -> float:
+        left, deviation = weighed(math.exp(logarithm))
+        return float(np.sum(left**2) + 2.0 * np.sum(np.log(deviation)))
+
+    grid = np.log(np.geomspace(*PRESLIDING, 120))
+    best = int(np.argmin([cost(float(g)) for g in grid]))
+    if best in (0, len(grid) - 1):
+        return 0.0
+    found = scipy.optimize.minimize_scalar(cost, bounds=(grid[best - 1], grid[best + 1]), method="bounded")
+    if misfit(delta := math.exp(float(found.x))) > MISFIT:
+        return 0.0
+    return delta

@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Takes a test of a valve out of a bag: its voltages and readings, sample by sample."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from valve_control.control.analysis.timing import leaps, numbered_by_time, true_period
+from valve_control.control.commands import scenarios
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import build
+from valve_control.design.identification import response
+from valve_control.design.identification.experiment import Experiment, Floats, held
+from valve_control.design.identification.response import Segment
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.clocks import in_order
+from valve_control.recordings.parameters import Node
+from valve_control.recordings.recording import Recording, Valve, align
+
+STILL = 1e-6  # V within which a voltage does not move
+LOOSE = 0.5  # of a sine's amplitude that jitter of a wall clock may leave
+MARGIN = 0.01  # s by which a schedule may be late
+
+
+def recorded(recording: Recording, valve: Valve) -> Experiment:
+    """Voltages and readings of a recorded test of ``valve``. Raises BagError."""
+    for part in ("spool_position", "valve_voltage"):
+        if part not in valve.signals or len(valve.signals[part].time) == 0:
+            raise BagError(
+                f"{valve.name} has no {part}, which identification needs; --map says what plays its part"
+            )
+    aligned = align(valve)
+    notes = [f"times are {recording.clock.name}", *recording.problems, *valve.doubts]
+    count = len(aligned.time)
+    sequence = valve.signals["spool_position"].sequence[-count:]
+    measured = true_period(aligned.stamp, sequence) if aligned.wall else np.nan
+    period = aligned.period
+    if not np.isfinite(measured):
+        measured = (aligned.time[-1] - aligned.time[0]) / max(1, count - 1) if count > 1 else period
+    if not 0.98 * period < measured < 1.02 * period:
+        notes.append(
+            f"the readings came every {1e3 * measured:.4g} ms, not every {1e3 * period:.4g} ms as told"
+        )
+        period = float(measured)
+    index = np.arange(count)
+    if in_order(sequence) and sequence[-1] - sequence[0] < 2 * count:
+        index = sequence - sequence[0]
+    elif count > 1:
+        notes.append("the readings have no numbers, so lost ones are told by time alone")
+        index = numbered_by_time(aligned.stamp, period) if aligned.wall else index
+    length = int(index[-1]) + 1
+    voltage, position, time = (np.full(length, np.nan) for _ in range(3))
+    voltage[index], position[index], time[index] = aligned.voltage, aligned.measurement, aligned.time
+    if length > count:
+        notes.append(f"{length - count} of {length} readings were lost and are left out")
+        known = np.isfinite(time)
+        time = np.interp(np.arange(length), np.flatnonzero(known), time[known])
+    voltage_held = held(voltage)
+    cuts = index[leaps(aligned.stamp, index, period)] if aligned.wall and count > 1 else index[:0]
+    bounds = [0, *cuts.tolist(), length]
+    if len(cuts):
+        segments = [
+            one._replace(first=one.first + first, end=one.end + first)
+            for first, end in pairwise(bounds)
+            for one in response.find_segments(voltage_held[first:end], period)
+        ]
+        which = "the frequencies are taken between its leaps"
+        if not segments:
+            longest = int(np.argmax(np.diff(bounds)))
+            whole = slice(bounds[longest], bounds[longest + 1])
+            voltage, position = voltage[whole], position[whole]
+            which = f"only {(whole.stop - whole.start) * period:.4g} s between two leaps are used"
+        told = ", ".join(f"{time[cut] - time[cut - 1] - period:+.3f} s" for cut in cuts[:5].tolist())
+        more = f" and {len(cuts) - 5} more" if len(cuts) > 5 else ""
+        notes.append(
+            f"time leaps by {told}{more} beside the readings: the clock was set, or readings are missing; "
+            f"{which}"
+        )
+    else:
+        segments = _scheduled(_source(recording, valve), voltage_held, time, period)
+        if not segments:
+            segments = response.find_segments(voltage_held, period)
+    controller = valve.controller
+    initial = {} if controller is None else controller.initial
+    u_max = float(initial.get("u_max", 10.0))
+    law = str(initial.get("controller", "open_loop"))
+    if law in LAWS and LAWS[law].feedback:
+        notes.append(
+            f"the voltage came from {law}, which feeds noise of the reading back: the response is biased"
+        )
+    return Experiment(
+        source=f"{recording.bag.path.name}: {valve.name}",
+        period=period,
+        voltage=voltage,
+        position=position,
+        segments=tuple(segments),
+        u_max=u_max,
+        notes=tuple(notes),
+        feedback=law if law in LAWS and LAWS[law].feedback else "",
+    )
+
+
+def _source(recording: Recording, valve: Valve) -> Node | None:
+    for node in recording.nodes.values():
+        if node.kind == "command_source" and node.namespace == valve.topics.namespace:
+            return node
+    return None
+
+
+def _scheduled(source: Node | None, voltage: Floats, time: Floats, period: float) -> list[Segment]:
+    """Segments of the stepped sine that the command source's recorded parameters tell; empty if none."""
+    if source is None:
+        return []
+    told = dict(source.initial)
+    for change in source.changes:
+        told.update(change.values)
+    values, _ = source.table_values(told)
+    moving = np.flatnonzero(np.abs(voltage - voltage[0]) > STILL)
+    if values["scenario"] != "stepped_sine" or len(moving) == 0:
+        return []
+    begin = time[max(0, int(moving[0]) - 1)]
+    found = []
+    for step in scenarios.steps_of(build.shape(values)):
+        first, end = np.searchsorted(time, [begin + step.start, begin + step.end - MARGIN])
+        if end - first < 8 or step.frequency * period >= 0.5:
+            continue
+        exact = response.refined(voltage, int(first), int(end), step.frequency * period, period, LOOSE)
+        if exact is None or abs(exact.frequency / step.frequency - 1.0) > response.SAME:
+            return []
+        found.append(exact)
+    return found

@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Draws the valves of a box around a given one: those that are simulated, and those for the margins."""
+
+import itertools
+from collections.abc import Container, Sequence
+from typing import Any
+
+import numpy as np
+
+from valve_control.control.laws.law import Law
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant import models
+from valve_control.control.simulation import robustness
+from valve_control.control.simulation.robustness import Quantity, Settings, Study
+from valve_control.parameter import ParameterError, Values, number, updated
+
+SCATTERED = 32  # valves within the box for the margins, besides its corners
+LINEAR = ("gain", "speed", "flow_force", "lvdt.delay")  # quantities on which the margins depend
+FRICTION = "friction.coulomb"
+
+
+UNSEEN_SEED = 1_000_003  # added to the seed for valves that the search does not see
+
+
+def study_of(settings: Settings, box: Sequence[Quantity], valves: int, seed: int) -> Study:
+    """The valves of ``box`` around that of ``settings``, at its own sample period."""
+    period = number(settings["controller"], "sample_period")
+    return Study(settings, valves, seed, box, (period,))
+
+
+def drawn(study: Study) -> list[Any]:
+    """All valves of ``study``. Raises ParameterError."""
+    points, periods = robustness.draw(study, 0, study.valves)
+    return [
+        build.valve_params(robustness.valve_of(study, i, point, float(period)))
+        for i, (point, period) in enumerate(zip(points, periods, strict=True))
+    ]
+
+
+def bounding(study: Study) -> list[Any]:
+    """Corners of the box, as far as margins depend on it, and SCATTERED within. Raises ParameterError.
+
+    The corners have the most friction of the box: with less of it swings are smaller.
+    """
+    middle = np.array([q.high if q.name == FRICTION else 0.5 * (q.low + q.high) for q in study.box])
+    period = study.periods[0]
+    corners = []
+    varied = [i for i, q in enumerate(study.box) if q.name in LINEAR]
+    for ends in itertools.product(*((study.box[i].low, study.box[i].high) for i in varied)):
+        point = middle.copy()
+        point[varied] = ends
+        corners.append(build.valve_params(robustness.valve_of(study, 0, point, period)))
+    return [*corners, *drawn(study._replace(valves=SCATTERED))]
+
+
+def with_dead_time(law: Law, settings: Settings, box: Sequence[Quantity]) -> tuple[Values, float | None]:
+    """The controller's values with the dead time [s] that ``law`` may expect, and that time.
+
+    It is the middle of what the valves of ``box`` have, or that of the valve of ``settings``. None: the law
+    does not ask for it, has been told another than 0 (or one of the actuator), or cannot be built with it.
+    """
+    values = settings["controller"]
+    known = [name for name in (law.dead_time, f"{law.name}.actuator_delay") if name in values]
+    if not law.dead_time or any(number(values, name) != 0.0 for name in known):
+        return values, None
+    expected = next(
+        (0.5 * (q.low + q.high) for q in box if q.name == "lvdt.delay"),
+        number(settings["valve_simulator"], "lvdt.delay"),
+    )
+    try:
+        changed = updated(CONTROLLER, values, {law.dead_time: expected})
+        law.build(changed)
+    except ParameterError:
+        return values, None
+    return changed, expected or None
+
+
+def with_model(law: Law, settings: Settings, given: Container[str]) -> tuple[Values, str]:
+    """The controller's values in which ``law`` has the valve's model, and a sentence about that.
+
+    ``given``: names of parameters that somebody has chosen; a model among them stays. The sentence is ""
+    where the law has no model of its own, or that of the valve.
+    """
+    values, plant = settings["controller"], settings["valve_simulator"]
+    name = f"{law.name}.model"
+    if values.get(name, plant["valve"]) == plant["valve"] or name in given:
+        return values, ""
+    changes: dict[str, Any] = {name: plant["valve"]}
+    if plant["valve"] not in models.MODELS or number(plant, "gain_scale") != 1.0:
+        model = build.valve_model(plant)
+        changes = {name: "custom"}
+        changes.update({f"{law.name}.{part}": list(c) for part, c in model._asdict().items()})
+    try:
+        changed = updated(CONTROLLER, values, changes)
+        for variant in law.variants:
+            law.build(updated(CONTROLLER, changed, variant))
+    except ParameterError as error:
+        return values, f"{name} stays {values[name]}, which is another valve than the one given: {error}"
+    return changed, f"{name} is that of the valve, {changed[name]}; --set {name}=… says otherwise"
+
+
+def check_reach(plant: Values, wanted: float, name: str) -> None:
+    """Raise ParameterError for a motion to ``wanted`` [V] at which the valve itself would saturate always."""
+    model = build.valve_model(plant)
+    needed = abs(wanted) / abs(model.static_gain) if model.static_gain != 0.0 else np.inf
+    most = number(plant, "u_max")
+    if needed > most:
+        raise ParameterError(
+            f"the command {name} goes to {wanted:g} V, for which the valve needs {needed:.3g} V; u_max is "
+            f"{most:g} V, so that it saturates with any gains"
+        )

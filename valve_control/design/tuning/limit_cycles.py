@@ -1,0 +1,264 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Finds loops that do not come to rest: limit cycles after steps and motions, on simulated valves.
+
+Margins are those of small motions around 0 V with the first estimates. A law that adapts is another one after
+a step: its estimates have moved, some to their bounds, and at a position x every estimate that multiplies x
+integrates the error like that of a constant disturbance, with x² times its rate. And friction sustains
+swings. All this shows in a run alone.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.control.analysis.limit_cycle import ends_at_rest
+from valve_control.control.laws.law import Law
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant import registry
+from valve_control.control.simulation import batch
+from valve_control.design.tuning import trial
+from valve_control.design.tuning.trial import Gains, Limits, Motion, Problem, Workers
+from valve_control.parameter import Values, number, updated
+
+Array = npt.NDArray[np.float64]
+Valves = npt.NDArray[np.int64]  # numbers of valves
+STEPS_NAME = "steps"
+STEPS = (0.3, -1.0)  # V  with which a loop is tried; each is held for HELD
+HELD = 1.0  # s
+LASTING = 5.0  # s  after which what swings still is a limit cycle, and does not ring down
+RESTING = 0.5  # s  at the end of each step, in which the loop has to rest
+REST = 0.05  # V  amplitude about a straight line from which on it does not: noise stays far below
+TURNS = 4  # from half of that on one side of the line to the other; what creeps has two, whatever rides on it
+OWN = 2.0  # times a valve's own swing at a constant voltage, up to which that of the loop is the valve's
+LEAST = 0.01  # V  amplitude of a valve's own swing, at least
+SETTLED = 2.0  # s  after which a valve at a constant voltage rests, unless it swings by itself
+CHUNK = 512  # valves whose signals are kept at a time
+STRESS = 0.5  # of the margins that are asked for, by which the valves of the search are harder than its box
+FARTHER = 1.25  # times the reach of the motions, to which the search steps
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+
+
+class _Swing(NamedTuple):
+    """A swing about rest."""
+
+    amplitude: float  # V
+    voltage: float  # V  mean
+    reported: bool  # whether a controller node reports an oscillation of the voltage, and that counts
+
+    def with_another(self, other: "_Swing") -> "_Swing":
+        """The larger one of two, reported if either is."""
+        return max(self, other)._replace(reported=self.reported or other.reported)
+
+
+def steps(period: float, motions: Sequence[Motion] = (), farther: float = 1.0) -> Motion:
+    """Steps of STEPS, and one ``farther`` times as far as the ``motions`` go; each is held for HELD."""
+    n = round(HELD / period)
+    reach = farther * max((float(np.max(np.abs(motion.wanted))) for motion in motions), default=0.0)
+    heights = (*STEPS, reach) if reach > max(map(abs, STEPS)) else STEPS
+    return Motion(STEPS_NAME, np.concatenate([np.zeros(n // 10), *(np.full(n, h) for h in heights)]))
+
+
+def _held(motion: Motion, more: float, period: float) -> Motion:
+    """``motion`` whose end is held for ``more`` [s]."""
+    end = np.full(round(more / period), motion.wanted[-1])
+    return motion._replace(wanted=np.concatenate([motion.wanted, end]))
+
+
+def stressed(plants: Sequence[Any], limits: Limits) -> list[Any]:
+    """``plants``, each with STRESS of the margins used up: more gain, less gain or more dead time, in turn.
+
+    Friction is a part of theirs, another one for each: what swings with much of it need not with little.
+    """
+    factor = 10.0 ** (STRESS * limits.gain_db / 20.0)
+    made = []
+    for i, plant in enumerate(plants):
+        later = STRESS * limits.delay_s / plant.period if i % 3 == 2 else 0.0
+        gain = (factor, 1.0 / factor, 1.0)[i % 3]
+        made.append(registry.plant_of(plant).varied(plant, gain, later, 1.0 - (i * GOLDEN) % 1.0))
+    return made
+
+
+def restless_shares(
+    law: Law, problem: Problem, several: Sequence[Gains], workers: Workers = None
+) -> list[float]:
+    """Share of the ``stressed`` box of ``problem`` on which each of ``several`` does not rest after steps.
+
+    It has HELD for it. The last of the steps goes FARTHER than the motions. What counts: see ``after_all``.
+    """
+    return [float(share.item()) for share in trial.shared(_shares, law, problem, several, workers)]
+
+
+def _shares(law: Law, problem: Problem, several: Sequence[Gains], threads: int | None) -> list[Array]:
+    hard = stressed(problem.box, problem.limits)
+    found = _restless(law, problem, several, hard, _tried(problem, HELD, FARTHER), HELD, threads)
+    return [np.full((1, 1, 1), len(cycling) / len(hard)) for cycling in found]
+
+
+def _tried(problem: Problem, held: float, farther: float = 1.0) -> list[Motion]:
+    """The ``steps``, all in one for HELD; for longer each in a run of its own, after those before it."""
+    period = number(problem.values, "sample_period")
+    together = steps(period, problem.motions, farther)
+    if held == HELD:
+        return [together]
+    n = round(HELD / period)
+    ends = range(n + len(together.wanted) % n, len(together.wanted) + 1, n)
+    return [_held(Motion(STEPS_NAME, together.wanted[:end]), held - HELD, period) for end in ends]
+
+
+def after_all(
+    law: Law,
+    problem: Problem,
+    gains: Gains,
+    plants: Sequence[Any],
+    workers: Workers = None,
+    held: float = HELD,
+) -> Valves:
+    """Numbers of the ``plants`` on which the loop does not rest after one of the ``steps`` or motions.
+
+    Each is ``held`` [s]; with LASTING only limit cycles are left. In the last RESTING of it the spool has to
+    rest, and the voltage must not show what a controller node reports as an oscillation. A run that does not
+    stay finite counts. A spool that swings at a constant voltage, and in the loop less than OWN times as
+    much, does not, unless ``problem`` is strict and the node would report it. While a command moves, friction
+    answers it with harmonics, which are no limit cycle.
+    """
+    period = number(problem.values, "sample_period")
+    tried = [*_tried(problem, held), *(_held(motion, held, period) for motion in problem.motions)]
+    return _restless(law, problem, [gains], plants, tried, held, workers)[0]
+
+
+def _restless(
+    law: Law,
+    problem: Problem,
+    several: Sequence[Gains],
+    plants: Sequence[Any],
+    tried: Sequence[Motion],
+    held: float,
+    workers: Workers,
+) -> list[Valves]:
+    """Numbers of the ``plants``, for each of ``several``, on which the loop swings after being ``held`` [s].
+
+    Loops of all of them are simulated together, CHUNK at a time: loop i is that of plant i % N.
+    """
+    if not plants:
+        return [np.empty(0, dtype=np.int64) for _ in several]
+    values = [trial.values_with(problem, gains) for gains in several]
+    params = [trial.built(law, v) for v in values]
+    laws, valves = batch.records(params), batch.records(list(plants))
+    period = number(problem.values, "sample_period")
+    least = number(problem.values, "oscillation_limit")
+    bare = problem._replace(preview=False)  # nobody sends the derivatives of a step
+    hold, end_of_it = round(held / period), round(HELD / period)
+    n, count = len(plants), len(several) * len(plants)
+    found: dict[int, _Swing] = {}
+    for motion in tried:
+        stepping = motion.name == STEPS_NAME
+        sender = bare if stepping else problem
+        led = np.array(
+            [
+                trial.given(law, p, v, gains, sender, motion.wanted)
+                for p, v, gains in zip(params, values, several, strict=True)
+            ]
+        )
+        samples = led.shape[1]
+        ends = range(samples, hold, -hold) if stepping else [samples]
+        for first in range(0, count, CHUNK):
+            loops = np.arange(first, min(first + CHUNK, count))
+            traces = np.empty((len(loops), samples, 3))
+            batch.simulate(
+                batch.Batch(
+                    law.name,
+                    laws[loops // n],
+                    valves[loops % n],
+                    problem.seed + loops % n,
+                    np.broadcast_to(motion.wanted, (len(loops), samples)),
+                    led=led[loops // n],
+                ),
+                trial.threads_of(workers),
+                traces,
+            )
+            for end in ends:
+                part = traces[:, end - end_of_it : end]
+                reported = _reported(part, period, least)
+                for i in np.flatnonzero(_swings(part, period) | reported).tolist():
+                    swing = _swing(part[i], period, problem.strict and bool(reported[i]))
+                    found[first + i] = swing.with_another(found.get(first + i, swing))
+    kept = _by_feedback(problem.values, plants, found, trial.threads_of(workers))
+    return [kept[kept // n == j] % n for j in range(len(several))]
+
+
+def restless(traces: Array, period: float, least: float) -> npt.NDArray[np.bool_]:
+    """Which of N loops still swing at the end of ``traces`` (N×n×3) at one command, or are not finite.
+
+    ``least`` [V]: amplitude of the voltage from which on an oscillation of it counts; 0.0: none does.
+    """
+    return _swings(traces, period) | _reported(traces, period, least)
+
+
+def _swings(traces: Array, period: float) -> npt.NDArray[np.bool_]:
+    """Which spools swing at the end of ``traces``, or are not finite."""
+    finite = np.all(np.isfinite(traces), axis=(1, 2))
+    swing = _about_a_line(np.where(finite[:, None], traces[:, -round(RESTING / period) :, 0], 0.0))
+    large = np.ptp(swing, axis=1) > 2.0 * REST
+    turning = [bool(one) and _turns(row, 0.5 * REST) >= TURNS for one, row in zip(large, swing, strict=True)]
+    return np.asarray(~finite | np.array(turning, dtype=bool))
+
+
+def _reported(traces: Array, period: float, least: float) -> npt.NDArray[np.bool_]:
+    """Of which ``traces`` a controller node would still report an oscillation at the end."""
+    return np.asarray(ends_at_rest(traces[:, :, 2], period, least) > HELD - RESTING, dtype=bool)
+
+
+def _swing(trace: Array, period: float, reported: bool) -> _Swing:
+    """Of the end of a ``trace`` (n×3) at one command."""
+    last = trace[-round(RESTING / period) :]
+    amplitude = float(_amplitude(_about_a_line(last[:, 0])))
+    return _Swing(amplitude if math.isfinite(amplitude) else math.inf, float(np.mean(last[:, 2])), reported)
+
+
+def _amplitude(swing: Array) -> Array:
+    """Amplitude of the sine that is as large, root mean square, as a ``swing`` about 0 V (…×n)."""
+    return np.asarray(math.sqrt(2.0) * np.std(swing, axis=-1), dtype=float)
+
+
+def _about_a_line(position: Array) -> Array:
+    times = np.linspace(-1.0, 1.0, position.shape[-1])
+    swing = position - np.mean(position, axis=-1, keepdims=True)
+    made: Array = swing - (swing @ times / (times @ times))[..., None] * times
+    return made
+
+
+def _turns(swing: Array, beyond: float) -> int:
+    """How often a ``swing`` about 0 V (n) goes from ``beyond`` [V] on one side to that on the other."""
+    return int(np.count_nonzero(np.diff(np.signbit(swing[np.abs(swing) > beyond]))))
+
+
+def _by_feedback(
+    values: Values, plants: Sequence[Any], found: Mapping[int, _Swing], threads: int | None
+) -> Valves:
+    """Loops of those ``found`` that are not the valve's own swings at a constant voltage."""
+    numbers = sorted(found)
+    bare = LAWS["open_loop"]
+    params = bare.build(updated(CONTROLLER, values, {"open_loop.static_gain": 1.0}))
+    period = number(values, "sample_period")
+    kept: list[int] = []
+    for first in range(0, len(numbers), CHUNK):
+        some = numbers[first : first + CHUNK]
+        voltages = np.nan_to_num([found[i].voltage for i in some], posinf=0.0, neginf=0.0)
+        command = np.repeat(voltages[:, None], round(SETTLED / period), axis=1)
+        traces = np.empty((*command.shape, 3))
+        rows = batch.records([plants[i % len(plants)] for i in some])
+        batch.simulate(
+            batch.Batch(bare.name, params, rows, np.array(some) % len(plants), command), threads, traces
+        )
+        own = _about_a_line(traces[:, -round(RESTING / period) :, 0])
+        amplitude = _amplitude(own)
+        larger = np.array([found[i].amplitude for i in some]) >= OWN * amplitude
+        rests = np.array([_turns(row, 0.5 * LEAST) < TURNS for row in own]) | ~(amplitude > LEAST)
+        reported = np.array([found[i].reported for i in some])
+        kept += [i for i, counted in zip(some, larger | rests | reported, strict=True) if counted]
+    return np.array(kept, dtype=np.int64)

@@ -1,0 +1,408 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Searches the gains of a law: CMA-ES (pycma) at a few limits of the chatter, which together make a front.
+
+Error and chatter of every set of gains that was tried are kept; those that no other one beats in both are the
+front. Each run of CMA-ES makes the error small under one limit of the chatter. It may end in one of several
+minima: a search begins at several places of the ranges, apart from each other, and twice goes on with the
+better half of these runs. From the best of them begins a run with a larger population, which small minima do
+not hold up. Where the budget is none for so many runs, as with the many gains of dcarc, there is one run
+alone. Later runs, for the other parts of the front, begin at the best set that is known for their limit.
+
+Whether the acceleration of the command is to have a part in its lead depends on the motions more than on the
+other gains: it takes away error where they are smooth, and adds chatter where acceleration jumps. So a run
+holds that share, and tries its best set with others now and then, when the other gains are no longer bad.
+
+Margins come first: a set that misses them by far is not simulated, and what the others miss is a part of
+their cost, so that the search sees on both sides of a margin where it gets better; that part grows as long as
+the best sets of a run miss margins. Only those that keep all margins are results. One that would be the best
+so far, or is on the front, has to come to rest after steps, on valves that have used up half of the margins.
+Where such a set did not, those near the best are asked too for a while, so that a run sees where loops rest;
+where all rest, that would take a third of a search and show nothing. A search is repeatable by its seed,
+whatever the number of threads.
+"""
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.stats
+
+from valve_control.control.compiling import CompileError
+from valve_control.control.laws.free import Free, present
+from valve_control.control.laws.law import Law
+from valve_control.control.laws.reshaping import LEAD_ACCEL
+from valve_control.design import evolution
+from valve_control.design.tuning import limit_cycles, margins, overshoot, pauses, trial
+from valve_control.design.tuning.trial import AHEAD, Gains, Outcome, Problem, Workers
+from valve_control.parameter import ParameterError, Values
+
+Array = npt.NDArray[np.float64]
+Told = Callable[[int], None]  # sets of gains tried so far
+Judge = Callable[[Sequence[Array], float, float], "Judged"]  # under a limit of the chatter, with a wall
+POPULATION, LONE_POPULATION = 12, 20  # the other one of a single run that has the time to use it
+SCATTERED = 120  # sets of gains all over the ranges at the beginning, at most
+STARTS = 4  # places at which a search begins, at most
+EACH, EACH_COVARIANCE = 1000, 8  # sets of gains of the budget for each, and times n² of n gains that move
+APART = 0.17  # of the ranges, by which they are apart, root mean square over the gains
+FIRST_STEPS, LATER_STEP = (0.15, 0.25), 0.08  # of the ranges; those of the places alternate
+LONE_STEP = 0.25
+LEVELS, EVERY = (0.0, 0.5, 1.0), 100  # shares of LEAD_ACCEL, and sets after which a run tries all of them
+LATE = 0.5  # of the budget, before which it does not
+ROUNDS = (0.06, 0.06)  # of the budget, for each run, after which the worse half of them ends
+LAST_POPULATION, LAST_STEP = 24, 0.15  # of the run that goes on from the best of them
+BACK_OFF = 0.9  # share of the limit of saturation, and 1/share of those of the margins, that the search keeps
+QUIETER = 0.96  # share of the limit of the chatter that it keeps
+PRICE = 6.0  # logarithm of the error for one of the chatter beyond its limit
+WALL = 2.0  # logarithm of the error for missing one margin by all of it, at least
+HIGHER, LOWER = 1.2, 0.95  # factors of that after each generation whose best set misses one, or does not
+FAR = 0.5  # by which the margins may be missed together, as parts of them, to be simulated
+MISSED = 20.0  # cost of margins that are missed by more, before what they are missed by
+RESTLESS = 10.0  # cost of a loop that does not come to rest, before the share of valves on which it does not
+BEYOND = 10.0  # by which a set of gains that misses a margin counts for more when runs are compared
+CLOSE = 0.1  # of the logarithm of the error, by which a set may miss the best to be asked whether it rests
+ALERT = 100  # sets of gains, for which those are asked after one that did not rest
+NOT_RUN = 100.0  # cost of gains that are none
+FRONT_LIMITS = (0.2, 0.4, 0.1, 0.05)  # of the chatter, where none is asked for
+
+
+class Point(NamedTuple):
+    """One set of gains that keeps the margins, and what it reached in the search."""
+
+    shares: tuple[float, ...]  # of the ranges
+    gains: Gains
+    error: float  # V
+    chatter: float
+    saturated: float
+
+
+class Phase(NamedTuple):
+    """One run of the search."""
+
+    chatter: float  # limit
+    share: float  # of the budget
+
+
+class Judged(NamedTuple):
+    """What sets of gains cost."""
+
+    costs: list[float]
+    keep: list[bool]  # whether each keeps the margins
+
+
+class Found(NamedTuple):
+    """Result of a search."""
+
+    points: list[Point]  # all that keep the margins and stayed finite
+    tried: int
+    missed: int  # of them, the margins or rest
+
+
+def phases(chatter: float | None) -> list[Phase]:
+    """Runs of a search, where ``chatter`` is the limit that is asked for, or None. The first is the main."""
+    if chatter is None:
+        main, *others = FRONT_LIMITS
+        return [Phase(main, 0.55), *(Phase(limit, 0.45 / len(others)) for limit in others)]
+    return [Phase(chatter, 0.85), Phase(0.5 * chatter, 0.075), Phase(2.0 * chatter, 0.075)]
+
+
+def cost(point: Point, chatter: float, saturated: float) -> float:
+    """What a run of the search makes small, under limits of ``chatter`` and ``saturated``."""
+    if not math.isfinite(point.error) or point.error <= 0.0:
+        return NOT_RUN
+    beyond = max(0.0, math.log(max(point.chatter, 1e-9) / (QUIETER * chatter)))
+    return math.log(point.error) + PRICE * (beyond + max(0.0, point.saturated - BACK_OFF * saturated))
+
+
+class _Trials:
+    """Sets of gains that were tried, and what came of them."""
+
+    def __init__(self, law: Law, problem: Problem, free: Sequence[Free], workers: Workers) -> None:
+        self.points: list[Point] = []
+        self.tried = self.missed = 0
+        self._law, self._problem, self._free, self._workers = law, problem, free, workers
+        self._box = margins.prepared(problem.box)
+        self._rested: dict[tuple[float, ...], float] = {}  # share of the valves on which a set does not rest
+        self._alert_until = 0  # number of the set of gains up to which those near the best are asked too
+        self._least: dict[float, tuple[int, float]] = {}  # by limit: points looked at, and their least cost
+
+    def judged(self, several: Sequence[Array], chatter: float, wall: float = WALL) -> Judged:
+        """Costs of sets of gains under a limit of the chatter; ``wall`` is the cost of missing a margin."""
+        costs = np.full(len(several), NOT_RUN)
+        inside = [tuple(float(v) for v in np.clip(shares, 0.0, 1.0)) for shares in several]
+        gains = [trial.gains_at(self._free, self._problem.values, shares) for shares in inside]
+        violations = [self._violation(g) for g in gains]
+        kept: list[int] = []  # that are simulated
+        for i, missing in enumerate(violations):
+            if missing is None:
+                continue
+            self.missed += missing > 0.0
+            if missing > FAR:
+                costs[i] = MISSED + missing
+            else:
+                kept.append(i)
+        points: dict[int, Point] = {}
+        if kept:
+            outcomes = trial.run(self._law, self._problem, [gains[i] for i in kept], self._workers)
+            for i, outcome in zip(kept, outcomes, strict=True):
+                point = _point(self._problem, inside[i], gains[i], outcome)
+                missing = violations[i] or 0.0
+                costs[i] = self._cost(point, chatter) + wall * missing
+                if missing == 0.0:
+                    points[i] = point
+        least = self._least_cost(chatter)
+        most = least + (CLOSE if self.tried < self._alert_until else 0.0)
+        asked = [i for i in points if costs[i] < NOT_RUN and costs[i] <= most]
+        for i, share in zip(asked, self._restless([points[i] for i in asked]), strict=True):
+            if share > 0.0:
+                self._alert_until = self.tried + len(several) + ALERT
+                costs[i] = RESTLESS + share
+                del points[i]
+        self.points += [point for point in points.values() if math.isfinite(point.error)]
+        self.tried += len(several)
+        outside = [float(np.sum((s - np.clip(s, 0.0, 1.0)) ** 2)) for s in several]
+        return Judged(
+            [float(c) + o for c, o in zip(costs, outside, strict=True)], [v == 0.0 for v in violations]
+        )
+
+    def best(self, chatter: float) -> Point | None:
+        """The point of least cost under a limit of the chatter. None if there is none."""
+        return min(self.points, key=lambda p: self._cost(p, chatter), default=None)
+
+    def front_at_rest(self) -> None:
+        """Drop the points of the front on which a loop does not come to rest, until there are none."""
+        while untried := [p for p in front(self.points) if p.shares not in self._rested]:
+            restless = {
+                point.shares
+                for point, share in zip(untried, self._restless(untried), strict=True)
+                if share > 0.0
+            }
+            self.points = [point for point in self.points if point.shares not in restless]
+            self._least.clear()
+
+    def _least_cost(self, chatter: float) -> float:
+        """The least cost of all points under a limit of the chatter; only new ones are looked at."""
+        seen, least = self._least.get(chatter, (0, math.inf))
+        for point in self.points[seen:]:
+            least = min(least, self._cost(point, chatter))
+        self._least[chatter] = len(self.points), least
+        return least
+
+    def _cost(self, point: Point, chatter: float) -> float:
+        return cost(point, chatter, self._problem.limits.saturated)
+
+    def _restless(self, points: Sequence[Point]) -> list[float]:
+        """Share of the harder valves on which the loops of ``points`` do not come to rest.
+
+        1.0 where the reference does not come back after a pause of the command; and 1.0 and the overshoot of
+        steps where that is larger than the limit.
+        """
+        new = [p for p in points if p.shares not in self._rested]
+        strayed = [p for p in new if not pauses.borne(self._law, self._problem, p.gains)]
+        self._rested.update((p.shares, 1.0) for p in strayed)
+        self.missed += len(strayed)
+        new = [p for p in new if p.shares not in self._rested]
+        most = BACK_OFF * self._problem.limits.overshoot
+        if most > 0.0 and new:
+            answers = overshoot.answers(self._law, self._problem, [p.gains for p in new], self._workers)
+            beyond = {
+                p.shares: 1.0 + share for p, (share, _) in zip(new, answers, strict=True) if share > most
+            }
+            self._rested.update(beyond)
+            self.missed += len(beyond)
+            new = [p for p in new if p.shares not in beyond]
+        if new:
+            shares = limit_cycles.restless_shares(
+                self._law, self._problem, [point.gains for point in new], self._workers
+            )
+            self._rested.update(zip([point.shares for point in new], shares, strict=True))
+            self.missed += sum(share > 0.0 for share in shares)
+        return [self._rested[point.shares] for point in points]
+
+    def _violation(self, gains: Gains) -> float | None:
+        """By how much ``gains`` miss the margins; None: they are none."""
+        try:
+            params = trial.built(self._law, trial.values_with(self._problem, gains))
+            found = margins.margins(self._law, params, self._box)
+        except CompileError:
+            raise
+        except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+        return trial.violation(self._problem.limits, found, 1.0 / BACK_OFF)
+
+
+class _Run:
+    """One run of CMA-ES. It does not move the gain at the index ``held``, but tries LEVELS of it at times."""
+
+    def __init__(
+        self, start: Array, held: int | None, step: float, seed: int, population: int = POPULATION
+    ) -> None:
+        moved = start if held is None else np.delete(start, held)
+        self._strategy = evolution.strategy(moved, step, seed, population)
+        self.best, self.least = start, math.inf
+        self._held, self._level = held, 0.0 if held is None else float(start[held])
+        self._wall, self._since = WALL, EVERY // 2
+
+    def go(self, judge: Judge, chatter: float, trials: _Trials, until: float, late: float) -> None:
+        """Go on under a limit of the chatter ``until`` so many sets of gains were tried, or it has converged.
+
+        LEVELS are tried from the set of the number ``late`` on.
+        """
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            while trials.tried < until and not self._strategy.stop():
+                asked = self._strategy.ask()
+                whole = [self._with_level(shares, self._level) for shares in asked]
+                judged = judge(whole, chatter, self._wall)
+                self._keep_best(whole, judged)
+                self._strategy.tell(asked, judged.costs)
+                lowest = int(np.argmin(judged.costs))
+                self._wall = max(WALL, self._wall * (LOWER if judged.keep[lowest] else HIGHER))
+                self._since += len(asked)
+                if self._held is not None and self._since >= EVERY and trials.tried >= late:
+                    self._since = 0
+                    self._try_levels(judge, chatter)
+
+    def _try_levels(self, judge: Judge, chatter: float) -> None:
+        """Go on with the share of LEAD_ACCEL that is best with the best gains."""
+        assert self._held is not None
+        rest = np.delete(self.best, self._held)
+        others = [self._with_level(rest, level) for level in LEVELS if level != self._level]
+        self._keep_best(others, judge(others, chatter, self._wall))
+        self._level = float(self.best[self._held])
+
+    def _with_level(self, moved: Array, level: float) -> Array:
+        return moved if self._held is None else np.insert(moved, self._held, level)
+
+    def _keep_best(self, whole: Sequence[Array], judged: Judged) -> None:
+        scores = np.where(judged.keep, judged.costs, np.add(judged.costs, BEYOND))
+        i = int(np.argmin(scores))
+        if scores[i] < self.least:
+            self.best, self.least = np.clip(whole[i], 0.0, 1.0), float(scores[i])
+
+
+def search(
+    law: Law,
+    problem: Problem,
+    plan: Sequence[Phase],
+    budget: int,
+    seed: int,
+    told: Told,
+    workers: Workers = None,
+    known: Sequence[Values] = (),
+) -> Found:
+    """Try ``budget`` sets of gains of ``law``, those of the parameters ``known`` among the first.
+
+    Raises ParameterError for a law that has none to choose.
+    """
+    free = trial.free_numbers(law, problem.values, problem.preview, problem.scale)
+    if not free:
+        raise ParameterError(f"{law.name} has no gains to choose; there is nothing to tune")
+    trials = _Trials(law, problem, free, workers)
+
+    def judge(several: Sequence[Array], chatter: float, wall: float = WALL) -> Judged:
+        found = trials.judged(several, chatter, wall)
+        told(min(trials.tried, budget))
+        return found
+
+    n = len(free)
+    begin, *others = (
+        np.array([0.5 if f is AHEAD else f.to_share(present(f, values)) for f in free])
+        for values in (problem.values, *known)
+    )
+    sobol = scipy.stats.qmc.Sobol(n, rng=np.random.default_rng(seed))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a number of points that is no power of two
+        scattered = [begin, *others, *sobol.random(min(SCATTERED, max(1, budget // 25)))]
+    held = free.index(LEAD_ACCEL) if LEAD_ACCEL in free else None
+    if held is not None:
+        for shares in scattered:
+            shares[held] = begin[held]
+    main = plan[0]
+    first = judge(scattered, main.chatter).costs
+    if n == 1:  # no covariance to adapt
+        judge(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), main.chatter)
+        trials.front_at_rest()
+        return Found(trials.points, trials.tried, trials.missed)
+    moved = n - (held is not None)
+    fitting = budget // max(EACH, EACH_COVARIANCE * moved * moved)
+    late = LATE * budget
+    if fitting >= STARTS:
+        starts = _starts(scattered, first, STARTS)
+        runs = [
+            _Run(start, held, FIRST_STEPS[i % len(FIRST_STEPS)], seed + i + 1)
+            for i, start in enumerate(starts)
+        ]
+        for share in ROUNDS:
+            if len(runs) == 1:
+                break
+            for run in runs:
+                run.go(judge, main.chatter, trials, trials.tried + share * budget, late)
+            runs = sorted(runs, key=lambda run: run.least)[: len(runs) // 2]
+        winner = _Run(runs[0].best, held, LAST_STEP, seed + STARTS + 1, LAST_POPULATION)
+    elif fitting:
+        winner = _Run(scattered[int(np.argmin(first))], held, LONE_STEP, seed + 1, LONE_POPULATION)
+    else:
+        winner = _Run(scattered[int(np.argmin(first))], held, FIRST_STEPS[0], seed + 1)
+    winner.go(judge, main.chatter, trials, main.share * budget, late)
+    until = 0.0
+    for number, phase in enumerate(plan):
+        until += phase.share * budget
+        restart = 0
+        while trials.tried < min(budget, round(until)):
+            trials.front_at_rest()
+            best = trials.best(phase.chatter)
+            place = winner.best if best is None else np.array(best.shares)
+            again = _Run(place, held, LATER_STEP, seed + 100 * (number + 1) + restart)
+            again.go(judge, phase.chatter, trials, min(budget, round(until)), late)
+            if again.least < winner.least:
+                winner = again
+            restart += 1
+    trials.front_at_rest()
+    return Found(trials.points, trials.tried, trials.missed)
+
+
+def _starts(scattered: Sequence[Array], costs: Sequence[float], count: int) -> list[Array]:
+    """Up to ``count`` of the places ``scattered``, the best first, that are APART from each other."""
+    chosen: list[Array] = []
+    for i in np.argsort(costs):
+        if all(math.sqrt(np.mean((scattered[i] - other) ** 2)) > APART for other in chosen):
+            chosen.append(scattered[i])
+        if len(chosen) == count:
+            break
+    return chosen
+
+
+def _point(problem: Problem, shares: tuple[float, ...], gains: Gains, outcome: Outcome) -> Point:
+    return Point(
+        shares,
+        gains,
+        trial.error_of(problem, outcome),
+        outcome.chatter,
+        float(np.mean(outcome.saturated)),
+    )
+
+
+def front(points: Sequence[Point]) -> list[Point]:
+    """The points that no other one beats in error and chatter, by falling chatter."""
+    kept: list[Point] = []
+    least = math.inf
+    for point in sorted(points, key=lambda p: (p.chatter, p.error)):
+        if point.error < least:
+            kept.append(point)
+            least = point.error
+    return kept[::-1]
+
+
+def knee(kept: Sequence[Point]) -> Point:
+    """The point of a front that lies farthest below the line between its ends, both scales logarithmic."""
+    x = np.log([p.chatter for p in kept])
+    y = np.log([p.error for p in kept])
+    if len(kept) < 3:
+        return kept[int(np.argmin(x + y))]
+    spans = np.ptp(x), np.ptp(y)
+    away = (x - x.min()) / spans[0] + (y - y.min()) / spans[1]
+    return kept[int(np.argmin(away))]

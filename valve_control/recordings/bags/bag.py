@@ -1,0 +1,506 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Opens a bag from any recorder: a folder with or without metadata.yaml, a single file, or a table."""
+
+import re
+import tempfile
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.recordings.bags import metadata as bag_metadata
+from valve_control.recordings.bags.cdr import Decoder
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.messages import CDR, Block, Integers, Topic, absolute
+from valve_control.recordings.bags.placeholders import PlaceholderError, refuse
+from valve_control.recordings.bags.sqlite import HEAD, SqliteFile
+from valve_control.recordings.bags.table import KINDS as TABLES
+from valve_control.recordings.bags.table import TableFile
+
+if TYPE_CHECKING:
+    from valve_control.recordings.bags.mcap import McapFile
+
+    File = McapFile | SqliteFile | TableFile
+
+Floats = npt.NDArray[np.float64]
+T = TypeVar("T")
+KINDS = {".mcap": "mcap", ".db3": "sqlite3"}  # storage by suffix
+ZSTD = (".zstd", ".zst")
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+ADVICE = re.compile(r" \(valve-control bag recover [^)]*\)")  # does not help where rosbag2 compressed
+MANY = 500_000  # messages that are kept of a sparse topic
+FAR = 3600.0  # s between two stamps of one recording from which on they belong to different stretches of time
+
+
+class Series(NamedTuple):
+    """Messages of one topic in the order in which they were recorded."""
+
+    log_time: Integers  # ns
+    publish_time: Integers  # ns, the log time where the bag has none
+    sequence: Integers  # of the publisher, 0 where the bag has none
+    place: Integers  # among all messages of the bag
+    values: dict[str, Floats]  # by field
+    present: dict[str, npt.NDArray[np.bool_]]  # which messages have it, for fields that not all have
+    raw: list[bytes]  # the messages themselves, if they were asked for
+    undecodable: int  # messages left out
+    error: str  # why the first of them
+    absent: dict[str, int]  # sound messages without a field, by fields that not all have
+
+    def having(self, field: str) -> "Series":
+        """The messages that have ``field``."""
+        return self.pick(self.present[field]) if field in self.present else self
+
+    def pick(self, chosen: npt.NDArray[Any]) -> "Series":
+        """The messages chosen by a mask or by indices."""
+        where = np.arange(len(self.log_time))[chosen].tolist() if self.raw else []
+        return self._replace(
+            log_time=self.log_time[chosen],
+            publish_time=self.publish_time[chosen],
+            sequence=self.sequence[chosen],
+            place=self.place[chosen],
+            values={name: numbers[chosen] for name, numbers in self.values.items()},
+            present={name: mask[chosen] for name, mask in self.present.items()},
+            raw=[self.raw[i] for i in where],
+        )
+
+
+def edges(time: Integers) -> Floats:
+    """First stamps [ns] of the stretches of ``time``, hours apart, but for the first stretch."""
+    ordered = np.sort(time).astype(np.float64)
+    return np.asarray(ordered[1:][np.diff(ordered) > FAR * 1e9], dtype=np.float64)
+
+
+def stretch(time: Integers) -> tuple[int, int]:
+    """First and last of ``time`` [ns] in that of its stretches, hours apart, with the most messages."""
+    ordered = np.sort(time)
+    starts = np.searchsorted(ordered.astype(np.float64), edges(time))
+    bounds = [0, *starts.tolist(), len(ordered)]
+    longest = len(bounds) - 2 - int(np.argmax(np.diff(bounds)[::-1]))
+    return int(ordered[bounds[longest]]), int(ordered[bounds[longest + 1] - 1])
+
+
+def times(block: Block | None) -> Integers:
+    """Log times [ns] of the first messages of a file, whose ``head`` is ``block``."""
+    return np.empty(0, dtype=np.int64) if block is None else block.log_time[:HEAD]
+
+
+def in_order(files: Sequence[T], heads: Sequence[Integers]) -> list[T]:
+    """``files`` by the log times [ns] of their first messages, the middle one of them.
+
+    One without messages stays behind the one before it.
+    """
+    keys = [0]
+    for head in heads:
+        keys.append(int(np.sort(head)[len(head) // 2]) if len(head) else keys[-1])
+    return [file for _, file in sorted(zip(keys[1:], files, strict=True), key=lambda entry: entry[0])]
+
+
+class Bag:
+    """An open bag with its topics and files.
+
+    Raises BagError if nothing of it can be read; what is wrong with a part of it is in ``problems``.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self.problems: list[str] = []
+        self.topics: dict[str, Topic] = {}
+        self.storage = ""
+        self.compression = ""  # of files or messages, as in metadata.yaml
+        self.version: int | None = None  # of metadata.yaml
+        self.distribution = ""
+        self._unpacked: tempfile.TemporaryDirectory[str] | None = None
+        self._formats: dict[
+            str, str
+        ] = {}  # serialization of topics, where metadata.yaml has another than CDR
+        try:
+            self._files = self._open()
+        except OSError as error:
+            raise BagError(
+                f"{error.filename or self.path} cannot be read: {error.strerror or error}"
+            ) from error
+        for file in self._files:
+            self.problems += [self._advised(problem) for problem in file.problems]
+            for told in file.topics:
+                topic = self._as_told(told)
+                known = self.topics.setdefault(topic.name, topic)
+                for what, one, other in (
+                    ("types", known.type, topic.type),
+                    ("serializations", known.encoding, topic.encoding),
+                ):
+                    if one != other:
+                        self._complain(
+                            f"{topic.name} has two {what}, {one} and {other}; the second is left out"
+                        )
+        if not self.topics:
+            reasons = f": {'; '.join(self.problems)}" if self.problems else ""
+            self.close()
+            raise BagError(f"{self.path} has no topics that can be read{reasons}")
+
+    @property
+    def table(self) -> TableFile | None:
+        """The table that is read as a bag, None of others."""
+        return next((file for file in self._files if isinstance(file, TableFile)), None)
+
+    def use_times(self, times: Integers, clock: str) -> None:
+        """Give the rows of a table their ``times`` [ns], by the ``clock`` of this name."""
+        assert self.table is not None
+        self.table.use_times(times, clock)
+        self.topics = {topic.name: topic for topic in self.table.topics}
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files."""
+        return sum(file.size for file in self._files)
+
+    @property
+    def files(self) -> list[str]:
+        """Names of the data files."""
+        return [file.path.name for file in self._files]
+
+    @property
+    def begin(self) -> int:
+        """Log time [ns] of the first message, 0 if there are none; not of one hours from all near it."""
+        if self.table is not None:
+            return int(self.table.times[0]) if len(self.table.times) else 0
+        # A piece may hold nothing: messages of channels that a damaged file does not describe.
+        firsts = (next((b for b in file.blocks() if len(b.topic)), None) for file in self._files)
+        return min((stretch(block.log_time)[0] for block in firsts if block is not None), default=0)
+
+    def close(self) -> None:
+        """Close the files; nothing can be read afterwards."""
+        for file in self._files:
+            file.close()
+
+    # Reading
+
+    def blocks(
+        self,
+        topics: Collection[str],
+        start: int | None = None,
+        end: int | None = None,
+        told: Callable[[int], None] | None = None,
+    ) -> Iterator[tuple[str, Block]]:
+        """Yield messages of ``topics`` in blocks, each of one topic; ``start``, ``end`` [ns]: log times."""
+        before = 0
+        for file in self._files:
+            names = [t.name if self._is_known(self._as_told(t)) else "" for t in file.topics]
+            wanted = [i for i, name in enumerate(names) if name in topics]
+            if isinstance(file, TableFile):
+                file.wanted = wanted
+            for block in file.blocks(start, end, told):
+                block = block._replace(place=before + block.place)
+                before = int(block.place[-1]) + 1 if len(block.place) else before
+                for i in wanted:
+                    chosen = np.flatnonzero(block.topic == i)
+                    if len(chosen) == 0:
+                        continue
+                    part = block if len(chosen) == len(block.topic) else block.select(chosen)
+                    yield names[i], self._decompressed(part) if self.compression == "message" else part
+            for problem in file.problems:
+                self._complain(self._advised(problem))
+
+    def read(
+        self,
+        fields: Mapping[str, Sequence[str]],
+        raw: Collection[str] = (),
+        sparse: Collection[str] = (),
+        start: int | None = None,
+        end: int | None = None,
+        told: Callable[[int], None] | None = None,
+    ) -> dict[str, Series]:
+        """Read numeric ``fields`` of topics, and whole messages of the topics in ``raw``.
+
+        Of topics in ``sparse`` only every second, fourth, ... message is kept once there are many, and fields
+        that a message does not have are NaN. ``told`` is called with the number of bytes read since its
+        last call. Raises BagError if there is no such topic, or its type is unknown.
+        """
+        collected = {
+            name: _Collector(self.topic(name), fields.get(name, ()), name in raw, name in sparse)
+            for name in {*fields, *raw}
+        }
+        for name, block in self.blocks(collected, start, end, told):
+            collected[name].take(block)
+        return {name: collector.series() for name, collector in collected.items()}
+
+    def topic(self, name: str) -> Topic:
+        """Topic ``name``. Raises BagError if there is none."""
+        if name not in self.topics:
+            raise BagError(f"{self.path} has no topic {name}; it has {', '.join(sorted(self.topics))}")
+        return self.topics[name]
+
+    def first(self, name: str) -> bytes | None:
+        """First message of a topic, None if it has none."""
+        return next(self.messages(name), None)
+
+    def messages(self, name: str) -> Iterator[bytes]:
+        """Yield messages of a topic from its beginning, read only as they are asked for."""
+        for _, block in self.blocks([name]):
+            for at, size in zip(block.offset.tolist(), block.length.tolist(), strict=True):
+                yield block.buffer[at : at + size].tobytes()
+
+    # How
+
+    def _open(self) -> "list[File]":
+        if not self.path.exists():
+            raise BagError(f"there is no bag {self.path}")
+        if self.path.is_file():
+            file = self._file(self.path)
+            self._recognise([file])
+            return [file]
+        if not self.path.is_dir():
+            raise BagError(f"{self.path} is neither a file nor a folder; a bag is one of them")
+        found = sorted(
+            (p for p in self.path.iterdir() if _plain_suffix(p) in KINDS), key=lambda p: (len(p.name), p.name)
+        )
+        paths, flaw = self._listed(found)
+        files: list[File] = []
+        refused = []
+        for path in paths:
+            try:
+                files.append(self._file(path))
+            except (BagError, OSError) as error:
+                text = (
+                    str(error) if isinstance(error, BagError) else f"{path} cannot be read: {error.strerror}"
+                )
+                refused.append(text)
+        if not files:
+            raise BagError("; ".join(refused))
+        self.problems += [f"{text}, it is left out" for text in refused]
+        ordered = in_order(files, [times(file.head()) for file in files]) if len(files) > 1 else files
+        if ordered != files and not flaw:
+            self._complain(
+                f"metadata.yaml of {self.path} does not list the files in the order of their times, "
+                "in which they are read"
+            )
+        self._recognise(ordered)
+        if flaw:
+            self._complain(self._advised(flaw))
+        return ordered
+
+    def _listed(self, found: list[Path]) -> tuple[list[Path], str]:
+        """Files of the bag out of those ``found`` in its folder, and what is wrong with its metadata.yaml."""
+        if not (self.path / bag_metadata.NAME).exists():
+            if not found:
+                raise BagError(
+                    f"{self.path} is not a bag: it has neither metadata.yaml nor .mcap nor .db3 files"
+                )
+            return found, (
+                f"{self.path} is unfinished: it has no metadata.yaml "
+                "(valve-control bag recover makes it whole)"
+            )
+        try:
+            told = bag_metadata.read(self.path)
+        except bag_metadata.UnknownVersionError:
+            raise
+        except BagError as error:
+            advice = (
+                "" if isinstance(error, PlaceholderError) else " (valve-control bag recover writes it anew)"
+            )
+            if not found:
+                raise
+            return found, f"{error}; it is not used{advice}"
+        self.version = told.version
+        self.distribution = told.ros_distro
+        self.compression = told.compression_mode.lower() if told.compression_mode.lower() != "none" else ""
+        if self.compression and told.compression_format != "zstd":
+            raise BagError(f"{self.path} is compressed with {told.compression_format!r}; zstd is known")
+        self._formats = {
+            absolute(topic.name): topic.serialization_format
+            for topic, _ in told.topics
+            if topic.serialization_format != CDR
+        }
+        paths = [self.path / name for name in dict.fromkeys(told.relative_file_paths)]
+        missing = [path for path in paths if not path.exists()]
+        for path in missing:
+            self._complain(f"{path.name}, which metadata.yaml names, is missing")
+        if len(missing) == len(paths):
+            raise BagError(f"{self.path} has none of the files that its metadata.yaml names")
+        for path in found:
+            if path not in paths:
+                self._complain(
+                    self._advised(
+                        f"{path.name} lies in the folder, but metadata.yaml does not list it: it is not read "
+                        "(valve-control bag recover takes it in, unless it is a copy of a listed one)"
+                    )
+                )
+        return [path for path in paths if path.exists()], ""
+
+    def _recognise(self, files: "Sequence[File]") -> None:
+        """Find out whether rosbag2 compressed the messages, where no metadata.yaml says it."""
+        if self.compression:
+            return
+        if self._unpacked is not None:
+            self.compression = "file"
+            return
+        block = next((block for file in files if (block := file.head()) is not None), None)
+        if block is None:
+            return
+        starts = block.buffer[block.offset[block.length >= 4][:HEAD, None] + np.arange(4)]
+        if (starts == np.frombuffer(ZSTD_MAGIC, np.uint8)).all(axis=1).any():
+            self.compression = "message"
+            self._complain(
+                f"messages of {self.path} are compressed with zstd, though no metadata.yaml says so"
+            )
+
+    def _advised(self, problem: str) -> str:
+        """``problem`` without the advice to recover, which compressed bags cannot take."""
+        return ADVICE.sub("", problem) if self.compression else problem
+
+    def _as_told(self, topic: Topic) -> Topic:
+        """``topic`` with the serialization that metadata.yaml names, if that is another than CDR."""
+        return topic._replace(encoding=self._formats.get(topic.name, topic.encoding))
+
+    def _is_known(self, topic: Topic) -> bool:
+        known = self.topics[topic.name]
+        return (known.type, known.encoding) == (topic.type, topic.encoding)
+
+    def _file(self, path: Path) -> "File":
+        suffix = _plain_suffix(path)
+        if path.suffix.lower() in TABLES:
+            self.storage = TABLES[path.suffix.lower()]
+            return TableFile(path)
+        if suffix not in KINDS:
+            raise BagError(
+                f"{path} is not a bag; a bag is a folder with metadata.yaml, an .mcap or a .db3 file, or a "
+                f"table of numbers ({', '.join(TABLES)})"
+            )
+        refuse(path)
+        self.storage = KINDS[suffix]
+        plain = self._unpack(path) if path.suffix in ZSTD else path
+        if self.storage == "sqlite3":
+            return SqliteFile(plain)
+        try:
+            from valve_control.recordings.bags.mcap import McapFile
+        except ModuleNotFoundError as error:  # mcap brings zstandard and lz4 along
+            raise ModuleNotFoundError(str(error), name="mcap") from error
+        return McapFile(plain)
+
+    def _unpack(self, path: Path) -> Path:
+        import zstandard
+
+        if self._unpacked is None:
+            self._unpacked = tempfile.TemporaryDirectory(prefix="valve_control-")
+        plain = Path(self._unpacked.name) / path.stem
+        try:
+            with path.open("rb") as packed, plain.open("wb") as stream:
+                zstandard.ZstdDecompressor().copy_stream(packed, stream)
+        except zstandard.ZstdError as error:
+            self._complain(f"{path} cannot be decompressed to its end: {error}")
+        return plain
+
+    def _decompressed(self, block: Block) -> Block:
+        import zstandard
+
+        decompress = zstandard.ZstdDecompressor().decompressobj
+        parts, good = [], []
+        for i, (at, size) in enumerate(zip(block.offset.tolist(), block.length.tolist(), strict=True)):
+            try:
+                parts.append(decompress().decompress(block.buffer[at : at + size].tobytes()))
+                good.append(i)
+            except zstandard.ZstdError as error:
+                self._complain(f"messages of {self.path} cannot be decompressed and are left out: {error}")
+        length = np.array([len(part) for part in parts], dtype=np.int64)
+        kept = block.select(np.array(good, dtype=np.int64))
+        return kept._replace(
+            buffer=np.frombuffer(b"".join(parts), dtype=np.uint8),
+            offset=np.cumsum(length) - length,
+            length=length,
+        )
+
+    def _complain(self, text: str) -> None:
+        if text not in self.problems:
+            self.problems.append(text)
+
+
+def _plain_suffix(path: Path) -> str:
+    return Path(path.stem).suffix if path.suffix in ZSTD else path.suffix
+
+
+class _Collector:
+    """Collects the columns of one topic, block by block."""
+
+    def __init__(self, topic: Topic, fields: Sequence[str], raw: bool, sparse: bool) -> None:
+        # Each field has a decoder: messages of one publisher may have one, those of another the other.
+        groups = [fields] if sparse and fields else [[field] for field in fields]
+        self._decoders = [Decoder(topic, group, optional=sparse) for group in groups]
+        self._sparse = sparse
+        self._stride, self._seen, self._kept = 1, 0, 0
+        self._fields = tuple(fields)
+        self._keep_raw = raw
+        # Piece by piece: log time, publish time, sequence, place, fields.
+        self._integers: list[list[Integers]] = [[], [], [], []]
+        self._floats: list[list[Floats]] = [[] for _ in fields]
+        self._present: list[list[npt.NDArray[np.bool_]]] = [] if sparse else [[] for _ in fields]
+        self._raw: list[bytes] = []
+        self._undecodable = 0
+
+    def take(self, block: Block) -> None:
+        if self._sparse:
+            block = self._thinned(block)
+        values = np.empty((len(block.topic), 0))
+        if self._decoders:
+            before = self._decoders[0].absent
+            found = [one.decode(block.buffer, block.offset, block.length) for one in self._decoders]
+            values = np.hstack([numbers for numbers, _ in found])
+            masks = np.array([mask for _, mask in found])
+            absent = self._decoders[0].absent - before
+            self._undecodable += int(np.count_nonzero(~masks[0])) - absent
+            done: npt.NDArray[np.bool_] = np.logical_or.reduce(masks)
+            if not done.all():
+                block, values, masks = block.select(done), values[done], masks[:, done]
+            for has, mask in zip(self._present, masks, strict=False):
+                has.append(mask)
+        if self._keep_raw:
+            for at, size in zip(block.offset.tolist(), block.length.tolist(), strict=True):
+                self._raw.append(block.buffer[at : at + size].tobytes())
+        for pieces, column in zip(self._integers, block[2:6], strict=True):
+            pieces.append(column.copy())
+        for k, numbers in enumerate(self._floats):
+            numbers.append(values[:, k].copy())
+
+    def _thinned(self, block: Block) -> Block:
+        """Every ``stride``-th message, counted from the first of the topic."""
+        count = len(block.topic)
+        while self._kept + count // self._stride > MANY and self._stride < count:
+            self._stride *= 2
+            for times in self._integers:
+                times[:] = [_joined(times, np.int64)[::2]]
+            for numbers in self._floats:
+                numbers[:] = [_joined(numbers, np.float64)[::2]]
+            self._kept = len(self._integers[0][0])
+        chosen = np.arange(-self._seen % self._stride, count, self._stride)
+        self._seen += count
+        self._kept += len(chosen)
+        return block.select(chosen)
+
+    def series(self) -> Series:
+        masks = [
+            (field, _joined(pieces, np.bool_))
+            for field, pieces in zip(self._fields, self._present, strict=False)
+        ]
+        absent = [(field, one.absent) for field, one in zip(self._fields, self._decoders, strict=False)]
+        log, publish, sequence, place = (_joined(pieces, np.int64) for pieces in self._integers)
+        numbers = [_joined(pieces, np.float64) for pieces in self._floats]
+        return Series(
+            log,
+            publish,
+            sequence,
+            place,
+            dict(zip(self._fields, numbers, strict=True)),
+            {field: mask for field, mask in masks if not mask.all()},
+            self._raw,
+            self._undecodable,
+            self._decoders[0].error if self._decoders else "",
+            {field: count for field, count in absent if count},
+        )
+
+
+def _joined(pieces: list[npt.NDArray[Any]], kind: Any) -> npt.NDArray[Any]:
+    """One array made of ``pieces``, whose memory is released."""
+    array = np.concatenate([np.empty(0, dtype=kind), *pieces])
+    pieces.clear()
+    return array
