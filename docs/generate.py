@@ -206,9 +206,9 @@ def api() -> dict[str, str]:
     """A page for each room of the package, and their index."""
     index = "# API\n\nA page for each room of the package; made from the docstrings.\n\n```{toctree}\n"
     pages = {}
-    for room in sorted(p.name for p in PACKAGE.iterdir() if (p / "__init__.py").exists() and p.name != "cli"):
-        index += f"{room}\n"
-        pages[f"api/{room}"] = _room(room)
+    for room in sorted(path.parent for path in PACKAGE.rglob("*/__init__.py") if path.parent.name != "cli"):
+        index += f"{room.name}\n"
+        pages[f"api/{room.name}"] = _room(".".join(room.relative_to(PACKAGE).parts))
     pages["api/index"] = index + "```\n"
     return pages
 
@@ -216,7 +216,8 @@ def api() -> dict[str, str]:
 def _room(room: str) -> str:
     text = f"# `valve_control.{room}`\n"
     names = [f"valve_control.{room}"]
-    names += [m.name for m in pkgutil.walk_packages([str(PACKAGE / room)], f"valve_control.{room}.")]
+    folder = PACKAGE.joinpath(*room.split("."))
+    names += [m.name for m in pkgutil.iter_modules([str(folder)], f"valve_control.{room}.") if not m.ispkg]
     for name in names:
         text += "" if name == names[0] else f"\n## `{name}`\n"
         text += f"\n```{{eval-rst}}\n.. automodule:: {name}\n```\n"

@@ -15,7 +15,7 @@ from valve_control.control.parameters.axis import ROS_NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORD = Path(__file__).with_name("interface.json")
-SUPERVISION = ROOT / "valve_control" / "supervision"
+SUPERVISION = ROOT / "valve_control" / "control" / "supervision"
 
 
 def _generate():

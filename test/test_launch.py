@@ -26,7 +26,7 @@ VALVES = [path for path in FILES if path.name not in (AXIS, ARM)]
 OF_THE_USER = re.compile(r"\$\(var \w+_file\)")  # a file of the user's, or one of the node's own once more
 
 
-CALL = re.compile(r"valve_control\.parameters\.launching\.(\w+)\(")
+CALL = re.compile(r"valve_control\.control\.parameters\.launching\.(\w+)\(")
 
 
 def arguments(root):

@@ -97,7 +97,7 @@ HEAVY = ("rclpy", "numba", "matplotlib", "plotly", "pandas", "rosbags")
 
 @pytest.mark.parametrize(
     "module",
-    [f"valve_control.control.laws.{p.stem}" for p in (ROOT / "valve_control" / "laws").glob("[a-z]*.py")]
+    [f"valve_control.control.laws.{p.stem}" for p in (ROOT / "valve_control" / "control" / "laws").glob("[a-z]*.py")]
     + ["valve_control.control.supervision.supervisor"],
 )
 def test_laws_are_imported_without_what_they_do_not_need(module):

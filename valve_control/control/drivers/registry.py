@@ -12,7 +12,7 @@ from valve_control.control.drivers.driver import Kind, KindError, check
 
 GROUP = "valve_control.drivers"
 BUILT_IN: tuple[Kind, ...] = (serial_card.KIND, canopen_408.KIND, modbus.KIND)
-RESERVED = ("simulated",)  # of the valve that `parameters/drivers.py` adds
+RESERVED = ("simulated",)  # of the valve that `control/parameters/drivers.py` adds
 
 
 def _plugged_in(point: EntryPoint, taken: dict[str, Kind]) -> Kind:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulates one sample of a machine: an axis, the valve that feeds it and its sensors.
 
-The voltage moves the spool of the valve (``plant/valve.py``), the spool's edges feed the axis
-(``plant/axis.py``). The valve has its own LVDT.
+The voltage moves the spool of the valve (``control/plant/valve.py``), the spool's edges feed the axis
+(``control/plant/axis.py``). The valve has its own LVDT.
 """
 
 from typing import NamedTuple
