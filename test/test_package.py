@@ -15,6 +15,7 @@ from valve_control.control.parameters import axis, build, drivers, files, table
 from valve_control.parameter import defaults, updated
 
 ROOT = Path(__file__).resolve().parents[1]
+LAWS = ROOT / "valve_control" / "control" / "laws"
 COLCON = shutil.which("colcon", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
 
 
@@ -97,7 +98,7 @@ HEAVY = ("rclpy", "numba", "matplotlib", "plotly", "pandas", "rosbags")
 
 @pytest.mark.parametrize(
     "module",
-    [f"valve_control.control.laws.{p.stem}" for p in (ROOT / "valve_control" / "control" / "laws").glob("[a-z]*.py")]
+    [f"valve_control.control.laws.{p.stem}" for p in LAWS.glob("[a-z]*.py")]
     + ["valve_control.control.supervision.supervisor"],
 )
 def test_laws_are_imported_without_what_they_do_not_need(module):

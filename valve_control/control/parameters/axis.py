@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lists the parameters of a hydraulic axis, and builds the machine from checked values.
 
-The valve that feeds it has the parameters of ``valve_simulator``; they are those of ``control/parameters/table.py``.
+The valve that feeds it has the parameters of ``valve_simulator``; they are those of ``table.py``.
 """
 
 import math
