@@ -129,6 +129,21 @@ BROKEN = [
     ('Law("mine"', 'Law("arc"', "the name is taken by a law of valve_control"),
     ('Law("mine"', 'Law("My law"', "its name is 'My law'; it must be one word in lower case"),
     ("import sys\n", "import sys\nimport not_there\n", "it cannot be imported: ModuleNotFoundError"),
+    (
+        "import sys\n",
+        "import sys\nfrom valve_control.laws.law import Law\n",
+        "it imports valve_control.laws, which is valve_control.control.laws now; change its imports",
+    ),
+    (
+        "import sys\n",
+        "import sys\nfrom valve_control import bags\n",
+        "it imports valve_control.bags, which is valve_control.recordings.bags now; change its imports",
+    ),
+    (
+        "import sys\n",
+        "import sys\nimport valve_control.nowhere\n",
+        "it cannot be imported: ModuleNotFoundError",
+    ),
     ("command, measurement, offset)", "command)", "must take (params, state, command, measurement, offset)"),
     ("def hold(", "def held(", "{law} has no function hold(params, state, command"),
     ("class Terms", "class Others", "{law} has no NamedTuple Terms"),

@@ -3,7 +3,6 @@
 """Plants as plug-ins: another package's plant in all loops, and those that are refused."""
 
 import types
-from importlib.metadata import EntryPoint
 from typing import NamedTuple
 
 import changed
@@ -166,13 +165,9 @@ def test_a_plant_that_is_none_is_refused_in_one_sentence(changes, said):
     assert said in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_names_that_are_taken_and_modules_that_are_not_there():
-    taken = dict(registry.PLANTS)
-    again = EntryPoint("x", "valve_control.control.plant.solenoid_valve:PLANT", registry.GROUP)
+def test_names_that_are_taken():
     with pytest.raises(PlantError, match="the name is taken by a plant of valve_control"):
-        registry._plugged_in(again, taken)
-    with pytest.raises(PlantError, match="it cannot be imported: ModuleNotFoundError"):
-        registry._plugged_in(EntryPoint("x", "no_such_module:PLANT", registry.GROUP), taken)
+        registry.accepted(solenoid_valve.PLANT, dict(registry.PLANTS))
     assert registry.REFUSED == [] and list(registry.CHOICES) == [
         "second_order",
         "fourth_order",

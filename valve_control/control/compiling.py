@@ -43,6 +43,13 @@ def add_sources(package: str, folder: Path, laws: bool = True) -> None:
         _beside.add(package)
 
 
+def add_sources_of(module: types.ModuleType) -> None:
+    """Let functions of the package of ``module``, which adds a law or a plant, be compiled too."""
+    source = getattr(module, "__file__", None)
+    if source is not None:
+        add_sources(module.__name__.split(".")[0], Path(source).parent)
+
+
 def _ours(name: str) -> bool:
     return name.split(".")[0] in _packages
 

@@ -5,11 +5,9 @@
 Another package adds a plant by an entry point of the group ``valve_control.plants`` that names a ``Plant``.
 """
 
-from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
 from typing import Any
 
-from valve_control.control import compiling
+from valve_control.control import compiling, plugins
 from valve_control.control.plant import linear_valve, models, solenoid_valve, valve
 from valve_control.control.plant.common import PARAMETERS
 from valve_control.control.plant.plant import Plant, PlantError, check, try_out
@@ -25,12 +23,8 @@ TRIED: Values = {
 }
 
 
-def _plugged_in(point: EntryPoint, taken: dict[str, Plant]) -> Plant:
-    """The plant of ``point``. Raises PlantError."""
-    try:
-        found = point.load()
-    except Exception as error:
-        raise PlantError(f"it cannot be imported: {type(error).__name__}: {error}") from error
+def accepted(found: object, taken: dict[str, Plant]) -> Plant:
+    """``found`` if it is a plant that works and whose names are free. Raises PlantError."""
     plant = check(found)
     for other in taken.values():
         if other.name == plant.name or set(other.values) & set(plant.values):
@@ -38,27 +32,12 @@ def _plugged_in(point: EntryPoint, taken: dict[str, Plant]) -> Plant:
         if other.module.Params is plant.module.Params:
             raise PlantError(f"its Params are those of the plant '{other.name}'; it must have its own")
     try_out(plant, TRIED)
-    source = getattr(plant.module, "__file__", None)
-    if source is not None:
-        compiling.add_sources(plant.module.__name__.split(".")[0], Path(source).parent)
-    return plant._replace(package=point.dist.name if point.dist is not None else point.module)
+    compiling.add_sources_of(plant.module)
+    return plant
 
 
-def _all() -> tuple[dict[str, Plant], dict[str, str]]:
-    plants = {plant.name: plant for plant in (linear_valve.PLANT, solenoid_valve.PLANT)}
-    refused: dict[str, str] = {}
-    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
-        package = point.dist.name if point.dist is not None else point.module
-        try:
-            plant = _plugged_in(point, plants)
-        except PlantError as error:
-            refused[point.name] = f"the plant '{point.name}' of the package {package} is left out: {error}"
-        else:
-            plants[plant.name] = plant
-    return plants, refused
-
-
-PLANTS, LEFT_OUT = _all()  # LEFT_OUT: why, as a sentence
+PLANTS = {plant.name: plant for plant in (linear_valve.PLANT, solenoid_valve.PLANT)}
+LEFT_OUT = plugins.add(GROUP, "plant", accepted, PlantError, PLANTS)  # why, as a sentence
 REFUSED = list(LEFT_OUT.values())
 CHOICES = {value: plant for plant in PLANTS.values() for value in plant.values}  # of the parameter `valve`
 _OF_PARAMS = {plant.module.Params: plant for plant in PLANTS.values()}
