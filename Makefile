@@ -115,4 +115,4 @@ $(DOCS_STAMP): $(STAMP) requirements-docs.txt
 	@touch $@
 
 clean:  ## remove the virtual environment and all outputs
-	rm -rf $(VENV) out build install log *.egg-info docs/generated
+	rm -rf $(VENV) out build install log *.egg-info docs/reference/generated

@@ -25,7 +25,7 @@ myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 4
 source_suffix = {".md": "markdown"}
 root_doc = "index"
-exclude_patterns = ["examples"]
+exclude_patterns = ["examples", "generated"]
 default_role = "code"
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
@@ -47,7 +47,7 @@ def math(translator: Any, node: nodes.Node, display: str) -> None:
 
 def setup(app: Any) -> None:
     """Generate the reference before each build."""
-    app.connect("builder-inited", lambda app: generate.write(HERE / "generated"))
+    app.connect("builder-inited", lambda app: generate.write(HERE / "reference" / "generated"))
     app.connect("autodoc-process-docstring", generate.as_rst)
     app.connect("autodoc-skip-member", generate.skipped)
     app.add_html_math_renderer(

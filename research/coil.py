@@ -3,7 +3,7 @@
 """``python -m research.coil``: dcarc on three solenoid valves, with more and more of the magnet in the law.
 
 The model is the valve's own, motions are known ahead, the gains are the same on all valves. Prints the table
-of docs/laws/dcarc.md as Markdown.
+of docs/explanation/laws/dcarc.md as Markdown.
 """
 
 import argparse

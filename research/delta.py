@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m research.delta``: a published axis of Delta Computer Systems under five valves (axis.md)."""
+"""``python -m research.delta``: a published axis of Delta Computer Systems under five valves."""
 
 import argparse
 import sys

@@ -3,7 +3,7 @@
 """``python -m research.late_commands``: the gains of config/tuned under an upper level that pauses.
 
 Bare commands and trajectories, at 1 kHz and at 100 Hz, with and without pauses of 3 to 10 ms, five a second.
-Prints a table of docs/cascade.md as Markdown.
+Prints a table of docs/howto/cascade.md as Markdown.
 """
 
 import argparse

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``python -m research.shipped``: the gains of config/tuned for two valves, on steps, at rest and on motions.
 
-Prints the table of docs/laws/reshaping.md as Markdown.
+Prints the table of docs/explanation/laws/reshaping.md as Markdown.
 """
 
 import argparse

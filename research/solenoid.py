@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``python -m research.solenoid``: the solenoid valves of config/solenoid on a slow loop, a step and sines.
 
-Prints the table of docs/valve_model.md as Markdown, and draws its figure.
+Prints the table of docs/explanation/valve_model.md as Markdown, and draws its figure.
 """
 
 import argparse

@@ -160,7 +160,7 @@ def figure_3(runs: Mapping[str, Trace], gain: float, u_max: float) -> Figure:
     )
     notes.append(
         "The paper says that (13), made from the more accurate model, performs better than (12). As printed "
-        "it does not: (13) leaves the zeros of (3) in the response (docs/errata.md)."
+        "it does not: (13) leaves the zeros of (3) in the response (docs/reference/errata.md)."
     )
     return Figure(
         "figure3", "Fig. 3: responses with compensators and under feedback", "frequency [Hz]",

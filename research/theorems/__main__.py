@@ -50,7 +50,7 @@ def _options() -> Parser:
         "--errata-figures",
         metavar="FOLDER",
         help="also find the sample period that each weight ρ of OARC allows; draw the figures of "
-        "docs/errata.md into FOLDER",
+        "docs/reference/errata.md into FOLDER",
     )
     return theorems
 

@@ -155,7 +155,7 @@ def test_the_step_agrees_with_the_textbook_s_equations_under_radau_and_is_of_sec
 def test_oil_and_energy_are_neither_made_nor_lost():
     """Balances over 0.2 s: of the oil in each room, and of power from the pump to heat, all within 1e-6.
 
-    Power balance of a room (docs/axis.md): p·(Q - V̇) compresses its oil. Summed up, the work of the pump
+    Power balance of a room (docs/explanation/axis.md): p·(Q - V̇) compresses its oil. Summed up, the work of the pump
     is that of orifices, leakage and friction, and what is stored in oil, mass and spring.
     """
     p = machine(
@@ -315,7 +315,7 @@ def test_a_fully_open_spool_makes_the_steady_speed(sign, force):
 
 
 def test_a_relief_valve_holds_the_pump_at_its_characteristic():
-    """Closed spool: k_e·√Δp of docs/axis.md takes the pump's flow."""
+    """Closed spool: k_e·√Δp of docs/explanation/axis.md takes the pump's flow."""
     p = machine(supply__kind="pump", supply__flow=2e-3, supply__leakage=0.0, relief__pressure=100e5)
     s = course(p, at_rest(p, supply=1.0), 3000, lambda t: (0.0, 0.0))[-1]
     now = axis.pressures(p, s).supply

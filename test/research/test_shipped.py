@@ -32,7 +32,7 @@ def test_adaptive_laws_rest_at_the_command_in_spite_of_the_offset_of_the_experim
 
 def test_the_table_of_the_docs_is_that_of_the_command(found):
     """Overshoot within 0.3 %, errors within 3 % and 0.2 mV: other compilers round otherwise."""
-    text = (DOCS / "laws" / "reshaping.md").read_text(encoding="utf-8")
+    text = (DOCS / "explanation" / "laws" / "reshaping.md").read_text(encoding="utf-8")
     made = shipped.table(found)
     assert made[0] in text
     for name, line in zip(found, made[2:], strict=True):

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 def test_the_table_of_the_docs_is_that_of_the_command():
     found = {"d633": solenoid.measured(ROOT / "config" / "solenoid" / "d633.yaml")}
     head, rule, row = solenoid.table(found)
-    text = (ROOT / "docs" / "valve_model.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "explanation" / "valve_model.md").read_text(encoding="utf-8")
     assert f"{head}\n{rule}\n" in text and f"\n{row}\n" in text
 
 

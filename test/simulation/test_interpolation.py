@@ -34,6 +34,6 @@ def error(config, kind, frequency):
     [(1.0, 44.0, 72.0, 26.0, 24.1), (3.0, 139.0, 214.0, 96.0, 67.9), (10.0, 447.0, 665.0, 594.0, 74.5)],
 )
 def test_errors_at_100_hz_are_those_of_the_table(config, frequency, hold, linear, extrapolate, bridge):
-    """Of docs/cascade.md."""
+    """Of docs/howto/cascade.md."""
     found = [error(config, kind, frequency) for kind in ("hold", "linear", "extrapolate", "bridge")]
     assert found == pytest.approx([hold, linear, extrapolate, bridge], rel=0.02)

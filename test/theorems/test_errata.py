@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's equations derived again with SymPy: each test is one entry of docs/errata.md.
+"""The paper's equations derived again with SymPy: each test is one entry of docs/reference/errata.md.
 
 Others stand beside the laws in test/laws: (8)-(11) in test_reshaping.py, (12) and (13) over frequency in
 test_compensator.py, (35) and (45) in test_oarc.py, (54) and (55) in test_pid.py.

@@ -14,5 +14,5 @@ Every law module has the same shape:
 ``hold(params, state, command, measurement, voltage)``  one sample at which no reading came.
 
 ``offset`` [V] is added to the law's output before saturation; it is 0.0 except while one law takes
-over from another. Equation numbers are those of the paper, with the corrections of docs/errata.md.
+over from another. Equation numbers are those of the paper, with the corrections of docs/reference/errata.md.
 """

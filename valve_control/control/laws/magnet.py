@@ -5,7 +5,7 @@
 The force lags the voltage by the coil, dF/dt = (u - F)/τ_c. A magnet with hysteresis holds its force until
 the voltage has passed a play of the half width h: the voltage for a force is F + h·sign(dF/dt). A bristle
 that the force drags along stands for the sign. Two solenoids of unequal gains need another voltage on one
-side: a share of the positive part of the force (docs/laws/dcarc.md).
+side: a share of the positive part of the force (docs/explanation/laws/dcarc.md).
 """
 
 from typing import NamedTuple

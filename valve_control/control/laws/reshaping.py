@@ -4,7 +4,7 @@
 
 In the paper's form a fast filter (8) brakes too late for the limit (6), and the reference overshoots.
 The braking form has a damping of 1 at least, and keeps the rate so low that the reference can still stop at
-the command within (6): a step is never overshot. The derivation is in docs/laws/reshaping.md.
+the command within (6): a step is never overshot. The derivation is in docs/explanation/laws/reshaping.md.
 """
 
 import math

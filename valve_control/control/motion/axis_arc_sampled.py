@@ -4,7 +4,7 @@
 
 The law wants the velocity, which no sensor shows: an observer of position, velocity and the acceleration that
 the estimates do not explain makes it from the position's readings and the load force of both pressures. No
-pressure is differentiated. docs/axis_arc.md derives it.
+pressure is differentiated. docs/explanation/axis_arc.md derives it.
 """
 
 import math
@@ -163,7 +163,7 @@ def step(p: Params, s: State, goal: Goal, reading: Reading) -> tuple[float, Stat
 def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> Motion:
     """Where the spool is to be now, with the course's derivatives; ``s``, ``terms``: after the step.
 
-    At constant velocity the opening is h·v/q (docs/axis_arc.md): course's acceleration and jerk times that.
+    At constant velocity the opening is h·v/q (docs/explanation/axis_arc.md): course's acceleration and jerk times that.
     What the errors add has no derivative worth the name. The command is that of the lead later; the course's
     part of it is taken back, as with these derivatives the valve's law makes up for its own lag.
     """

@@ -274,7 +274,7 @@ def steady_speed(p: axis.Params, supply: float, outwards: bool) -> float:
     """Speed [m/s] with fully open edges at a ``supply`` pressure [Pa]; 0 if the load stalls the axis.
 
     Over each edge the pressure falls by (A·v/k)²; what is left carries the constant forces and Coulomb
-    friction (docs/axis.md). Viscous friction, spring, leakage and laminar flow are left out.
+    friction (docs/explanation/axis.md). Viscous friction, spring, leakage and laminar flow are left out.
     """
     c, k, load = p.cylinder, p.coefficients, p.load
     resting = load.force - p.supply.tank * (c.area_a - c.area_b)  # outwards

@@ -3,7 +3,7 @@
 """Computes a sample before the next reading comes, so that its code is in the CPU's caches (cache warming).
 
 Between two readings a process sleeps, and others take the caches: a sample then costs three times what it
-costs in a tight loop. See docs/profile.md.
+costs in a tight loop. See docs/explanation/profile.md.
 """
 
 from valve_control.control.supervision.journal import Journal

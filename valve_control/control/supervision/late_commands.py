@@ -5,7 +5,7 @@
 The derivatives of bare commands are those of a cubic through the newest command and three nodes before it.
 At 1 kHz the nodes count as 5 ms apart, which smooths noise. After ``time`` without a message the motion
 returns to the last one and rests. The distance to a message that comes late decays with its rate and
-acceleration, so that the law sees no step in any of the three (docs/cascade.md).
+acceleration, so that the law sees no step in any of the three (docs/howto/cascade.md).
 """
 
 import math

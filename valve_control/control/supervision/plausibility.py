@@ -11,7 +11,7 @@ through the same low-pass filter and over moved time only:
 
 A wrong sign turns both round; friction, offset, flow force, dead time and a wrong model do not turn both.
 Beside that a reading that rests on one side while the voltage pulls to the other by more than any disturbance
-has the wrong sign. See docs/plausibility.md.
+has the wrong sign. See docs/explanation/plausibility.md.
 """
 
 import math
