@@ -6,8 +6,8 @@ The method (Krus, Jansson, Palmberg and Weddfelt, "Distributed simulation of hyd
 a room of oil is a star of lines, one for each of its N ports, through which pressure travels in one step. A
 port shows the outside a wave c and an impedance Z = N·β·T/(2V·(1 - α)), so that p = c + Z·q there; what sits
 between the rooms is solved at each step for the flows, each part by itself. α damps the waves. In each step
-come first the signals, with what was measured a step before, then the waves, then the flows. docs/explanation/axis.md
-says what that is for.
+come first the signals, with what was measured a step before, then the waves, then the flows.
+docs/explanation/axis.md says what that is for.
 """
 
 import math

@@ -5,8 +5,8 @@
 Between two steps of the fit, and without saturation, law and valve without friction are one linear sampled
 system: the observer, and a valve of other gain, speed, dead time and flow force than its model. Weight θ1
 scales feedback and feedforward alike, so that gain·(1 + θ1) is the gain of the loop. The boxes of valves are
-those of docs/explanation/laws/dcarc.md; they are drawn larger and smaller, to show where the loop breaks and what of the
-valve breaks it.
+those of docs/explanation/laws/dcarc.md; they are drawn larger and smaller, to show where the loop breaks and
+what of the valve breaks it.
 """
 
 import math

@@ -52,7 +52,7 @@ def test_plain_python_and_batches_give_the_bits_of_a_compiled_run(level):
 
 
 def test_an_ideal_valve_follows_its_course_and_settles_within_its_overlap():
-    """Velocity feedforward by the formula of docs/explanation/axis.md leaves 1 % of the motion, less at rest."""
+    """Velocity feedforward (docs/explanation/axis.md) leaves 1 % of the motion, less at rest."""
     valve = {"valve": "custom", "numerator": [3.95e5], "denominator": [1.0, 880.0, 3.95e5]}
     ideal = settings(**valve, open_loop__static_gain=1.0, duration=3.0, pause=0.2)
     ideal["axis_controller"]["back"] = False

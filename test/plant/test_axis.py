@@ -155,8 +155,8 @@ def test_the_step_agrees_with_the_textbook_s_equations_under_radau_and_is_of_sec
 def test_oil_and_energy_are_neither_made_nor_lost():
     """Balances over 0.2 s: of the oil in each room, and of power from the pump to heat, all within 1e-6.
 
-    Power balance of a room (docs/explanation/axis.md): p·(Q - V̇) compresses its oil. Summed up, the work of the pump
-    is that of orifices, leakage and friction, and what is stored in oil, mass and spring.
+    Power balance of a room (docs/explanation/axis.md): p·(Q - V̇) compresses its oil. Summed up, the work of
+    the pump is that of orifices, leakage and friction, and what is stored in oil, mass and spring.
     """
     p = machine(
         sample_period=1e-5,

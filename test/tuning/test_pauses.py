@@ -48,7 +48,8 @@ def reference(commands, **changes):
     return np.array(made)
 
 
-# Motion, reshaping, distance [V] of the reference after a pause of 0, 5, 10, 20 ms: docs/explanation/laws/reshaping.md
+# Motion, reshaping, distance [V] of the reference after a pause of 0, 5, 10, 20 ms:
+# docs/explanation/laws/reshaping.md
 TABLE = [
     (1.0, 12.0, 800.0, 0.0019, (0.03, 0.03, 3.7, 3.8)),
     (1.0, 12.0, 500.0, 0.003, (0.06, 0.06, 0.06, 3.5)),

@@ -8,7 +8,8 @@ The rate comes from past commands: the median of the last three differences, so 
 command that comes a sample late or twice counts as motion; and it grows no faster than (6) allows.
 
 Where the rate changes, an error is left that is proportional to the acceleration of the command. A part of
-the lead that is proportional to it, up to the whole of that error, makes up for it (docs/explanation/laws/reshaping.md).
+the lead that is proportional to it, up to the whole of that error, makes up for it
+(docs/explanation/laws/reshaping.md).
 """
 
 from collections.abc import Sequence

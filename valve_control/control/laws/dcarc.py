@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Desired-compensation adaptive robust control with a Kalman observer; derivation in docs/explanation/laws/dcarc.md.
+"""Desired-compensation adaptive robust control with a Kalman observer.
+
+The derivation is in docs/explanation/laws/dcarc.md.
 
 The voltage of the inverted model and a compensation that is learned come from the reference alone, free
 of noise. A steady-state Kalman filter estimates state and input disturbance from the reading, LQR feeds back

@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Constants of dcarc, designed once: sampled model, its inverse, Kalman filter, LQR (docs/explanation/laws/dcarc.md)."""
+"""Constants of dcarc, designed once: sampled model, its inverse, Kalman filter, LQR.
+
+The derivation is in docs/explanation/laws/dcarc.md.
+"""
 
 import functools
 import math

@@ -75,7 +75,9 @@ FIRST = Sample(ANEW, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def output_feedback(p: Params, before: Sample, now: Sample, rho: float, slope: float) -> Sample:
-    """Sample ``now``, given with V2 as its bound, with the bound on OARC's V2: docs/explanation/lyapunov_bound.md (5).
+    """Sample ``now``, given with V2 as its bound, with the bound on OARC's V2.
+
+    The bound is (5) of docs/explanation/lyapunov_bound.md.
 
     ``rho`` [1/s²]: weight of z2² in V2; ``slope`` [s]: ∂α1/∂x1.
     """

@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Computes output feedback adaptive robust control (OARC), (26)-(53), with the corrections of docs/reference/errata.md.
+"""Computes output feedback adaptive robust control (OARC), (26)-(53).
+
+The equations have the corrections of docs/reference/errata.md.
 
 The weight ρ (``z2_weight``) puts z2 [V·s] on the scale of V/s in V2 = z1²/2 + ρ·z2²/2; ρ = 1 is the
 paper. It changes the cross term to -θ̂3·z1/ρ, φ2's third entry likewise, and τ to φ1·z1 + ρ·φ2·z2.

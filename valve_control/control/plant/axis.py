@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulates one sample of a hydraulic axis as a pure step: supply, spool edges, cylinder and load.
 
-docs/explanation/axis.md derives the equations. The state of a room of oil is its content W [m³], measured at vapour
-pressure: its pressure is p = p_v + 2β·(W - V)/(W + V). So a room that is closed loses nothing, and no
+docs/explanation/axis.md derives the equations. The state of a room of oil is its content W [m³], measured at
+vapour pressure: its pressure is p = p_v + 2β·(W - V)/(W + V). So a room that is closed loses nothing, and no
 pressure falls below that of vapour: with W < V, the difference is a cavity.
 
 The equations are stiff (a small room answers in microseconds). They are integrated by the two-stage

@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Simulates one sample of a valve with proportional solenoids as a pure step; docs/explanation/valve_model.md derives it.
+"""Simulates one sample of a valve with proportional solenoids as a pure step.
+
+docs/explanation/valve_model.md derives it.
 
 Amplifier, coil, magnet with hysteresis, spool with friction and stops, and LVDT, in volts of LVDT signal like
 the linear valve of ``valve``. The voltage is held over the sample, which is divided into substeps. Over each

@@ -102,7 +102,7 @@ DIMENSIONS = (
         "V/s²",
         "±: 0.08 to 5 V at the input",
     ),
-    _law("oarc.z2_weight", 1.0, 1e7, "1/s²", "1 is the print, which chatters at 1 ms (docs/reference/errata.md)"),
+    _law("oarc.z2_weight", 1.0, 1e7, "1/s²", "1 is the print, which chatters at 1 ms (reference/errata.md)"),
     _law("arc.velocity_cutoff", 30.0, 480.0, "Hz", "'backward difference plus low pass'; not printed"),
     _law("pid.derivative_cutoff", 30.0, 480.0, "Hz", "not printed"),
 )
