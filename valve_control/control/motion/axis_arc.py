@@ -4,8 +4,8 @@
 
 By backstepping, after Yao, Bu, Reedy and Chiu, IEEE/ASME Transactions on Mechatronics 5(1), 2000;
 docs/explanation/axis_arc.md derives the equations. Three errors: z1 of the position, z2 of the velocity from
-the one that z1 asks for, z3 of the load force from the one that z2 asks for. Five numbers are estimated: 1/m, b/m,
-Fc/m, Fn/m and the bulk modulus.
+the one that z1 asks for, z3 of the load force from the one that z2 asks for. Five numbers are estimated: 1/m,
+b/m, Fc/m, Fn/m and the bulk modulus.
 """
 
 import math

@@ -164,8 +164,8 @@ def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> Motion
     """Where the spool is to be now, with the course's derivatives; ``s``, ``terms``: after the step.
 
     At constant velocity the opening is h·v/q (docs/explanation/axis_arc.md): course's acceleration and jerk
-    times that. What the errors add has no derivative worth the name. The command is that of the lead later; the
-    course's part of it is taken back, as with these derivatives the valve's law makes up for its own lag.
+    times that. What the errors add has no derivative worth the name. The command is that of the lead later;
+    the course's part of it is taken back, as with these derivatives the valve's law makes up for its own lag.
     """
     m, law = p.law.model, p.law
     x = Measured(s.position, s.velocity, s.pressure_a, s.pressure_b)
