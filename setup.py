@@ -21,7 +21,7 @@ MOVED = ["faults", "joiners", "paper"]  # research; they name the command of a c
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version="1.0.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

@@ -2,4 +2,4 @@
 # SPDX-License-Identifier: Apache-2.0
 """Controls a proportional directional control valve locally, after Bu and Yao."""
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
