@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""A bench of a commissioning without ROS: the real supervisor with a simulated valve, sample by sample."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from valve_control.control.compiling import compile_function
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import registry
+from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.supervisor import Supervisor
+from valve_control.design.commissioning.bench import Course, Fault, Limits, Record, Seen, Told
+from valve_control.design.commissioning.watch import Watch
+from valve_control.parameter import ParameterError, Value, Values, defaults, updated
+
+
+class SupervisedValve:
+    """Controller with its supervisor, and the valve, as ``commissioning.bench.Bench`` wants them."""
+
+    def __init__(
+        self, plant: Mapping[str, Value] | None = None, controller: Mapping[str, Value] | None = None
+    ) -> None:
+        """Bring both to rest; what is not given is the default.
+
+        Raises ParameterError.
+        """
+        self.plant = updated(VALVE, defaults(VALVE), plant or {})
+        self.controller = updated(CONTROLLER, defaults(CONTROLLER), controller or {})
+        self.supervisor = Supervisor()
+        self.supervisor.apply(self.controller, build.law_params(self.controller))
+        self.params = build.valve_params(self.plant)
+        kind = registry.plant_of(self.params)
+        self.state = kind.module.initial(self.params)
+        self._read, self._step = kind.module.read, kind.module.step
+        if kind.compiled:
+            self._read, self._step = compile_function(self._read), compile_function(self._step)
+        self.random = np.random.default_rng(int(float(str(self.plant["seed"]))))
+        self.voltages: list[float] = []
+        self.readings: list[float] = []
+        self.applied: list[dict[str, Value]] = []
+        self.active = True
+        self.late = 1  # samples from one command to the next
+
+    def sample(self) -> tuple[float, float]:
+        """One reading [V] and the voltage [V] that answers it."""
+        reading = float(self._read(self.params, self.state, float(self.random.standard_normal())))
+        voltage = self.supervisor.sample(reading) if self.active else 0.0
+        self.readings.append(reading)
+        self.voltages.append(voltage)
+        self.state = self._step(self.params, self.state, voltage)
+        return reading, voltage
+
+    def values(self) -> Values:
+        """All parameters of the controller."""
+        return dict(self.controller)
+
+    def apply(self, changes: Mapping[str, Value]) -> None:
+        """Set all ``changes`` or none. Raises Fault if they are refused."""
+        try:
+            values = updated(CONTROLLER, self.controller, changes)
+            params = build.law_params(values)
+        except ParameterError as error:
+            raise Fault(str(error)) from error
+        self.controller = values
+        self.applied.append(dict(changes))
+        self.supervisor.apply(values, params)
+
+    def drive(self, course: Course, limits: Limits, told: Told) -> Record:
+        """Give the commands of ``course`` until it ends. Raises Fault as the bench over ROS does."""
+        readings: list[float] = []
+        voltages: list[float] = []
+        commands: list[float] = []
+        command = next(course)
+        period = self.params.period
+        watch = Watch(limits)
+        limited = 0.0
+        while True:
+            if len(readings) % self.late == 0:
+                limited = max(-10.0, min(10.0, command))
+            self.supervisor.command(limited)
+            reading, voltage = self.sample()
+            watch.reading(reading)
+            watch.voltage(voltage)
+            watch.diagnosis(self.supervisor.mode is Mode.SAFE, self.supervisor.reason)
+            readings.append(reading)
+            voltages.append(voltage)
+            commands.append(limited)
+            told(len(readings) * period)
+            try:
+                command = course.send(Seen(len(readings) * period, reading))
+            except StopIteration:
+                return Record(period, np.array(readings), np.array(voltages), np.array(commands))
+
+    def watch(self, limits: Limits) -> None:
+        """Look at one more sample. Raises Fault."""
+        self.supervisor.command(0.0)
+        _, voltage = self.sample()
+        Watch(limits).voltage(voltage)
+
+    def on(self) -> None:
+        """Let the controller work."""
+        if not self.active:
+            self.supervisor.start()
+        self.active = True
+
+    def off(self) -> None:
+        """Give 0 V."""
+        self.active = False
