@@ -39,6 +39,7 @@ def test_the_step_of_the_axis_is_that_of_a_spool_on_a_straight_line():
     assert np.max(np.abs(found - expected)) < 1e-9
 
 
+@pytest.mark.campaign
 def test_the_published_figures_come_out_and_a_servo_valve_loses_next_to_nothing():
     """About 0.002 mm with exact parameters, about 0.07 mm with all of them 10 % low."""
     alone = delta.published(delta.Case(delta.NONE))

@@ -64,6 +64,7 @@ def test_by_hopsans_method_all_four_columns_of_its_reference_come_out():
         assert np.max(np.abs(found - QUOTED[:, i])) < 1e-5 * RANGES[name], name
 
 
+@pytest.mark.campaign
 def test_with_smaller_steps_hopsans_method_comes_to_ours():
     """Lines of 10 µs instead of 100 against our step: overshoot, cavitation and limit cycle, no delay.
 

@@ -67,7 +67,9 @@ def check_repaired(path, data, ends):
     return got
 
 
-@pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
+@pytest.mark.parametrize(
+    "compression", ["none", *(pytest.param(name, marks=pytest.mark.campaign) for name in ("zstd", "lz4"))]
+)
 def test_a_file_may_end_anywhere(tmp_path, whole, compression):
     """Cut at 150 random places, and at each byte around the ends of records."""
     data, ends = whole[compression]

@@ -117,7 +117,7 @@ class Axis:
     ("machine", "level", "duration"),
     [
         ("bench", "axis_pid", 0.9),
-        ("bench", "axis_arc", 0.6),
+        pytest.param("bench", "axis_arc", 0.6, marks=pytest.mark.campaign),
         pytest.param("press", "axis_pid", 0.9, marks=pytest.mark.campaign),
         pytest.param("crane_boom", "axis_arc", 2.0, marks=pytest.mark.campaign),
     ],

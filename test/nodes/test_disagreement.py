@@ -8,7 +8,7 @@ import pytest
 from valve_control.nodes.harness.lockstep import CONFIG, run_lockstep
 
 
-@pytest.mark.parametrize("controller", ["arc", "pid"])
+@pytest.mark.parametrize("controller", ["arc", pytest.param("pid", marks=pytest.mark.campaign)])
 def test_an_lvdt_of_wrong_sign_is_named_and_held_off(ros, tmp_path, controller):
     run = run_lockstep(
         "flipped",

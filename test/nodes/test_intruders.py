@@ -42,7 +42,10 @@ def test_two_controllers_on_one_valve_are_reported_by_both_and_by_the_simulator(
         assert "2 publishers on valve_voltage" in (tmp_path / log).read_text()
 
 
-@pytest.mark.parametrize(("period", "word"), [(0.0095, ""), (0.005, ": more than 15% off, not controlled")])
+@pytest.mark.parametrize(
+    ("period", "word"),
+    [pytest.param(0.0095, "", marks=pytest.mark.campaign), (0.005, ": more than 15% off, not controlled")],
+)
 def test_readings_of_another_rate_are_reported_and_beyond_the_limit_not_controlled(
     ros, tmp_path, period, word
 ):

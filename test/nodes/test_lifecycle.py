@@ -22,7 +22,7 @@ def change(ros, node, transition):
     return call(ros, ChangeState, f"/{node}/change_state", request).success
 
 
-@pytest.mark.parametrize("node", ["controller", "valve_simulator"])
+@pytest.mark.parametrize("node", ["controller", pytest.param("valve_simulator", marks=pytest.mark.campaign)])
 def test_activates_itself_unless_told_not_to(ros, tmp_path, node):
     with process(node, [], tmp_path / "log"):
         assert state(ros, node) == "active"

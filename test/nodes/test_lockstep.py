@@ -25,7 +25,7 @@ from valve_control.nodes.harness.processes import process
 SHORT = "0.3"  # s of valve time, in which the command has begun to move
 
 
-@pytest.mark.parametrize("seconds", [2, pytest.param(sizes.LOCKSTEP, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("seconds", [1, pytest.param(sizes.LOCKSTEP, marks=pytest.mark.campaign)])
 def test_the_motion_equals_offline_for_every_controller(tmp_path, seconds):
     entries = run_tool("lockstep", tmp_path, "--duration", str(seconds))
     assert [e["controller"] for e in entries] == ["arc", "oarc", "dcarc", "pid", "compensator", "open_loop"]
@@ -83,7 +83,9 @@ class Disturbance:
             self.over = True
 
 
-@pytest.mark.parametrize("node, seconds", [("controller", 3.5), ("command_source", 6.0)])
+@pytest.mark.parametrize(
+    "node, seconds", [("controller", 3.5), pytest.param("command_source", 6.0, marks=pytest.mark.campaign)]
+)
 def test_a_process_that_stands_still_is_waited_for(ros, tmp_path, node, seconds):
     """No reading comes twice, and no sample goes without its command, however long it takes."""
     stop = Disturbance(node, seconds)

@@ -35,7 +35,8 @@ RECORDED = (
 
 @pytest.mark.alone
 @pytest.mark.parametrize(
-    ("storage", "first", "period"), [("mcap", True, "3600.0"), ("sqlite3", False, "0.2")]
+    ("storage", "first", "period"),
+    [("mcap", True, "3600.0"), pytest.param("sqlite3", False, "0.2", marks=pytest.mark.campaign)],
 )
 def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage, first, period):
     """With live changes of parameters and of the law; the recorder comes before or after the controller.
@@ -114,7 +115,7 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage
 @pytest.mark.parametrize(
     ("message", "settings"),
     [
-        ("trajectory", {}),
+        pytest.param("trajectory", {}, marks=pytest.mark.campaign),
         ("command", {"command.interpolation": "extrapolate", "reshaping.lead": 0.005}),
     ],
 )

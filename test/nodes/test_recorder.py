@@ -127,7 +127,7 @@ def flows(folder, storage):
 
 
 @pytest.mark.alone
-@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("storage", ["mcap", pytest.param("sqlite3", marks=pytest.mark.campaign)])
 def test_cascade_at_1_khz_without_loss(ros, tmp_path, cascade, storage):
     folder, log = tmp_path / "bag", tmp_path / "log"
     with recorder(folder, log, f"storage:={storage}", "report_period:=1.0") as child:

@@ -58,7 +58,7 @@ def point(position, *derivatives, seconds=0.0):
     return message
 
 
-@pytest.mark.parametrize("law", ["arc", "open_loop"])
+@pytest.mark.parametrize("law", ["arc", pytest.param("open_loop", marks=pytest.mark.campaign)])
 def test_the_controller_follows_refuses_and_tells(ros, tmp_path, law):
     said = []
     with controller(tmp_path, "-p", f"controller:={law}"):

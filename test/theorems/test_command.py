@@ -45,6 +45,7 @@ def short(monkeypatch):
     monkeypatch.setattr(adaptive.experiment, "__defaults__", defaults)
 
 
+@pytest.mark.campaign
 def test_command_writes_table_json_and_figure(tmp_path, capsys, short):
     target, figure = tmp_path / "a.json", tmp_path / "a.svg"
     arguments = ["--valves", "6", "--adaptive-valves", "2", *FEW]
