@@ -6,7 +6,6 @@
 QUALITY_DECLARATION.md.
 """
 
-import ast
 import importlib.util
 import json
 from pathlib import Path
@@ -15,7 +14,6 @@ from valve_control.control.parameters.axis import ROS_NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORD = Path(__file__).with_name("interface.json")
-SUPERVISION = ROOT / "valve_control" / "control" / "supervision"
 
 
 def _generate():
@@ -23,15 +21,6 @@ def _generate():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-def _conditions():
-    for path in sorted(SUPERVISION.glob("*.py")):
-        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(call, ast.Call) and len(call.args) >= 3:
-                name = getattr(call.func, "attr", getattr(call.func, "id", ""))
-                if name in ("report", "latch") and isinstance(call.args[1], ast.Constant):
-                    yield str(call.args[1].value)
 
 
 def _options(parser):
@@ -44,13 +33,14 @@ def interface():
     from valve_control.control.drivers import registry as drivers
     from valve_control.control.laws import registry as laws
     from valve_control.control.plant import registry as plants
+    from valve_control.control.supervision import watch_table
 
     return {
         "parameters": {node: {p.name: p.type_name for p in table} for node, table in ROS_NODES.items()},
         "topics and services": sorted(
             f"{e.node} {e.kind} {e.name} {e.type_name}" for e in _generate().entities()
         ),
-        "conditions": sorted(set(_conditions())),
+        "conditions": sorted({name for one in watch_table.conditions() for name in one.names}),
         "command line": {name: _options(p) for name, p in command.Commands().parsers.items()},
         "entry point groups": [laws.GROUP, plants.GROUP, drivers.GROUP],
     }

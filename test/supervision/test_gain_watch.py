@@ -53,22 +53,22 @@ def entries(p, c, ratio, frequency, friction, seconds, s=gain_watch.NOTHING):
         v, a = 2.5 * omega * math.cos(omega * t), -omega * omega * y
         u = (a + a1 * v + a0 * y) / b0 + math.copysign(friction, v) + 0.2
         shown = shown._replace(y3=ratio * y, velocity=ratio * v, u4=u, warm=0.0)
-        s = gain_watch.step(p, c, s, shown)
+        s = gain_watch.step(p, s, plausibility.Seen(0.0, 0.0, u, False, shown))
     return s
 
 
 @pytest.mark.parametrize("ratio", [0.5, 0.9, 1.0, 1.2, 1.45, 2.0])
 def test_the_change_is_measured_with_friction_and_offset(ratio):
     c = plausibility.design(MODEL, PERIOD, 1.0, 0.1, 5.0)
-    p = gain_watch.design(c)
+    p = gain_watch.design({}, c)
     s = entries(p, c, 1.0, 1.0, 0.5, 6.0)
     s = entries(p, c, ratio, 1.0, 0.5, 20.0, s)
     assert s.usual / s.present == pytest.approx(ratio, rel=0.05)
-    assert gain_watch.has_changed(p, s) == (max(ratio, 1.0 / ratio) > gain_watch.CHANGED)
+    assert gain_watch.found(p, s) == (max(ratio, 1.0 / ratio) > gain_watch.CHANGED)
 
 
 def test_fast_motion_tells_nothing():
     c = plausibility.design(MODEL, PERIOD, 1.0, 0.1, 5.0)
-    p = gain_watch.design(c)
+    p = gain_watch.design({}, c)
     s = entries(p, c, 1.0, 5.0, 0.5, 6.0)
     assert s.usual == 0.0

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_cycle_watch import TUNED, Loop, sine
 
-from valve_control.control.supervision import noise_watch
+from valve_control.control.supervision import noise_watch, plausibility
 
 PERIOD = 1e-3  # s
 
@@ -54,10 +54,12 @@ def test_motion_and_rounding_are_no_noise(config, law, bits):
 @given(st.floats(0.0005, 0.1), st.floats(0.0, 40.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=30, deadline=None)
 def test_white_noise_on_a_motion_is_measured(deviation, speed, seed):
-    p, s = noise_watch.design(1200.0, PERIOD, 1.0), noise_watch.NOTHING
+    check = plausibility.design((20.0, 1200.0, 1200.0), PERIOD, 1.0, 0.1, 5.0)._replace(span=PERIOD)
+    p, s = noise_watch.design({"sample_period": PERIOD}, check), noise_watch.NOTHING
+    nothing = plausibility.initial(check, 0.0, 0.0).shown
     readings = speed * PERIOD * np.arange(253) + deviation * np.random.default_rng(seed).standard_normal(253)
     for second in np.diff(readings, 2).tolist():
-        s = noise_watch.step(p, s, second, 0.0, 0.0)
+        s = noise_watch.step(p, s, plausibility.Seen(second, 0.0, 0.0, False, nothing))
         if s.windows > 0.0:
             break
     assert s.usual == pytest.approx(deviation, rel=0.35)

@@ -4,7 +4,7 @@
 
 import ast
 import types
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from valve_control.export import kinds
@@ -29,13 +29,19 @@ class Values:
     """A function that is translated, with the values that it has."""
 
     def __init__(
-        self, program: Program, function: types.FunctionType, parsed: ast.stmt, said: dict[int, str]
+        self,
+        program: Program,
+        function: types.FunctionType,
+        parsed: ast.stmt,
+        entries: Mapping[str, Any],
+        said: dict[int, str],
     ) -> None:
         self._program = program
         self._function = function
         if not isinstance(parsed, ast.FunctionDef):
             raise self.refused(parsed, "only plain functions can be exported")
         self._parsed = parsed
+        self._entries = entries  # of tables, by the names that stand for them
         self._said = said
         self._scope: dict[str, Term] = {}
         self._lines: list[str] = []
@@ -172,6 +178,8 @@ class Values:
         """What a name of the module stands for, or MISSING for all that is computed."""
         if isinstance(node, ast.Constant):
             return node.value
+        if isinstance(node, ast.Name) and node.id in self._entries:
+            return self._entries[node.id]
         if isinstance(node, ast.Name) and node.id not in self._locals:
             scope = self._function.__globals__
             if node.id in scope:
@@ -183,7 +191,8 @@ class Values:
             return found[node.id]
         if isinstance(node, ast.Attribute):
             base = self._resolved(node.value)
-            if isinstance(base, types.ModuleType):
+            is_entry = isinstance(node.value, ast.Name) and node.value.id in self._entries
+            if isinstance(base, types.ModuleType) or is_entry:
                 if not hasattr(base, node.attr):
                     raise self.refused(node, f"{base.__name__} has no {node.attr}")
                 return getattr(base, node.attr)

@@ -12,8 +12,10 @@ import math
 from typing import NamedTuple
 
 from valve_control.control.supervision import plausibility
+from valve_control.control.supervision.conditions import Condition
 from valve_control.control.supervision.plausibility import NOTHING as EMPTY
-from valve_control.control.supervision.plausibility import Shown, Sums
+from valve_control.control.supervision.plausibility import Seen, Sums
+from valve_control.parameter import Values
 
 EVERY = 4.0  # blocks of the plausibility check, of which one counts
 FORGET = 70.0  # of the sums, moved time in units of 1/√a0
@@ -27,6 +29,19 @@ BACK = 1.3  # factor below which the report ends
 LASTING = 1.0  # of the moved time FORGET, for which it must be there
 
 
+CONDITIONS = (
+    Condition(
+        ("lvdt_gain",),
+        "degraded",
+        "LVDT readings over the voltage are … times those of the start: LVDT or valve drifts",
+        "on slow motions (below about 2 Hz) the gain from the voltage to the reading has changed "
+        "by a factor of 1.5 since the start, for 2 s of motion; voltage and reading alone cannot "
+        "separate LVDT and valve; `~/reset` starts anew; not with `lvdt.disturbance: 0.0`",
+        "compare the LVDT with its stops and its centre; check the supply pressure and the solenoids",
+    ),
+)
+
+
 class Params(NamedTuple):
     """How much motion is needed."""
 
@@ -35,6 +50,7 @@ class Params(NamedTuple):
     lasting: float  # entries
     slow: float  # 1/s²  square of the frequency below which a motion counts
     span: float  # s  between two entries
+    check: plausibility.Params  # beside which it is
 
 
 class State(NamedTuple):
@@ -52,22 +68,26 @@ class State(NamedTuple):
 NOTHING = State(0.0, 0.0, EMPTY, 0.0, 0.0, 0.0, 0.0)
 
 
-def design(p: plausibility.Params) -> Params:
-    """Watch beside the plausibility check ``p``."""
-    own = 1.0 / math.sqrt(p.a0)
-    span = EVERY * p.span
+def design(values: Values, c: plausibility.Params) -> Params:
+    """Watch beside the plausibility check ``c``."""
+    own = 1.0 / math.sqrt(c.a0)
+    span = EVERY * c.span
     entries = FORGET * own / span
     return Params(
         math.exp(-1.0 / entries),
         ENOUGH * entries,
         LASTING * entries,
-        SLOW * SLOW * p.a0,
+        SLOW * SLOW * c.a0,
         span,
+        c,
     )
 
 
-def step(p: Params, c: plausibility.Params, s: State, shown: Shown) -> State:
-    """State after a block of the plausibility check ``c``, which has ``shown`` so much."""
+def step(p: Params, s: State, seen: Seen) -> State:
+    """State after one more block."""
+    if seen.doubted:
+        return s
+    c, shown = p.check, seen.shown
     skipped = s.skipped + 1.0
     if skipped < EVERY:
         return s._replace(skipped=skipped)
@@ -78,20 +98,20 @@ def step(p: Params, c: plausibility.Params, s: State, shown: Shown) -> State:
     w = (acceleration + c.a1 * velocity + c.a0 * shown.y3) / c.b0
     sums = plausibility.add(p.keep, s.sums, shown.u4, shown.y3, w, math.copysign(1.0, velocity))
     rates = p.keep * s.rates + velocity * velocity
-    found = slope(p, c, sums, rates)
-    if found == 0.0:
+    present = slope(p, c, sums, rates)
+    if present == 0.0:
         return State(0.0, velocity, sums, rates, s.usual, 0.0, s.strange)
     if s.usual == 0.0:
-        return State(0.0, velocity, sums, rates, found, found, 0.0)
-    change = max(found / s.usual, s.usual / found)
+        return State(0.0, velocity, sums, rates, present, present, 0.0)
+    change = max(present / s.usual, s.usual / present)
     strange = 0.0
     if change > (BACK if s.strange >= p.lasting else CHANGED):
         strange = min(p.lasting, s.strange + 1.0)
-    return State(0.0, velocity, sums, rates, s.usual, found, strange)
+    return State(0.0, velocity, sums, rates, s.usual, present, strange)
 
 
-def anew(s: State) -> State:
-    """State ``s`` with the slope of the start, and no motion."""
+def stopped(s: State) -> State:
+    """State after the voltage was switched off: the slope of the start stays, the motion does not."""
     return State(0.0, 0.0, EMPTY, 0.0, s.usual, 0.0, s.strange)
 
 
@@ -105,12 +125,17 @@ def slope(p: Params, c: plausibility.Params, sums: Sums, rates: float) -> float:
     return max(0.0, plausibility.slope(c, sums))
 
 
-def has_changed(p: Params, s: State) -> bool:
+def found(p: Params, s: State) -> bool:
     """Whether the gain is reported as changed."""
     return s.strange >= p.lasting
 
 
-def text(s: State) -> str:
+def text(p: Params, s: State) -> str:
     """One sentence about the change."""
     times = s.usual / s.present if s.present > 0.0 else 1.0
     return f"LVDT readings over the voltage are {times:.2g} times those of the start: LVDT or valve drifts"
+
+
+def forgotten(s: State) -> State:
+    """State after a reset, or under another model of the valve."""
+    return NOTHING

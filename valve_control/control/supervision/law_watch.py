@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from valve_control.control.supervision import conditions
+from valve_control.control.supervision.conditions import Condition
 from valve_control.parameter import Values, number
 
 ASSUMPTIONS = {
@@ -15,6 +16,32 @@ ASSUMPTIONS = {
     "burden": "observer and compensation make good more disturbance than the spread of the weights allows: "
     "the valve has left the assumed model, friction, flow force or offset",
 }  # what is said when a term of the law is above the one of its name with _bound
+
+
+CONDITIONS = (
+    Condition(
+        ("saturation",),
+        "degraded",
+        "saturated for more than … s",
+        "the time at ±`u_max` exceeds the time below it by `saturation_limit`; estimates and "
+        "integrator stand still",
+        "command too fast, `reshaping.*`, jammed spool",
+    ),
+    Condition(
+        ("assumptions",),
+        "degraded",
+        "V2 is above its guaranteed bound",
+        "the valve has left the assumed ranges of θ or the disturbance bound",
+        'see "The assumption monitor"',
+    ),
+    Condition(
+        ("law_not_finite",),
+        "safe",
+        "the control law … produced NaN or infinity",
+        "its gains are far from any stable set",
+        "the gains",
+    ),
+)
 
 
 class Params(NamedTuple):

@@ -12,6 +12,10 @@ is robust against a few jumps.
 import math
 from typing import NamedTuple
 
+from valve_control.control.supervision import plausibility
+from valve_control.control.supervision.conditions import Condition
+from valve_control.parameter import Values, number
+
 SHARE = 1.954  # mean |D| over σ
 MOST = 3.0  # times the model's acceleration, of a stronger valve
 SLOW = 0.02  # s  time constant of the slow part of the voltage
@@ -22,6 +26,19 @@ ROUNDING = 0.3  # of the converter's step, noise that rounding gives in motion
 FLOOR = 0.005  # V  noise below is none that is reported
 LASTING = 2.0  # windows in a row
 CALMED = 0.75  # of the reported noise, below which the word ends
+
+
+CONDITIONS = (
+    Condition(
+        ("lvdt_noise",),
+        "degraded",
+        "LVDT noise is … mV rms, … mV at the start",
+        "for 0.5 s the noise is more than four times that of the first second of control, and "
+        "more than 5 mV; it is computed from the second differences of the readings, without the "
+        "part that the voltage explains; not with `lvdt.disturbance: 0.0`",
+        "cable, shield and converter of the LVDT; lower cut-off of the law's velocity filter",
+    ),
+)
 
 
 class Params(NamedTuple):
@@ -48,24 +65,22 @@ class State(NamedTuple):
 NOTHING = State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def design(b0: float, period: float, block: float) -> Params:
-    """Watch of a valve with b0 [1/s²] at ``period`` [s], called once a ``block`` [samples]."""
+def design(values: Values, c: plausibility.Params) -> Params:
+    """Watch with the controller's ``values`` beside the plausibility check ``c``."""
+    period = number(values, "sample_period")
     return Params(
-        max(1.0, float(round(WINDOW / (block * period)))),
-        MOST * b0 * period * period,
-        min(1.0, block * period / SLOW),
+        max(1.0, float(round(WINDOW / c.span))),
+        MOST * c.b0 * period * period,
+        min(1.0, c.span / SLOW),
     )
 
 
-def step(p: Params, s: State, second: float, grain: float, voltage: float) -> State:
-    """State after one more block, at whose end the readings have the ``second`` difference [V].
-
-    ``grain`` [V]: step of the converter; ``voltage`` [V]: applied.
-    """
+def step(p: Params, s: State, seen: plausibility.Seen) -> State:
+    """State after one more block."""
     blocks = s.blocks + 1.0
-    differences = s.differences + abs(second)
-    pull = s.pull + abs(voltage - s.slow)
-    slow = s.slow + p.follow * (voltage - s.slow)
+    differences = s.differences + abs(seen.second)
+    pull = s.pull + abs(seen.voltage - s.slow)
+    slow = s.slow + p.follow * (seen.voltage - s.slow)
     if blocks < p.blocks:
         return State(blocks, differences, pull, slow, s.windows, s.usual, s.noise, s.loud)
     motion = p.explained * pull
@@ -73,7 +88,7 @@ def step(p: Params, s: State, second: float, grain: float, voltage: float) -> St
     if s.windows < LEARNT:
         usual = s.usual + (noise - s.usual) / (s.windows + 1.0)
         return State(0.0, 0.0, 0.0, slow, s.windows + 1.0, usual, noise, 0.0)
-    limit = allowed(s, grain)
+    limit = allowed(s, seen.grain)
     loud = 0.0
     if noise > (CALMED * limit if s.loud >= LASTING else limit):
         loud = min(LASTING, s.loud + 1.0)
@@ -85,11 +100,21 @@ def allowed(s: State, grain: float) -> float:
     return max(FLOOR, LOUDER * max(s.usual, ROUNDING * grain))
 
 
-def is_loud(s: State) -> bool:
+def found(p: Params, s: State) -> bool:
     """Whether the noise is reported."""
     return s.loud >= LASTING
 
 
-def text(s: State) -> str:
+def text(p: Params, s: State) -> str:
     """One sentence about the noise of the last window."""
     return f"LVDT noise is {1e3 * s.noise:.2g} mV rms, {1e3 * s.usual:.2g} mV at the start"
+
+
+def stopped(s: State) -> State:
+    """State after the voltage was switched off."""
+    return s
+
+
+def forgotten(s: State) -> State:
+    """State after a reset, or under another model of the valve: the noise of the start stays."""
+    return s

@@ -17,6 +17,8 @@ has the wrong sign. See docs/explanation/plausibility.md.
 import math
 from typing import NamedTuple
 
+from valve_control.control.supervision.conditions import Condition
+
 # In units of 1/√a0, the valve's own time
 BLOCK = 0.14  # readings are averaged over this
 LOW_PASS = 0.4  # time constant of each of the three stages
@@ -42,6 +44,24 @@ TEXTS = {
     "wrong_side": "wrong sign or offset",
     "flat": "they stay where they are while it is saturated on either side; too flat, or stuck spool",
 }
+
+
+CONDITIONS = (
+    Condition(
+        ("lvdt_disagrees",),
+        "safe",
+        "LVDT readings disagree with the voltage: wrong sign; gain about …; … too flat, or stuck spool",
+        "see [Does the reading answer the voltage?](../explanation/plausibility.md)",
+        "wiring and scaling of the LVDT; polarity of the amplifier; then `~/reset`",
+    ),
+    Condition(
+        ("lvdt_doubted",),
+        "degraded",
+        "LVDT readings were wrong; motion has not shown yet …",
+        "trial after a jump or a disagreement, with at most 1.2 times `lvdt.disturbance` as voltage",
+        "move the valve for half a second",
+    ),
+)
 
 
 class Params(NamedTuple):
@@ -107,6 +127,16 @@ class Shown(NamedTuple):
     last_voltage: float  # V  the last such voltage and
     last_reading: float  # V  what the reading asked for
     usual: float  # -  slope in the long run, 0.0: not known yet
+
+
+class Seen(NamedTuple):
+    """What the watches beside this check see of a block."""
+
+    second: float  # V  second difference of the readings at its end
+    grain: float  # V  step of the converter
+    voltage: float  # V  applied before its last reading
+    doubted: bool  # whether the readings were found wrong, and motion has not shown yet that they are sound
+    shown: Shown
 
 
 class State(NamedTuple):

@@ -12,6 +12,8 @@ them on together. Each voltage but the last of a burst is then replaced before t
 
 from typing import NamedTuple
 
+from valve_control.control.supervision.conditions import Condition
+
 WINDOW = 0.1  # s; a reading at its end that is late by 1 ms is 1 %
 WINDOWS = 9  # the middle of them counts
 LEAST = 20  # readings in a window
@@ -20,6 +22,26 @@ LASTING = 20  # windows for which a deviation below the limit lasts before it is
 QUICK = 0.4  # of the sample period; a reading that comes sooner after the one before is in a burst with it
 CROWDED = 0.4  # share of readings that come quickly, from which a window has bursts; two at a time make 0.5
 CALMED = 0.75  # of a limit, below which it counts as kept again
+
+
+CONDITIONS = (
+    Condition(
+        ("lvdt_rate", "lvdt_period"),
+        "degraded beyond 2 %, safe beyond `lvdt.period_limit`",
+        "LVDT readings come every … ms, sample_period is … ms",
+        "the driver's rate differs from the design rate of the law; the median of nine windows of "
+        "0.1 s counts; a deviation within the limit is reported after 2 s",
+        "`sample_period`, or the driver's rate",
+    ),
+    Condition(
+        ("lvdt_bursts",),
+        "degraded",
+        "LVDT readings come in bursts of about …, one burst in … ms",
+        "for 2 s, more than 40 % of the readings come within 0.4 of `sample_period` after the reading before",
+        "driver, gateway or network that collects readings; only the last voltage of a burst "
+        "acts, so the loop has the dead time of a burst",
+    ),
+)
 
 
 class Params(NamedTuple):

@@ -4,10 +4,10 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, make_dataclass
 from difflib import get_close_matches
 from enum import IntEnum
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from valve_control.control.laws import command_lead
 from valve_control.control.laws import velocity as tachometer
@@ -18,17 +18,16 @@ from valve_control.control.supervision import (
     command_watch,
     conditions,
     cycle_watch,
-    gain_watch,
     late_commands,
     lock_in,
     lvdt,
     lvdt_watch,
-    noise_watch,
     oscillation,
     plausibility,
     rate,
 )
 from valve_control.control.supervision import trajectory as points
+from valve_control.control.supervision.watch_table import BESIDE, REPORTING, Watch
 from valve_control.parameter import ParameterError, one_of
 
 HEAD = ("sample", "mode", "command", "measurement", "voltage", "offset")
@@ -62,8 +61,8 @@ class Mode(IntEnum):
 
 
 @dataclass(slots=True)
-class Memory:
-    """All that is remembered between two samples, beside parameters; a snapshot keeps it up to ``said``."""
+class Fixed:
+    """What ``Memory`` has whatever the table of watches is; a snapshot keeps it up to ``said``."""
 
     samples: int = 0
     now: float = 0.0  # s  since init
@@ -92,8 +91,6 @@ class Memory:
     probe: lock_in.State = lock_in.NOTHING  # of these cycles
     source: str = ""  # of cycles that go on: oscillation, lvdt_hum, none
     pause: cycle_watch.Pause = cycle_watch.NEVER  # after cycles at the limit of the voltage
-    noise: noise_watch.State = noise_watch.NOTHING  # of the readings
-    gain: gain_watch.State = gain_watch.NOTHING  # of the readings over the voltage
     said: conditions.State = conditions.NOTHING
     motion: points.Motion = NO_MOTION  # wanted at this sample
     fading: bool = True  # whether an offset of ``transfer`` may be other than 0
@@ -103,8 +100,20 @@ class Memory:
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTS, 0))
 
 
-_NAMES = tuple(one.name for one in fields(Memory))
-KEPT = _NAMES[: _NAMES.index("said") + 1]  # by a snapshot
+if TYPE_CHECKING:
+    Memory = Fixed
+else:
+    Memory = make_dataclass(
+        "Memory",
+        [(w.slot, w.module.State, w.module.NOTHING) for w in BESIDE],
+        bases=(Fixed,),
+        namespace={"__doc__": "All that is remembered between two samples, beside parameters."},
+        slots=True,
+    )
+    Memory.__module__, Memory.template = __name__, Fixed
+_NAMES = [one.name for one in fields(Fixed)]
+_END = _NAMES.index("said")
+KEPT = (*_NAMES[:_END], *(w.slot for w in BESIDE), "said")  # by a snapshot
 
 
 def node_only(function: F) -> F:
@@ -160,13 +169,40 @@ def forget_saturation(m: Memory) -> None:
 
 
 @node_only
-def forget_gain(m: Memory) -> None:
-    """Drop what is known of the gain of the readings over the voltage."""
-    m.gain = gain_watch.NOTHING
-    clear(m, "lvdt_gain")
+def reported_of(p: Any, m: Memory, seen: plausibility.Seen) -> None:
+    """Let the watches that only report look at a block; ``p``: Params of the watches beside the check."""
+    for watch in REPORTING:
+        module, name = watch.module, watch.condition
+        params = getattr(p, watch.slot)
+        state = module.step(params, getattr(m, watch.slot), seen)
+        setattr(m, watch.slot, state)
+        if module.found(params, state) != (name in m.said.texts):
+            if name in m.said.texts:
+                clear(m, name)
+            else:
+                report_one(p, m, watch)
 
 
 @node_only
-def forget_motion(m: Memory) -> None:
-    """Drop the motion from which the gain of the readings over the voltage is being measured."""
-    m.gain = gain_watch.anew(m.gain)
+def report_one(p: Any, m: Memory, watch: Watch) -> None:
+    """Report the condition of ``watch``."""
+    text = watch.module.text(getattr(p, watch.slot), getattr(m, watch.slot))
+    report(m, watch.condition, text)
+
+
+@node_only
+def stop_reporting(m: Memory) -> None:
+    """The voltage is switched off."""
+    for watch in REPORTING:
+        setattr(m, watch.slot, watch.module.stopped(getattr(m, watch.slot)))
+
+
+@node_only
+def forget_reported(m: Memory) -> None:
+    """Drop what the watches that only report have learnt of the valve."""
+    for watch in REPORTING:
+        before = getattr(m, watch.slot)
+        after = watch.module.forgotten(before)
+        if after is not before:
+            setattr(m, watch.slot, after)
+            clear(m, watch.condition)

@@ -39,7 +39,6 @@ from valve_control.control.supervision.record import (
     Mode,
     clear,
     count,
-    forget_gain,
     latch,
     report,
     tell,
@@ -92,7 +91,7 @@ class Supervisor:
         self._watch_law = law_watch.design(values)
         if former is not None and made.lvdt.comparison != former.lvdt.comparison:
             m.evidence = None
-            forget_gain(m)
+            watch.forget_watches(m)
         if former is not None and made.lvdt.period != former.lvdt.period:
             m.pace = rate.UNKNOWN
             clear(m, "lvdt_rate")

@@ -27,15 +27,14 @@ from valve_control.control.supervision import (
     command_watch,
     conditions,
     cycle_watch,
-    gain_watch,
     late_commands,
     lock_in,
     lvdt,
     lvdt_watch,
-    noise_watch,
     oscillation,
     plausibility,
     rate,
+    watch_table,
 )
 from valve_control.control.supervision import trajectory as points
 from valve_control.control.supervision.record import (
@@ -44,13 +43,16 @@ from valve_control.control.supervision.record import (
     clear,
     count,
     expire,
-    forget_gain,
-    forget_motion,
+    forget_reported,
     forget_saturation,
     latch,
     node_only,
     report,
+    report_one,
+    reported_of,
+    stop_reporting,
 )
+from valve_control.control.supervision.watch_table import REPORTING, STOPPING
 from valve_control.parameter import Values, number, word
 
 BOTH = "spool_command is ignored while spool_trajectory commands"
@@ -62,8 +64,7 @@ TOLD = (
         "pace",
         "kept",
         "saturated_for",
-        "noise",
-        "gain",
+        *(watch.slot for watch in REPORTING),
         "said",
         "name",
         "changed",
@@ -79,8 +80,7 @@ class Params(NamedTuple):
     command: command_watch.Params
     lvdt: lvdt_watch.Params
     cycles: cycle_watch.Params  # of the voltage
-    noise: noise_watch.Params  # of the readings
-    gain: gain_watch.Params | None  # of the readings over the voltage
+    watches: Any  # of the table, which look at the blocks of the plausibility check; None without it
     lead: command_lead.Params | None  # of the command
     transfer: bumpless_transfer.Params
     joining: command_course.Params | None  # of commands
@@ -108,12 +108,7 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
             watched.hold_off,
             watched.hold_off_limit,
         ),
-        noise_watch.design(
-            watched.judge.b0,
-            watched.period,
-            1.0 if watched.comparison is None else watched.comparison.block,
-        ),
-        None if watched.comparison is None else gain_watch.design(watched.comparison),
+        watch_table.design(values, watched.comparison),
         command_lead.build(values, reshaped),
         bumpless_transfer.design(number(values, "transfer_time"), number(values, "sample_period")),
         command_course.design(values),
@@ -295,7 +290,7 @@ def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
 def reset(p: Params, m: Memory) -> None:
     """Set estimates and filters to their start, without a bump, and drop doubts about the LVDT."""
     end_doubt(m)
-    forget_gain(m)
+    forget_watches(m)
     m.pause = cycle_watch.NEVER
     m.former = None
     if m.law is not None:
@@ -341,8 +336,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, reading)
     m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
     if m.evidence is not None and m.evidence.held == 0.0:
-        watch_noise(p, m, applied)
-        watch_gain(p, m)
+        watch_block(p, m, applied, m.evidence.shown)
         confront(p, m)
     if m.law is not None and p.cycles.cycling.amplitude > 0.0:
         watch_cycles(p, m, reading, voltage)
@@ -401,38 +395,29 @@ def has_leapt(m: Memory) -> bool:
     return m.trust.bridged > 0 and m.jumped_until >= 0.0
 
 
-@node_only
-def watch_noise(p: Params, m: Memory, applied: float) -> None:
-    """Measure the noise of the readings after a block at whose end ``applied`` [V] is on."""
+def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown) -> None:
+    """Let the watches of the table look at a block, at whose end ``applied`` [V] is on; it has ``shown``."""
+    reported_of(p.watches, m, seen(m, applied, shown))
+    for watch in STOPPING:
+        now = seen(m, applied, shown)
+        setattr(m, watch.slot, watch.module.step(getattr(p.watches, watch.slot), getattr(m, watch.slot), now))
+        wrong = watch.module.found(getattr(p.watches, watch.slot), getattr(m, watch.slot))
+        if wrong and m.trust.blocked == "" and p.answered:
+            report_one(p.watches, m, watch)
+            switch_off(p, m, watch.condition, False)
+
+
+def seen(m: Memory, applied: float, shown: plausibility.Shown) -> plausibility.Seen:
+    """What the watches of the table see of a block."""
     standing = m.judged.standing
-    m.noise = noise_watch.step(p.noise, m.noise, standing.second, standing.grain, applied)
-    tell_noise(m)
+    return plausibility.Seen(standing.second, standing.grain, applied, m.trust.doubt.times > 0.0, shown)
 
 
-@node_only
-def watch_gain(p: Params, m: Memory) -> None:
-    """Compare the gain of the readings over the voltage with that of the start, after a block."""
-    if p.gain is None or p.lvdt.comparison is None or m.evidence is None or m.trust.doubt.times > 0.0:
-        return
-    before = m.gain.strange
-    m.gain = gain_watch.step(p.gain, p.lvdt.comparison, m.gain, m.evidence.shown)
-    if m.gain.strange == before:
-        return
-    if gain_watch.has_changed(p.gain, m.gain):
-        report(m, "lvdt_gain", gain_watch.text(m.gain))
-    else:
-        clear(m, "lvdt_gain")
-
-
-@node_only
-def tell_noise(m: Memory) -> None:
-    """Report the noise of the readings after a window of it, or that it is calm again."""
-    if m.noise.blocks > 0.0:
-        return
-    if noise_watch.is_loud(m.noise):
-        report(m, "lvdt_noise", noise_watch.text(m.noise))
-    else:
-        clear(m, "lvdt_noise")
+def forget_watches(m: Memory) -> None:
+    """Drop what the watches of the table have learnt of the valve."""
+    for watch in STOPPING:
+        setattr(m, watch.slot, watch.module.forgotten(getattr(m, watch.slot)))
+    forget_reported(m)
 
 
 def confront(p: Params, m: Memory) -> None:
@@ -541,8 +526,10 @@ def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
     m.swing = oscillation.NOTHING
     m.probe = lock_in.NOTHING
     m.source = ""
+    for watch in STOPPING:
+        setattr(m, watch.slot, watch.module.stopped(getattr(m, watch.slot)))
     forget_saturation(m)
-    forget_motion(m)
+    stop_reporting(m)
 
 
 def recover(p: Params, m: Memory, reading: float, anew: bool) -> bool:
@@ -763,7 +750,11 @@ def bound(law: Law) -> types.SimpleNamespace:
     module = law.module
     hints = get_type_hints(module.Params)
     adapts = law.adapts and "theta_initial" in hints
-    params = _record(Params, {"law": module.Params})
+    watches = collections.namedtuple("Watches", [w.slot for w in STOPPING])  # type: ignore[misc]
+    watches.__annotations__ = {w.slot: w.module.Params for w in STOPPING}
+    params = _record(
+        Params, {"law": module.Params, "watches": watches | None}, () if STOPPING else ("watches",)
+    )
     state = module.State | None
     memory = _record(Memory, {"law": state, "former": state}, TOLD)
     memory.__name__, memory.changes = "State", True
@@ -779,6 +770,15 @@ def bound(law: Law) -> types.SimpleNamespace:
         if getattr(function, "__module__", "") == __name__ and isinstance(function, types.FunctionType):
             own = function.__annotations__
             own.update({argument: kinds.get(kind, kind) for argument, kind in own.items()})
+
+    def designed(values: Values, law: Any, answered: bool = True) -> Any:
+        whole = design(values, law, answered)
+        if STOPPING and whole.watches is not None:
+            own = watches(*(getattr(whole.watches, w.slot) for w in STOPPING))
+            whole = whole._replace(watches=own)
+        return params(*(getattr(whole, name) for name in params._fields))
+
+    made.design = designed
     return made
 
 
@@ -788,5 +788,5 @@ def _record(template: Any, given: dict[str, Any], without: tuple[str, ...] = ())
     made: Any = collections.namedtuple(template.__name__, list(hints))  # type: ignore[misc]
     made.__annotations__ = hints
     made.__module__, made.__doc__ = __name__, template.__doc__
-    setattr(made, "template", template)  # noqa: B010  # with the comments of the fields
+    setattr(made, "template", getattr(template, "template", template))  # noqa: B010  # with the comments of the fields
     return made

@@ -1,0 +1,122 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""The table of all watches: what each remembers, which parameters it has, which conditions it reports.
+
+Three kinds of watch:
+
+REPORTS  looks at each block of the plausibility check and reports a condition; the law goes on.
+STOPS    the same, and the voltage is 0 V until enough sound readings have come. Exported C has it too.
+GUIDES   is called by name in watch.py or supervisor.py, because more than its sentence depends on it: which
+         reading or command counts, or when the law starts again.
+
+A new watch of the first two kinds is one file and one row of ``WATCHES``. Memory, snapshot, diagnostics,
+``docs/reference/modes.md`` and exported C follow from the row. The file has ``Params``, ``State``, ``NOTHING`` (the
+state at the start), ``CONDITIONS`` and these functions, which export/ can translate:
+
+design(values, check)   Params from the controller's values and the Params of the plausibility check
+step(p, s, seen)        the state after one more block, of which ``seen`` is a ``plausibility.Seen``
+found(p, s)             whether the condition is there
+text(p, s)              one sentence for the user
+stopped(s)              the state after the voltage was switched off, whatever the reason
+forgotten(s)            the state after ~/reset, or under another model of the valve
+"""
+
+import collections
+import types
+from typing import Any, NamedTuple
+
+from valve_control.control.supervision import (
+    command_watch,
+    cycle_watch,
+    gain_watch,
+    late_commands,
+    law_watch,
+    lvdt,
+    lvdt_watch,
+    noise_watch,
+    plausibility,
+    rate,
+)
+from valve_control.control.supervision.conditions import Condition
+from valve_control.parameter import Values
+
+REPORTS, STOPS, GUIDES = "reports", "stops", "guides"
+
+
+class Watch(NamedTuple):
+    """One watch."""
+
+    module: types.ModuleType
+    slots: tuple[str, ...]  # of the memory; that of a watch which reports or stops holds its State
+    kind: str = GUIDES
+    parameters: tuple[str, ...] = ()  # of the controller
+
+    @property
+    def slot(self) -> str:
+        """The only slot of a watch that reports or stops."""
+        (slot,) = self.slots
+        return slot
+
+    @property
+    def condition(self) -> str:
+        """Name of the only condition of such a watch."""
+        ((name,),) = (condition.names for condition in self.module.CONDITIONS)
+        return str(name)
+
+
+WATCHES = (
+    Watch(
+        lvdt,
+        ("judged", "jumped_until"),
+        parameters=(
+            *("lvdt.limit", "lvdt.max_rate", "lvdt.tolerance", "lvdt.frozen_samples", "lvdt.frozen_voltage"),
+        ),
+    ),
+    Watch(lvdt_watch, ("trust",), parameters=("lvdt.hold_samples", "lvdt.recovery_samples")),
+    Watch(rate, ("pace",), parameters=("lvdt.period_limit",)),
+    Watch(
+        plausibility,
+        ("evidence",),
+        parameters=(
+            *("lvdt.disturbance", "lvdt.excitation", "lvdt.slow", "lvdt.hold_off", "lvdt.hold_off_limit"),
+        ),
+    ),
+    Watch(noise_watch, ("noise",), REPORTS),
+    Watch(gain_watch, ("gain",), REPORTS),
+    Watch(
+        command_watch,
+        ("command",),
+        parameters=("command_limit", "command_timeout", "neutral_rate", "neutral_accel"),
+    ),
+    Watch(late_commands, ("upper",), parameters=("command.bridge",)),
+    Watch(
+        cycle_watch,
+        ("cycle", "swing", "probe", "source", "pause"),
+        parameters=("oscillation_limit",),
+    ),
+    Watch(law_watch, ("saturated_for",), parameters=("saturation_limit",)),
+)
+REPORTING = tuple(watch for watch in WATCHES if watch.kind == REPORTS)
+STOPPING = tuple(watch for watch in WATCHES if watch.kind == STOPS)
+BESIDE = (*REPORTING, *STOPPING)  # the plausibility check
+Params = collections.namedtuple("Params", [watch.slot for watch in BESIDE])  # type: ignore[misc]
+OF_NODES = (
+    Condition(
+        ("command_publishers", "trajectory_publishers", "lvdt_publishers", "voltage_publishers"),
+        "degraded",
+        "2 publishers on spool_command (spool_trajectory, spool_position, valve_voltage)",
+        "another node publishes too; a publisher that was killed stays in the graph for up to 20 s",
+        "`ros2 topic info -v`",
+    ),
+)  # what is no watch's, but that of who runs the supervisor
+
+
+def conditions() -> tuple[Condition, ...]:
+    """All conditions, watch by watch."""
+    own = (condition for watch in WATCHES for condition in getattr(watch.module, "CONDITIONS", ()))
+    return (*own, *OF_NODES)
+
+
+def design(values: Values, check: plausibility.Params | None) -> Any:
+    """Params of the watches beside the plausibility ``check``; None without it."""
+    return None if check is None else Params(*(watch.module.design(values, check) for watch in BESIDE))
