@@ -180,8 +180,12 @@ def test_a_new_watch_is_one_file_and_one_row(tmp_path, kind, mode):
     )
     done = subprocess.run(
         [sys.executable, "-c", RUN, tmp_path / "made"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=300, env={**os.environ, "PYTHONPATH": str(tmp_path)},
-    )  # fmt: skip
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+    )
     assert done.returncode == 0, done.stderr
     said, modes, listed, state = json.loads(done.stdout)
     assert listed and modes == [mode] and len(state) == 2

@@ -4,6 +4,7 @@
 
 import ast
 import inspect
+import re
 import typing
 from collections.abc import Sequence
 from pathlib import Path
@@ -58,22 +59,24 @@ class Body(Expressions):
                 given.append(f"const {self._type(argument, kind, f'*{own}')}")
                 self._scope[argument.arg] = Term(own, kind, has_address=True, pointer=True)
             self._declared[argument.arg] = kind
-        unused = {a.arg for a in self._parsed.args.args}
-        unused -= {n.id for n in ast.walk(self._parsed) if isinstance(n, ast.Name)}
-        for argument in self._parsed.args.args:
-            if argument.arg in unused:
-                self._line(f"(void){self._local(argument.arg)};")
+        head, self._lines = self._lines, []
         self._place_declarations()
         ended = self._block(self._parsed.body)
+        body, self._lines = self._lines, head
+        used = set(re.findall(r"\w+", "\n".join([*head, *body])))
+        for argument in self._parsed.args.args:
+            if self._local(argument.arg) not in used:
+                self._line(f"(void){self._local(argument.arg)};")
+        self._lines += body
         returns = self._returns or NOTHING
         if not ended and returns is not NOTHING:
             raise self.refused(self._parsed, f"{self._parsed.name} can end without a result")
-        head = f"static {program.declared(returns, name)}({', '.join(given) or 'void'})"
+        signature = f"static {program.declared(returns, name)}({', '.join(given) or 'void'})"
         file = Path(self._function.__code__.co_filename)
         about = f"/* {file.parent.name}/{file.name}, {self._function.__name__}"
         text = (inspect.getdoc(self._function) or "").splitlines()
         about += f": {comment(text[0])} */" if text else " */"
-        lines = [*wrapped(about, ""), *wrapped(head, ""), "{", *self._lines, "}"]
+        lines = [*wrapped(about, ""), *wrapped(signature, ""), "{", *self._lines, "}"]
         program.functions.append("\n".join(lines))
         return Function(name, wanted, returns)
 

@@ -17,6 +17,7 @@ has the wrong sign. See docs/explanation/plausibility.md.
 import math
 from typing import NamedTuple
 
+from valve_control.control.supervision import lvdt
 from valve_control.control.supervision.conditions import Condition
 
 # In units of 1/√a0, the valve's own time
@@ -157,6 +158,11 @@ class Doubt(NamedTuple):
 
 
 TRUST = Doubt(0.0, 0.0, 0.0)
+
+
+def seen(standing: lvdt.Standing, doubt: Doubt, voltage: float, shown: Shown) -> Seen:
+    """What the watches beside this check see of a block, before whose last reading ``voltage`` [V] was on."""
+    return Seen(standing.second, standing.grain, voltage, doubt.times > 0.0, shown)
 
 
 NOTHING = Sums(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

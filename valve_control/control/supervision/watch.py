@@ -397,20 +397,14 @@ def has_leapt(m: Memory) -> bool:
 
 def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown) -> None:
     """Let the watches of the table look at a block, at whose end ``applied`` [V] is on; it has ``shown``."""
-    reported_of(p.watches, m, seen(m, applied, shown))
+    reported_of(p.watches, m, plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown))
     for watch in STOPPING:
-        now = seen(m, applied, shown)
+        now = plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown)
         setattr(m, watch.slot, watch.module.step(getattr(p.watches, watch.slot), getattr(m, watch.slot), now))
         wrong = watch.module.found(getattr(p.watches, watch.slot), getattr(m, watch.slot))
         if wrong and m.trust.blocked == "" and p.answered:
             report_one(p.watches, m, watch)
             switch_off(p, m, watch.condition, False)
-
-
-def seen(m: Memory, applied: float, shown: plausibility.Shown) -> plausibility.Seen:
-    """What the watches of the table see of a block."""
-    standing = m.judged.standing
-    return plausibility.Seen(standing.second, standing.grain, applied, m.trust.doubt.times > 0.0, shown)
 
 
 def forget_watches(m: Memory) -> None:
