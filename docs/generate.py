@@ -36,7 +36,7 @@ def write(folder: Path) -> None:
 def parameters() -> str:
     """Every parameter of every node: default, unit, range, meaning."""
     text = (
-        "# Parameters\n\nThis page is made from `table.py` and `axis.py` in `valve_control/control/parameters`. "
+        "# Parameters\n\nThis page is made from `table.py` and `axis.py` in `control/parameters`. "
         "`valve-control parameters NAME` prints a part of it. Write doubles as 120.0, never as 120.\n"
     )
     for node, table in ROS_NODES.items():

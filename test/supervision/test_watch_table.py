@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""The table of watches is complete, docs/reference/modes.md shows it, and a new watch is one file and one row.
+"""The table of watches is complete, the docs show it, and a new watch is one file and one row.
 
 ``python test/supervision/test_watch_table.py`` writes the table into docs/reference/modes.md.
 """

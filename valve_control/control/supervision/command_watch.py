@@ -39,7 +39,8 @@ CONDITIONS = (
         "trajectory point … refused",
         "not exactly one position, velocity and acceleration; NaN or infinite; a time stamp "
         "before the time stamp of the last point, which stays in force",
-        "upper level; see [A trajectory instead of a command](../howto/cascade.md#a-trajectory-instead-of-a-command)",
+        "upper level; see [A trajectory instead of a command]"
+        "(../howto/cascade.md#a-trajectory-instead-of-a-command)",
     ),
     Condition(
         ("command_both",),

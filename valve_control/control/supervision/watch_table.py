@@ -9,9 +9,9 @@ STOPS    the same, and the voltage is 0 V until enough sound readings have come.
 GUIDES   is called by name in watch.py or supervisor.py, because more than its sentence depends on it: which
          reading or command counts, or when the law starts again.
 
-A new watch of the first two kinds is one file and one row of ``WATCHES``. Memory, snapshot, diagnostics,
-``docs/reference/modes.md`` and exported C follow from the row. The file has ``Params``, ``State``, ``NOTHING`` (the
-state at the start), ``CONDITIONS`` and these functions, which export/ can translate:
+A new watch of the first two kinds is one file and one row of ``WATCHES``. Memory, snapshot, diagnostics, the
+page docs/reference/modes.md and exported C follow from the row. The file has ``Params``, ``State``,
+``NOTHING`` (the state at the start), ``CONDITIONS`` and these functions, which export/ can translate:
 
 design(values, check)   Params from the controller's values and the Params of the plausibility check
 step(p, s, seen)        the state after one more block, of which ``seen`` is a ``plausibility.Seen``
