@@ -26,6 +26,26 @@ from valve_control.parameter import defaults, updated
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
 
+REPETITIONS = 5  # of tests in a run; more fail it
+
+
+def _repeated(config):
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    return len(reporter.stats.get("rerun", ())) if reporter else 0
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session):
+    if _repeated(session.config) > REPETITIONS and session.exitstatus == 0:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    if count := _repeated(config):
+        text = f"{count} repetitions, at most {REPETITIONS} are allowed"
+        terminalreporter.write_line(text, red=count > REPETITIONS)
+
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
