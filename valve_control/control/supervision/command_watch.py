@@ -104,6 +104,11 @@ def design(values: Values) -> Params:
     )
 
 
+def moved(s: State, value: float) -> State:
+    """State ``s`` with the command ``value`` [V] in force; quicker than ``_replace``."""
+    return State(value, s.time, s.renewed, s.gone_since, s.homing, s.origin)
+
+
 def taken(p: Params, s: State, value: float, now: float) -> State:
     """State after a command ``value`` [V] that came at ``now`` [s]; one that is not finite is refused."""
     if not math.isfinite(value):

@@ -90,7 +90,7 @@ def step(p: Params, s: State, seen: Seen) -> State:
     c, shown = p.check, seen.shown
     skipped = s.skipped + 1.0
     if skipped < EVERY:
-        return s._replace(skipped=skipped)
+        return State(skipped, s.velocity, s.sums, s.rates, s.usual, s.present, s.strange)
     velocity = shown.velocity
     if shown.warm > 0.0 or abs(velocity) <= c.slow:
         return s._replace(skipped=0.0, velocity=velocity)

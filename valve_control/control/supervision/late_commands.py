@@ -277,6 +277,8 @@ def course(p: Params, s: State, now: float) -> Motion:
 
 def value(p: Params, s: State, now: float) -> float:
     """Command [V] of the sample at ``now`` [s]."""
+    if s.offset.since == NOTHING and not p.every and now - s.due < 0.5 * p.period:  # in time: quicker
+        return saturate(s.fit.motion.position, p.limit)
     return saturate(with_offset(p, course(p, s, now), s.offset, now).position, p.limit)
 
 

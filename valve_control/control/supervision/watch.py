@@ -673,11 +673,12 @@ def follow(p: Params, m: Memory, now: float) -> None:
     """The command in force is that of trajectory or course at ``now`` [s], if there is one."""
     if m.trajectory is not None:
         m.motion = points.motion(p.late, m.trajectory, now, p.command.limit)
-        m.command = m.command._replace(value=m.motion.position)
+        m.command = command_watch.moved(m.command, m.motion.position)
     elif m.course is not None and p.joining is not None:
-        m.command = m.command._replace(value=saturate(command_course.value(m.course, now), p.joining.limit))
+        value = saturate(command_course.value(m.course, now), p.joining.limit)
+        m.command = command_watch.moved(m.command, value)
     elif m.upper is not None and p.late is not None and m.command.homing is None:
-        m.command = m.command._replace(value=late_commands.value(p.late, m.upper, now))
+        m.command = command_watch.moved(m.command, late_commands.value(p.late, m.upper, now))
 
 
 def take_in(p: Params, m: Memory, now: float) -> None:
