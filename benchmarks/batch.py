@@ -184,7 +184,7 @@ def run_in_python_control(controller: str, commands: Array, noise: Array) -> Arr
     p, plant = build.law_params(controller_values), build.valve_params(valve_values)
     first = valve.reading(plant.lvdt, 0.0, noise[0])
     start = law.initial(p, Start(first, 0.0, first, 0.0, 0.0))
-    still = batch.Motion(valve.Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
+    still = batch.SpoolState(valve.Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
     none = np.zeros(1)
 
     def law_next(t: float, x: Array, u: Array, _: Any) -> list[float]:

@@ -85,7 +85,7 @@ def identified(sine: Experiment, triangle: Experiment) -> tuple[Values, friction
             best = second
         model, delay, _ = first_gains.with_dead_time(measured, best, "likelihood")
     suggested = theta.suggest(measured, second, best, U_MAX)
-    known = first_gains.Valve(model, delay, suggested, lvdt.observe(sine.position), PERIOD, U_MAX, found)
+    known = first_gains.KnownValve(model, delay, suggested, lvdt.observe(sine.position), PERIOD, U_MAX, found)
     return first_gains.dcarc_values(known), found, delay
 
 

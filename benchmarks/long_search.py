@@ -28,7 +28,7 @@ from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.simulation import robustness
 from valve_control.design.tuning import box, limit_cycles, margins, pauses, search, trial, tuner
-from valve_control.design.tuning.trial import Gains
+from valve_control.design.tuning.trial import GainSet
 from valve_control.parameter import ParameterError, Value, defaults, updated
 
 Array = npt.NDArray[np.float64]
@@ -102,7 +102,7 @@ def problems(law: Law) -> tuple[trial.Problem, trial.Problem]:
     quantities = [q for q in robustness.BOX if q.name not in KNOWN]
     values, _ = box.with_dead_time(law, settings, quantities)
     values = updated(CONTROLLER, values, {"controller": law.name})
-    motion = trial.Motion("fast strokes", arrays.read("config/commands/fast_strokes.csv")[:4000])
+    motion = trial.TuningMotion("fast strokes", arrays.read("config/commands/fast_strokes.csv")[:4000])
     seen, other = (box.study_of(settings, quantities, count, seed) for count, seed in ((8, 1), (UNSEEN, 2)))
     problem = trial.Problem(values, [motion], box.drawn(seen), box.bounding(seen), LIMITS, False, False, 1)
     return problem, problem._replace(plants=box.drawn(other), box=box.bounding(other), seed=2)
@@ -110,11 +110,11 @@ def problems(law: Law) -> tuple[trial.Problem, trial.Problem]:
 
 def long_search(
     law: Law, problem: trial.Problem, budget: int, seed: int, told: Callable[[int], None]
-) -> tuple[float, Gains | None]:
+) -> tuple[float, GainSet | None]:
     """Least error within the limit of the chatter, and the gains that have it."""
     free = trial.free_numbers(law, problem.values, problem.preview)
     corners = margins.prepared(problem.box)
-    best: tuple[float, Gains | None] = (math.inf, None)
+    best: tuple[float, GainSet | None] = (math.inf, None)
 
     def cost(points: list[Array]) -> list[float]:
         nonlocal best
@@ -162,7 +162,7 @@ def compared(law: Law, budget: int, times: int, seed: int) -> dict[str, Any]:
     found = tuner.tuned(law, problem, unseen, aim, budget, seed, lambda done: None)
     seconds = time.monotonic() - began
     chosen = found.chosen
-    long: tuple[float, Gains | None] = (math.inf, None)
+    long: tuple[float, GainSet | None] = (math.inf, None)
     settled: Mapping[str, Value] = {}
     variants = tuner.variants(law, problem.values)
     with tqdm.tqdm(total=times * budget * len(variants), desc=law.name, unit="sets") as bar:

@@ -36,11 +36,11 @@ from valve_control.control.plant.models import scale_of
 from valve_control.control.simulation import batch, comparison
 from valve_control.design import evolution
 from valve_control.design.commissioning import sequence
-from valve_control.design.commissioning.bench import Fault, Limits
+from valve_control.design.commissioning.bench import Fault, SafetyLimits
 from valve_control.design.commissioning.plan import Plan, check
 from valve_control.design.commissioning.plant import EXPLAINED
 from valve_control.design.tuning import limit_cycles, search, trial
-from valve_control.design.tuning.trial import Gains, Motion, Problem
+from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
 from valve_control.parameter import ParameterError, Value, Values, defaults, number, updated, word
 
 Array = npt.NDArray[np.float64]
@@ -62,7 +62,7 @@ DRAWN = (
     ("hum", 0.0, 0.005),  # V
 )
 BITS = (12, 16)
-LIMITS = Limits(4.0, 2.0)
+LIMITS = SafetyLimits(4.0, 2.0)
 VALVES_SIMULATED, VALVES_UNSEEN = 6, 32  # of a commissioning, as by default
 BEFORE: dict[str, Value] = {"lvdt.max_rate": 500.0}
 SWING = 20.0  # V  the largest motion that can be believed, as a sine of the valve's natural frequency
@@ -126,7 +126,7 @@ def on_the_valve(plant: Any, values: Mapping[str, Value], ahead: float, previewe
     return {"e_rms": comparison.geometric(found.rms), "c_u": float(np.mean(found.chatter))}
 
 
-def searched(plant: Any, model: Any, form: str, previewed: bool, options: Options, seed: int) -> Gains:
+def searched(plant: Any, model: Any, form: str, previewed: bool, options: Options, seed: int) -> GainSet:
     """Gains of the PID in this ``form`` that CMA-ES finds on the valve itself."""
     law = LAWS["pid"]
     own = {**comparison.NO_LIMITS, "controller": "pid", **FORMS[form]}
@@ -134,7 +134,7 @@ def searched(plant: Any, model: Any, form: str, previewed: bool, options: Option
     problem = Problem(
         values=updated(CONTROLLER, defaults(CONTROLLER), own),
         motions=[
-            Motion(name, wanted[:n])
+            TuningMotion(name, wanted[:n])
             for (name, wanted), n in zip(comparison.motions().items(), cut, strict=True)
         ],
         plants=[plant],
@@ -172,7 +172,9 @@ def _costs(law: Any, problem: Problem, free: Any, asked: Sequence[Array]) -> lis
         asked, inside, gains, trial.run(law, problem, gains, 1), strict=True
     ):
         with np.errstate(divide="ignore", invalid="ignore"):
-            point = search.Point(tuple(within), one, trial.error_of(problem, outcome), outcome.chatter, 0.0)
+            point = search.EvaluatedGains(
+                tuple(within), one, trial.error_of(problem, outcome), outcome.chatter, 0.0
+            )
             cost = search.cost(point, CHATTER, 1.0)
         outside = float(np.sum((shares - within) ** 2))
         found.append((cost if math.isfinite(cost) else search.NOT_RUN) + outside)
@@ -279,9 +281,9 @@ def commissioned(values: Values, law: str, options: Options) -> dict[str, Any]:
 def cycles(plant: Any, values: Values) -> bool:
     """Whether the loop still swings on the valve long after a step or a motion."""
     law = LAWS[word(values, "controller")]
-    motions = [Motion(name, wanted[:-2]) for name, wanted in comparison.motions().items()]
+    motions = [TuningMotion(name, wanted[:-2]) for name, wanted in comparison.motions().items()]
     problem = Problem(values, motions, [plant], [plant], trial.USUAL, False, False, NOISE_SEED)
-    return len(limit_cycles.after_all(law, problem, Gains({}, 0.0), [plant], 1, limit_cycles.LASTING)) > 0
+    return len(limit_cycles.after_all(law, problem, GainSet({}, 0.0), [plant], 1, limit_cycles.LASTING)) > 0
 
 
 def gone_through(folder: Path, seed: int, options: Options) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import registry
 from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.design.commissioning.bench import Course, Fault, Limits, Record, Seen, Told
+from valve_control.design.commissioning.bench import Course, Fault, Record, SafetyLimits, Seen, Told
 from valve_control.design.commissioning.watch import Watch
 from valve_control.parameter import ParameterError, Value, Values, defaults, updated
 
@@ -68,7 +68,7 @@ class SupervisedValve:
         self.applied.append(dict(changes))
         self.supervisor.apply(values, params)
 
-    def drive(self, course: Course, limits: Limits, told: Told) -> Record:
+    def drive(self, course: Course, limits: SafetyLimits, told: Told) -> Record:
         """Give the commands of ``course`` until it ends. Raises Fault as the bench over ROS does."""
         readings: list[float] = []
         voltages: list[float] = []
@@ -94,7 +94,7 @@ class SupervisedValve:
             except StopIteration:
                 return Record(period, np.array(readings), np.array(voltages), np.array(commands))
 
-    def watch(self, limits: Limits) -> None:
+    def watch(self, limits: SafetyLimits) -> None:
         """Look at one more sample. Raises Fault."""
         self.supervisor.command(0.0)
         _, voltage = self.sample()

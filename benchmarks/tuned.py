@@ -42,7 +42,7 @@ VERIFIED_ON = 100
 TUNED_ON = {"narrow": 12, "wide": 32}
 SPREAD = (0.7, 1.4), (0.8, 1.25), (0.8, 1.25), (-0.5, 0.5), (0.0, 1e-3)  # of what margins depend on
 MARGINS = trial.USUAL
-NO_MARGINS = trial.Limits(0.0, 0.0, 0.0, 200.0, math.inf, 1.0)
+NO_MARGINS = trial.TuningLimits(0.0, 0.0, 0.0, 200.0, math.inf, 1.0)
 MOST_FRICTION = FREE._replace(coulomb=1.6, presliding=0.04)  # of the box
 
 
@@ -56,9 +56,9 @@ FIXED: dict[str, dict[str, Value]] = {
 }
 
 
-def shared(share: float) -> trial.Limits:
+def shared(share: float) -> trial.TuningLimits:
     """MARGINS times ``share``; a peak in decibels is divided by it."""
-    return trial.Limits(
+    return trial.TuningLimits(
         share * MARGINS.gain_db,
         share * MARGINS.phase_deg,
         share * MARGINS.delay_s,
@@ -77,14 +77,14 @@ def corners() -> list[valve.Params]:
     ]
 
 
-def problem_of(name: str, wide: bool, limits: trial.Limits) -> trial.Problem:
+def problem_of(name: str, wide: bool, limits: trial.TuningLimits) -> trial.Problem:
     """What the search sees of the law ``name``."""
     delay: dict[str, Value] = {"dcarc.delay": 5e-4} if wide and name == "dcarc" else {}
     values = updated(CONTROLLER, defaults(CONTROLLER), {**FIXED[name], **delay})
     plants = valves(TUNED_ON["wide" if wide else "narrow"], SEEDS["tune"], wide)
     return trial.Problem(
         values=values,
-        motions=[trial.Motion(text, wanted[:-2]) for text, wanted in motions().items()],
+        motions=[trial.TuningMotion(text, wanted[:-2]) for text, wanted in motions().items()],
         plants=plants,
         box=[*corners(), *plants] if wide else plants,
         limits=limits,
@@ -179,7 +179,7 @@ def main() -> int:
     return 0
 
 
-def _margins_text(wide: bool, limits: trial.Limits) -> str:
+def _margins_text(wide: bool, limits: trial.TuningLimits) -> str:
     if not wide:
         return "none asked for"
     return f"{limits.gain_db:g} dB, {limits.phase_deg:g} deg, {1e3 * limits.delay_s:g} ms"

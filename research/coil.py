@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from valve_control.parameter import Values
 
 
-class Valve(NamedTuple):
+class CoilValve(NamedTuple):
     """What differs between the valves."""
 
     frequency: float  # Hz
@@ -31,9 +31,9 @@ class Valve(NamedTuple):
 
 GAIN, SIDE = 0.9, 1.1  # V/V and -: gain of one side, and times as much on the other
 VALVES = {
-    "A": Valve(9.0, 0.8, 0.004, 0.2, 0.5),
-    "B": Valve(35.0, 0.7, 0.0015, 0.2, 0.4),
-    "C": Valve(7.0, 0.9, 0.003, 0.1, 1.2),
+    "A": CoilValve(9.0, 0.8, 0.004, 0.2, 0.5),
+    "B": CoilValve(35.0, 0.7, 0.0015, 0.2, 0.4),
+    "C": CoilValve(7.0, 0.9, 0.003, 0.1, 1.2),
 }
 TERMS = ("dcarc.coil", "dcarc.hysteresis", "dcarc.sides")
 LAWS = ("coil in the model, disturbance a voltage", *TERMS)
@@ -48,7 +48,7 @@ class Measured(NamedTuple):
     chatter: float  # -  mean c_u
 
 
-def plant(valve: Valve) -> "Values":
+def plant(valve: CoilValve) -> "Values":
     """Values of the simulator for ``valve``."""
     from valve_control.control.parameters.table import VALVE
     from valve_control.parameter import defaults, updated
@@ -75,7 +75,7 @@ def plant(valve: Valve) -> "Values":
     return updated(VALVE, defaults(VALVE), own)
 
 
-def controller(valve: Valve, terms: Sequence[str]) -> "Values":
+def controller(valve: CoilValve, terms: Sequence[str]) -> "Values":
     """Values of dcarc that knows ``valve``, with those of TERMS that are in ``terms``."""
     import numpy as np
 
@@ -118,7 +118,7 @@ def led(values: "Values") -> "Values":
 
 
 def measured(
-    valve: Valve, terms: Sequence[str], motions: Sequence[str] = (), alone: bool = False
+    valve: CoilValve, terms: Sequence[str], motions: Sequence[str] = (), alone: bool = False
 ) -> Measured:
     """Run dcarc with ``terms`` on ``valve`` and the ``motions`` of ``compare``; (): all of them.
 

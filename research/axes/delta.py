@@ -38,7 +38,7 @@ GAIN = 0.01 * 100.0 / FULL  # m/s/V: 10 (mm/s)/%
 DAMPING = 1.0 / 3.0
 FREQUENCY = 2.0 * np.pi * 10.0  # rad/s
 DISTANCE = 0.5  # m
-LIMITS = course.Limits(0.5, 2.5, 50.0)  # the jerk is not published
+LIMITS = course.MotionLimits(0.5, 2.5, 50.0)  # the jerk is not published
 PAUSE, DURATION = 0.1, 2.5  # s
 NONE = "none"  # the published case: no valve
 VALVES = (NONE, *study.VALVES)
@@ -58,7 +58,7 @@ class Plant(NamedTuple):
 NOMINAL = Plant(GAIN, DAMPING, FREQUENCY)
 
 
-class Gains(NamedTuple):
+class AxisGains(NamedTuple):
     """Controller of the axis."""
 
     proportional: float  # V/m
@@ -138,11 +138,11 @@ class Result(NamedTuple):
         return max(self.corners)
 
 
-def gains(pole: float, p: Plant = NOMINAL) -> Gains:
+def gains(pole: float, p: Plant = NOMINAL) -> AxisGains:
     """Controller that places four poles at -``pole`` [rad/s] on the axis ``p`` and inverts it."""
     k = p.gain * p.frequency**2
     damped = 2.0 * p.damping * p.frequency
-    return Gains(
+    return AxisGains(
         proportional=4.0 * pole**3 / k,
         integral=pole**4 / k,
         derivative=(6.0 * pole**2 - p.frequency**2) / k,
@@ -167,7 +167,7 @@ def discrete(p: Plant) -> Axis:
     return Axis(np.ascontiguousarray(whole[:3, :3]), np.ascontiguousarray(whole[:3, 3]) - end, end)
 
 
-def step(p: Gains, s: Memory, goal: Goal, position: float) -> tuple[float, Memory]:
+def step(p: AxisGains, s: Memory, goal: Goal, position: float) -> tuple[float, Memory]:
     """Spool command [V] of one sample; the integrator rests while it is at its limit."""
     e = goal.position - position
     rate = (e - s.last) / p.period
@@ -189,7 +189,7 @@ class Reading(NamedTuple):
 class Cascade(NamedTuple):
     """Parameters of the upper level, of the lead, and of the valve's law."""
 
-    upper: Gains
+    upper: AxisGains
     lead: command_lead.Params
     valve_law: Any
     direct: bool

@@ -49,7 +49,7 @@ BOX = {
     "cylinder.leakage": (1e-13, 1e-12),
     "supply.pressure": (100e5, 160e5),
 }  # drawn evenly in logarithm
-LIMITS = course.Limits(0.25, 2.0, 40.0)
+LIMITS = course.MotionLimits(0.25, 2.0, 40.0)
 ARC: Values = {
     "upper_level": axis_arc_sampled.NAME,
     "axis_arc.learning": 2.0,

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from research.theorems import bench, robust
-from research.theorems.bench import Array, Course, Motion, Plant, Progress, Spool, Wanted
+from research.theorems.bench import Array, CosineReference, Course, Plant, Progress, Spool, Wanted
 from valve_control.control import closed_loop
 from valve_control.control.laws import registry, reshaping
 from valve_control.control.laws.projection import Theta
@@ -33,9 +33,9 @@ ROUNDING = 1e-12  # V; below this z1 is rounding
 GAMMA = [2.0, 1200.0, 500.0, 1500.0]  # diagonal of Γ, both laws
 W = 2.0 * math.pi
 MOTIONS = {
-    "rest": Motion(1.0, 0.0, W, 0.0, W, 0.0, W),
-    "one sine": Motion(-1.0, 1.0, 4.0 * W, 0.0, W, 0.0, W),
-    "three sines": Motion(-1.05, 0.5, 2.0 * W, 0.3, 6.0 * W, 0.25, 14.0 * W),
+    "rest": CosineReference(1.0, 0.0, W, 0.0, W, 0.0, W),
+    "one sine": CosineReference(-1.0, 1.0, 4.0 * W, 0.0, W, 0.0, W),
+    "three sines": CosineReference(-1.05, 0.5, 2.0 * W, 0.3, 6.0 * W, 0.25, 14.0 * W),
 }
 LAWS = ("arc", "oarc")
 
@@ -171,7 +171,7 @@ def run_valve(
     loop: Callable[..., Any],
     p: Any,
     s: Any,
-    motion: Motion,
+    motion: CosineReference,
     valve: Valve,
     x1: float,
     windows: int,

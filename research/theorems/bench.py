@@ -33,7 +33,7 @@ def missing(*_: Any) -> Any:
     raise NotImplementedError
 
 
-class Motion(NamedTuple):
+class CosineReference(NamedTuple):
     """Reference x_vd = start + Σ aᵢ·(1 - cos(wᵢ·t)): known with all its derivatives, at rest at t = 0."""
 
     start: float  # V
@@ -56,7 +56,7 @@ class Plant(NamedTuple):
     g2: float
 
 
-def reference(m: Motion, time: float) -> tuple[float, float, float]:
+def reference(m: CosineReference, time: float) -> tuple[float, float, float]:
     """x_vd [V] and its two derivatives [V/s, V/s²] at ``time`` [s]."""
     c1, s1 = math.cos(m.w1 * time), math.sin(m.w1 * time)
     c2, s2 = math.cos(m.w2 * time), math.sin(m.w2 * time)
@@ -80,7 +80,7 @@ def command_for(p: reshaping.Params, position: Any, rate: Any, accel: Any) -> An
 class Course(NamedTuple):
     """A motion in the form of a command source, for a law with this reshaping."""
 
-    motion: Motion
+    motion: CosineReference
     reshaping: reshaping.Params
     period: float  # s
 

@@ -81,7 +81,7 @@ def draw_theorems(
     _save(figure, paths)
 
 
-def draw_sample_period(paths: Sequence[Path], limits: sampling.Limits) -> None:
+def draw_sample_period(paths: Sequence[Path], limits: sampling.WeightResults) -> None:
     """Control activity c_u and error e_rms over ΔT, a line for each ρ.
 
     Raises OSError if a path cannot be written.

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from research.theorems import bench, loop
-from research.theorems.bench import Array, Motion, Progress
+from research.theorems.bench import Array, CosineReference, Progress
 from valve_control.control import closed_loop
 from valve_control.control.laws import dcarc, least_squares, reshaping
 from valve_control.control.laws.signals import Start
@@ -26,7 +26,7 @@ WINDOW = 0.5  # s; the motion repeats itself in it
 U_MAX = 100.0  # V; nothing is promised in saturation
 CYCLE = 1.0  # V  error of a loop that has left its motion
 W = 2.0 * np.pi
-MOTION = Motion(-1.05, 0.5, 2.0 * W, 0.3, 6.0 * W, 0.25, 14.0 * W)
+MOTION = CosineReference(-1.05, 0.5, 2.0 * W, 0.3, 6.0 * W, 0.25, 14.0 * W)
 NOISES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)  # of fit_noise over the shipped one; less is faster
 WORSE = 1.05  # error with learning over that without
 KINDS = ("linear", "friction")
@@ -136,7 +136,7 @@ def compensation_bound(p: dcarc.Params, position: float, rate: float, accel: flo
     return float(span @ most)
 
 
-def limits(motion: Motion) -> tuple[float, float, float]:
+def limits(motion: CosineReference) -> tuple[float, float, float]:
     """Largest |x_vd| [V], rate [V/s] and acceleration [V/s²] of a motion, at most."""
     sizes = np.abs([motion.a1, motion.a2, motion.a3])
     speeds = np.array([motion.w1, motion.w2, motion.w3])

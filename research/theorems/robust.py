@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from research.theorems import bench
-from research.theorems.bench import Array, Course, Motion, Plant, Progress, Spool, Wanted
+from research.theorems.bench import Array, CosineReference, Course, Plant, Progress, Spool, Wanted
 from valve_control.control import closed_loop
 from valve_control.control.laws import arc, lyapunov_bound, oarc, registry, reshaping, velocity
 from valve_control.control.laws.projection import Theta, span
@@ -55,7 +55,7 @@ class Case(NamedTuple):
     lower: Theta  # θmin
     upper: Theta  # θmax
     estimate: Theta  # θ̂(0)
-    motion: Motion
+    motion: CosineReference
     push: Push
     levels: Array  # -     of the piecewise disturbance, within ±1
     adaptation: float  # -     multiplies the paper's Γ
@@ -183,7 +183,7 @@ def draw(seed: int, number: int) -> Case:
     side = float(rng.choice([-1.0, 1.0]))
     corner = [rng.choice([-1.0, 1.0], 4), np.array([1.0, side, -side, -1.0])][number // len(KINDS) % 2]
     place, guess = (corner, -corner) if rng.random() < 0.7 else rng.uniform(-1.0, 1.0, (2, 4))
-    motion = Motion(
+    motion = CosineReference(
         start=side * rng.uniform(0.0, 1.0),
         a1=side * rng.uniform(0.2, 0.8),
         w1=2.0 * math.pi * rng.uniform(0.3, 2.0),
@@ -197,7 +197,7 @@ def draw(seed: int, number: int) -> Case:
         lower=Theta(*(float(v) for v in centre - half)),
         upper=Theta(*(float(v) for v in centre + half)),
         estimate=Theta(*(float(v) for v in centre + guess * half)),
-        motion=Motion(*(float(v) for v in motion)),
+        motion=CosineReference(*(float(v) for v in motion)),
         push=Push(
             float(number % len(KINDS)),
             float(rng.uniform(50.0, 400.0)),
@@ -505,7 +505,7 @@ def run_valve(
     loop: Callable[..., Any],
     p: Any,
     s: Any,
-    motion: Motion,
+    motion: CosineReference,
     valve: Valve,
     spool: Spool,
     samples: int,

@@ -36,7 +36,7 @@ class Line(NamedTuple):
     critical_margin: float  # s   the same with b0 2 dB above
 
 
-class Limits(NamedTuple):
+class WeightResults(NamedTuple):
     """Results of all weights on one valve and one command."""
 
     valve: str
@@ -108,7 +108,7 @@ def sample_period_limit(
     duration: float = 6.0,
     processes: int = 1,
     progress: Progress | None = None,
-) -> Limits:
+) -> WeightResults:
     """Simulate OARC with the paper's gains on the trajectory of Fig. 5, each weight ρ at each ΔT [s].
 
     ``progress(done, all)`` counts runs.
@@ -127,4 +127,4 @@ def sample_period_limit(
         )
         for weight, row in zip(weights, rows, strict=True)
     ]
-    return Limits(valve, duration, tuple(lines))
+    return WeightResults(valve, duration, tuple(lines))

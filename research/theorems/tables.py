@@ -152,7 +152,7 @@ def adaptive_lines(experiment: adaptive.Experiment) -> list[str]:
     return [line.replace("nan", "  -") for line in lines]
 
 
-def sampling_data(limits: sampling.Limits) -> dict[str, Any]:
+def sampling_data(limits: sampling.WeightResults) -> dict[str, Any]:
     """Sample period over ρ for JSON."""
     return {
         "valve": limits.valve,
@@ -173,7 +173,7 @@ def sampling_data(limits: sampling.Limits) -> dict[str, Any]:
     }
 
 
-def sampling_lines(limits: sampling.Limits) -> list[str]:
+def sampling_lines(limits: sampling.WeightResults) -> list[str]:
     """Sample period over ρ as a table."""
     lines = [
         f"OARC on model {limits.valve}: sample period over the weight ρ of z2",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from valve_control.control.analysis.overlay import Motion, shift
+from valve_control.control.analysis.overlay import TimedSignal, shift
 from valve_control.control.commands.scenarios import stroke
 
 
@@ -21,7 +21,7 @@ def motion(law, begin, end, clock=0.0, period=1e-3, noise=0.0):
     """``law`` from ``begin`` to ``end`` of its time [s], recorded from ``clock`` on."""
     time = np.arange(begin, end, period)
     value = law(time) + np.random.default_rng(1).normal(0.0, noise, len(time))
-    return Motion(time - begin + clock, value, period)
+    return TimedSignal(time - begin + clock, value, period)
 
 
 @pytest.mark.parametrize("law", [strokes, sine])
@@ -53,5 +53,5 @@ def test_motions_that_are_not_alike_begin_together():
 
 
 def test_without_any_motion_the_beginnings_lie_together():
-    still = Motion(np.arange(5.0, 6.0, 1e-3), np.zeros(1000), 1e-3)
+    still = TimedSignal(np.arange(5.0, 6.0, 1e-3), np.zeros(1000), 1e-3)
     assert shift(still, motion(lambda t: 0.0 * t, 0.0, 1.0)) == (-5.0, False)

@@ -65,7 +65,7 @@ def test_an_ideal_valve_follows_its_course_and_settles_within_its_overlap():
 
 @pytest.mark.parametrize("goals", [[0.3], [0.3, 0.1], [0.2001]])
 def test_courses_keep_their_limits_and_end_at_rest(goals):
-    limits = course.Limits(0.25, 2.0, 40.0)
+    limits = course.MotionLimits(0.25, 2.0, 40.0)
     rows = course.point_to_point(0.2, goals, 0.1, limits, 0.001, 3.0)
     x, v, a = rows.T
     assert x[0] == 0.2 and x[-1] == pytest.approx(goals[-1], abs=1e-12) and v[-1] == a[-1] == 0.0

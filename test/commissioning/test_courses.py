@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from valve_control.control.commands.scenarios import sine_steps
 from valve_control.design.commissioning import courses
-from valve_control.design.commissioning.bench import Limits, Seen
+from valve_control.design.commissioning.bench import SafetyLimits, Seen
 
 PERIOD = 0.001
 
@@ -30,7 +30,7 @@ numbers = st.floats(-20.0, 20.0)
 
 @given(st.floats(0.1, 10.0), st.floats(0.2, 5.0), st.lists(numbers, min_size=1, max_size=300))
 def test_triangle_stays_within_the_voltage_and_ends_at_rest(voltage, travel, readings):
-    limits = Limits(voltage, travel)
+    limits = SafetyLimits(voltage, travel)
     rate = 0.4 * voltage
     commands = driven(courses.triangle(limits, rate, 4), [*readings, 0.0])
     assert np.max(np.abs(commands)) <= voltage
@@ -40,7 +40,7 @@ def test_triangle_stays_within_the_voltage_and_ends_at_rest(voltage, travel, rea
 
 def test_a_spool_that_goes_on_after_a_turn_is_turned_earlier_the_next_time():
     """A valve that is 0.15 s late goes on by 0.26 V after the first turn; the next ones stay within REACH."""
-    limits, late, gain = Limits(4.0, 2.0), 150, 1.1
+    limits, late, gain = SafetyLimits(4.0, 2.0), 150, 1.1
     course = courses.triangle(limits, 1.6, 4)
     given, readings = [next(course)], []
     with pytest.raises(StopIteration):
@@ -57,7 +57,7 @@ def test_a_spool_that_goes_on_after_a_turn_is_turned_earlier_the_next_time():
 
 @given(st.floats(0.1, 10.0), st.floats(-5.0, 5.0), st.lists(numbers, min_size=1, max_size=300))
 def test_sines_stay_within_the_voltage_and_become_smaller_beyond_the_reach(amplitude, offset, readings):
-    limits = Limits(3.0, 1.0)
+    limits = SafetyLimits(3.0, 1.0)
     steps = sine_steps(5.0, 20.0, 3, 2, 0.3)
     commands = driven(courses.stepped_sine(limits, steps, amplitude, offset), readings)
     assert np.max(np.abs(commands)) <= 3.0
@@ -66,7 +66,7 @@ def test_sines_stay_within_the_voltage_and_become_smaller_beyond_the_reach(ampli
 
 def test_a_sine_is_made_smaller_until_the_spool_stays_within_its_reach():
     """A valve without lag and with a gain of 2: the sine ends where the reading is at REACH of the travel."""
-    limits = Limits(4.0, 2.0)
+    limits = SafetyLimits(4.0, 2.0)
     course = courses.stepped_sine(limits, sine_steps(2.0, 2.0, 1, 12, 6.0), 3.0, 0.0)
     command, largest = next(course), []
     for k in range(5000):
@@ -77,7 +77,7 @@ def test_a_sine_is_made_smaller_until_the_spool_stays_within_its_reach():
 
 
 def test_a_ramp_makes_no_leap_after_a_pause_of_the_process():
-    course = courses.triangle(Limits(4.0, 2.0), 1.6, 2)
+    course = courses.triangle(SafetyLimits(4.0, 2.0), 1.6, 2)
     next(course)
     before = course.send(Seen(0.5, 0.0))
     assert course.send(Seen(3.0, 0.0)) - before == pytest.approx(1.6 * courses.LATE)
@@ -94,7 +94,7 @@ def test_a_motion_is_played_by_the_numbers_of_the_readings():
 
 def test_how_long_a_triangle_takes_is_known_better_after_each_turn():
     """Told before its first turn: that of the limit of the voltage; the valve turns it at 0.4 of that."""
-    limits, turned, told = Limits(4.0, 2.0), [], []
+    limits, turned, told = SafetyLimits(4.0, 2.0), [], []
     course = courses.triangle(limits, 1.6, 4, turned.append)
     given = [next(course)]
     with pytest.raises(StopIteration):

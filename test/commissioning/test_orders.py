@@ -10,11 +10,11 @@ from supervised import SupervisedValve, driven
 
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.commissioning import model, plant, small_signal
-from valve_control.design.commissioning.bench import Limits, Record
+from valve_control.design.commissioning.bench import Record, SafetyLimits
 from valve_control.design.commissioning.statics import Friction, Rest
 from valve_control.design.identification import rational
 
-LIMITS = Limits(4.0, 2.0)
+LIMITS = SafetyLimits(4.0, 2.0)
 
 
 def silent(*done):
@@ -59,7 +59,7 @@ def test_a_third_pole_is_no_dead_time():
 def test_a_pole_that_the_samples_do_not_show_is_not_sought_for_ever():
     """At 250 Hz and with this noise the search of third order leads to exp(1200) rad/s."""
     valve = {"sample_period": 0.004, "friction.coulomb": 0.6, "disturbance.offset": 0.2, "seed": 5}
-    made = found({**valve, "lvdt.noise": 0.004, "lvdt.delay": 0.0024}, limits=Limits(3.5, 1.5))
+    made = found({**valve, "lvdt.noise": 0.004, "lvdt.delay": 0.0024}, limits=SafetyLimits(3.5, 1.5))
     assert made.friction.coulomb == pytest.approx(0.6, abs=0.03)
     assert made.model.static_gain == pytest.approx(0.829, rel=0.03)
     assert max(abs(np.roots(made.model.denominator))) < np.pi / 0.004

@@ -14,12 +14,12 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve as plant
 from valve_control.design.commissioning import backup, sequence
-from valve_control.design.commissioning.bench import Fault, Limits, Swings
+from valve_control.design.commissioning.bench import Fault, SafetyLimits, Swings
 from valve_control.design.commissioning.plan import Plan, check
 from valve_control.design.commissioning.watch import Watch
 from valve_control.parameter import ParameterError, defaults, updated
 
-LIMITS = Limits(3.0, 1.5)
+LIMITS = SafetyLimits(3.0, 1.5)
 BEFORE = {"controller": "oarc", "u_max": 9.0, "oarc.k1": 77.0, "command_limit": 8.0, "reshaping.lead": 0.004}
 PLAN = Plan(LIMITS, "pid", 0.3, 40, 3, 8, 1, 2)
 
@@ -159,9 +159,9 @@ def test_a_valve_that_takes_neither_is_refused_with_both_reasons():
 @pytest.mark.parametrize(
     ("limits", "law", "words"),
     [
-        (Limits(12.0, 1.0), "pid", "--max-voltage is 12 V; it must lie between 0.1 V and u_max, 9 V"),
-        (Limits(3.0, 9.0), "pid", "--travel is 9 V; it must lie between 0.2 V and"),
-        (Limits(3.0, 1.0), "open_loop", "open_loop has no gains to choose"),
+        (SafetyLimits(12.0, 1.0), "pid", "--max-voltage is 12 V; it must lie between 0.1 V and u_max, 9 V"),
+        (SafetyLimits(3.0, 9.0), "pid", "--travel is 9 V; it must lie between 0.2 V and"),
+        (SafetyLimits(3.0, 1.0), "open_loop", "open_loop has no gains to choose"),
     ],
 )
 def test_plans_that_do_not_fit_are_refused_before_anything_happens(limits, law, words):

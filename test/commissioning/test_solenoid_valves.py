@@ -13,7 +13,7 @@ from benchmarks.supervised import SupervisedValve
 from valve_control.control.compiling import sources_digest
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation import offline
-from valve_control.design.commissioning.bench import Limits
+from valve_control.design.commissioning.bench import SafetyLimits
 from valve_control.parameter import defaults, updated
 
 QUICK = solenoid.Options(budget=20, sets=20)
@@ -56,7 +56,7 @@ def test_the_bench_is_the_simulated_valve(seed):
     values = solenoid.drawn(seed)
     bench = SupervisedValve(values, {"controller": "open_loop", "open_loop.static_gain": 1.0})
     wanted = [2.0 * math.sin(0.02 * k) for k in range(600)]
-    record = bench.drive((value for value in wanted), Limits(10.0, 10.0), lambda done: None)
+    record = bench.drive((value for value in wanted), SafetyLimits(10.0, 10.0), lambda done: None)
     controller = updated(CONTROLLER, defaults(CONTROLLER), bench.controller)
     run = offline.simulate(controller, values, np.array(wanted))
     assert record.voltage.tolist() == run.voltage.tolist()

@@ -10,12 +10,12 @@ import pytest
 from supervised import SupervisedValve, driven
 
 from valve_control.design.commissioning import plant, small_signal, statics
-from valve_control.design.commissioning.bench import Limits, Record
+from valve_control.design.commissioning.bench import Record, SafetyLimits
 from valve_control.design.identification import rational
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
 
-LIMITS = Limits(4.0, 2.0)
+LIMITS = SafetyLimits(4.0, 2.0)
 VALVE = {
     "valve": "custom",
     "numerator": [40000.0],

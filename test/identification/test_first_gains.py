@@ -34,7 +34,7 @@ def known(model, delay=0.0, noise=0.0056):
     measured = Response(f, value, np.full(30, 1e-4), np.ones(30), PERIOD, "stepped sine", ())
     second = rational.fit(measured, 2)
     suggested = theta.suggest(measured, second, second, U_MAX)
-    return first_gains.Valve(model, delay, suggested, Lvdt(noise, 0.0037), PERIOD, U_MAX)
+    return first_gains.KnownValve(model, delay, suggested, Lvdt(noise, 0.0037), PERIOD, U_MAX)
 
 
 @pytest.mark.parametrize(

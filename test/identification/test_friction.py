@@ -84,7 +84,7 @@ def test_friction_taken_off_gives_the_model_back():
     assert missed[1] < 0.01 < missed[0]
     suggested = theta.suggest(measured, second, fit, U_MAX)
     lvdt = Lvdt(0.0056, 0.0037)
-    known = first_gains.Valve(fit.model, 0.0, suggested, lvdt, PERIOD, U_MAX, found)
+    known = first_gains.KnownValve(fit.model, 0.0, suggested, lvdt, PERIOD, U_MAX, found)
     values = first_gains.first(known).values
     assert values["dcarc.theta_initial"][2] == pytest.approx(1.16, abs=0.005)
     assert values["dcarc.presliding"][1] == pytest.approx(0.02, rel=0.05)

@@ -16,11 +16,11 @@ from valve_control.parameter import ParameterError
 ABLE = path.Range(0.0, 0.5, 0.7, 0.5, 0.002)
 REST = Goal(0.2, 0.0, 0.0)
 MS = 1_000_000
-LIMITS = course.Limits(0.25, 2.0, 40.0)
+LIMITS = course.MotionLimits(0.25, 2.0, 40.0)
 
 
 def points(*rows):
-    return [path.Point(*row[:3], row[3] * MS) for row in rows]
+    return [path.PathPoint(*row[:3], row[3] * MS) for row in rows]
 
 
 def test_a_sampled_course_is_met_to_the_last_bit():
@@ -39,7 +39,7 @@ def test_a_sampled_course_is_met_to_the_last_bit():
 def test_between_points_the_derivatives_are_derivatives_and_nothing_leaps(rows, known):
     """With accelerations, with velocities alone, or without either."""
     given_points = [
-        path.Point(x, v if known > 0 else None, a if known > 1 else None, 100 * MS * (k + 1))
+        path.PathPoint(x, v if known > 0 else None, a if known > 1 else None, 100 * MS * (k + 1))
         for k, (x, v, a) in enumerate(rows)
     ]
     last = given_points[-1]
@@ -87,7 +87,7 @@ def test_what_is_no_path_is_refused_in_one_sentence(rows, words):
 
 def test_points_are_those_of_the_joint():
     rows = [((1.0, 2.0), (3.0, 4.0), (), 7)]
-    assert path.points_of("b", ["a", "b"], rows) == [path.Point(2.0, 4.0, None, 7)]
+    assert path.points_of("b", ["a", "b"], rows) == [path.PathPoint(2.0, 4.0, None, 7)]
     with pytest.raises(ParameterError, match="is for 'a', 'b', not for 'c'"):
         path.points_of("c", ["a", "b"], rows)
     with pytest.raises(ParameterError, match="2 positions, 1 velocities and 0 accelerations"):

@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
 from valve_control.nodes.adapter import encoded
-from valve_control.nodes.black_box import OVERHEAD, SILENT, BlackBox, Limits
+from valve_control.nodes.black_box import OVERHEAD, SILENT, BlackBox, BoxLimits
 from valve_control.nodes.harness.processes import process
 from valve_control.nodes.parameter_capture import EVENTS
 from valve_control.recordings import parameters
@@ -92,7 +92,11 @@ def test_a_frozen_lvdt_and_a_killed_controller_leave_the_seconds_before_them(ros
 def box(folder, told, **limits):
     usual = {"seconds": 60.0, "after": 60.0, "keep": 3, "max_bytes": 10**6}
     made = BlackBox(
-        folder / "box", "mcap", "none", Limits(**{**usual, **limits}), lambda text, wrong: told.append(text)
+        folder / "box",
+        "mcap",
+        "none",
+        BoxLimits(**{**usual, **limits}),
+        lambda text, wrong: told.append(text),
     )
     made.add_topic("/x", "std_msgs/msg/Float64")
     made.add_topic(EVENTS, parameters.TYPE)

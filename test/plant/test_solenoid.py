@@ -279,7 +279,7 @@ def test_steady_sliding_rubs_at_stribeck_s_level(velocity):
         friction__presliding=0.01, bristle_damping=0.001,
     ).friction  # fmt: skip
     level = 0.6 * (1.0 + 0.5 * math.exp(-((velocity / 0.05) ** 2)))
-    motion, h = solenoid.Motion(velocity, 0.0, 0.0), 1e-4 / min(1.0, abs(velocity))
+    motion, h = solenoid.SubstepMean(velocity, 0.0, 0.0), 1e-4 / min(1.0, abs(velocity))
     for _ in range(4000):
         # Without mobility friction cannot change the velocity.
         motion = solenoid.rub(f, h, 0.0, motion.bristle, velocity, velocity)

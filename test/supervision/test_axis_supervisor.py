@@ -18,7 +18,7 @@ from valve_control.control.supervision import axis_supervisor as supervisor
 from valve_control.control.supervision.record import Mode
 
 MS = 1_000_000
-LIMITS = course.Limits(0.25, 2.0, 40.0)
+LIMITS = course.MotionLimits(0.25, 2.0, 40.0)
 
 
 def designed(**changes):
@@ -34,7 +34,7 @@ def test_without_a_goal_it_holds_the_first_position_and_follows_a_path_to_the_la
     rows = course.point_to_point(0.2, [0.3], 0.05, LIMITS, 0.001, 1.0)
     s = sample(p, supervisor.at_rest(p), 0.2001, 1)
     assert s.goal == (0.2001, 0.0, 0.0) and s.command == 0.0
-    made = path.through([path.Point(*row, k * MS) for k, row in enumerate(rows)], s.goal, able)
+    made = path.through([path.PathPoint(*row, k * MS) for k, row in enumerate(rows)], s.goal, able)
     s = supervisor.begin(s, made, None)
     upper, position = s.upper, 0.2
     for k, row in enumerate(rows):

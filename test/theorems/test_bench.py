@@ -8,7 +8,7 @@ import scipy.integrate
 import scipy.linalg
 
 from research.theorems import bench
-from research.theorems.bench import Motion
+from research.theorems.bench import CosineReference
 from valve_control.control.laws import reshaping
 from valve_control.control.laws.projection import Theta
 
@@ -24,7 +24,7 @@ def test_plant_is_the_matrix_exponential(truth, period):
 
 
 def test_reference_has_its_own_derivatives_and_passes_the_reshaping():
-    m = Motion(0.3, 1.0, 7.0, -0.4, 31.0, 0.2, 90.0)
+    m = CosineReference(0.3, 1.0, 7.0, -0.4, 31.0, 0.2, 90.0)
     h = 1e-5
     p = bench.unlimited(1e-3)
     for t in np.linspace(0.0, 1.0, 23):

@@ -16,7 +16,7 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.simulation import batch, comparison
 from valve_control.design.tuning import friction_swing, limit_cycles, margins, trial
-from valve_control.design.tuning.trial import Gains
+from valve_control.design.tuning.trial import GainSet
 from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001
@@ -165,16 +165,16 @@ def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():
     assert margins.margins(law, params, box).swing_v[0] == pytest.approx(
         whole * (whole / box.own_swing[0] - 1.0) / (margins.GROWN - 1.0)
     )
-    motion = trial.Motion("rest", np.zeros(1000))
+    motion = trial.TuningMotion("rest", np.zeros(1000))
     problem = trial.Problem(values, [motion], plants, plants, trial.USUAL, False, False, 1)
     led = limit_cycles.steps(PERIOD).wanted
     traces = np.empty((2, len(led), 3))
     batch.simulate(batch.Batch(law.name, params, batch.records(plants), np.ones(2, int), led), 1, traces)
     assert np.all(limit_cycles.restless(traces[:, -1000:], PERIOD, 1.0))
-    assert limit_cycles.after_all(law, problem, Gains({}, 0.0), plants).tolist() == [1]
+    assert limit_cycles.after_all(law, problem, GainSet({}, 0.0), plants).tolist() == [1]
     swing = 0.5 * float(np.ptp(traces[0, -500:, 2]))
     for limit, counted in ((0.8 * swing, [0, 1]), (1.25 * swing, [1])):
         told = problem._replace(values={**values, "oscillation_limit": limit}, strict=True)
-        assert limit_cycles.after_all(law, told, Gains({}, 0.0), plants).tolist() == counted
+        assert limit_cycles.after_all(law, told, GainSet({}, 0.0), plants).tolist() == counted
         excused = told._replace(strict=False)
-        assert limit_cycles.after_all(law, excused, Gains({}, 0.0), plants).tolist() == [1]
+        assert limit_cycles.after_all(law, excused, GainSet({}, 0.0), plants).tolist() == [1]

@@ -18,7 +18,7 @@ from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER
 from valve_control.control.simulation import batch, comparison, many_states
 from valve_control.design.tuning import limit_cycles, margins, trial
-from valve_control.design.tuning.trial import Gains, Motion
+from valve_control.design.tuning.trial import GainSet, TuningMotion
 from valve_control.parameter import ParameterError, defaults, updated
 
 PERIOD = 0.001
@@ -88,10 +88,10 @@ def test_margins_at_0_v_do_not_see_what_adaptation_does_elsewhere():
     batch.simulate(batch.Batch("oarc", params, batch.records(plants), np.array([NUMBER]), command), 1, traces)
     swings = [0.5 * float(np.ptp(traces[0, end - 500 : end, 0])) for end in (1100, 2100)]
     assert swings[0] < 0.02 and swings[1] > 0.5
-    assert limit_cycles.after_all(law, problem, Gains({}, 0.0), plants).tolist() == [0]
+    assert limit_cycles.after_all(law, problem, GainSet({}, 0.0), plants).tolist() == [0]
     calm = problem_of("oarc", plants)
-    assert limit_cycles.after_all(law, calm, Gains({}, 0.0), plants).tolist() == []
-    lasting = limit_cycles.after_all(law, problem, Gains({}, 0.0), plants, held=limit_cycles.LASTING)
+    assert limit_cycles.after_all(law, calm, GainSet({}, 0.0), plants).tolist() == []
+    lasting = limit_cycles.after_all(law, problem, GainSet({}, 0.0), plants, held=limit_cycles.LASTING)
     assert lasting.tolist() == []  # it rings down in the second after that
 
 
@@ -107,16 +107,16 @@ def test_what_rings_down_slowly_is_no_limit_cycle():
     for lost, shares, lasting in ((0.002, 1.0, []), (-0.002, 1.0, [0]), (0.02, 0.0, [])):
         kp = scipy.optimize.brentq(lambda kp, lost=lost: radius(kp) - (1.0 - lost), 3.0, 60.0)
         problem = problem_of("pid", [plant()], **loose, **{"pid.kp": kp})
-        problem = problem._replace(limits=trial.Limits(0.0, 0.0, 0.0, math.inf, math.inf, 1.0))
-        assert limit_cycles.restless_shares(law, problem, [Gains({}, 0.0)]) == [shares]
-        found = limit_cycles.after_all(law, problem, Gains({}, 0.0), [plant()], held=limit_cycles.LASTING)
+        problem = problem._replace(limits=trial.TuningLimits(0.0, 0.0, 0.0, math.inf, math.inf, 1.0))
+        assert limit_cycles.restless_shares(law, problem, [GainSet({}, 0.0)]) == [shares]
+        found = limit_cycles.after_all(law, problem, GainSet({}, 0.0), [plant()], held=limit_cycles.LASTING)
         assert found.tolist() == lasting
 
 
 def test_a_loop_is_asked_to_rest_where_its_motions_go():
     """One more step than the usual two, to the farthest point of the motions."""
-    motion = Motion("far", np.array([0.0, -4.0, 2.0]))
-    near = Motion("near", np.array([0.0, 0.7, 0.0]))
+    motion = TuningMotion("far", np.array([0.0, -4.0, 2.0]))
+    near = TuningMotion("near", np.array([0.0, 0.7, 0.0]))
     assert set(limit_cycles.steps(PERIOD, [near]).wanted) == {0.0, 0.3, -1.0}
     wanted = limit_cycles.steps(PERIOD, [near, motion]).wanted
     assert wanted[-1] == 4.0 and len(wanted) == len(limit_cycles.steps(PERIOD).wanted) + 1000

@@ -16,7 +16,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.design.tuning import pauses, trial
-from valve_control.design.tuning.trial import Gains, Motion, Problem
+from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
 from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001
@@ -30,11 +30,11 @@ def sine(amplitude, frequency, seconds=3.0):
 
 def problem(wanted, law="dcarc", **changes):
     values = changed.controller(controller=law, **changes)
-    return Problem(values, [Motion("wanted", wanted)], [], [], trial.USUAL, False, False, 1)
+    return Problem(values, [TuningMotion("wanted", wanted)], [], [], trial.USUAL, False, False, 1)
 
 
 def shortest(wanted, law="dcarc", **changes):
-    return pauses.shortest(LAWS[law], problem(wanted, law, **changes), Gains({}, 0.0))
+    return pauses.shortest(LAWS[law], problem(wanted, law, **changes), GainSet({}, 0.0))
 
 
 def reference(commands, **changes):
@@ -137,11 +137,11 @@ def test_what_is_not_reshaped_and_what_is_known_ahead_is_not_looked_at():
     assert shortest(wanted, **settings) < math.inf
     assert shortest(wanted, "pid", pid__form="plain", **settings) is None
     ahead = problem(wanted, **settings)._replace(preview=True)
-    assert pauses.shortest(LAWS["dcarc"], ahead, Gains({}, 0.0)) is None
-    assert pauses.as_text(None) == "not looked at" and pauses.borne(LAWS["dcarc"], ahead, Gains({}, 0.0))
+    assert pauses.shortest(LAWS["dcarc"], ahead, GainSet({}, 0.0)) is None
+    assert pauses.as_text(None) == "not looked at" and pauses.borne(LAWS["dcarc"], ahead, GainSet({}, 0.0))
     none = problem(wanted, **settings)
     none = none._replace(limits=trial.USUAL._replace(pause_s=0.0))
-    assert pauses.borne(LAWS["dcarc"], none, Gains({}, 0.0))
+    assert pauses.borne(LAWS["dcarc"], none, GainSet({}, 0.0))
 
 
 @pytest.mark.parametrize("valve", ["d3fxe", "d3fxe_experiment"])
@@ -149,8 +149,8 @@ def test_what_is_not_reshaped_and_what_is_known_ahead_is_not_looked_at():
 def test_shipped_gains_bear_pauses_on_their_commands(valve, law, config):
     values = files.load(str(config / "tuned" / f"{valve}_{law}.yaml"))["controller"]
     names = ("fast_strokes", "sines", "slow_strokes")
-    motions = [Motion(name, arrays.read(str(config / "commands" / f"{name}.csv"))) for name in names]
+    motions = [TuningMotion(name, arrays.read(str(config / "commands" / f"{name}.csv"))) for name in names]
     there = Problem(
         updated(CONTROLLER, defaults(CONTROLLER), values), motions, [], [], trial.USUAL, False, False, 1
     )
-    assert math.isinf(pauses.shortest(LAWS[law], there, Gains({}, 0.0)))
+    assert math.isinf(pauses.shortest(LAWS[law], there, GainSet({}, 0.0)))

@@ -18,13 +18,13 @@ from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.simulation import robustness
 from valve_control.design.tuning import box, limit_cycles, margins, pauses, search, trial, tuner, verification
-from valve_control.design.tuning.search import Point
-from valve_control.design.tuning.trial import Gains
+from valve_control.design.tuning.search import EvaluatedGains
+from valve_control.design.tuning.trial import GainSet
 from valve_control.parameter import ParameterError, defaults, updated
 
 FREE = [free for law in LAWS.values() for free in law.free]
 SETTINGS = {node: defaults(table) for node, table in NODES.items()}
-LIMITS = trial.Limits(2.0, 15.0, 0.0003, 12.0, 0.05, 0.02)
+LIMITS = trial.TuningLimits(2.0, 15.0, 0.0003, 12.0, 0.05, 0.02)
 NARROW = ("gain", "speed", "friction.coulomb")
 
 
@@ -33,7 +33,7 @@ def problem(law="pid", valves=4, seed=1, preview=False, **changes):
     study = box.study_of(SETTINGS, [q for q in robustness.BOX if q.name in NARROW], valves, seed)
     times = np.maximum(0.0, np.arange(1200) * 0.001 - 0.05)
     wanted = 0.8 * np.sin(2.0 * math.pi * 5.0 * times) * np.clip(times / 0.2, 0.0, 1.0)
-    motion = trial.Motion("sine", wanted)
+    motion = trial.TuningMotion("sine", wanted)
     return trial.Problem(
         values,
         [motion],
@@ -116,7 +116,7 @@ def test_followers_and_entries_of_lists_are_placed():
 
 @given(st.lists(st.tuples(st.floats(1e-3, 1.0), st.floats(1e-3, 1.0)), min_size=1, max_size=30))
 def test_front_is_what_no_other_point_beats(pairs):
-    points = [Point((), Gains({}, 0.0), error, chatter, 0.0) for error, chatter in pairs]
+    points = [EvaluatedGains((), GainSet({}, 0.0), error, chatter, 0.0) for error, chatter in pairs]
     front = search.front(points)
     assert all(a.chatter > b.chatter and a.error < b.error for a, b in zip(front, front[1:], strict=False))
     for point in points:
@@ -127,7 +127,7 @@ def test_front_is_what_no_other_point_beats(pairs):
 
 def test_knee_of_two_branches_is_their_corner():
     corner = [(1.0, 0.1), (0.5, 0.11), (0.1, 0.12), (0.09, 0.4), (0.08, 1.0)]
-    points = [Point((), Gains({}, 0.0), error, chatter, 0.0) for error, chatter in corner]
+    points = [EvaluatedGains((), GainSet({}, 0.0), error, chatter, 0.0) for error, chatter in corner]
     assert search.knee(search.front(points)).error == 0.1
 
 
@@ -147,7 +147,7 @@ def test_search_keeps_the_margins_and_is_the_same_on_any_number_of_threads(each,
         params = LAWS["pid"].build(trial.values_with(p, point.gains))
         assert trial.violation(LIMITS, margins.margins(LAWS["pid"], params, prepared)) == 0.0
     assert runs[0].missed > 0
-    start = trial.run(LAWS["pid"], p, [Gains({}, 0.0)])[0]
+    start = trial.run(LAWS["pid"], p, [GainSet({}, 0.0)])[0]
     best = min((q for q in runs[0].points if q.chatter <= 0.3), key=lambda q: q.error)
     assert best.error < 0.7 * trial.error_of(p, start)
 
@@ -178,7 +178,7 @@ def test_cost_goes_on_beyond_a_margin():
     least = float(np.min(found.phase_deg)) * search.BACK_OFF
     costs = []
     for wanted in (0.999 * least, 1.001 * least):
-        there = p._replace(limits=trial.Limits(0.0, wanted, 0.0, math.inf, math.inf, 1.0))
+        there = p._replace(limits=trial.TuningLimits(0.0, wanted, 0.0, math.inf, math.inf, 1.0))
         trials = search._Trials(law, there, free, 1)
         costs += trials.judged([shares], 1.0).costs
         assert len(trials.points) == (wanted < least)
@@ -230,7 +230,7 @@ def test_gains_bear_a_pause_of_the_command():
     """On a sine whose acceleration is half the limit; without the limit some of the front do not."""
     time = np.arange(2000) * 0.001
     wanted = np.sin(2.0 * np.pi * 12.0 * time) * np.clip(time / 0.2, 0.0, 1.0)
-    there = problem("dcarc", valves=2)._replace(motions=[trial.Motion("sine", wanted)])
+    there = problem("dcarc", valves=2)._replace(motions=[trial.TuningMotion("sine", wanted)])
     law, borne, chosen = LAWS["dcarc"], [], None
     for pause in (0.0, 0.01):
         asked = there._replace(limits=there.limits._replace(pause_s=pause))
@@ -254,7 +254,7 @@ def test_a_known_motion_is_followed_without_lag():
     p = problem("dcarc", preview=True)
     law = LAWS["dcarc"]
     params = law.build(p.values)
-    sent = trial.given(law, params, p.values, Gains({}, 0.0), p, p.motions[0].wanted)
+    sent = trial.given(law, params, p.values, GainSet({}, 0.0), p, p.motions[0].wanted)
     state, reference = reshaping.State(0.0, 0.0), []
     for command in sent.tolist():
         reference.append(state.reference)
@@ -270,7 +270,7 @@ def test_gains_without_margin_are_not_accepted(config):
     wide = [q for q in robustness.BOX if q.name in ("gain", "speed", "lvdt.delay")]
     study = box.study_of(SETTINGS, wide, 24, 7)
     p = p._replace(plants=box.drawn(study), box=box.bounding(study))
-    found = verification.verified(LAWS["pid"], p, Gains({}, 0.0), 0.25)
+    found = verification.verified(LAWS["pid"], p, GainSet({}, 0.0), 0.25)
     assert len(found.restless) > 0
     assert any("unstable" in reason for reason in found.reasons)
     assert any("do not rest within 1 s" in reason for reason in found.reasons)

@@ -151,11 +151,11 @@ def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
 
 
 def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
-    from valve_control.design.commissioning.bench import Limits
+    from valve_control.design.commissioning.bench import SafetyLimits
     from valve_control.design.commissioning.plan import Plan
 
     return Plan(
-        Limits(arguments.max_voltage, arguments.travel),
+        SafetyLimits(arguments.max_voltage, arguments.travel),
         arguments.controller or law,
         CHATTER if arguments.max_chatter is None else arguments.max_chatter,
         arguments.budget,

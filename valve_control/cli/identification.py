@@ -439,7 +439,9 @@ def _found(
     model, delay, late = first_gains.with_dead_time(measured, best, arguments.weighting)
     sensor = arguments.sensor_delay
     gains = first_gains.first(
-        first_gains.Valve(model, delay, suggestion, readings, measured.period, tested.u_max, rubbing, sensor)
+        first_gains.KnownValve(
+            model, delay, suggestion, readings, measured.period, tested.u_max, rubbing, sensor
+        )
     )
     return result.Identification(
         source=tested.source,

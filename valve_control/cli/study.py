@@ -26,7 +26,7 @@ from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, number, updated, word
 
 if TYPE_CHECKING:
-    from valve_control.control.simulation.robustness import Found, Quantity, Study
+    from valve_control.control.simulation.robustness import Quantity, Study, StudyResult
 
 
 def add_commands(commands: Any) -> None:
@@ -223,7 +223,7 @@ def _print(result: dict[str, Any]) -> None:
     print(f"worst by e_rms (--replay N): {', '.join(map(str, result['worst']['e_rms']))}")
 
 
-def _draw(path: Path, found: "Found", controller: str) -> None:
+def _draw(path: Path, found: "StudyResult", controller: str) -> None:
     import numpy as np
 
     from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_plots

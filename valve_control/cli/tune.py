@@ -40,12 +40,12 @@ if TYPE_CHECKING:
     from valve_control.control.plant.models import TransferFunction
     from valve_control.control.simulation.cluster import Cluster
     from valve_control.control.simulation.robustness import Quantity
-    from valve_control.design.commissioning.recorded import Found
+    from valve_control.design.commissioning.recorded import RecordedValve
     from valve_control.design.tuning.kept import Kept
     from valve_control.design.tuning.search import Told
-    from valve_control.design.tuning.trial import Limits, Motion, Problem
+    from valve_control.design.tuning.trial import Problem, TuningLimits, TuningMotion
     from valve_control.design.tuning.tuner import Aim, Tuned
-    from valve_control.recordings.recording import Aligned, Valve
+    from valve_control.recordings.recording import Aligned, ValveRecording
 
 PID = "pid"  # that is tuned beside the others
 LOUDER = 1.2  # times the chatter with commands in time, from which that with uneven ones is told
@@ -407,10 +407,10 @@ def _aim(arguments: argparse.Namespace) -> "Aim":
     return Aim(arguments.max_chatter, arguments.max_error)
 
 
-def _limits(arguments: argparse.Namespace) -> "Limits":
-    from valve_control.design.tuning.trial import Limits
+def _limits(arguments: argparse.Namespace) -> "TuningLimits":
+    from valve_control.design.tuning.trial import TuningLimits
 
-    return Limits(
+    return TuningLimits(
         arguments.gain_margin,
         arguments.phase_margin,
         arguments.delay_margin,
@@ -422,12 +422,14 @@ def _limits(arguments: argparse.Namespace) -> "Limits":
     )
 
 
-def _motions(arguments: argparse.Namespace, settings: dict[str, Values], files: list[str]) -> list["Motion"]:
+def _motions(
+    arguments: argparse.Namespace, settings: dict[str, Values], files: list[str]
+) -> list["TuningMotion"]:
     """The commands, each of at least one second. Raises ParameterError."""
     from valve_control.control.commands import arrays
     from valve_control.control.parameters import build
     from valve_control.design.tuning import box
-    from valve_control.design.tuning.trial import Motion
+    from valve_control.design.tuning.trial import TuningMotion
 
     if files and arguments.scenario is not None:
         raise ParameterError(
@@ -435,9 +437,9 @@ def _motions(arguments: argparse.Namespace, settings: dict[str, Values], files: 
             "give one of them"
         )
     source = settings["command_source"]
-    motions = [Motion(Path(file).name, arrays.read(file)) for file in files]
+    motions = [TuningMotion(Path(file).name, arrays.read(file)) for file in files]
     if not files:
-        motions = [Motion(word(source, "scenario"), build.commands(source))]
+        motions = [TuningMotion(word(source, "scenario"), build.commands(source))]
     period = number(source, "sample_period")
     for motion in motions:
         if len(motion.wanted) * period < 1.0:
@@ -538,9 +540,9 @@ class _Recorded(NamedTuple):
 
     settings: dict[str, Values]
     box: list["Quantity"]
-    motion: "Motion"
-    found: "Found"
-    valve: "Valve"
+    motion: "TuningMotion"
+    found: "RecordedValve"
+    valve: "ValveRecording"
     signals: "Aligned"
     measured: "Indices"
 
@@ -555,7 +557,7 @@ def _recorded(arguments: argparse.Namespace, settings: dict[str, Values]) -> _Re
     from valve_control.design.commissioning import recorded as learning
     from valve_control.design.identification import recorded as tests
     from valve_control.design.tuning import box
-    from valve_control.design.tuning.trial import Motion
+    from valve_control.design.tuning.trial import TuningMotion
     from valve_control.parameter import updated
     from valve_control.recordings import recording
     from valve_control.recordings.bags.errors import BagError
@@ -617,7 +619,9 @@ def _recorded(arguments: argparse.Namespace, settings: dict[str, Values]) -> _Re
         print(f"note: {note}", file=sys.stderr)
     source = {**settings["command_source"], "sample_period": tested.period}
     made = {**settings, "controller": controller, "valve_simulator": found.values, "command_source": source}
-    return _Recorded(made, learning.box(found, usual), Motion(name, wanted), found, valve, signals, measured)
+    return _Recorded(
+        made, learning.box(found, usual), TuningMotion(name, wanted), found, valve, signals, measured
+    )
 
 
 def _on_recording(recorded: _Recorded, found: dict[str, "Tuned"], tuned: Values) -> dict[str, Any]:

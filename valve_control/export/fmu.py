@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 
 from valve_control import __version__
 from valve_control.export import compiler, kinds, sources
-from valve_control.export.settable import Found
+from valve_control.export.settable import Settable
 from valve_control.export.sources import Sources
 from valve_control.export.unit import Unit, leaves
 from valve_control.parameter import ParameterError
@@ -64,7 +64,7 @@ class Variable(NamedTuple):
     high: float | None = None
 
 
-def make(unit: Unit, version: int, found: Found | None = None) -> bytes:
+def make(unit: Unit, version: int, found: Settable | None = None) -> bytes:
     """The FMU file of ``unit`` for FMI ``version``; ``found`` as of ``sources.make``.
 
     Raises ParameterError.

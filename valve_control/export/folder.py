@@ -11,7 +11,7 @@ from pathlib import Path
 
 from valve_control import outputs
 from valve_control.export import compiler, samples, sources
-from valve_control.export.settable import Found
+from valve_control.export.settable import Settable
 from valve_control.export.sources import FLAGS, Sources
 from valve_control.export.unit import Unit
 from valve_control.parameter import ParameterError
@@ -73,7 +73,7 @@ def _claimed(path: Path, claim: Callable[[], None], release: Callable[[], None])
         raise
 
 
-def files(unit: Unit, single: bool = False, found: Found | None = None) -> dict[str, str]:
+def files(unit: Unit, single: bool = False, found: Settable | None = None) -> dict[str, str]:
     """Contents of the folder by file name; ``single`` and ``found`` as of ``sources.make``.
 
     Raises ParameterError.

@@ -29,14 +29,14 @@ class Setter(NamedTuple):
     path: str  # of the number in Params
 
 
-class Found(NamedTuple):
+class Settable(NamedTuple):
     """Which parameters C can set, and which not, with the reason."""
 
     setters: list[Setter]
     others: dict[str, str]  # by name; without those that have no effect
 
 
-def find(unit: Unit, done: Callable[[], object] = lambda: None) -> Found:
+def find(unit: Unit, done: Callable[[], object] = lambda: None) -> Settable:
     """Parameters of ``unit`` that can be set; ``done`` is called after each that has been tried."""
     setters: list[Setter] = []
     others: dict[str, str] = {}
@@ -58,7 +58,7 @@ def find(unit: Unit, done: Callable[[], object] = lambda: None) -> Found:
             others[parameter.name] = WHOLE if whole else NO_NUMBER
     setters = [setter for setter in setters if setter.parameter.name not in others]
     taken = [setter.path for setter in setters]
-    return Found([setter for setter in setters if taken.count(setter.path) == 1], others)
+    return Settable([setter for setter in setters if taken.count(setter.path) == 1], others)
 
 
 def _numbers(parameter: Parameter, value: Value) -> Iterator[tuple[int | None, float, float, float]]:

@@ -11,7 +11,7 @@ from valve_control.control.supervision.trajectory import Motion
 from valve_control.export import design, kinds, settable
 from valve_control.export.emission import WIDTH, wrapped
 from valve_control.export.kinds import BOOLEAN, INTEGER, REAL, Kind, comment, identifier
-from valve_control.export.settable import Found, Setter
+from valve_control.export.settable import Settable, Setter
 from valve_control.export.subset import Program, SubsetError
 from valve_control.export.unit import Unit, begun, leaves, places
 
@@ -45,7 +45,7 @@ def setter_name(unit: Unit, setter: Setter) -> str:
     return f"{unit.name}_set_{word}"
 
 
-def make(unit: Unit, single: bool = False, found: Found | None = None) -> Sources:
+def make(unit: Unit, single: bool = False, found: Settable | None = None) -> Sources:
     """Translate ``unit``; ``single``: float in place of double; ``found``: its settable parameters, if known.
 
     Raises ParameterError.
@@ -363,7 +363,7 @@ def _initialiser(program: Program, kind: Kind, value: Any, indent: str, path: st
     return lines
 
 
-def _setters(unit: Unit, program: Program, found: Found, params_t: str) -> list[tuple[str, str]]:
+def _setters(unit: Unit, program: Program, found: Settable, params_t: str) -> list[tuple[str, str]]:
     """Prototype and definition of a function for each parameter that can be set."""
     made = []
     by_name: dict[str, list[Setter]] = {}
@@ -395,7 +395,7 @@ def _setters(unit: Unit, program: Program, found: Found, params_t: str) -> list[
     return made
 
 
-def _design(unit: Unit, program: Program, found: Found, params_t: str) -> tuple[str, str]:
+def _design(unit: Unit, program: Program, found: Settable, params_t: str) -> tuple[str, str]:
     """Type, prototype and definition of what takes over all numbers at once."""
     name, upper = unit.name, unit.name.upper()
     paths = [path for path, _ in leaves(unit.params)]

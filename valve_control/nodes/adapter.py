@@ -280,7 +280,7 @@ class NumberSubscription(PolledSubscription):
                 return unpack_from(form, data, ENCODED - 8)[0], info
 
 
-class Point(NamedTuple):
+class TrajectoryPoint(NamedTuple):
     """A trajectory_msgs/JointTrajectoryPoint as far as it is used."""
 
     positions: tuple[float, ...]  # V
@@ -295,7 +295,7 @@ class PointSubscription(PolledSubscription):
     def __init__(self, node: Node, topic: str, qos: QoSProfile) -> None:
         super().__init__(node, JointTrajectoryPoint, topic, qos, raw=True)
 
-    def one(self) -> tuple[Point, dict[str, Any]] | None:
+    def one(self) -> tuple[TrajectoryPoint, dict[str, Any]] | None:
         """The oldest waiting point with its message info, None if there is none."""
         while True:
             with self.handle:
@@ -307,7 +307,7 @@ class PointSubscription(PolledSubscription):
                 return point, taken[1]
 
 
-def decoded_point(data: bytes) -> Point | None:
+def decoded_point(data: bytes) -> TrajectoryPoint | None:
     """A JointTrajectoryPoint as it travels (CDR), None if it is none."""
     if len(data) < HEAD:
         return None
@@ -326,7 +326,7 @@ def decoded_point(data: bytes) -> Point | None:
         seconds, nanoseconds = unpack_from(f"{order}iI", body, at)
     except StructError:
         return None
-    return Point(parts[0], parts[1], parts[2], seconds * 10**9 + nanoseconds)
+    return TrajectoryPoint(parts[0], parts[1], parts[2], seconds * 10**9 + nanoseconds)
 
 
 def encoded_point(position: float, velocity: float, acceleration: float, time: int = 0) -> bytes:

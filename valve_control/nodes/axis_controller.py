@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from valve_control.control.motion import path
-from valve_control.control.motion.course import Goal, Limits
+from valve_control.control.motion.course import Goal, MotionLimits
 from valve_control.control.parameters.axis import AXIS_CONTROLLER
 from valve_control.control.plant.machine import Reading
 from valve_control.control.supervision import axis_supervisor
@@ -97,7 +97,7 @@ class AxisController(Managed):
         first = not self._values
         self._values = values
         self._params, self._able = built
-        self._limits = Limits(
+        self._limits = MotionLimits(
             number(values, "max_velocity"), number(values, "max_acceleration"), number(values, "max_jerk")
         )
         self._lockstep = values["lockstep"] is True

@@ -38,7 +38,7 @@ class Entry(NamedTuple):
     data: bytes
 
 
-class Limits(NamedTuple):
+class BoxLimits(NamedTuple):
     """How much is kept, and for how long."""
 
     seconds: float  # before what happens
@@ -68,7 +68,7 @@ class BlackBox:
         name: Path,
         storage: str,
         compression: str,
-        limits: Limits,
+        limits: BoxLimits,
         tell: Callable[[str, bool], None],
     ) -> None:
         self._name = name

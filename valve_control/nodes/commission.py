@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.design.commissioning.bench import Course, Fault, Limits, Record, Seen, Told
+from valve_control.design.commissioning.bench import Course, Fault, Record, SafetyLimits, Seen, Told
 from valve_control.design.commissioning.watch import Watch
 from valve_control.nodes.adapter import (
     EVERYTHING,
@@ -221,11 +221,11 @@ class Controller:
 
     # Messages
 
-    def watch(self, limits: Limits) -> None:
+    def watch(self, limits: SafetyLimits) -> None:
         """Look at what has come. Raises Fault."""
         self._look(Watch(limits))
 
-    def drive(self, course: Course, limits: Limits, told: Told) -> Record:
+    def drive(self, course: Course, limits: SafetyLimits, told: Told) -> Record:
         """Give the commands of ``course``, one for each reading. Raises Fault.
 
         A command is for the next reading. It is sent when the voltage that answers this one has come: the

@@ -41,9 +41,9 @@ from valve_control.nodes.adapter import (
     UNKNOWN,
     NumberSubscription,
     ParameterSet,
-    Point,
     PointSubscription,
     PolledSubscription,
+    TrajectoryPoint,
     acquainted,
     diagnostics,
     encoded,
@@ -390,7 +390,7 @@ class Controller(Managed):
         self._journal.command(command, stamp)
         self._last_command = time.monotonic()
 
-    def _use_point(self, point: Point, stamp: int) -> None:
+    def _use_point(self, point: TrajectoryPoint, stamp: int) -> None:
         counts = len(point.positions), len(point.velocities), len(point.accelerations)
         if counts == (1, 1, 1):
             self._journal.trajectory(Motion(*point.positions, *point.velocities, *point.accelerations), stamp)
@@ -404,9 +404,9 @@ class Controller(Managed):
         """The oldest command or point of a trajectory that waits."""
         return self._commands.one() or self._trajectories.one()
 
-    def _use_paired(self, command: float | Point) -> None:
+    def _use_paired(self, command: float | TrajectoryPoint) -> None:
         """In lockstep times of sending mean nothing."""
-        if isinstance(command, Point):
+        if isinstance(command, TrajectoryPoint):
             self._use_point(command, command.time)
         else:
             self._use_command(command)

@@ -24,7 +24,7 @@ from valve_control.recordings.bags.bag import Bag, Series
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import decide, without_strays
 from valve_control.recordings.mapping import find_valves
-from valve_control.recordings.recording import Valve, align, chosen, load
+from valve_control.recordings.recording import ValveRecording, align, chosen, load
 from valve_control.recordings.stamps import fields, retimed
 
 Integers = npt.NDArray[np.int64]
@@ -216,7 +216,7 @@ def _columns(
     ]
 
 
-def _in_lockstep(node: Node, valve: Valve, quiet: bool) -> Played:
+def _in_lockstep(node: Node, valve: ValveRecording, quiet: bool) -> Played:
     """Publish one command and one reading at a time; the next when the voltage has come."""
     signals = align(valve)
     command = node.create_publisher(Float64, f"{valve.topics.namespace}/spool_command", SAMPLES)

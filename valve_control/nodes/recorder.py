@@ -29,7 +29,7 @@ from valve_control.nodes.adapter import (
     diagnostics,
     number_of,
 )
-from valve_control.nodes.black_box import BlackBox, Limits
+from valve_control.nodes.black_box import BlackBox, BoxLimits
 from valve_control.nodes.definitions import Definition, Definitions, message_class
 from valve_control.nodes.loop import Failure, Worker, run
 from valve_control.nodes.parameter_capture import EVENTS, ParameterCapture
@@ -78,7 +78,7 @@ class Settings(NamedTuple):
     flush_period: float  # s
     min_free: float  # bytes
     report_period: float  # s
-    box: Limits | None  # of the black box, None where everything is recorded
+    box: BoxLimits | None  # of the black box, None where everything is recorded
 
 
 def settings(values: Values) -> Settings:
@@ -114,7 +114,7 @@ def settings(values: Values) -> Settings:
     )
 
 
-def _box(values: Values) -> Limits | None:
+def _box(values: Values) -> BoxLimits | None:
     """Limits of the black box, None where it is not wanted. Raises ParameterError for what has no effect."""
     wanted = values["black_box"] is True
     for entry in RECORDER:
@@ -125,7 +125,7 @@ def _box(values: Values) -> Limits | None:
             raise ParameterError(f"{entry.name} has no effect where black_box is {state}")
     if not wanted:
         return None
-    return Limits(
+    return BoxLimits(
         seconds=parameter.number(values, "box.seconds"),
         after=parameter.number(values, "box.after"),
         keep=round(parameter.number(values, "box.keep")),

@@ -28,7 +28,15 @@ from valve_control.recordings.clocks import in_order, shared
 from valve_control.recordings.modes import Interval, Mode, of_samples
 from valve_control.recordings.pace import Pace, pace, sentence
 from valve_control.recordings.parameters import Change
-from valve_control.recordings.recording import ESTIMATES, Aligned, Recording, State, Valve, align, at_time
+from valve_control.recordings.recording import (
+    ESTIMATES,
+    Aligned,
+    Recording,
+    State,
+    ValveRecording,
+    align,
+    at_time,
+)
 
 Floats = npt.NDArray[np.float64]
 EPOCH = 10**17  # ns; a table whose times begin before it (1973) has its own zero
@@ -61,7 +69,7 @@ class Spell(NamedTuple):
 class ValveAnalysis(NamedTuple):
     """Results for one valve."""
 
-    valve: Valve
+    valve: ValveRecording
     signals: Aligned | None  # None without readings
     timing: dict[str, Timing]  # by part
     recorded_after: dict[str, Any]  # spread of the time [s] from publication to recording, by part
@@ -91,7 +99,7 @@ def analyze(recording: Recording) -> Analysis:
     )
 
 
-def _analyze_valve(valve: Valve) -> ValveAnalysis:
+def _analyze_valve(valve: ValveRecording) -> ValveAnalysis:
     left_out = [*valve.problems, *leap_notes(valve)]
     signals = None
     try:
@@ -141,7 +149,7 @@ def _analyze_valve(valve: Valve) -> ValveAnalysis:
     )
 
 
-def leap_notes(valve: Valve) -> list[str]:
+def leap_notes(valve: ValveRecording) -> list[str]:
     """Where the time of the LVDT readings leaps, in words."""
     readings = valve.timed.get("spool_position")
     if readings is None or valve.lockstep or len(readings.time) < LEAST:
@@ -161,7 +169,7 @@ def leap_notes(valve: Valve) -> list[str]:
     ][:LEAPS]
 
 
-def _rate_notes(valve: Valve, signals: Aligned, measured: Pace, period: float) -> list[str]:
+def _rate_notes(valve: ValveRecording, signals: Aligned, measured: Pace, period: float) -> list[str]:
     return [
         f"{valve.name}: {sentence(other, signals, len(measured.others) == 1)}; "
         f"motions, e_F and spectra reckon with {1e3 * period:.4g} ms"
@@ -181,7 +189,7 @@ def _spells(modes: list[Interval], signals: Aligned, told: npt.NDArray[np.int64]
     ]
 
 
-def controller_name(valve: Valve) -> str:
+def controller_name(valve: ValveRecording) -> str:
     """Name of the law at the beginning: from the parameters, else from the names of its terms."""
     if valve.controller is not None and "controller" in valve.controller.initial:
         return str(valve.controller.initial["controller"])
@@ -219,7 +227,7 @@ def segment_indices(
 
 
 def _parts(
-    valve: Valve, signals: Aligned, name: str, period: float, modes: npt.NDArray[np.int64] | None
+    valve: ValveRecording, signals: Aligned, name: str, period: float, modes: npt.NDArray[np.int64] | None
 ) -> list[Part]:
     count = len(signals.time)
     segments = [(Segment("run", "whole run", 0, count), "")]

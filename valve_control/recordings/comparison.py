@@ -10,7 +10,7 @@ import numpy as np
 
 from valve_control.control.analysis.figures import COLOURS, Band, Line, Plot, Trace, draw_traces
 from valve_control.control.analysis.indices import Indices
-from valve_control.control.analysis.overlay import Motion, shift
+from valve_control.control.analysis.overlay import TimedSignal, shift
 from valve_control.control.analysis.page import figure, notes, page
 from valve_control.recordings.analysis import NONE, Analysis, Spell, modes_dict
 from valve_control.recordings.modes import Mode
@@ -77,7 +77,9 @@ def _overlay(signals: Aligned, over: Aligned) -> tuple[float, str]:
         return 0.0, ""
     both = (signals, over)
     commanded = all(np.isfinite(s.command).all() for s in both)
-    moved, alike = shift(*(Motion(s.time, s.command if commanded else s.measurement, s.period) for s in both))
+    moved, alike = shift(
+        *(TimedSignal(s.time, s.command if commanded else s.measurement, s.period) for s in both)
+    )
     what = "command" if commanded else "measurement"
     return moved, what if alike else f"beginning of the {what}'s motion"
 

@@ -22,7 +22,7 @@ OPERATORS: dict[str, Callable[[float, float], bool]] = {
 }
 
 
-class Outcome(NamedTuple):
+class ExpectationResult(NamedTuple):
     """Whether one condition holds on one valve."""
 
     text: str
@@ -50,7 +50,7 @@ def figures(valve: Mapping[str, Any]) -> dict[str, float | None]:
     return flat
 
 
-def check(text: str, valves: Mapping[str, Mapping[str, Any]]) -> list[Outcome]:
+def check(text: str, valves: Mapping[str, Mapping[str, Any]]) -> list[ExpectationResult]:
     """Check ``name op number`` on every valve, or ``valve.name op number`` on one; a missing number fails.
 
     Raises BagError if the text is no condition or there is no such number.
@@ -81,5 +81,5 @@ def check(text: str, valves: Mapping[str, Mapping[str, Any]]) -> list[Outcome]:
             )
         value = known[name]
         met = value is not None and math.isfinite(value) and OPERATORS[sign](value, limit)
-        outcomes.append(Outcome(text, valve, value, met))
+        outcomes.append(ExpectationResult(text, valve, value, met))
     return outcomes

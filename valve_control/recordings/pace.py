@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from valve_control.control.analysis.timing import deviating, true_period
-from valve_control.recordings.recording import Aligned, Valve, at_time
+from valve_control.recordings.recording import Aligned, ValveRecording, at_time
 
 
 class OtherRate(NamedTuple):
@@ -32,7 +32,7 @@ class Pace(NamedTuple):
         return self.others[0].measured if len(self.others) == 1 and self.others[0].whole else usual
 
 
-def pace(valve: Valve) -> Pace:
+def pace(valve: ValveRecording) -> Pace:
     """Measure the period of the LVDT readings, and where it differs from the sample_period of that time."""
     wanted = None
     changes: list[tuple[int, float]] = []

@@ -60,7 +60,7 @@ class State(NamedTuple):
     values: dict[str, Floats]  # by label; NaN where a law has no such term
 
 
-class Valve(NamedTuple):
+class ValveRecording(NamedTuple):
     """Everything that was recorded of one valve."""
 
     name: str
@@ -99,7 +99,7 @@ class Recording(NamedTuple):
     """A loaded bag: its valves, with signals in volts and seconds."""
 
     bag: Bag
-    valves: dict[str, Valve]
+    valves: dict[str, ValveRecording]
     nodes: dict[str, parameters.Node]
     problems: list[str]
     clock: Clock  # of all times
@@ -261,7 +261,7 @@ def _valve(
     since: int,
     clock: Clock,
     rows: bool,
-) -> Valve:
+) -> ValveRecording:
     problems: list[str] = []
     cleaned = clean(topics.sources, series, problems, rows)
     doubts = list(problems)
@@ -290,7 +290,7 @@ def _valve(
             problems.append(
                 f"the bag does not have {node.missing} parameters of {node.name} from its beginning"
             )
-    return Valve(
+    return ValveRecording(
         name=topics.name,
         topics=topics,
         signals=signals,
@@ -336,7 +336,7 @@ def at_time(signals: Aligned, stamp: int) -> float:
     return float(signals.time[min(int(np.searchsorted(signals.stamp, stamp)), len(signals.time) - 1)])
 
 
-def align(valve: Valve) -> Aligned:
+def align(valve: ValveRecording) -> Aligned:
     """Pair command, measurement and voltage at each LVDT reading from the first command on.
 
     The command is the newest one sent before the voltage that answers the reading; the voltage is the one in
@@ -391,7 +391,7 @@ def align(valve: Valve) -> Aligned:
     )
 
 
-def _lag(valve: Valve, stamp: Integers, voltages: Samples) -> int:
+def _lag(valve: ValveRecording, stamp: Integers, voltages: Samples) -> int:
     """Number of readings between a reading and its voltage, as ~/state shows; 0 if it does not."""
     if valve.state is None:
         return 0

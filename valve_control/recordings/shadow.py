@@ -26,7 +26,7 @@ from valve_control.control.supervision.trajectory import Motion
 from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import Samples, seconds
-from valve_control.recordings.recording import Valve
+from valve_control.recordings.recording import ValveRecording
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -61,7 +61,9 @@ class Shadow(NamedTuple):
         return int(where[0]) if len(where) else None
 
 
-def replay(valve: Valve, overrides: Mapping[str, Any], told: Callable[[int], None] | None = None) -> Shadow:
+def replay(
+    valve: ValveRecording, overrides: Mapping[str, Any], told: Callable[[int], None] | None = None
+) -> Shadow:
     """Shadow replay of one valve, loaded with its journal; ``overrides`` win over the recorded parameters.
 
     Raises BagError without readings or commands, ParameterError for parameters that do not fit together.
@@ -79,7 +81,7 @@ class _Replay:
 
     exact = False  # whether the valve got the very voltages that the supervisor gives without overrides
 
-    def __init__(self, valve: Valve, overrides: Mapping[str, Any]) -> None:
+    def __init__(self, valve: ValveRecording, overrides: Mapping[str, Any]) -> None:
         self._valve = valve
         self._overrides = dict(overrides)
         self._voltages = valve.recorded.get("valve_voltage")

@@ -14,7 +14,7 @@ from valve_control.control.simulation import offline
 from valve_control.parameter import Values, defaults, updated
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.parameters import Node
-from valve_control.recordings.recording import Aligned, Valve
+from valve_control.recordings.recording import Aligned, ValveRecording
 
 Floats = npt.NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class WhatIf(NamedTuple):
 
 
 def replay(
-    valve: Valve, signals: Aligned, controller: Mapping[str, Any], simulator: Mapping[str, Any]
+    valve: ValveRecording, signals: Aligned, controller: Mapping[str, Any], simulator: Mapping[str, Any]
 ) -> WhatIf:
     """Simulate the recorded command; ``controller`` and ``simulator`` win over the recorded parameters.
 

@@ -17,7 +17,7 @@ ALIKE = 0.5  # correlation of the rates from which on two motions are the same
 AS_GOOD = 0.98  # part of the best correlation from which on another place fits as well
 
 
-class Motion(NamedTuple):
+class TimedSignal(NamedTuple):
     """A signal with its times, from which motion is recognised."""
 
     time: Floats  # s, in order
@@ -31,7 +31,7 @@ class Motion(NamedTuple):
         return float(self.time[found[0].start]) if found else float(self.time[0])
 
 
-def shift(of: Motion, over: Motion) -> tuple[float, bool]:
+def shift(of: TimedSignal, over: TimedSignal) -> tuple[float, bool]:
     """Time [s] to add to ``of`` so that its motion lies over that of ``over``, and whether they are alike.
 
     Motions that are not alike are laid together where they begin. Of places that fit equally well, as in a
@@ -52,7 +52,7 @@ def shift(of: Motion, over: Motion) -> tuple[float, bool]:
     return float(fits[np.argmin(np.abs(fits - together))]), True
 
 
-def _rate(motion: Motion, step: float) -> Floats:
+def _rate(motion: TimedSignal, step: float) -> Floats:
     """Change of the smoothed signal in every ``step`` [s]."""
     count = round((motion.time[-1] - motion.time[0]) / step) + 1
     grid = motion.time[0] + np.arange(count) * step

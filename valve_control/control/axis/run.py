@@ -82,7 +82,7 @@ def goals_of(values: Values, position: float) -> Array:
         rows[:, 0] = centre
         rows[round(number(values, "pause") / period) :, 0] = centre + stroke
         return rows
-    limits = course.Limits(
+    limits = course.MotionLimits(
         number(values, "max_velocity"), number(values, "max_acceleration"), number(values, "max_jerk")
     )
     goals = [centre + stroke, centre] if values["back"] else [centre + stroke]

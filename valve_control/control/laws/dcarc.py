@@ -22,8 +22,8 @@ from valve_control.control.laws.dcarc_parts import (
     Combination,
     Course,
     Equivalent,
-    Gains,
     Inverse,
+    KalmanGains,
     Model,
     Move,
     Past,
@@ -73,7 +73,7 @@ class Params(NamedTuple):
     """Constants of the law."""
 
     model: Model
-    kalman: Gains
+    kalman: KalmanGains
     feedback: Row  # K of LQR, on the state when the voltage begins to act
     waiting: Past  # the same on voltages that have not acted yet
     unexplained: float  # the same on the disturbance

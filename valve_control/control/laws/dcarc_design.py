@@ -16,8 +16,8 @@ import scipy.linalg
 from valve_control.control.laws.dcarc_parts import (
     Combination,
     Equivalent,
-    Gains,
     Inverse,
+    KalmanGains,
     Model,
     Move,
     Past,
@@ -47,7 +47,7 @@ class Design(NamedTuple):
     """What ``design`` makes; fields as in ``dcarc.Params``."""
 
     model: Model
-    kalman: Gains
+    kalman: KalmanGains
     feedback: Row
     waiting: Past
     unexplained: float
@@ -515,7 +515,7 @@ def design(
             shown=_past(shown),
             ages=_past(ages),
         ),
-        kalman=Gains(_row(gain[:n]), float(gain[n]), _past(gain[n + 1 :])),
+        kalman=KalmanGains(_row(gain[:n]), float(gain[n]), _past(gain[n + 1 :])),
         feedback=_row(feedback @ wait.transition if dead_time > 0.0 else feedback),
         waiting=_past(feedback @ wait.held),
         unexplained=float(feedback @ wait.pushed),

@@ -83,7 +83,7 @@ class Model(NamedTuple):
     ages: Past  # s  of the past positions
 
 
-class Gains(NamedTuple):
+class KalmanGains(NamedTuple):
     """Gains of the Kalman filter."""
 
     state: Row

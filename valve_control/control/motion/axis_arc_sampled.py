@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from valve_control.control.motion import axis_arc
 from valve_control.control.motion.axis_arc import Measured, Model, Theta
-from valve_control.control.motion.axis_pid import Motion
+from valve_control.control.motion.axis_pid import SpoolReference
 from valve_control.control.motion.course import Goal
 from valve_control.control.plant import axis
 from valve_control.control.plant.machine import Reading
@@ -160,7 +160,7 @@ def step(p: Params, s: State, goal: Goal, reading: Reading) -> tuple[float, Stat
     )
 
 
-def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> Motion:
+def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> SpoolReference:
     """Where the spool is to be now, with the course's derivatives; ``s``, ``terms``: after the step.
 
     At constant velocity the opening is h·v/q (docs/explanation/axis_arc.md): course's acceleration and jerk
@@ -177,7 +177,7 @@ def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> Motion
     if abs(terms.spool) >= law.limit:
         slope = 0.0
     early = p.lead * (goal.acceleration + 0.5 * p.lead * jerk)  # m/s
-    return Motion(terms.spool - slope * early, slope * goal.acceleration, slope * jerk)
+    return SpoolReference(terms.spool - slope * early, slope * goal.acceleration, slope * jerk)
 
 
 PARAMETERS: Table = (

@@ -81,7 +81,7 @@ def step(p: Params, s: State, goal: Goal, reading: Reading) -> tuple[float, Stat
     return command, State(integral, filtered), Terms(error, wanted, command)
 
 
-class Motion(NamedTuple):
+class SpoolReference(NamedTuple):
     """Motion of the spool that is wanted, of one sample."""
 
     position: float  # V
@@ -89,7 +89,7 @@ class Motion(NamedTuple):
     acceleration: float  # V/s²
 
 
-def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> Motion:
+def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> SpoolReference:
     """Spool command with its derivatives; ``s`` and ``terms`` are those after the step with ``goal``.
 
     The velocity is that of feedforward, proportional and integral part, the acceleration that of the course's
@@ -104,7 +104,7 @@ def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> Motion
         slope = 0.0
     rate = p.feedforward * goal.acceleration + p.acceleration_feedforward * jerk
     rate += p.kp * s.error.velocity + p.ki * terms.error
-    return Motion(terms.spool, slope * rate, slope * p.feedforward * jerk)
+    return SpoolReference(terms.spool, slope * rate, slope * p.feedforward * jerk)
 
 
 PARAMETERS: Table = (

@@ -21,7 +21,7 @@ class Goal(NamedTuple):
     acceleration: float  # m/s²
 
 
-class Limits(NamedTuple):
+class MotionLimits(NamedTuple):
     """What a motion may not exceed."""
 
     velocity: float  # m/s
@@ -48,7 +48,7 @@ def planned(wanted: Any) -> Any:
 
 
 def point_to_point(
-    start: float, goals: Sequence[float], pause: float, limits: Limits, period: float, duration: float
+    start: float, goals: Sequence[float], pause: float, limits: MotionLimits, period: float, duration: float
 ) -> Array:
     """Jerk-limited motions from ``start`` to one of ``goals`` [m] after the other, each as fast as it can.
 

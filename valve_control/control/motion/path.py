@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.control.motion.course import Goal, Limits, planned
+from valve_control.control.motion.course import Goal, MotionLimits, planned
 from valve_control.parameter import ParameterError
 
 Array = npt.NDArray[np.float64]
@@ -34,7 +34,7 @@ class Range(NamedTuple):
     start: float  # m  distance from the present goal at which a path may begin
 
 
-class Point(NamedTuple):
+class PathPoint(NamedTuple):
     """One point of a trajectory."""
 
     position: float  # m
@@ -46,7 +46,7 @@ class Point(NamedTuple):
 Row = tuple[Sequence[float], Sequence[float], Sequence[float], int]
 
 
-def points_of(joint: str, joints: Sequence[str], rows: Sequence[Row]) -> list[Point]:
+def points_of(joint: str, joints: Sequence[str], rows: Sequence[Row]) -> list[PathPoint]:
     """Points of a trajectory of ``joints``, as far as they are for ``joint``.
 
     A row has positions [m], velocities [m/s] and accelerations [m/s²] (or none) of all joints, and the time
@@ -65,7 +65,7 @@ def points_of(joint: str, joints: Sequence[str], rows: Sequence[Row]) -> list[Po
                 f"{counts[2]} accelerations; it must have one of each for each joint, or no derivatives"
             )
         points.append(
-            Point(
+            PathPoint(
                 positions[at],
                 velocities[at] if counts[1] else None,
                 accelerations[at] if counts[2] else None,
@@ -90,7 +90,7 @@ def goal_of(path: Path, time: int) -> Goal:
     return path.at(max(0, time))
 
 
-def _velocities(points: Sequence[Point], times: Array) -> Array:
+def _velocities(points: Sequence[PathPoint], times: Array) -> Array:
     given = [p.velocity for p in points]
     x = np.array([p.position for p in points])
     slopes = np.zeros(len(points))
@@ -99,7 +99,7 @@ def _velocities(points: Sequence[Point], times: Array) -> Array:
     return np.array([slope if v is None else v for v, slope in zip(given, slopes, strict=True)])
 
 
-def _pieces(points: Sequence[Point], times: Array) -> Array:
+def _pieces(points: Sequence[PathPoint], times: Array) -> Array:
     """Coefficients (n-1, 6), constant first, of the polynomials between the points."""
     x = np.array([p.position for p in points])
     v = _velocities(points, times)
@@ -130,7 +130,7 @@ def _evaluated(c: Array, t: Array | float) -> tuple[Array, Array]:
     return x, v
 
 
-def through(points: Sequence[Point], present: Goal, able: Range) -> Path:
+def through(points: Sequence[PathPoint], present: Goal, able: Range) -> Path:
     """Path through the points of a trajectory, from the ``present`` goal if the first is not at time 0.
 
     Raises ParameterError, one sentence, for points that are no trajectory, that leave the stroke, that ask
@@ -159,7 +159,7 @@ def through(points: Sequence[Point], present: Goal, able: Range) -> Path:
     all_points = list(points)
     if stamps[0] > 0:
         whole = points[0].acceleration is not None
-        all_points.insert(0, Point(*present[:2], present.acceleration if whole else None, 0))
+        all_points.insert(0, PathPoint(*present[:2], present.acceleration if whole else None, 0))
     if abs(all_points[-1].velocity or 0.0) > REST:
         raise ParameterError(f"the trajectory ends with {all_points[-1].velocity:g} m/s; it must end at rest")
     last = Goal(all_points[-1].position, 0.0, 0.0)
@@ -201,7 +201,7 @@ def _check(low: float, high: float, slowest: float, fastest: float, able: Range,
             raise ParameterError(f"{what} asks for {speed:.4g} m/s {way}; the axis has {most:.4g} m/s")
 
 
-def towards(target: float, present: Goal, limits: Limits, able: Range) -> Path:
+def towards(target: float, present: Goal, limits: MotionLimits, able: Range) -> Path:
     """Path from the ``present`` goal, also in motion, to rest at ``target`` [m] as fast as ``limits`` allow.
 
     By ruckig (Berscheid and Kröger 2021). Raises ParameterError for a target that cannot be reached.

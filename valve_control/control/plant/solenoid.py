@@ -125,7 +125,7 @@ class State(NamedTuple):
     newest: int  # index into history
 
 
-class Motion(NamedTuple):
+class SubstepMean(NamedTuple):
     """Mean of a substep."""
 
     velocity: float  # V/s
@@ -225,7 +225,7 @@ def friction_level(f: Friction, velocity: float) -> float:
     return f.coulomb + f.static * math.exp(-ratio * ratio)
 
 
-def rub(f: Friction, h: float, mobility: float, bristle: float, free: float, before: float) -> Motion:
+def rub(f: Friction, h: float, mobility: float, bristle: float, free: float, before: float) -> SubstepMean:
     """Mean velocity, mean friction and bristles over a substep of ``h`` [s], from those of before.
 
     ``free``: mean velocity [V/s] without friction, of which 1 V of friction takes ``mobility`` [V/s/V];
@@ -249,12 +249,14 @@ def rub(f: Friction, h: float, mobility: float, bristle: float, free: float, bef
     return dragged(f, h, bristle, sign * speed, rate, weight)
 
 
-def dragged(f: Friction, h: float, bristle: float, velocity: float, rate: float, weight: float) -> Motion:
+def dragged(
+    f: Friction, h: float, bristle: float, velocity: float, rate: float, weight: float
+) -> SubstepMean:
     """Motion of a substep with a mean ``velocity`` [V/s]; ``rate`` and ``weight`` as in ``rub``."""
     mean = (bristle + weight * h * velocity) / (1.0 + weight * rate * abs(velocity))
     following = bristle + h * velocity - rate * abs(velocity) * mean
     friction = f.stiffness * mean + f.damping * (following - bristle) / h
-    return Motion(velocity, friction, following)
+    return SubstepMean(velocity, friction, following)
 
 
 def stopped(f: Friction, h: float, bristle: float, velocity: float) -> float:

@@ -35,7 +35,7 @@ Records = npt.NDArray[np.void]  # one row a valve, fields as in the NamedTuple, 
 SPAN = 256  # samples of noise made at a time: they stay in the nearest cache
 
 
-class Motion(NamedTuple):
+class SpoolState(NamedTuple):
     """Mechanical state of one spool."""
 
     x: valve.Row  # position [V], velocity [V/s] and two inner states
@@ -55,7 +55,7 @@ class Work(NamedTuple):
     voltage: float  # V
     level: float  # V  of friction
     tally: Any  # what is measured
-    motion: Motion
+    motion: SpoolState
     law: Any
 
 
@@ -139,7 +139,7 @@ def begin(like: Lane, block: Array, noise: Array) -> None:
         lane = load(like, block, j)
         first = valve.reading(lane.valve.lvdt, 0.0, noise[j, 0])
         law = law_initial(lane.law, Start(first, 0.0, first, 0.0, 0.0))
-        motion = Motion(valve.Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
+        motion = SpoolState(valve.Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
         store(Work(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, like.work.tally, motion, law), block, j)
 
 
@@ -163,7 +163,7 @@ def sample(lane: Lane, first: bool, final: bool) -> Work:
         now.voltage,
         w.level,
         tally,
-        Motion(x, bristle, w.motion.time + p.period),
+        SpoolState(x, bristle, w.motion.time + p.period),
         law,
     )
 
@@ -335,7 +335,7 @@ def _prepared(batch: Batch) -> Prepared:
     if led.shape != commands.shape:
         raise ValueError(f"commands have shape {commands.shape}, with their lead {led.shape}")
     samples = commands.shape[-1]
-    states = (template(batch.measures.tally), template(Motion), template(law.State))
+    states = (template(batch.measures.tally), template(SpoolState), template(law.State))
     plant = _plant(batch.valve_params)
     like = Lane(Work._make([*HANDED_OVER, *states]), template(law.Params), template(plant.module.Params))
     law_rows = _rows("law_params", batch.law_params, like.law, count)

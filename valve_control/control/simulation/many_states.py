@@ -16,7 +16,7 @@ from valve_control.control.laws.law import Law
 Array = npt.NDArray[np.float64]
 
 
-class Point(NamedTuple):
+class StatePoint(NamedTuple):
     """A state, with the reading [V] that comes to it, or the voltage [V] that led to it."""
 
     state: Any
@@ -38,13 +38,13 @@ def law_step(params: Any, state: Any, command: float, reading: float, offset: fl
     raise NotImplementedError
 
 
-def step_blocks(p: Any, like: Point, before: Array, after: Array) -> None:
+def step_blocks(p: Any, like: StatePoint, before: Array, after: Array) -> None:
     """One step at a command of 0 V from the LANES points in each row of ``before`` to those of ``after``."""
     for i in range(before.shape[0]):
         for j in range(LANES):
             point = load(like, before[i], j)
             voltage, state, _ = law_step(p, point.state, 0.0, point.number, 0.0)
-            store(Point(state, voltage), after[i], j)
+            store(StatePoint(state, voltage), after[i], j)
 
 
 @cache
@@ -70,5 +70,7 @@ def stepped(law: Law, params: Any, like: Any, points: Array) -> Array:
     before = np.ascontiguousarray(padded.reshape(blocks, LANES, width).transpose(0, 2, 1))
     after = np.empty((blocks, width * LANES))
     with explained(law.title):
-        _compiled(law.module)(p=params, like=Point(like, 0.0), before=before.reshape(blocks, -1), after=after)
+        _compiled(law.module)(
+            p=params, like=StatePoint(like, 0.0), before=before.reshape(blocks, -1), after=after
+        )
     return after.reshape(blocks, width, LANES).transpose(0, 2, 1).reshape(-1, width)[:count]

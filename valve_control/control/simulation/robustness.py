@@ -79,7 +79,7 @@ class Study(NamedTuple):
     periods: Sequence[float] = PERIODS  # s
 
 
-class Found(NamedTuple):
+class StudyResult(NamedTuple):
     """Results of a study; row i is valve number i."""
 
     points: Array  # N×quantities
@@ -168,7 +168,7 @@ def fitting_limit(study: Study) -> float:
     return LIMIT + (min(following, size) if np.isfinite(following) else size)
 
 
-def run_chunk(study: Study, first: int, count: int, threads: int | None = None) -> Found:
+def run_chunk(study: Study, first: int, count: int, threads: int | None = None) -> StudyResult:
     """Simulate ``count`` valves from number ``first`` on. Raises ParameterError."""
     points, periods = draw(study, first, count)
     every = np.full((count, len(measures.Results._fields)), np.nan)
@@ -195,7 +195,7 @@ def run_chunk(study: Study, first: int, count: int, threads: int | None = None) 
             threads,
         )
         every[chosen] = np.stack(made, axis=1)
-    return Found(points, periods, _results(every))
+    return StudyResult(points, periods, _results(every))
 
 
 def _results(rows: Any) -> measures.Results:
@@ -253,7 +253,7 @@ def chunk_of(study: Study) -> int:
 
 def run(
     study: Study, folder: Path, told: Told, threads: int | None = None, cluster: Cluster | None = None
-) -> Found:
+) -> StudyResult:
     """Simulate the valves whose results ``folder`` lacks, chunk by chunk; returns all results.
 
     On ``threads`` here, or on the workers of ``cluster``. ``told`` is called once before the work, and after
@@ -276,12 +276,12 @@ def run(
         told(study.valves - left)
     parts = [_kept(path, (chunk, len(study.box))) for path in paths.values()]
     points, period, rows = (np.concatenate(part)[: study.valves] for part in zip(*parts, strict=True))
-    return Found(points, period, _results(rows))
+    return StudyResult(points, period, _results(rows))
 
 
 def _made(
     study: Study, missing: Sequence[int], chunk: int, threads: int | None, cluster: Cluster | None
-) -> Iterator[tuple[int, Found]]:
+) -> Iterator[tuple[int, StudyResult]]:
     """First valve and results of each of the ``missing`` chunks."""
     if cluster is None:
         for first in missing:
@@ -307,13 +307,13 @@ def _kept(path: Path, shape: tuple[int, int]) -> tuple[Array, Array, Array]:
     return points, period, rows
 
 
-def worst(found: Found, index: str, count: int) -> list[int]:
+def worst(found: StudyResult, index: str, count: int) -> list[int]:
     """Numbers of the worst valves by ``index``; those that did not stay finite come first."""
     values = np.where(found.results.finite, getattr(found.results, index), np.inf)
     return [int(i) for i in np.argsort(-values, kind="stable")[:count]]
 
 
-def summary(found: Found, limit: float = LIMIT, count: int = 10) -> dict[str, Any]:
+def summary(found: StudyResult, limit: float = LIMIT, count: int = 10) -> dict[str, Any]:
     """Percentiles of the indices, share of unstable loops by ``limit`` [V], and worst valves, for JSON."""
     finite = found.results.finite
     names = [name for name in measures.Results._fields if name != "finite"]

@@ -221,9 +221,9 @@ def silent(s: State, elapsed: float) -> State:
     return stopped(s, f"no position for {elapsed:.3g} s") if s.goal is not None else s
 
 
-def spool_motion(p: Params, s: State) -> axis_pid.Motion:
+def spool_motion(p: Params, s: State) -> axis_pid.SpoolReference:
     """Motion of the spool that is commanded: at rest where it is held or stopped."""
     if s.stopped or s.goal is None:
-        return axis_pid.Motion(s.command, 0.0, 0.0)
-    moved: axis_pid.Motion = p.level.motion(p.upper, s.upper, s.goal, s.jerk, s.terms)
+        return axis_pid.SpoolReference(s.command, 0.0, 0.0)
+    moved: axis_pid.SpoolReference = p.level.motion(p.upper, s.upper, s.goal, s.jerk, s.terms)
     return moved

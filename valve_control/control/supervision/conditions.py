@@ -7,7 +7,7 @@ from typing import NamedTuple
 LATCH = 1.0  # s for which a passing event stays reported
 
 
-class Condition(NamedTuple):
+class ReportedCondition(NamedTuple):
     """A condition that a watch reports, as the user reads of it."""
 
     names: tuple[str, ...]  # under which it is reported

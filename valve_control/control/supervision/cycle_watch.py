@@ -11,7 +11,7 @@ while; the pause before the law tries again is twice as long each time.
 from typing import NamedTuple
 
 from valve_control.control.supervision import conditions, lock_in, oscillation
-from valve_control.control.supervision.conditions import Condition
+from valve_control.control.supervision.conditions import ReportedCondition
 
 BEGUN = 4.0  # cycles in a row from which they are measured
 SATURATED = 0.9  # of the limit of the voltage
@@ -28,7 +28,7 @@ HUM = "lvdt_hum"
 
 
 CONDITIONS = (
-    Condition(
+    ReportedCondition(
         ("oscillation",),
         "degraded",
         "voltage oscillates at … Hz with … V: limit cycle of law and valve",
@@ -36,7 +36,7 @@ CONDITIONS = (
         '±`oscillation_limit`, that the command does not have; see "Limit cycles"',
         "lower the gains; look at `valve-control simulate` with the identified valve",
     ),
-    Condition(
+    ReportedCondition(
         ("lvdt_hum",),
         "degraded",
         "voltage oscillates at … Hz with … V: … mV at … Hz (mains: … Hz) come in through the LVDT reading",
@@ -44,7 +44,7 @@ CONDITIONS = (
         'times the model\'s answer to the voltage; see "Limit cycles"',
         "shield and earth of the LVDT cable; supply of its converter",
     ),
-    Condition(
+    ReportedCondition(
         ("limit_cycle",),
         "safe",
         "… at the limit of the voltage; readings answer the voltage about … ms later than the "
@@ -82,7 +82,7 @@ def between(limit: float, period: float) -> oscillation.Params:
     return oscillation.Params(SATURATED * limit, period, 2.0 * SATURATED * limit)
 
 
-def source(s: oscillation.State, found: lock_in.Found, high: float, grain: float) -> str:
+def source(s: oscillation.State, found: lock_in.LockInResult, high: float, grain: float) -> str:
     """``HUM`` or ``LIMIT_CYCLE``; ``high`` [V]: amplitude of cycles that reach the limit of the voltage.
 
     ``grain`` [V]: step of the converter, half of which is what rounding alone may add to a reading.
@@ -127,7 +127,7 @@ def paused(p: Params, s: Pause, now: float) -> Pause:
     return Pause(times + 1.0, now + min(p.hold_off_limit, p.hold_off * 2.0 ** min(times, 30.0)))
 
 
-def text(name: str, s: oscillation.State, found: lock_in.Found) -> str:
+def text(name: str, s: oscillation.State, found: lock_in.LockInResult) -> str:
     """One sentence about cycles from the source ``name``."""
     swing = f"voltage oscillates at {oscillation.frequency(s):.3g} Hz with {oscillation.amplitude(s):.2g} V"
     if name == LIMIT_CYCLE:
@@ -137,7 +137,7 @@ def text(name: str, s: oscillation.State, found: lock_in.Found) -> str:
     return f"{swing}: {hum} come in through the LVDT reading"
 
 
-def stop_text(name: str, s: oscillation.State, found: lock_in.Found) -> str:
+def stop_text(name: str, s: oscillation.State, found: lock_in.LockInResult) -> str:
     """One sentence about cycles from the source ``name`` that were switched off."""
     said = f"{text(name, s, found)}, at the limit of the voltage"
     if name == LIMIT_CYCLE and REPORTED_LAG < found.lag < 0.75 / found.frequency:

@@ -12,9 +12,9 @@ import math
 from typing import NamedTuple
 
 from valve_control.control.supervision import plausibility
-from valve_control.control.supervision.conditions import Condition
+from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.control.supervision.plausibility import NOTHING as EMPTY
-from valve_control.control.supervision.plausibility import Seen, Sums
+from valve_control.control.supervision.plausibility import SeenBlock, Sums
 from valve_control.parameter import Values
 
 EVERY = 4.0  # blocks of the plausibility check, of which one counts
@@ -30,7 +30,7 @@ LASTING = 1.0  # of the moved time FORGET, for which it must be there
 
 
 CONDITIONS = (
-    Condition(
+    ReportedCondition(
         ("lvdt_gain",),
         "degraded",
         "LVDT readings over the voltage are … times those of the start: LVDT or valve drifts",
@@ -83,7 +83,7 @@ def design(values: Values, c: plausibility.Params) -> Params:
     )
 
 
-def step(p: Params, s: State, seen: Seen) -> State:
+def step(p: Params, s: State, seen: SeenBlock) -> State:
     """State after one more block."""
     if seen.doubted:
         return s

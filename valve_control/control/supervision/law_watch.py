@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from valve_control.control.supervision import conditions
-from valve_control.control.supervision.conditions import Condition
+from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number
 
 ASSUMPTIONS = {
@@ -19,7 +19,7 @@ ASSUMPTIONS = {
 
 
 CONDITIONS = (
-    Condition(
+    ReportedCondition(
         ("saturation",),
         "degraded",
         "saturated for more than … s",
@@ -27,14 +27,14 @@ CONDITIONS = (
         "integrator stand still",
         "command too fast, `reshaping.*`, jammed spool",
     ),
-    Condition(
+    ReportedCondition(
         ("assumptions",),
         "degraded",
         "V2 is above its guaranteed bound",
         "the valve has left the assumed ranges of θ or the disturbance bound",
         'see "The assumption monitor"',
     ),
-    Condition(
+    ReportedCondition(
         ("law_not_finite",),
         "safe",
         "the control law … produced NaN or infinity",

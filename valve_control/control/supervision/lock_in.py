@@ -46,7 +46,7 @@ class State(NamedTuple):
     second: Sums
 
 
-class Found(NamedTuple):
+class LockInResult(NamedTuple):
     """What a finished measurement says."""
 
     frequency: float  # Hz
@@ -90,7 +90,7 @@ def finished(s: State) -> bool:
     return s.frequency > 0.0 and s.taken >= 2.0 * s.length
 
 
-def found(p: Model, s: State) -> Found:
+def found(p: Model, s: State) -> LockInResult:
     """What the ``finished`` measurement says."""
     turn = math.atan2(s.first.voltage_lag, s.first.voltage) - math.atan2(
         s.second.voltage_lag, s.second.voltage
@@ -112,6 +112,6 @@ def found(p: Model, s: State) -> Found:
     a, b = s.second.reading, s.second.reading_lag
     hum = math.sqrt((a - x) * (a - x) + (b - y) * (b - y)) / (0.5 * s.length)
     if answer == 0.0:
-        return Found(frequency, 0.0, 0.0, hum)
+        return LockInResult(frequency, 0.0, 0.0, hum)
     lag = math.atan2(b * x - a * y, a * x + b * y) % (2.0 * math.pi) / omega
-    return Found(frequency, math.sqrt((a * a + b * b) / answer), lag, hum)
+    return LockInResult(frequency, math.sqrt((a * a + b * b) / answer), lag, hum)

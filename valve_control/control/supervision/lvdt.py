@@ -17,7 +17,7 @@ moved by several steps:
 import math
 from typing import NamedTuple
 
-from valve_control.control.supervision.conditions import Condition
+from valve_control.control.supervision.conditions import ReportedCondition
 
 SOUND = ""
 PACE = 0.0032  # s  time constant of the speed that the next reading should have
@@ -43,14 +43,14 @@ TEXTS = {
 
 
 CONDITIONS = (
-    Condition(
+    ReportedCondition(
         ("lvdt_not_finite", "lvdt_not_finite_bridged", "lvdt_out_of_range", "lvdt_out_of_range_bridged"),
         "safe after `lvdt.hold_samples`",
         "LVDT readings are not finite / out of range",
         "NaN, infinite, or beyond ±`lvdt.limit`",
         "cable, supply, scaling of the driver",
     ),
-    Condition(
+    ReportedCondition(
         ("lvdt_jump", "lvdt_jump_bridged"),
         "safe after `lvdt.hold_samples`",
         "LVDT readings jump faster than the spool can move",
@@ -59,7 +59,7 @@ CONDITIONS = (
         "difference; no new trial before `lvdt.hold_off` has passed",
         "loose contact; a faster valve needs a larger `lvdt.max_rate`",
     ),
-    Condition(
+    ReportedCondition(
         ("lvdt_frozen", "lvdt_frozen_bridged"),
         "safe",
         "LVDT readings stand still while the voltage moves",

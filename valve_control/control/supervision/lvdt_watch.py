@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from valve_control.control.laws import velocity
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.supervision import lvdt, plausibility, rate
-from valve_control.control.supervision.conditions import Condition
+from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number, numbers, word
 
 TACHOMETER_CUTOFF = 50.0  # Hz, of the velocity with which a law takes over
@@ -25,35 +25,35 @@ DOUBTS = ("lvdt_jump", "lvdt_disagrees")  # after which readings are not believe
 
 
 CONDITIONS = (
-    Condition(
+    ReportedCondition(
         ("lvdt_missing",),
         "safe",
         "no LVDT reading yet",
         "no message has arrived on `spool_position`",
         "start the driver; compare topic, namespace, QoS (`ros2 topic info -v`)",
     ),
-    Condition(
+    ReportedCondition(
         ("lvdt_silent",),
         "safe",
         "LVDT is silent for more than … samples",
         "no reading in time; detected by a watchdog that each reading re-arms",
         "cable, driver; `lvdt.hold_samples` if the driver's pauses are harmless",
     ),
-    Condition(
+    ReportedCondition(
         ("stalled",),
         "safe",
         "the controller's process stood still for more than … samples",
         "this process got no CPU; messages that arrived meanwhile are stale and dropped",
         "`realtime.*`; fewer other processes",
     ),
-    Condition(
+    ReportedCondition(
         ("lvdt_silent",),
         "safe",
         "… LVDT readings lost in a row",
         "the number of lost readings exceeds `lvdt.hold_samples`",
         "network, queue of the driver",
     ),
-    Condition(
+    ReportedCondition(
         ("lvdt_bridged",),
         "degraded",
         "LVDT readings lost: bridged",
@@ -86,7 +86,7 @@ class State(NamedTuple):
     doubt: plausibility.Doubt
 
 
-class Motion(NamedTuple):
+class SpoolEstimate(NamedTuple):
     """What the believable readings say of the spool."""
 
     measurement: float  # V  the last one, NaN before the first
@@ -174,7 +174,9 @@ def switched_off(
     return s._replace(sound=0, blocked=name, doubt=doubt)
 
 
-def recovered(p: Params, s: State, m: Motion, reading: float, anew: bool, now: float) -> tuple[State, Motion]:
+def recovered(
+    p: Params, s: State, m: SpoolEstimate, reading: float, anew: bool, now: float
+) -> tuple[State, SpoolEstimate]:
     """State after one more sound reading while the voltage is off; not ``blocked`` once there are enough.
 
     ``anew``: the count begins with this one. At the end the motion is that of the reading before: the law
@@ -186,11 +188,11 @@ def recovered(p: Params, s: State, m: Motion, reading: float, anew: bool, now: f
         if p.comparison is not None:
             usual = 0.0 if evidence is None else evidence.shown.usual
             evidence = plausibility.initial(p.comparison, reading, 0.0, usual)
-        m = Motion(reading, velocity.State(reading, 0.0), evidence)
+        m = SpoolEstimate(reading, velocity.State(reading, 0.0), evidence)
     resting = abs(m.velocity.velocity) <= REST or sound * p.period >= REST_LIMIT
     s = s._replace(sound=sound + 1)
     if s.sound < p.recovery_samples or not resting or now < s.doubt.until:
-        return s, Motion(reading, velocity.step(p.tachometer, m.velocity, reading), m.evidence)
+        return s, SpoolEstimate(reading, velocity.step(p.tachometer, m.velocity, reading), m.evidence)
     if m.evidence is not None:
         m = m._replace(evidence=plausibility.anew(m.evidence))
     return s._replace(blocked=""), m

@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple
 
 from valve_control.control.supervision import plausibility
-from valve_control.control.supervision.conditions import Condition
+from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number
 
 SHARE = 1.954  # mean |D| over σ
@@ -29,7 +29,7 @@ CALMED = 0.75  # of the reported noise, below which the word ends
 
 
 CONDITIONS = (
-    Condition(
+    ReportedCondition(
         ("lvdt_noise",),
         "degraded",
         "LVDT noise is … mV rms, … mV at the start",
@@ -75,7 +75,7 @@ def design(values: Values, c: plausibility.Params) -> Params:
     )
 
 
-def step(p: Params, s: State, seen: plausibility.Seen) -> State:
+def step(p: Params, s: State, seen: plausibility.SeenBlock) -> State:
     """State after one more block."""
     blocks = s.blocks + 1.0
     differences = s.differences + abs(seen.second)

@@ -18,7 +18,7 @@ import math
 from typing import NamedTuple
 
 from valve_control.control.supervision import lvdt
-from valve_control.control.supervision.conditions import Condition
+from valve_control.control.supervision.conditions import ReportedCondition
 
 # In units of 1/√a0, the valve's own time
 BLOCK = 0.14  # readings are averaged over this
@@ -48,14 +48,14 @@ TEXTS = {
 
 
 CONDITIONS = (
-    Condition(
+    ReportedCondition(
         ("lvdt_disagrees",),
         "safe",
         "LVDT readings disagree with the voltage: wrong sign; gain about …; … too flat, or stuck spool",
         "see [Does the reading answer the voltage?](../explanation/plausibility.md)",
         "wiring and scaling of the LVDT; polarity of the amplifier; then `~/reset`",
     ),
-    Condition(
+    ReportedCondition(
         ("lvdt_doubted",),
         "degraded",
         "LVDT readings were wrong; motion has not shown yet …",
@@ -130,7 +130,7 @@ class Shown(NamedTuple):
     usual: float  # -  slope in the long run, 0.0: not known yet
 
 
-class Seen(NamedTuple):
+class SeenBlock(NamedTuple):
     """What the watches beside this check see of a block."""
 
     second: float  # V  second difference of the readings at its end
@@ -160,9 +160,9 @@ class Doubt(NamedTuple):
 TRUST = Doubt(0.0, 0.0, 0.0)
 
 
-def seen(standing: lvdt.Standing, doubt: Doubt, voltage: float, shown: Shown) -> Seen:
+def seen(standing: lvdt.Standing, doubt: Doubt, voltage: float, shown: Shown) -> SeenBlock:
     """What the watches beside this check see of a block, before whose last reading ``voltage`` [V] was on."""
-    return Seen(standing.second, standing.grain, voltage, doubt.times > 0.0, shown)
+    return SeenBlock(standing.second, standing.grain, voltage, doubt.times > 0.0, shown)
 
 
 NOTHING = Sums(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -12,7 +12,7 @@ them on together. Each voltage but the last of a burst is then replaced before t
 
 from typing import NamedTuple
 
-from valve_control.control.supervision.conditions import Condition
+from valve_control.control.supervision.conditions import ReportedCondition
 
 WINDOW = 0.1  # s; a reading at its end that is late by 1 ms is 1 %
 WINDOWS = 9  # the middle of them counts
@@ -25,7 +25,7 @@ CALMED = 0.75  # of a limit, below which it counts as kept again
 
 
 CONDITIONS = (
-    Condition(
+    ReportedCondition(
         ("lvdt_rate", "lvdt_period"),
         "degraded beyond 2 %, safe beyond `lvdt.period_limit`",
         "LVDT readings come every … ms, sample_period is … ms",
@@ -33,7 +33,7 @@ CONDITIONS = (
         "0.1 s counts; a deviation within the limit is reported after 2 s",
         "`sample_period`, or the driver's rate",
     ),
-    Condition(
+    ReportedCondition(
         ("lvdt_bursts",),
         "degraded",
         "LVDT readings come in bursts of about …, one burst in … ms",

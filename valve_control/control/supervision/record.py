@@ -169,7 +169,7 @@ def forget_saturation(m: Memory) -> None:
 
 
 @node_only
-def reported_of(p: Any, m: Memory, seen: plausibility.Seen) -> None:
+def reported_of(p: Any, m: Memory, seen: plausibility.SeenBlock) -> None:
     """Let the watches that only report look at a block; ``p``: Params of the watches beside the check."""
     for watch in REPORTING:
         module, name = watch.module, watch.condition

@@ -482,7 +482,7 @@ def judge_cycles(p: Params, m: Memory, cycle: oscillation.State, high: float) ->
 
 
 @node_only
-def tell_cycles(m: Memory, cycle: oscillation.State, found: lock_in.Found) -> None:
+def tell_cycles(m: Memory, cycle: oscillation.State, found: lock_in.LockInResult) -> None:
     """Report ``cycle`` under the name of its source."""
     text, lasting = cycle_watch.text(m.source, cycle, found), cycle_watch.lasting(cycle)
     if m.source == cycle_watch.HUM:
@@ -528,7 +528,7 @@ def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
 
 def recover(p: Params, m: Memory, reading: float, anew: bool) -> bool:
     """Whether the law has the valve again: enough sound readings have come, and the spool is at rest."""
-    before = lvdt_watch.Motion(m.measurement, m.velocity, m.evidence)
+    before = lvdt_watch.SpoolEstimate(m.measurement, m.velocity, m.evidence)
     trust, motion = lvdt_watch.recovered(p.lvdt, m.trust, before, reading, anew, m.now)
     if trust.blocked == "":
         clear(m, m.trust.blocked)

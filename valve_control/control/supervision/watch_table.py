@@ -37,7 +37,7 @@ from valve_control.control.supervision import (
     plausibility,
     rate,
 )
-from valve_control.control.supervision.conditions import Condition
+from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values
 
 REPORTS, STOPS, GUIDES = "reports", "stops", "guides"
@@ -101,7 +101,7 @@ STOPPING = tuple(watch for watch in WATCHES if watch.kind == STOPS)
 BESIDE = (*REPORTING, *STOPPING)  # the plausibility check
 Params = collections.namedtuple("Params", [watch.slot for watch in BESIDE])  # type: ignore[misc]
 OF_NODES = (
-    Condition(
+    ReportedCondition(
         ("command_publishers", "trajectory_publishers", "lvdt_publishers", "voltage_publishers"),
         "degraded",
         "2 publishers on spool_command (spool_trajectory, spool_position, valve_voltage)",
@@ -111,7 +111,7 @@ OF_NODES = (
 )  # what is no watch's, but that of who runs the supervisor
 
 
-def conditions() -> tuple[Condition, ...]:
+def conditions() -> tuple[ReportedCondition, ...]:
     """All conditions, watch by watch."""
     own = (condition for watch in WATCHES for condition in getattr(watch.module, "CONDITIONS", ()))
     return (*own, *OF_NODES)

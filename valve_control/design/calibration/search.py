@@ -42,7 +42,7 @@ class Problem(NamedTuple):
     seeds: Sequence[int]  # of the LVDT's noise
 
 
-class Found(NamedTuple):
+class CalibrationResult(NamedTuple):
     """Result of a search: the best point and its cost."""
 
     point: Array  # in the unit cube
@@ -87,7 +87,7 @@ def search(
     told: Told,
     start: Array | None = None,
     step: float = 0.25,
-) -> Found:
+) -> CalibrationResult:
     """Find the best point with ``evaluations`` valves; after Ctrl-C, the best one so far.
 
     ``population``: of the first CMA-ES, doubled by each restart. ``start``: a first guess; without one, the
@@ -129,4 +129,4 @@ def search(
             restart += 1
     if count == 0:
         raise KeyboardInterrupt
-    return Found(best, cost, count, time.monotonic() - began)
+    return CalibrationResult(best, cost, count, time.monotonic() - began)

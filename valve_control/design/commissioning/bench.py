@@ -17,7 +17,7 @@ Progress = Callable[
 ]  # fits, simulations or sets of gains that are over, of about how many
 
 
-class Limits(NamedTuple):
+class SafetyLimits(NamedTuple):
     """What is never exceeded while a valve is commissioned."""
 
     voltage: float  # V
@@ -63,10 +63,10 @@ class Bench(Protocol):
     def on(self) -> None:
         """Let the controller work, if it does not. Raises Fault if it refuses."""
 
-    def drive(self, course: Course, limits: Limits, told: Told) -> Record:
+    def drive(self, course: Course, limits: SafetyLimits, told: Told) -> Record:
         """Give the commands of ``course`` until it ends. Raises Fault at a fault or beyond ``limits``."""
 
-    def watch(self, limits: Limits) -> None:
+    def watch(self, limits: SafetyLimits) -> None:
         """Look at what has come meanwhile. Raises Fault as ``drive`` does."""
 
     def off(self) -> None:

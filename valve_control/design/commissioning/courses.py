@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.control.commands.scenarios import Step
-from valve_control.design.commissioning.bench import Course, Limits
+from valve_control.design.commissioning.bench import Course, SafetyLimits
 
 Floats = npt.NDArray[np.float64]
 REACH = 0.8  # of the travel, at which a course turns round
@@ -30,7 +30,7 @@ def rest(duration: float) -> Course:
 
 
 def triangle(
-    limits: Limits, rate: float, turns: int, turned_at: Callable[[float], None] = lambda time: None
+    limits: SafetyLimits, rate: float, turns: int, turned_at: Callable[[float], None] = lambda time: None
 ) -> Course:
     """Voltage that rises and falls at ``rate`` [V/s], with ``turns`` turns, and ends at 0 V.
 
@@ -60,7 +60,7 @@ def triangle(
         seen = yield value + 0.0
 
 
-def triangle_time(limits: Limits, rate: float, turns: int, turned: Sequence[float]) -> float:
+def triangle_time(limits: SafetyLimits, rate: float, turns: int, turned: Sequence[float]) -> float:
     """About how long [s] a triangle takes of which the times ``turned`` [s] of the turns until now are known.
 
     Until its first turn it is taken to reach the limit of the voltage.
@@ -73,7 +73,7 @@ def triangle_time(limits: Limits, rate: float, turns: int, turned: Sequence[floa
     return turned[-1] + (turns - len(turned) + 0.5) * stretch
 
 
-def stepped_sine(limits: Limits, steps: Sequence[Step], amplitude: float, offset: float) -> Course:
+def stepped_sine(limits: SafetyLimits, steps: Sequence[Step], amplitude: float, offset: float) -> Course:
     """Sines of ``amplitude`` around ``offset`` [V], one frequency after the other.
 
     The amplitude becomes smaller, and stays so, where the reading reaches REACH of the travel.

@@ -18,7 +18,7 @@ from valve_control.design.commissioning.plan import Plan
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Rest
 from valve_control.design.tuning import box, trial, tuner
-from valve_control.design.tuning.trial import Motion, Problem
+from valve_control.design.tuning.trial import Problem, TuningMotion
 from valve_control.design.tuning.tuner import Aim, Tuned
 from valve_control.parameter import Values, defaults, number, updated
 
@@ -29,11 +29,11 @@ CONTENDS = 1.5  # times the error of the new gains, up to which those from befor
 VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
 
 
-class Gains(NamedTuple):
+class TunedGains(NamedTuple):
     """What tuning chose, and what it was chosen on."""
 
     tuned: Tuned
-    motions: list[Motion]
+    motions: list[TuningMotion]
     valve: Values  # of the simulated valve, with the limit of the voltage that is in force
     chosen: Values  # the controller's parameters that are set
 
@@ -53,7 +53,7 @@ class Verification(NamedTuple):
 
 def tuned(
     plan: Plan, before: Values, found: Plant, known: model.Known, rest: Rest, wider: float, told: Progress
-) -> Gains:
+) -> TunedGains:
     """Gains for the fitted valve and a box around it, ``wider`` times as wide as usual.
 
     The gains in force are among the first that are tried, if they are of the same law.
@@ -117,10 +117,10 @@ def tuned(
         [before] if before["controller"] == plan.law else [],
     )  # fmt: skip
     done(total + verifying)
-    return Gains(made, motions, valve, {**own, **made.chosen.changes, "controller": made.law})
+    return TunedGains(made, motions, valve, {**own, **made.chosen.changes, "controller": made.law})
 
 
-def judged(plan: Plan, before: Values, gains: Gains, wanted: Floats, record: Record) -> Verification:
+def judged(plan: Plan, before: Values, gains: TunedGains, wanted: Floats, record: Record) -> Verification:
     """Judge the ``record`` of a verification run by the simulation of the same commands.
 
     ``wanted``: commands [V], n, as they would have come in time.

@@ -12,14 +12,14 @@ from valve_control.control.commands.arrays import sampled
 from valve_control.control.laws.dcarc_design import MOST_DELAY
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation.robustness import Quantity
-from valve_control.design.commissioning.bench import Limits
+from valve_control.design.commissioning.bench import SafetyLimits
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Rest
 from valve_control.design.identification import dead_time, first_gains, rational, theta
 from valve_control.design.identification.bode import held_response
 from valve_control.design.identification.lvdt import Lvdt
 from valve_control.design.identification.response import Response
-from valve_control.design.tuning.trial import Motion
+from valve_control.design.tuning.trial import TuningMotion
 from valve_control.parameter import ParameterError, Values
 
 Floats = npt.NDArray[np.float64]
@@ -64,7 +64,7 @@ class Known:
 
         lvdt = Lvdt(rest.noise, rest.resolution)
         delay = found.delay if late else 0.0
-        whole = first_gains.Valve(
+        whole = first_gains.KnownValve(
             found.model, delay, self.theta, lvdt, period, u_max, sensor_delay=sensor_delay
         )
         gains = first_gains.first(whole)
@@ -78,10 +78,10 @@ class Known:
 
 def _simpler(
     exact: Response,
-    whole: first_gains.Valve,
+    whole: first_gains.KnownValve,
     law: str,
     refused: str,
-) -> first_gains.Gains:
+) -> first_gains.FirstGains:
     """First gains of ``law``, which takes no model of the form of ``whole``, with one of lower order.
 
     It is a third order without zeros, or has zeros far away that cannot be inverted, or too much dead time.
@@ -107,7 +107,7 @@ def _simpler(
     raise ParameterError(f"{law} gets no model: {reason}")
 
 
-def _refusal(gains: first_gains.Gains, law: str) -> str | None:
+def _refusal(gains: first_gains.FirstGains, law: str) -> str | None:
     """Why there are no first gains of ``law``; None: there are, or nobody sought them."""
     return next((note.partition(": ")[2] for note in gains.notes if note.startswith(f"{law}'s")), None)
 
@@ -142,7 +142,7 @@ def box(found: Plant, period: float, wider: float = 1.0) -> list[Quantity]:
     return quantities
 
 
-def motions(found: Plant, known: Known, limits: Limits, period: float) -> list[Motion]:
+def motions(found: Plant, known: Known, limits: SafetyLimits, period: float) -> list[TuningMotion]:
     """Strokes and a sine, as fast as the valve can follow within ``limits``. Raises ParameterError."""
     left = DRIVEN * limits.voltage - found.friction.coulomb - abs(found.offset)
     height = min(ROOM * limits.travel, STATIC * left * abs(found.model.static_gain))
@@ -165,7 +165,7 @@ def motions(found: Plant, known: Known, limits: Limits, period: float) -> list[M
     sine = next(
         (m for f in np.geomspace(20.0, 0.5, 40) if need(m := _sine(small, float(f), period)) <= left), None
     )
-    made = [Motion(name, m) for name, m in (("strokes", strokes), ("sine", sine)) if m is not None]
+    made = [TuningMotion(name, m) for name, m in (("strokes", strokes), ("sine", sine)) if m is not None]
     if not made:
         raise ParameterError("no motion can be found that the valve follows within the limit of the voltage")
     return made

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.design.commissioning.bench import Limits
+from valve_control.design.commissioning.bench import SafetyLimits
 from valve_control.parameter import ParameterError, Values, number, updated
 
 SILENCE = 0.5  # s  of the command, after which the controller leads to neutral
@@ -15,7 +15,7 @@ SILENCE = 0.5  # s  of the command, after which the controller leads to neutral
 class Plan(NamedTuple):
     """What is wanted of a commissioning."""
 
-    limits: Limits
+    limits: SafetyLimits
     law: str
     chatter: float  # limit of c_u
     budget: int  # sets of gains
@@ -27,7 +27,7 @@ class Plan(NamedTuple):
     sensor_delay: float = 0.0  # s  what of the dead time is the sensor's
 
 
-def limiting(before: Values, limits: Limits) -> Values:
+def limiting(before: Values, limits: SafetyLimits) -> Values:
     """What keeps the ``limits`` on the controller, while the voltage is commanded."""
     timeout = number(before, "command_timeout")
     return {

@@ -46,7 +46,7 @@ class Learnt(NamedTuple):
     determined: bool
 
 
-class Found(NamedTuple):
+class RecordedValve(NamedTuple):
     """The valve of a recording."""
 
     values: Values  # of the simulated valve
@@ -73,7 +73,7 @@ FORMS = (
 )
 
 
-def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> Found:
+def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedValve:
     """What the recording ``tested`` shows of the ``known`` valve; quantities ``fixed`` stay as they are.
 
     Raises ParameterError, one sentence, for a recording without excitation.
@@ -118,7 +118,7 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> Found:
                 values,
                 {"lvdt.noise": seen.noise, "lvdt.resolution": seen.resolution},
             )
-            return Found(values, [*found, *unknown], residual, noise, notes)
+            return RecordedValve(values, [*found, *unknown], residual, noise, notes)
         unknown.append(found[worst]._replace(value=begin[found[worst].name]))
         del free[worst]
     raise ParameterError(
@@ -127,7 +127,7 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> Found:
     )
 
 
-def box(found: Found, usual: Sequence[Quantity]) -> list[Quantity]:
+def box(found: RecordedValve, usual: Sequence[Quantity]) -> list[Quantity]:
     """The ``usual`` box, narrower in what was determined, around the valve that was found."""
     certain = {one.name: one for one in found.learnt if one.determined}
     forms = {form.name: form for form in FORMS}

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from valve_control import interrupts
 from valve_control.design.commissioning import backup, courses, gains, model, plant, small_signal, statics
 from valve_control.design.commissioning.bench import Bench, Course, Fault, Record, Swings
-from valve_control.design.commissioning.gains import Gains, Verification
+from valve_control.design.commissioning.gains import TunedGains, Verification
 from valve_control.design.commissioning.plan import Plan, limiting
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Friction, Rest, Static
@@ -214,7 +214,9 @@ class _Commissioning:
         course = courses.stepped_sine(self._limits, planned.steps, planned.amplitude, planned.offset)
         return self._drive("stepped sine", course, lambda: length)
 
-    def _gains(self, found: Plant, known: model.Known, rest: Rest) -> tuple[Gains, Verification, list[str]]:
+    def _gains(
+        self, found: Plant, known: model.Known, rest: Rest
+    ) -> tuple[TunedGains, Verification, list[str]]:
         """Gains that hold, also on the valve, and notes on those that did not. Raises ParameterError."""
         refusals: list[str] = []
         boxes = BOXES if found.error <= plant.EXPLAINED else DOUBTED
@@ -234,7 +236,7 @@ class _Commissioning:
 
     def _tuned(
         self, found: Plant, known: model.Known, rest: Rest, wider: float, refusals: list[str]
-    ) -> Gains:
+    ) -> TunedGains:
         tried = f"{self._plan.budget} sets of gains of {self._plan.law} are tried in simulation"
         if refusals:
             tried = (
@@ -255,7 +257,7 @@ class _Commissioning:
                     raise
                 raise ParameterError(_not_accepted([*refusals, str(error)], wider)) from error
 
-    def _verified(self, made: Gains) -> tuple[Verification | None, list[str]]:
+    def _verified(self, made: TunedGains) -> tuple[Verification | None, list[str]]:
         """The verification run, None if it ended early, and why the gains are not accepted."""
         pause = np.zeros(round(PAUSE / self._period))
         parts = [part for motion in made.motions for part in (motion.wanted, pause)]

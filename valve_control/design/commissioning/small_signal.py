@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from valve_control.control.commands import scenarios
 from valve_control.design.commissioning import statics
-from valve_control.design.commissioning.bench import Limits, Progress, Record
+from valve_control.design.commissioning.bench import Progress, Record, SafetyLimits
 from valve_control.design.commissioning.courses import REACH
 from valve_control.design.commissioning.statics import Friction, Rest, Static
 from valve_control.design.identification import rational, response
@@ -46,7 +46,7 @@ class Plan(NamedTuple):
     offset: float  # V
 
 
-def plan(limits: Limits, rest: Rest, static: Static, period: float) -> Plan:
+def plan(limits: SafetyLimits, rest: Rest, static: Static, period: float) -> Plan:
     """The largest sine within the limits: friction bends the response of a small one.
 
     Raises ParameterError.

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.design.commissioning.bench import Limits, Record
+from valve_control.design.commissioning.bench import Record, SafetyLimits
 from valve_control.design.identification import lvdt
 from valve_control.parameter import ParameterError
 
@@ -49,7 +49,7 @@ def at_rest(record: Record) -> Rest:
     return Rest(float(np.mean(known)), seen.noise, seen.resolution)
 
 
-def slow(record: Record, rest: Rest, limits: Limits) -> Static:
+def slow(record: Record, rest: Rest, limits: SafetyLimits) -> Static:
     """Static gain, friction and dead zone from the slow triangle of a ``record``. Raises ParameterError."""
     width = max(1, round(WINDOW / record.period))
     reading = _averaged(_filled(record.reading), width)

@@ -4,7 +4,7 @@
 
 import math
 
-from valve_control.design.commissioning.bench import Fault, Limits, Swings
+from valve_control.design.commissioning.bench import Fault, SafetyLimits, Swings
 
 BEYOND = 3  # readings in a row: a single one may be wrong
 ROUNDING = 1e-9  # V
@@ -16,7 +16,7 @@ ENDS = ("saturated for", "publishers on", "inactive", "unconfigured")
 class Watch:
     """Raises Fault at the first message that a commissioning must not go on with."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: SafetyLimits) -> None:
         self._limits = limits
         self._beyond = 0
 

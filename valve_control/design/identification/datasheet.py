@@ -23,7 +23,7 @@ class Datasheet(NamedTuple):
     """A valve of second order that was not measured, with its first gains."""
 
     source: str
-    known: first_gains.Valve
+    known: first_gains.KnownValve
     gains: Values  # of the controller, for a first run
     corners: Corners
     notes: tuple[str, ...]
@@ -49,7 +49,7 @@ def second_order(frequency: float, damping: float, static_gain: float, valve: Va
     model = TransferFunction((static_gain * omega**2,), (1.0, 2.0 * damping * omega, omega**2))
     delay = number(valve, "lvdt.delay")
     readings = Lvdt(number(valve, "lvdt.noise"), number(valve, "lvdt.resolution"))
-    known = first_gains.Valve(
+    known = first_gains.KnownValve(
         model, delay, theta.around(model, u_max), readings, period, u_max, sensor_delay=delay
     )
     gains = first_gains.first(known)

@@ -41,14 +41,14 @@ OFFSET_ROOM = 0.5  # V  beyond the measured offset, up to which a weight may go 
 CERTAIN = 2.0  # bounds that a dead time must be above 0
 
 
-class Gains(NamedTuple):
+class FirstGains(NamedTuple):
     """Parameters of the controller, and what there is to say about them."""
 
     values: Values
     notes: tuple[str, ...]
 
 
-class Valve(NamedTuple):
+class KnownValve(NamedTuple):
     """What is known of the valve."""
 
     model: TransferFunction
@@ -84,7 +84,7 @@ def with_dead_time(
     return late.model, late.delay, (note,)
 
 
-def first(known: Valve, around: Valve | None = None) -> Gains:
+def first(known: KnownValve, around: KnownValve | None = None) -> FirstGains:
     """Gains of ``pid``, ``arc``, ``oarc`` and ``dcarc``, and limits of the reference for an unusual valve.
 
     ``around``: the valve on which, and on whose box, they have to be stable, where ``known`` has a simpler
@@ -92,7 +92,7 @@ def first(known: Valve, around: Valve | None = None) -> Gains:
     """
     values: Values = {**reshaping.limits(known.model, known.u_max), **reshaping.at_period(known.period)}
     notes: list[str] = []
-    makers: tuple[tuple[Law, Callable[[Valve, float], Values]], ...] = (
+    makers: tuple[tuple[Law, Callable[[KnownValve, float], Values]], ...] = (
         (pid.LAW, _pid),
         (arc.LAW, _arc),
         (oarc.LAW, _oarc),
@@ -106,11 +106,11 @@ def first(known: Valve, around: Valve | None = None) -> Gains:
             notes.append(f"{law.name}'s gains are left out: {error}")
             continue
         values.update(made)
-    return Gains(values, tuple(notes))
+    return FirstGains(values, tuple(notes))
 
 
 def _safe(
-    law: Law, make: Callable[[Valve, float], Values], known: Valve, corners: list[valve.Params]
+    law: Law, make: Callable[[KnownValve, float], Values], known: KnownValve, corners: list[valve.Params]
 ) -> Values:
     """Parameters of ``law`` with the highest bandwidth that is stable at all ``corners``.
 
@@ -131,7 +131,7 @@ def _safe(
     )
 
 
-def _corners(known: Valve) -> Iterator[valve.Params]:
+def _corners(known: KnownValve) -> Iterator[valve.Params]:
     """The identified valve, and the corners of the box around it."""
     for gain, speed, later in [
         (1.0, 1.0, 0.0),
@@ -146,7 +146,7 @@ def _corners(known: Valve) -> Iterator[valve.Params]:
         )
 
 
-def _pid(known: Valve, share: float) -> Values:
+def _pid(known: KnownValve, share: float) -> Values:
     """Reference form: three poles of (55) where the valve's are, or what of them needs no negative gain."""
     a1, a0, b0 = known.theta.initial[:3]
     speed = AHEAD * math.sqrt(a0)
@@ -179,7 +179,7 @@ def _estimates(law: str, theta: Suggestion) -> Values:
     }
 
 
-def _arc(known: Valve, share: float) -> Values:
+def _arc(known: KnownValve, share: float) -> Values:
     k1, k2 = (number(defaults(CONTROLLER), f"arc.{name}") for name in ("k1", "k2"))
     return _plain(
         {
@@ -191,7 +191,7 @@ def _arc(known: Valve, share: float) -> Values:
     )
 
 
-def _oarc(known: Valve, share: float) -> Values:
+def _oarc(known: KnownValve, share: float) -> Values:
     """ρ = b0², which puts z2 on the scale of V/s."""
     k1, k2, ks1, ks2 = (number(defaults(CONTROLLER), f"oarc.{name}") for name in ("k1", "k2", "ks1", "ks2"))
     return _plain(
@@ -236,7 +236,7 @@ def _bristles(friction: Friction) -> Values:
     return made
 
 
-def dcarc_values(known: Valve, share: float = 1.0) -> Values:
+def dcarc_values(known: KnownValve, share: float = 1.0) -> Values:
     """The model itself, its noises and friction, and the weight of the voltage by the static gain squared.
 
     Less bandwidth is a larger weight of the voltage, and a disturbance that is expected to change less.

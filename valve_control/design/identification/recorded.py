@@ -16,14 +16,14 @@ from valve_control.design.identification.response import Segment
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import in_order
 from valve_control.recordings.parameters import Node
-from valve_control.recordings.recording import Recording, Valve, align
+from valve_control.recordings.recording import Recording, ValveRecording, align
 
 STILL = 1e-6  # V within which a voltage does not move
 LOOSE = 0.5  # of a sine's amplitude that jitter of a wall clock may leave
 MARGIN = 0.01  # s by which a schedule may be late
 
 
-def recorded(recording: Recording, valve: Valve) -> Experiment:
+def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
     """Voltages and readings of a recorded test of ``valve``. Raises BagError."""
     for part in ("spool_position", "valve_voltage"):
         if part not in valve.signals or len(valve.signals[part].time) == 0:
@@ -101,7 +101,7 @@ def recorded(recording: Recording, valve: Valve) -> Experiment:
     )
 
 
-def _source(recording: Recording, valve: Valve) -> Node | None:
+def _source(recording: Recording, valve: ValveRecording) -> Node | None:
     for node in recording.nodes.values():
         if node.kind == "command_source" and node.namespace == valve.topics.namespace:
             return node

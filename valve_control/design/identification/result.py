@@ -137,14 +137,14 @@ def text(found: Identification) -> str:
 def parameters(found: Identification) -> dict[str, Values]:
     """Parameters for the nodes: the valve's model, a compensator for it, the adaptive laws' estimates."""
     delay = found.best.delay if "delay" in found.best.names else None
-    known = first_gains.Valve(
+    known = first_gains.KnownValve(
         found.best.model, delay or 0.0, found.theta, found.lvdt, found.measured.period, found.u_max,
         found.friction,
     )  # fmt: skip
     return parameters_of(known, delay is not None, found.gains)
 
 
-def parameters_of(known: first_gains.Valve, late: bool, gains: Values) -> dict[str, Values]:
+def parameters_of(known: first_gains.KnownValve, late: bool, gains: Values) -> dict[str, Values]:
     """Parameters for the nodes of a valve and its first ``gains``; ``late``: the dead time belongs to it."""
     model, estimates = known.model, known.theta
     numerator, denominator = ([_rounded(c) for c in part] for part in model)

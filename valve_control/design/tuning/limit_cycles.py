@@ -22,7 +22,7 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import registry
 from valve_control.control.simulation import batch
 from valve_control.design.tuning import trial
-from valve_control.design.tuning.trial import Gains, Limits, Motion, Problem, Workers
+from valve_control.design.tuning.trial import GainSet, Problem, TuningLimits, TuningMotion, Workers
 from valve_control.parameter import Values, number, updated
 
 Array = npt.NDArray[np.float64]
@@ -55,21 +55,21 @@ class _Swing(NamedTuple):
         return max(self, other)._replace(reported=self.reported or other.reported)
 
 
-def steps(period: float, motions: Sequence[Motion] = (), farther: float = 1.0) -> Motion:
+def steps(period: float, motions: Sequence[TuningMotion] = (), farther: float = 1.0) -> TuningMotion:
     """Steps of STEPS, and one ``farther`` times as far as the ``motions`` go; each is held for HELD."""
     n = round(HELD / period)
     reach = farther * max((float(np.max(np.abs(motion.wanted))) for motion in motions), default=0.0)
     heights = (*STEPS, reach) if reach > max(map(abs, STEPS)) else STEPS
-    return Motion(STEPS_NAME, np.concatenate([np.zeros(n // 10), *(np.full(n, h) for h in heights)]))
+    return TuningMotion(STEPS_NAME, np.concatenate([np.zeros(n // 10), *(np.full(n, h) for h in heights)]))
 
 
-def _held(motion: Motion, more: float, period: float) -> Motion:
+def _held(motion: TuningMotion, more: float, period: float) -> TuningMotion:
     """``motion`` whose end is held for ``more`` [s]."""
     end = np.full(round(more / period), motion.wanted[-1])
     return motion._replace(wanted=np.concatenate([motion.wanted, end]))
 
 
-def stressed(plants: Sequence[Any], limits: Limits) -> list[Any]:
+def stressed(plants: Sequence[Any], limits: TuningLimits) -> list[Any]:
     """``plants``, each with STRESS of the margins used up: more gain, less gain or more dead time, in turn.
 
     Friction is a part of theirs, another one for each: what swings with much of it need not with little.
@@ -84,7 +84,7 @@ def stressed(plants: Sequence[Any], limits: Limits) -> list[Any]:
 
 
 def restless_shares(
-    law: Law, problem: Problem, several: Sequence[Gains], workers: Workers = None
+    law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None
 ) -> list[float]:
     """Share of the ``stressed`` box of ``problem`` on which each of ``several`` does not rest after steps.
 
@@ -93,13 +93,13 @@ def restless_shares(
     return [float(share.item()) for share in trial.shared(_shares, law, problem, several, workers)]
 
 
-def _shares(law: Law, problem: Problem, several: Sequence[Gains], threads: int | None) -> list[Array]:
+def _shares(law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None) -> list[Array]:
     hard = stressed(problem.box, problem.limits)
     found = _restless(law, problem, several, hard, _tried(problem, HELD, FARTHER), HELD, threads)
     return [np.full((1, 1, 1), len(cycling) / len(hard)) for cycling in found]
 
 
-def _tried(problem: Problem, held: float, farther: float = 1.0) -> list[Motion]:
+def _tried(problem: Problem, held: float, farther: float = 1.0) -> list[TuningMotion]:
     """The ``steps``, all in one for HELD; for longer each in a run of its own, after those before it."""
     period = number(problem.values, "sample_period")
     together = steps(period, problem.motions, farther)
@@ -107,13 +107,13 @@ def _tried(problem: Problem, held: float, farther: float = 1.0) -> list[Motion]:
         return [together]
     n = round(HELD / period)
     ends = range(n + len(together.wanted) % n, len(together.wanted) + 1, n)
-    return [_held(Motion(STEPS_NAME, together.wanted[:end]), held - HELD, period) for end in ends]
+    return [_held(TuningMotion(STEPS_NAME, together.wanted[:end]), held - HELD, period) for end in ends]
 
 
 def after_all(
     law: Law,
     problem: Problem,
-    gains: Gains,
+    gains: GainSet,
     plants: Sequence[Any],
     workers: Workers = None,
     held: float = HELD,
@@ -134,9 +134,9 @@ def after_all(
 def _restless(
     law: Law,
     problem: Problem,
-    several: Sequence[Gains],
+    several: Sequence[GainSet],
     plants: Sequence[Any],
-    tried: Sequence[Motion],
+    tried: Sequence[TuningMotion],
     held: float,
     workers: Workers,
 ) -> list[Valves]:

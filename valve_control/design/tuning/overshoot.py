@@ -17,7 +17,7 @@ from valve_control.control.laws.law import Law
 from valve_control.control.plant import registry
 from valve_control.control.simulation import batch
 from valve_control.design.tuning import limit_cycles, trial
-from valve_control.design.tuning.trial import Gains, Motion, Problem, Workers
+from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion, Workers
 from valve_control.parameter import number
 
 Array = npt.NDArray[np.float64]
@@ -25,7 +25,7 @@ HEIGHTS = (0.1, -0.4, 0.0, 0.4, 0.0, 1.0, 0.4)  # of the reach of the motions; e
 
 
 def answers(
-    law: Law, problem: Problem, several: Sequence[Gains], workers: Workers = None
+    law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None
 ) -> list[tuple[float, float]]:
     """Overshoot [-] and settling time [s] with each of ``several``: medians of the valves' worst steps.
 
@@ -35,14 +35,14 @@ def answers(
     return [(float(row[0, 0, 0]), float(row[1, 0, 0])) for row in found]
 
 
-def tried(period: float, motions: Sequence[Motion]) -> Array:
+def tried(period: float, motions: Sequence[TuningMotion]) -> Array:
     """The steps [V], one entry a sample ``period`` [s]; they reach as far as the ``motions``."""
     n = round(limit_cycles.HELD / period)
     reach = max(float(np.max(np.abs(motion.wanted))) for motion in motions)
     return np.concatenate([np.zeros(n // 10), *(np.full(n, height * reach) for height in HEIGHTS)])
 
 
-def _here(law: Law, problem: Problem, several: Sequence[Gains], threads: int | None) -> list[Array]:
+def _here(law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None) -> list[Array]:
     period = number(problem.values, "sample_period")
     motion = tried(period, problem.motions)
     first, _ = steps.places(motion, period)[1]

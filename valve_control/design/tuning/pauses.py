@@ -19,7 +19,7 @@ from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.laws.law import Law
 from valve_control.design.tuning import trial
-from valve_control.design.tuning.trial import Gains, Problem
+from valve_control.design.tuning.trial import GainSet, Problem
 from valve_control.parameter import Values, number
 
 Array = npt.NDArray[np.float64]
@@ -32,7 +32,7 @@ STEP = 0.002  # s  from one length to the next
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
-def shortest(law: Law, problem: Problem, gains: Gains, longest: float = LONGEST) -> float | None:
+def shortest(law: Law, problem: Problem, gains: GainSet, longest: float = LONGEST) -> float | None:
     """The shortest pause [s] of a command, up to ``longest``, after which the reference does not come back.
 
     Of the ``lengths``, at OFFSETS places of each of the motions; infinite if it always does. None for what is
@@ -69,7 +69,7 @@ def shortest(law: Law, problem: Problem, gains: Gains, longest: float = LONGEST)
     return math.inf
 
 
-def borne(law: Law, problem: Problem, gains: Gains) -> bool:
+def borne(law: Law, problem: Problem, gains: GainSet) -> bool:
     """Whether the reference comes back after the pauses up to the limit of ``problem``."""
     found = shortest(law, problem, gains, problem.limits.pause_s)
     return found is None or math.isinf(found)

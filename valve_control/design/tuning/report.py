@@ -15,7 +15,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation import batch
 from valve_control.design.tuning import limit_cycles, margins, pauses, trial, verification
-from valve_control.design.tuning.trial import Motion, Problem
+from valve_control.design.tuning.trial import Problem, TuningMotion
 from valve_control.design.tuning.tuner import Aim, Tuned
 from valve_control.parameter import number, updated
 
@@ -228,11 +228,11 @@ def _distribution(found: Mapping[str, Tuned]) -> str:
     return pages.figure([Plot("e_rms [mV]", lines, logarithmic=True)], "valves [%]", height=300)
 
 
-def _shown_motions(period: float) -> list[Motion]:
+def _shown_motions(period: float) -> list[TuningMotion]:
     frequency, amplitude, duration = SINE
     times = np.arange(round(duration / period)) * period
     sine = amplitude * np.sin(2.0 * math.pi * frequency * times)
-    return [limit_cycles.steps(period), Motion(f"sine of {frequency:g} Hz", sine)]
+    return [limit_cycles.steps(period), TuningMotion(f"sine of {frequency:g} Hz", sine)]
 
 
 def _responses(unseen: Problem, found: Mapping[str, Tuned]) -> str:

@@ -37,7 +37,7 @@ from valve_control.control.laws.law import Law
 from valve_control.control.laws.reshaping import LEAD_ACCEL
 from valve_control.design import evolution
 from valve_control.design.tuning import limit_cycles, margins, overshoot, pauses, trial
-from valve_control.design.tuning.trial import AHEAD, Gains, Outcome, Problem, Workers
+from valve_control.design.tuning.trial import AHEAD, GainSet, Problem, TrialResult, Workers
 from valve_control.parameter import ParameterError, Values
 
 Array = npt.NDArray[np.float64]
@@ -69,11 +69,11 @@ NOT_RUN = 100.0  # cost of gains that are none
 FRONT_LIMITS = (0.2, 0.4, 0.1, 0.05)  # of the chatter, where none is asked for
 
 
-class Point(NamedTuple):
+class EvaluatedGains(NamedTuple):
     """One set of gains that keeps the margins, and what it reached in the search."""
 
     shares: tuple[float, ...]  # of the ranges
-    gains: Gains
+    gains: GainSet
     error: float  # V
     chatter: float
     saturated: float
@@ -93,10 +93,10 @@ class Judged(NamedTuple):
     keep: list[bool]  # whether each keeps the margins
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """Result of a search."""
 
-    points: list[Point]  # all that keep the margins and stayed finite
+    points: list[EvaluatedGains]  # all that keep the margins and stayed finite
     tried: int
     missed: int  # of them, the margins or rest
 
@@ -109,7 +109,7 @@ def phases(chatter: float | None) -> list[Phase]:
     return [Phase(chatter, 0.85), Phase(0.5 * chatter, 0.075), Phase(2.0 * chatter, 0.075)]
 
 
-def cost(point: Point, chatter: float, saturated: float) -> float:
+def cost(point: EvaluatedGains, chatter: float, saturated: float) -> float:
     """What a run of the search makes small, under limits of ``chatter`` and ``saturated``."""
     if not math.isfinite(point.error) or point.error <= 0.0:
         return NOT_RUN
@@ -121,7 +121,7 @@ class _Trials:
     """Sets of gains that were tried, and what came of them."""
 
     def __init__(self, law: Law, problem: Problem, free: Sequence[Free], workers: Workers) -> None:
-        self.points: list[Point] = []
+        self.points: list[EvaluatedGains] = []
         self.tried = self.missed = 0
         self._law, self._problem, self._free, self._workers = law, problem, free, workers
         self._box = margins.prepared(problem.box)
@@ -144,7 +144,7 @@ class _Trials:
                 costs[i] = MISSED + missing
             else:
                 kept.append(i)
-        points: dict[int, Point] = {}
+        points: dict[int, EvaluatedGains] = {}
         if kept:
             outcomes = trial.run(self._law, self._problem, [gains[i] for i in kept], self._workers)
             for i, outcome in zip(kept, outcomes, strict=True):
@@ -168,7 +168,7 @@ class _Trials:
             [float(c) + o for c, o in zip(costs, outside, strict=True)], [v == 0.0 for v in violations]
         )
 
-    def best(self, chatter: float) -> Point | None:
+    def best(self, chatter: float) -> EvaluatedGains | None:
         """The point of least cost under a limit of the chatter. None if there is none."""
         return min(self.points, key=lambda p: self._cost(p, chatter), default=None)
 
@@ -191,10 +191,10 @@ class _Trials:
         self._least[chatter] = len(self.points), least
         return least
 
-    def _cost(self, point: Point, chatter: float) -> float:
+    def _cost(self, point: EvaluatedGains, chatter: float) -> float:
         return cost(point, chatter, self._problem.limits.saturated)
 
-    def _restless(self, points: Sequence[Point]) -> list[float]:
+    def _restless(self, points: Sequence[EvaluatedGains]) -> list[float]:
         """Share of the harder valves on which the loops of ``points`` do not come to rest.
 
         1.0 where the reference does not come back after a pause of the command; and 1.0 and the overshoot of
@@ -222,7 +222,7 @@ class _Trials:
             self.missed += sum(share > 0.0 for share in shares)
         return [self._rested[point.shares] for point in points]
 
-    def _violation(self, gains: Gains) -> float | None:
+    def _violation(self, gains: GainSet) -> float | None:
         """By how much ``gains`` miss the margins; None: they are none."""
         try:
             params = trial.built(self._law, trial.values_with(self._problem, gains))
@@ -293,7 +293,7 @@ def search(
     told: Told,
     workers: Workers = None,
     known: Sequence[Values] = (),
-) -> Found:
+) -> SearchResult:
     """Try ``budget`` sets of gains of ``law``, those of the parameters ``known`` among the first.
 
     Raises ParameterError for a law that has none to choose.
@@ -326,7 +326,7 @@ def search(
     if n == 1:  # no covariance to adapt
         judge(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), main.chatter)
         trials.front_at_rest()
-        return Found(trials.points, trials.tried, trials.missed)
+        return SearchResult(trials.points, trials.tried, trials.missed)
     moved = n - (held is not None)
     fitting = budget // max(EACH, EACH_COVARIANCE * moved * moved)
     late = LATE * budget
@@ -362,7 +362,7 @@ def search(
                 winner = again
             restart += 1
     trials.front_at_rest()
-    return Found(trials.points, trials.tried, trials.missed)
+    return SearchResult(trials.points, trials.tried, trials.missed)
 
 
 def _starts(scattered: Sequence[Array], costs: Sequence[float], count: int) -> list[Array]:
@@ -376,8 +376,10 @@ def _starts(scattered: Sequence[Array], costs: Sequence[float], count: int) -> l
     return chosen
 
 
-def _point(problem: Problem, shares: tuple[float, ...], gains: Gains, outcome: Outcome) -> Point:
-    return Point(
+def _point(
+    problem: Problem, shares: tuple[float, ...], gains: GainSet, outcome: TrialResult
+) -> EvaluatedGains:
+    return EvaluatedGains(
         shares,
         gains,
         trial.error_of(problem, outcome),
@@ -386,9 +388,9 @@ def _point(problem: Problem, shares: tuple[float, ...], gains: Gains, outcome: O
     )
 
 
-def front(points: Sequence[Point]) -> list[Point]:
+def front(points: Sequence[EvaluatedGains]) -> list[EvaluatedGains]:
     """The points that no other one beats in error and chatter, by falling chatter."""
-    kept: list[Point] = []
+    kept: list[EvaluatedGains] = []
     least = math.inf
     for point in sorted(points, key=lambda p: (p.chatter, p.error)):
         if point.error < least:
@@ -397,7 +399,7 @@ def front(points: Sequence[Point]) -> list[Point]:
     return kept[::-1]
 
 
-def knee(kept: Sequence[Point]) -> Point:
+def knee(kept: Sequence[EvaluatedGains]) -> EvaluatedGains:
     """The point of a front that lies farthest below the line between its ends, both scales logarithmic."""
     x = np.log([p.chatter for p in kept])
     y = np.log([p.error for p in kept])

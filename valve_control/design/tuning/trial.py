@@ -30,14 +30,14 @@ AHEAD = Free("preview", 0.0, 0.03, logarithmic=False)  # s  by which a known mot
 TAIL = 95  # %
 
 
-class Motion(NamedTuple):
+class TuningMotion(NamedTuple):
     """One wanted motion of the spool, which the upper level commands."""
 
     name: str
     wanted: Array  # V  one entry a sample
 
 
-class Limits(NamedTuple):
+class TuningLimits(NamedTuple):
     """What has to hold on every valve of the box, but for ``saturated``, which is a mean."""
 
     gain_db: float
@@ -50,7 +50,7 @@ class Limits(NamedTuple):
     overshoot: float = 0.0  # -  of steps, at most, median of the valves; 0.0: not asked for
 
 
-USUAL = Limits(
+USUAL = TuningLimits(
     gain_db=3.0,
     phase_deg=20.0,
     delay_s=0.0005,
@@ -65,10 +65,10 @@ class Problem(NamedTuple):
     """What gains are tried on."""
 
     values: Values  # the controller's; what is not chosen stays
-    motions: Sequence[Motion]
+    motions: Sequence[TuningMotion]
     plants: Sequence[Any]  # that are simulated
     box: Sequence[Any]  # around which the margins have to hold
-    limits: Limits
+    limits: TuningLimits
     preview: bool  # whether the motions are known ahead, so that reshaping causes no lag
     largest: bool  # whether the error is the largest of a run, instead of its rms
     seed: int  # of the noise
@@ -77,14 +77,14 @@ class Problem(NamedTuple):
     delivery: Delivery | None = None  # of commands that are not previewed; None: one a sample, in time
 
 
-class Gains(NamedTuple):
+class GainSet(NamedTuple):
     """One set of gains."""
 
     changes: Mapping[str, Value]  # of the controller's values
     ahead: float  # s  see AHEAD
 
 
-class Outcome(NamedTuple):
+class TrialResult(NamedTuple):
     """One set of gains on N valves and M motions: arrays M×N; NaN where a run did not stay finite."""
 
     e_rms: Array  # V  of the true position
@@ -98,7 +98,7 @@ class Outcome(NamedTuple):
         return float(np.mean(self.c_u))
 
 
-Here = Callable[[Law, Problem, Sequence[Gains], int | None], list[Array]]  # on threads of this machine
+Here = Callable[[Law, Problem, Sequence[GainSet], int | None], list[Array]]  # on threads of this machine
 
 
 def typical(errors: Array) -> float:
@@ -112,7 +112,7 @@ def typical(errors: Array) -> float:
         return float(np.exp(np.mean(np.log(np.percentile(errors, [50, TAIL], axis=1)))))
 
 
-def error_of(problem: Problem, outcome: Outcome) -> float:
+def error_of(problem: Problem, outcome: TrialResult) -> float:
     """The error [V] that the search makes small."""
     return typical(outcome.e_max if problem.largest else outcome.e_rms)
 
@@ -133,14 +133,14 @@ def free_numbers(law: Law, values: Values, preview: bool, scale: Scale = D3FXE) 
     return (*own, reshaping.frequency(values, scale), reshaping.lead(values, scale), reshaping.LEAD_ACCEL)
 
 
-def gains_at(free: Sequence[Free], values: Values, shares: Sequence[float]) -> Gains:
+def gains_at(free: Sequence[Free], values: Values, shares: Sequence[float]) -> GainSet:
     """Gains at the point ``shares`` of the unit cube."""
     chosen = [(f, f.from_share(share)) for f, share in zip(free, shares, strict=True)]
     ahead = next((value for f, value in chosen if f is AHEAD), 0.0)
-    return Gains(placed([(f, value) for f, value in chosen if f is not AHEAD], values), ahead)
+    return GainSet(placed([(f, value) for f, value in chosen if f is not AHEAD], values), ahead)
 
 
-def values_with(problem: Problem, gains: Gains) -> Values:
+def values_with(problem: Problem, gains: GainSet) -> Values:
     """The controller's values with ``gains``. Raises ParameterError."""
     return updated(CONTROLLER, problem.values, gains.changes)
 
@@ -155,7 +155,7 @@ def _built(build: Callable[[Values], Any], items: tuple[tuple[str, Any], ...]) -
     return build({name: list(value) if isinstance(value, tuple) else value for name, value in items})
 
 
-def given(law: Law, params: Any, values: Values, gains: Gains, problem: Problem, wanted: Array) -> Array:
+def given(law: Law, params: Any, values: Values, gains: GainSet, problem: Problem, wanted: Array) -> Array:
     """Commands [V] as the law gets them for the motion ``wanted`` [V]."""
     limit = number(values, "command_limit")
     if not problem.preview:
@@ -182,12 +182,14 @@ def threads_of(workers: Workers) -> int | None:
     return None if isinstance(workers, Cluster) else workers
 
 
-def run(law: Law, problem: Problem, several: Sequence[Gains], workers: Workers = None) -> list[Outcome]:
-    """Outcomes of ``several`` sets of gains on all plants and motions of ``problem``."""
-    return [Outcome(*rows) for rows in shared(run_here, law, problem, several, workers)]
+def run(law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None) -> list[TrialResult]:
+    """Results of ``several`` sets of gains on all plants and motions of ``problem``."""
+    return [TrialResult(*rows) for rows in shared(run_here, law, problem, several, workers)]
 
 
-def shared(here: Here, law: Law, problem: Problem, several: Sequence[Gains], workers: Workers) -> list[Array]:
+def shared(
+    here: Here, law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers
+) -> list[Array]:
     """What ``here`` computes for each of ``several``: on threads, on a cluster, or from what is kept."""
     if isinstance(workers, Kept):
         key = digest((here.__name__, law.name, problem.values, problem.seed, len(problem.plants), several))
@@ -203,13 +205,15 @@ def shared(here: Here, law: Law, problem: Problem, several: Sequence[Gains], wor
     return [row for part in made for row in part]
 
 
-def _there(here: Here, law: str, problem: Problem, several: Sequence[Gains]) -> list[Array]:
+def _there(here: Here, law: str, problem: Problem, several: Sequence[GainSet]) -> list[Array]:
     """``here`` on a worker, on one thread."""
     return here(LAWS[law], problem, several, 1)
 
 
-def run_here(law: Law, problem: Problem, several: Sequence[Gains], threads: int | None = None) -> list[Array]:
-    """Rows of the Outcomes (4×M×N) of all plants of ``problem`` with each of ``several`` gains.
+def run_here(
+    law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None = None
+) -> list[Array]:
+    """Rows of the results (4×M×N) of all plants of ``problem`` with each of ``several`` gains.
 
     All sets go through the compiled loop together, and the result does not depend on the number of
     threads. Valve i has noise seed ``problem.seed`` + i, and another one on each motion.
@@ -242,7 +246,7 @@ def run_here(law: Law, problem: Problem, several: Sequence[Gains], threads: int 
     return [np.array([[rows[k][j] for rows in found] for k in range(4)]) for j in range(len(several))]
 
 
-def violation(limits: Limits, found: margins.Margins, share: float = 1.0) -> float:
+def violation(limits: TuningLimits, found: margins.Margins, share: float = 1.0) -> float:
     """By how much the worst valve misses the ``limits``, times ``share`` the margins; 0.0: they hold.
 
     Sum of what is missing of each as a part of it; an unstable loop misses more than any stable one.

@@ -10,7 +10,7 @@ from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.design.tuning import margins, search, verification
-from valve_control.design.tuning.search import Point, Told
+from valve_control.design.tuning.search import EvaluatedGains, Told
 from valve_control.design.tuning.trial import Problem, Workers
 from valve_control.design.tuning.verification import Verified
 from valve_control.parameter import ParameterError, Value, Values, defaults, updated
@@ -35,7 +35,7 @@ class Chosen(NamedTuple):
     """One variant of a law with gains, and what verification says of them."""
 
     variant: Mapping[str, Value]
-    point: Point
+    point: EvaluatedGains
     verified: Verified
 
     @property
@@ -53,7 +53,7 @@ class Tuned(NamedTuple):
     """Result for one law."""
 
     law: str
-    front: list[tuple[Mapping[str, Value], Point]]  # by falling chatter, with the variant
+    front: list[tuple[Mapping[str, Value], EvaluatedGains]]  # by falling chatter, with the variant
     chosen: Chosen  # that holds, or the first of those that do not
     tried: int
     missed: int  # of them, the margins or rest
@@ -73,7 +73,7 @@ def variants(law: Law, values: Values) -> list[Mapping[str, Value]]:
     return fitting or [{}]
 
 
-def ranked(front: Sequence[Point], aim: Aim) -> list[Point]:
+def ranked(front: Sequence[EvaluatedGains], aim: Aim) -> list[EvaluatedGains]:
     """Points of a front in the order in which they are wanted. Empty if none fits ``aim``."""
     if not front:
         return []
@@ -109,7 +109,7 @@ def tuned(
     the one that comes next. Raises ParameterError, one sentence, if no gains keep the margins, or none of
     those that do fits ``aim``.
     """
-    points: list[tuple[Mapping[str, Value], Point]] = []
+    points: list[tuple[Mapping[str, Value], EvaluatedGains]] = []
     tried = missed = 0
     for variant in variants(law, problem.values):
         values = updated(CONTROLLER, problem.values, variant)
@@ -130,7 +130,7 @@ def tuned(
     chosen: Chosen | None = None
     verified = 0
     for wanted in _aims(front, aim):
-        refused: list[Point] = []
+        refused: list[EvaluatedGains] = []
         for point in ranked(front, wanted):
             if any(_near(point, other) for other in refused):
                 continue
@@ -153,7 +153,7 @@ def tuned(
     return Tuned(law.name, [(owner[id(point)], point) for point in front], chosen, tried, missed, aim.chatter)
 
 
-def _aims(front: Sequence[Point], aim: Aim) -> list[Aim]:
+def _aims(front: Sequence[EvaluatedGains], aim: Aim) -> list[Aim]:
     """``aim``, and what takes its place where no gains keep a limit of the chatter that may give way."""
     if aim.firm or aim.chatter is None or not front:
         return [aim]
@@ -166,11 +166,11 @@ def _too_loud(chosen: Chosen, aim: Aim) -> bool:
     return aim.chatter is not None and chosen.verified.seen.chatter > verification.SLACK * aim.chatter
 
 
-def _near(a: Point, b: Point) -> bool:
+def _near(a: EvaluatedGains, b: EvaluatedGains) -> bool:
     return abs(math.log(a.error / b.error)) < APART and abs(math.log(a.chatter / b.chatter)) < APART
 
 
-def _nothing(law: Law, front: Sequence[Point], aim: Aim, tried: int, missed: int) -> str:
+def _nothing(law: Law, front: Sequence[EvaluatedGains], aim: Aim, tried: int, missed: int) -> str:
     if not front:
         return (
             f"{law.name}: none of {tried} sets of gains can be used ({missed} of them miss the margins in "

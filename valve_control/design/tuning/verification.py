@@ -11,7 +11,7 @@ import numpy.typing as npt
 from valve_control.control.laws.law import Law
 from valve_control.control.simulation.delivery import Delivery
 from valve_control.design.tuning import limit_cycles, margins, overshoot, pauses, trial
-from valve_control.design.tuning.trial import Gains, Motion, Outcome, Problem, Workers
+from valve_control.design.tuning.trial import GainSet, Problem, TrialResult, TuningMotion, Workers
 from valve_control.parameter import number
 
 Array = npt.NDArray[np.float64]
@@ -24,8 +24,8 @@ SLACK = 1.05  # times the limit of the chatter, which valves that were not seen 
 class Verified(NamedTuple):
     """What gains reach on valves that the search did not see."""
 
-    seen: Outcome  # on the motions of the search
-    unseen: Outcome  # on others
+    seen: TrialResult  # on the motions of the search
+    unseen: TrialResult  # on others
     margins: margins.Margins  # of each valve
     restless: npt.NDArray[np.int64]  # numbers of valves that do not rest after a step or a motion
     pause_s: float | None  # pauses.shortest
@@ -35,21 +35,21 @@ class Verified(NamedTuple):
     uneven_chatter: float | None = None  # mean c_u where commands come UNEVEN; None: not looked at
 
 
-def other_motions(motions: Sequence[Motion]) -> list[Motion]:
+def other_motions(motions: Sequence[TuningMotion]) -> list[TuningMotion]:
     """The ``motions`` turned over and slower: others of the same size that the valve can follow as well."""
     made = []
     for motion in motions:
         n = len(motion.wanted)
         times = np.arange(round(n * SLOWER)) / SLOWER
         slower = -np.interp(times, np.arange(n), motion.wanted)
-        made.append(Motion(f"{motion.name}, turned over and slower", slower))
+        made.append(TuningMotion(f"{motion.name}, turned over and slower", slower))
     return made
 
 
 def verified(
     law: Law,
     problem: Problem,
-    gains: Gains,
+    gains: GainSet,
     chatter: float | None,
     workers: Workers = None,
 ) -> Verified:
@@ -102,7 +102,7 @@ def verified(
     return Verified(seen, unseen, found, restless, pause, reasons, overshot, settling, uneven)
 
 
-def _margins_missed(limits: trial.Limits, worst: dict[str, float | None]) -> list[str]:
+def _margins_missed(limits: trial.TuningLimits, worst: dict[str, float | None]) -> list[str]:
     if (worst["radius"] or 0.0) >= 1.0 + margins.EDGE:
         return [f"a valve of the box makes the loop unstable (largest pole {worst['radius']:.4f})"]
     texts = {
