@@ -113,6 +113,7 @@ else:
     Memory.__module__, Memory.template = __name__, Fixed
 _NAMES = [one.name for one in fields(Fixed)]
 _END = _NAMES.index("said")
+_REPORTING = tuple((w, w.slot, w.condition, w.module.step, w.module.found) for w in REPORTING)  # quicker
 KEPT = (*_NAMES[:_END], *(w.slot for w in BESIDE), "said")  # by a snapshot
 
 
@@ -171,16 +172,17 @@ def forget_saturation(m: Memory) -> None:
 @node_only
 def reported_of(p: Any, m: Memory, seen: plausibility.SeenBlock) -> None:
     """Let the watches that only report look at a block; ``p``: Params of the watches beside the check."""
-    for watch in REPORTING:
-        module, name = watch.module, watch.condition
-        params = getattr(p, watch.slot)
-        state = module.step(params, getattr(m, watch.slot), seen)
-        setattr(m, watch.slot, state)
-        if module.found(params, state) != (name in m.said.texts):
-            if name in m.said.texts:
+    texts = m.said.texts
+    for watch, slot, name, step, found in _REPORTING:
+        params = getattr(p, slot)
+        state = step(params, getattr(m, slot), seen)
+        setattr(m, slot, state)
+        if found(params, state) != (name in texts):
+            if name in texts:
                 clear(m, name)
             else:
                 report_one(p, m, watch)
+            texts = m.said.texts
 
 
 @node_only
