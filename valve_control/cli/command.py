@@ -1,9 +1,14 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Puts all sub-commands into one parser, and turns their errors into one sentence and an exit status."""
+"""Puts all sub-commands into one parser, and turns their errors into one sentence and an exit status.
+
+A file of this folder that has a function ``add_commands`` adds its commands by itself.
+"""
 
 import argparse
+import importlib
 import os
+import pkgutil
 import re
 import sys
 import textwrap
@@ -11,19 +16,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from valve_control import __version__
-from valve_control.cli import (
-    axis,
-    calibration,
-    commission,
-    export,
-    identification,
-    margins,
-    moved,
-    recordings,
-    simulate,
-    study,
-    tune,
-)
 from valve_control.cli.common import Parser, ended
 from valve_control.control.laws.registry import LEFT_OUT
 
@@ -51,7 +43,7 @@ EXAMPLES = """examples:
 """
 
 
-GROUPS = {
+GROUPS = {  # in the order of the help; others of a group follow
     "your valve": ("identify", "compensator", "calibrate", "parameters"),
     "simulate": ("simulate", "compare", "study", "tune", "margins", "axis"),
     "the machine": ("commission", "export"),
@@ -78,28 +70,24 @@ class Commands:
         )
         self.parsers: dict[str, argparse.ArgumentParser] = {}
         self._texts: dict[str, str] = {}
-        for part in (
-            simulate,
-            recordings,
-            identification,
-            calibration,
-            study,
-            tune,
-            margins,
-            commission,
-            export,
-            axis,
-            moved,
-        ):
-            part.add_commands(self)
+        self._groups: dict[str, str] = {}
+        for module in pkgutil.iter_modules([os.path.dirname(__file__)]):
+            if module.name not in ("__main__", "command"):
+                part = importlib.import_module(f"valve_control.cli.{module.name}")
+                if hasattr(part, "add_commands"):
+                    part.add_commands(self)
         for title, names in GROUPS.items():
-            self.top.add_argument_group(title, "\n".join(self._line(name) for name in names))
+            others = [name for name, group in self._groups.items() if group == title and name not in names]
+            self.top.add_argument_group(title, "\n".join(map(self._line, (*names, *others))))
 
-    def add_parser(self, name: str, help: str, **options: Any) -> argparse.ArgumentParser:
-        """Add and return the parser of the sub-command ``name``; ``help`` is its line in the list, or ""."""
+    def add_parser(self, name: str, help: str, group: str = "", **options: Any) -> argparse.ArgumentParser:
+        """Add and return the parser of the sub-command ``name``; ``help`` is its line in the list, or "".
+
+        ``group``: the one of GROUPS at whose end it stands, unless it is listed there.
+        """
         parser: argparse.ArgumentParser = self._commands.add_parser(name, **options)
         if help:
-            self.parsers[name], self._texts[name] = parser, help
+            self.parsers[name], self._texts[name], self._groups[name] = parser, help, group
         return parser
 
     def _line(self, name: str) -> str:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli import compensator
 from valve_control.cli.common import Progress, check_outputs, clock_option, say, tell_notes, write_json
 from valve_control.cli.simulate import SCENARIOS, setup_options
 from valve_control.control.parameters.table import NODES
@@ -37,7 +36,7 @@ BAG_ONLY = ("map", "of", "start", "end", "clock")
 
 
 def add_commands(commands: Any) -> None:
-    """Add identify and compensator to the command's sub-commands."""
+    """Add identify to the command's sub-commands."""
     identify = commands.add_parser(
         "identify",
         parents=[setup_options()],
@@ -133,7 +132,6 @@ def add_commands(commands: Any) -> None:
     )
     output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
     identify.set_defaults(run=_identify)
-    compensator.add_commands(commands)
 
 
 def _identify(arguments: argparse.Namespace) -> int:
