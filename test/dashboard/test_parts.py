@@ -13,6 +13,7 @@ import pytest
 from valve_control.control.commands.scenarios import command
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND
+from valve_control.dashboard.doing import RUNS
 from valve_control.dashboard.entry import Field
 from valve_control.dashboard.frames import ViewError, frame, sample, view
 from valve_control.dashboard.generator import check, fastest, largest, paced
@@ -162,6 +163,36 @@ def test_changes_follow_one_another_while_an_answer_is_awaited():
         assert len(node.changes.done) == 1 and len(node.changes.undone) == 1
 
     asyncio.run(asyncio.wait_for(run(), 10.0))
+
+
+def test_a_command_tells_which_files_it_wrote(tmp_path):
+    words = ["simulate", "--controller", "pid", "--duration", "0.1", "--csv", "a: b.csv", "--figure", "f.svg"]
+    program = Program("simulate", ["valve_control.cli", *words], tmp_path)
+    end = time.monotonic() + 60.0
+    while not program.ended:
+        assert time.monotonic() < end, list(program.lines)
+        time.sleep(0.01)
+    assert program.status == 0 and sorted(program.wrote) == ["a: b.csv", "f.svg"], list(program.lines)
+    assert "wrote a: b.csv" in program.lines
+
+
+def test_a_long_search_tells_how_much_is_done(tmp_path):
+    words = ["study", "--controller", "pid", "--valves", "20000", "--folder", "study"]
+    program = Program("study", ["valve_control.cli", *words], tmp_path)
+    try:
+        end = time.monotonic() + 100.0
+        while math.isnan(program.share):
+            assert time.monotonic() < end and program.running, list(program.lines)
+            time.sleep(0.01)
+        assert 0.0 < program.share < 1.0
+    finally:
+        program.end()
+
+
+def test_the_page_offers_runs_that_the_command_has():
+    from valve_control.cli.command import Commands
+
+    assert set(RUNS) <= set(Commands().parsers)
 
 
 def test_a_program_shows_its_progress_and_ends_when_it_is_told(tmp_path):

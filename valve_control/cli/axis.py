@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
 from valve_control.cli import moved
-from valve_control.cli.common import check_outputs, say, tell_notes, write_json
+from valve_control.cli.common import check_outputs, deliver, tell_notes, write_json, wrote
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import Values, lookup, updated
 
@@ -92,11 +92,10 @@ def _axis(arguments: argparse.Namespace) -> None:
         print("; ".join(_words(setup, found)))
     if arguments.csv is not None:
         columns = {"time": found.time, **found.signals}
-        outputs.write(arguments.csv, outputs.csv_text(columns, "%.10g"))
-        say(arguments, f"wrote {arguments.csv}")
+        deliver(arguments, arguments.csv, outputs.csv_text(columns, "%.10g"))
     if arguments.figure is not None:
         _draw(Path(arguments.figure), setup, found)
-        say(arguments, f"wrote {arguments.figure}")
+        wrote(arguments, arguments.figure)
     write_json(
         arguments, {"controller": setup.law, "upper_level": setup.level, **i._asdict(), **_extremes(found)}
     )

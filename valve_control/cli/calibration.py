@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from valve_control import interrupts, outputs
-from valve_control.cli.common import Progress, check_outputs, check_processes, say, write_json
+from valve_control.cli.common import Progress, check_outputs, check_processes, say, write_json, wrote
 from valve_control.cli.simulate import settings_of, setup_options
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults
@@ -134,7 +134,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         _print_fit(result, dimensions)
     if arguments.output is not None:
         save(arguments.output, arguments.table, base, settings, result)
-        say(arguments, f"wrote {arguments.output}")
+        wrote(arguments, arguments.output)
     if arguments.trials and not stopped:
         result["trials"] = _trials(arguments, settings, table)
     if arguments.profile and not stopped:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import interrupts, outputs
-from valve_control.cli.common import check_processes, check_search, say, write_json
+from valve_control.cli.common import check_processes, check_search, event, say, write_json, wrote
 from valve_control.parameter import ParameterError, word
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     if aside is not None:
         say(arguments, f"moved what an earlier commissioning left to {aside}")
     backup.write(folder, controller.name, before)
-    say(arguments, f"wrote {folder / backup.PARAMETERS}: the parameters from before")
+    wrote(arguments, folder / backup.PARAMETERS, ": the parameters from before")
     steps = _Steps(arguments)
     told: list[str] = []
     written: list[Path] = []
@@ -261,6 +261,7 @@ class _Steps:
             )
         self._bar.total = total
         self._bar.update(done - self._bar.n)
+        event(done=done, total=total)
 
     def found(self, valve: "Values") -> None:
         """Write the fitted valve, which is worth having whatever becomes of the gains."""
@@ -280,7 +281,7 @@ class _Steps:
         path = Path(self._arguments.folder) / name
         outputs.write(str(path), files.as_yaml({node: values}, [about]))
         with tqdm.external_write_mode():  # a bar may be shown
-            say(self._arguments, f"wrote {path}")
+            wrote(self._arguments, path)
 
     def close(self) -> None:
         """End the bar that is shown."""
@@ -320,5 +321,5 @@ def _tell(arguments: argparse.Namespace, result: "Result", written: list[Path]) 
     for note in result.notes:
         say(arguments, note)
     for path in written:
-        say(arguments, f"wrote {path}")
+        wrote(arguments, path)
     write_json(arguments, sequence.as_dict(result))

@@ -5,6 +5,7 @@
 import argparse
 import contextlib
 import difflib
+import json
 import os
 import sys
 import time
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 MOST_PER_CORE = 4  # processes or threads
 MOST_SEED, MOST_VALVES = 2_000_000_000, 100_000  # of a search
+EVENTS = "VALVE_CONTROL_EVENTS"  # file descriptor on which a command tells what it has done and written
 SOON, EVERY = 2.0, 5.0  # s  to the first line of progress, and from one to the next
 
 
@@ -150,6 +152,7 @@ class Progress:
         if self._first < 0:
             self._first, self._began, self._next = done, now, now + SOON
         elif now >= self._next and self._first < done < self._total:
+            event(done=done, total=self._total)
             self._next = now + EVERY
             left = (now - self._began) * (self._total - done) / (done - self._first)
             print(f"{done} of {self._total} {self._things}{more}, {left:.0f} s left", file=sys.stderr)
@@ -157,6 +160,26 @@ class Progress:
 
 def say(arguments: argparse.Namespace, text: str) -> None:
     print(text, file=sys.stderr if arguments.json == "-" else sys.stdout)
+
+
+def event(**told: Any) -> None:
+    """Tell whoever started the command: a line of JSON on the descriptor that EVENTS names, if it is set."""
+    number = os.environ.get(EVENTS, "")
+    if number.isdecimal():
+        with contextlib.suppress(OSError):
+            os.write(int(number), json.dumps(told).encode() + b"\n")
+
+
+def wrote(arguments: argparse.Namespace, path: object, more: str = "") -> None:
+    """Say that the file or folder ``path`` is there."""
+    say(arguments, f"wrote {path}{more}")
+    event(wrote=str(path))
+
+
+def deliver(arguments: argparse.Namespace, path: str, content: str | bytes) -> None:
+    """Write ``content`` to the file ``path``, whole or not at all, and say so. Raises OSError."""
+    outputs.write(path, content)
+    wrote(arguments, path)
 
 
 def tell_notes(notes: Sequence[str]) -> None:
@@ -172,8 +195,7 @@ def write_json(arguments: argparse.Namespace, result: Any) -> None:
     if arguments.json == "-":
         print(text, end="")
         return
-    outputs.write(arguments.json, text)
-    say(arguments, f"wrote {arguments.json}")
+    deliver(arguments, arguments.json, text)
 
 
 def ended(program: str, task: str, work: Callable[[], int | None]) -> int:

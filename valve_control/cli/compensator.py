@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import check_outputs
+from valve_control.cli.common import check_outputs, deliver
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, lookup
 
@@ -105,7 +105,6 @@ def _tell(
     arguments: argparse.Namespace, text: str, about: Any, contents: list[tuple[str, str | bytes]]
 ) -> None:
     from valve_control import outputs
-    from valve_control.cli.common import say
 
     if arguments.json == "-":
         print(outputs.as_json(about), end="")
@@ -114,8 +113,7 @@ def _tell(
         if arguments.json is not None:
             contents = [*contents, (arguments.json, outputs.as_json(about))]
     for path, content in contents:
-        outputs.write(path, content)
-        say(arguments, f"wrote {path}")
+        deliver(arguments, path, content)
 
 
 def _model(arguments: argparse.Namespace) -> "TransferFunction":

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from valve_control.cli.common import check_outputs, say, tell_notes, write_json
+from valve_control.cli.common import check_outputs, tell_notes, write_json, wrote
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
 
@@ -113,10 +113,10 @@ def _export(arguments: argparse.Namespace) -> None:
         content = _content(arguments, chosen, found)
     if isinstance(content, bytes):
         folder.write_file(path, content)
-        say(arguments, f"wrote {arguments.output}")
+        wrote(arguments, arguments.output)
     else:
         folder.write(path, content)
-        say(arguments, f"wrote {os.path.join(arguments.output, '')} with {', '.join(content)}")
+        wrote(arguments, os.path.join(arguments.output, ""), f" with {', '.join(content)}")
     result = {
         "name": chosen.name,
         "watch": arguments.watch,

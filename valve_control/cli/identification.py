@@ -8,7 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import Progress, check_outputs, clock_option, say, tell_notes, write_json
+from valve_control.cli.common import (
+    Progress,
+    check_outputs,
+    clock_option,
+    deliver,
+    tell_notes,
+    write_json,
+)
 from valve_control.cli.simulate import SCENARIOS, setup_options
 from valve_control.control.parameters.table import NODES
 from valve_control.design.identification import WEIGHTINGS
@@ -183,8 +190,7 @@ def _identify(arguments: argparse.Namespace) -> int:
     if arguments.json != "-":
         print(result.text(found))
     for path, content in made:
-        outputs.write(path, content)
-        say(arguments, f"wrote {path}")
+        deliver(arguments, path, content)
     if arguments.json == "-":
         print(outputs.as_json(result.as_dict(found)), end="")
     return 0
@@ -203,7 +209,6 @@ def _second_order(text: str) -> tuple[float, float, float]:
 
 def _given(arguments: argparse.Namespace) -> int:
     """Write what follows from natural frequency, damping and static gain, without a test."""
-    from valve_control import outputs
     from valve_control.control.parameters import files as parameter_files
     from valve_control.design.identification import datasheet, result
 
@@ -229,8 +234,7 @@ def _given(arguments: argparse.Namespace) -> int:
     if arguments.json != "-":
         print(datasheet.text(found))
     if arguments.output is not None:
-        outputs.write(arguments.output, datasheet.yaml_text(found))
-        say(arguments, f"wrote {arguments.output}")
+        deliver(arguments, arguments.output, datasheet.yaml_text(found))
     write_json(arguments, datasheet.as_dict(found))
     return 0
 

@@ -9,7 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
-from valve_control.cli.common import Parser, check_outputs, clock_option, say, tell_notes, write_json
+from valve_control.cli.common import (
+    Parser,
+    check_outputs,
+    clock_option,
+    deliver,
+    say,
+    tell_notes,
+    write_json,
+    wrote,
+)
 from valve_control.control.analysis.tables import HEADER, index_row
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, lookup
@@ -191,10 +200,10 @@ def _analyze(arguments: argparse.Namespace) -> int:
             print("\n".join(["", *axis.lines(name, one)]))
     for path, valve in csv_files:
         report.write_csv(path, valve)
-        say(arguments, f"wrote {path}")
+        wrote(arguments, path)
     if arguments.html is not None:
         report.write_html(Path(arguments.html), result)
-        say(arguments, f"wrote {arguments.html}")
+        wrote(arguments, arguments.html)
     write_json(arguments, about)
     for outcome in outcomes:
         value = "missing" if outcome.value is None else f"{outcome.value:.6g}"
@@ -324,11 +333,9 @@ def _tell_replay(
     if arguments.json != "-":
         print(text)
     if arguments.csv is not None:
-        outputs.write(arguments.csv, outputs.csv_text(columns, "%.17g"))
-        say(arguments, f"wrote {arguments.csv}")
+        deliver(arguments, arguments.csv, outputs.csv_text(columns, "%.17g"))
     if arguments.html is not None:
-        outputs.write(arguments.html, page())
-        say(arguments, f"wrote {arguments.html}")
+        deliver(arguments, arguments.html, page())
     write_json(arguments, about)
 
 
@@ -389,10 +396,9 @@ def compare_bags(arguments: argparse.Namespace) -> None:
                 print(f"note: {note}")
     if arguments.figure is not None:
         comparison.draw(Path(arguments.figure), names, runs)
-        say(arguments, f"wrote {arguments.figure}")
+        wrote(arguments, arguments.figure)
     if arguments.html is not None:
-        outputs.write(arguments.html, comparison.html(names, runs))
-        say(arguments, f"wrote {arguments.html}")
+        deliver(arguments, arguments.html, comparison.html(names, runs))
     write_json(arguments, {"runs": [comparison.as_dict(n, r) for n, r in zip(names, runs, strict=True)]})
 
 
@@ -421,11 +427,11 @@ def _recover(arguments: argparse.Namespace) -> int:
         say(arguments, f"{result.bag} holds no message; nothing could be recovered")
         return 1
     before = f" (the one before is kept as {result.metadata_kept})" if result.metadata_kept else ""
-    wrote = f"; {result.bag / 'metadata.yaml'} fits{before}" if result.bag.is_dir() else ""
+    fits = f"; {result.bag / 'metadata.yaml'} fits{before}" if result.bag.is_dir() else ""
     lost = "how many were lost is not known" if result.lost is None else f"{result.lost} lost"
     damaged = result.lost != 0 and any(f.kept or f.empty or f.missing for f in result.files)
     state = f"can be read again: {result.messages} messages, {lost}" if damaged else ""
-    say(arguments, f"{result.bag} {state or f'is whole again: {result.messages} messages'}{wrote}")
+    say(arguments, f"{result.bag} {state or f'is whole again: {result.messages} messages'}{fits}")
     return 0
 
 

@@ -13,7 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
 from valve_control.cli import moved
-from valve_control.cli.common import Once, Parser, check_outputs, clock_option, say, tell_notes, write_json
+from valve_control.cli.common import (
+    Once,
+    Parser,
+    check_outputs,
+    clock_option,
+    deliver,
+    tell_notes,
+    write_json,
+    wrote,
+)
 from valve_control.control.analysis.tables import HEADER, index_row
 from valve_control.control.parameters.axis import AXIS_NODES
 from valve_control.control.parameters.table import NODES
@@ -224,7 +233,7 @@ def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], title: str) ->
 
     traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
     draw_traces(Path(arguments.figure), {title: traces}, "valve_control, offline")
-    say(arguments, f"wrote {arguments.figure}")
+    wrote(arguments, arguments.figure)
 
 
 def _simulate(arguments: argparse.Namespace) -> None:
@@ -280,15 +289,13 @@ def _traces(arguments: argparse.Namespace, run: "Run") -> None:
     terms = {f"{run.controller}.{name}" if name in columns else name: row for name, row in run.terms.items()}
     columns.update(terms)
     if arguments.csv is not None:
-        outputs.write(arguments.csv, outputs.csv_text(columns, "%.10g"))
-        say(arguments, f"wrote {arguments.csv}")
+        deliver(arguments, arguments.csv, outputs.csv_text(columns, "%.10g"))
     if arguments.npz is not None:
         import numpy as np
 
         stream = io.BytesIO()
         np.savez_compressed(stream, allow_pickle=False, **columns)
-        outputs.write(arguments.npz, stream.getvalue())
-        say(arguments, f"wrote {arguments.npz}")
+        deliver(arguments, arguments.npz, stream.getvalue())
 
 
 def _compare(arguments: argparse.Namespace) -> None:

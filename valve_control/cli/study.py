@@ -10,15 +10,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control import outputs
 from valve_control.cli.common import (
     Progress,
     check_outputs,
     check_processes,
     cluster_option,
+    deliver,
     say,
     workers,
     write_json,
+    wrote,
 )
 from valve_control.cli.simulate import CONTROLLERS, settings_of, setup_options
 from valve_control.control.analysis.tables import HEADER, index_row
@@ -116,7 +117,7 @@ def _study(arguments: argparse.Namespace) -> int:
         print(f"all results are in {folder}")
     if arguments.figure is not None:
         _draw(Path(arguments.figure), found, result["controller"])
-        say(arguments, f"wrote {arguments.figure}")
+        wrote(arguments, arguments.figure)
     write_json(arguments, result)
     return 0
 
@@ -267,14 +268,13 @@ def _replay(arguments: argparse.Namespace, chosen: "Study") -> None:
     title = f"valve {arguments.replay}"
     if arguments.output is not None:
         comment = f"{title} of a study with seed {chosen.seed}"
-        outputs.write(arguments.output, files.as_yaml(settings, [comment]))
-        say(arguments, f"wrote {arguments.output}")
+        deliver(arguments, arguments.output, files.as_yaml(settings, [comment]))
     if arguments.figure is not None:
         from valve_control.control.analysis.figures import Trace, draw_traces
 
         trace = Trace(run.time, run.command, run.measurement, run.voltage)
         draw_traces(Path(arguments.figure), {title: {run.controller: trace}}, "study")
-        say(arguments, f"wrote {arguments.figure}")
+        wrote(arguments, arguments.figure)
     result = {
         "number": arguments.replay,
         "indices": run.indices._asdict(),

@@ -20,10 +20,12 @@ from valve_control.cli.common import (
     check_search,
     clock_option,
     cluster_option,
+    deliver,
     say,
     tell_notes,
     workers,
     write_json,
+    wrote,
 )
 from valve_control.cli.simulate import (
     CONTROLLERS,
@@ -188,7 +190,7 @@ def _tune(arguments: argparse.Namespace) -> int:
         result["recording"] = _on_recording(recorded, found, problem.values)
     for name, path in written.items():
         _save(path, name, problem.values, found[name], arguments)
-        say(arguments, f"wrote {path}")
+        wrote(arguments, path)
     _tell_old([path for name, path in paths.items() if name not in written])
     for name, one in found.items():
         for reason in one.chosen.verified.reasons:
@@ -200,10 +202,11 @@ def _tune(arguments: argparse.Namespace) -> int:
     if arguments.html is not None:
         from valve_control.design.tuning import report
 
-        outputs.write(
-            arguments.html, report.page(unseen, aim, found, missing, laws, written, _typed(arguments))
+        deliver(
+            arguments,
+            arguments.html,
+            report.page(unseen, aim, found, missing, laws, written, _typed(arguments)),
         )
-        say(arguments, f"wrote {arguments.html}")
     write_json(arguments, result)
     search.kept.forget()
     return 0 if all(name in found and found[name].chosen.holds for name in laws) else FAILED

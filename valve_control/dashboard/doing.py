@@ -4,11 +4,9 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
-import subprocess
-import sys
-import threading
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -20,6 +18,7 @@ from valve_control.control.parameters.build import as_text
 from valve_control.control.parameters.table import COMMAND
 from valve_control.dashboard.entry import EntryError, number, parse
 from valve_control.dashboard.generator import check, paced
+from valve_control.dashboard.programs import Program
 from valve_control.dashboard.valve import Valve
 from valve_control.dashboard.window import Window
 from valve_control.parameter import ParameterError, Value, Values, defaults, lookup, updated
@@ -31,7 +30,7 @@ SHAPE = (
 )  # fmt: skip
 FIRST = {"amplitude": "1.0", "frequency": "1.0", "end_frequency": "10.0", "duration": "60.0"}
 LIMITS = {"largest command [V]": "3.0", "fastest command [V/s]": "200.0"}
-RUNS = ("identify", "tune", "commission")  # of valve-control, those that it has
+RUNS = ("identify", "tune", "commission")  # of valve-control
 EXAMPLES = {
     "identify": "--set lvdt.noise=0.005 --output valve.yaml --figure bode.png",
     "tune": "--controller pid --budget 200 --output tuned.yaml --html tuned.html",
@@ -48,7 +47,6 @@ EXPLAINED = {
 }
 MOVING = ("commission",)
 LOADED = ("identify", "tune")  # whose parameter files are not in force yet
-SHARE = re.compile(r"(\d+(?:\.\d+)?)(?:/| of )(\d+(?:\.\d+)?)")  # in a line of progress
 FAULTS = ("fault.lvdt", "fault.valve", "fault.samples", "fault.jump")
 SHOWN_LINES = 30
 
@@ -280,7 +278,7 @@ class Doing:
 
     def _build_runs(self) -> None:
         ui.label("Runs").classes("vc-title")
-        self._run = ui.select(list(RUNS[:2]), value=RUNS[0], on_change=self._example)
+        self._run = ui.select(list(RUNS), value=RUNS[0], on_change=self._example)
         self._run.props('dense outlined id=run aria-label="run"')
         with named("arguments"):
             self._arguments = ui.input("arguments, as after valve-control", value=EXAMPLES[RUNS[0]])
@@ -296,16 +294,7 @@ class Doing:
         self._output = ui.label("").classes("vc-output").props("id=output role=log")
         self._output.set_visibility(False)
         self._made = ui.element("div").props("id=made")
-        self._files_of: str | None = None
-        self._offered: list[str] = []
-        threading.Thread(target=self._look_for_runs, daemon=True).start()
-
-    def _look_for_runs(self) -> None:
-        """Find which of the runs the installed command has."""
-        done = subprocess.run(
-            [sys.executable, "-m", "valve_control.cli", "--help"], capture_output=True, text=True, check=False
-        )
-        self._offered = [name for name in RUNS if re.search(rf"^  {name}\b", done.stdout, re.MULTILINE)]
+        self._files_of: Program | None = None
 
     def _example(self) -> None:
         """Offer the arguments of the chosen run, and say what it does."""
@@ -343,18 +332,14 @@ class Doing:
             self._page.programs.end(RUN)
 
     def _refresh_run(self) -> None:
-        if self._offered and list(self._run.options) != self._offered:
-            self._run.set_options(self._offered, value=self._run.value)
         run = self._page.programs.get(RUN)
         if run is None:
             return
         self._run_state.set_text(f"{run.title}: {run.state}")
-        share = SHARE.search(run.progress or (run.lines[-1] if run.lines else ""))
-        if not run.running:
-            self._share.set_visibility(False)
-        elif share is not None and float(share[2]) > 0.0:
-            self._share.set_visibility(True)
-            self._share.set_value(min(1.0, float(share[1]) / float(share[2])))
+        shown = run.running and not math.isnan(run.share)
+        self._share.set_visibility(shown)
+        if shown:
+            self._share.set_value(run.share)
         lines = (
             [*list(run.lines)[-SHOWN_LINES:], run.progress]
             if run.progress
@@ -362,10 +347,9 @@ class Doing:
         )
         self._output.set_text("\n".join(lines))
         self._output.set_visibility(True)
-        said = "\n".join(run.lines)
-        if not run.running and said != self._files_of:
-            self._files_of = said
-            self._show_made(run.title, re.findall(r"^wrote ([^:\n]+)", said, re.MULTILINE))
+        if run.ended and run is not self._files_of:
+            self._files_of = run
+            self._show_made(run.title, run.wrote)
 
     def _show_made(self, run: str, paths: Sequence[str]) -> None:
         """Link what a run has written, reports first; offer to load its parameters."""

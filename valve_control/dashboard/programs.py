@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Starts programs from the page, keeps what they print, and ends them with the page's process."""
 
+import json
+import math
 import os
 import signal
 import subprocess
@@ -13,6 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 LINES = 400
+EVENTS = "VALVE_CONTROL_EVENTS"  # file descriptor on which a command tells what it has done and written
 PATIENCE = 10.0  # s  for a program to end after SIGINT, in which commission sets parameters back, and SIGTERM
 CANCELLED = 130  # exit status of a command of this package after SIGINT
 
@@ -25,7 +28,10 @@ class Program:
         self.moves = moves  # a valve
         self.lines: deque[str] = deque(maxlen=LINES)
         self.progress = ""  # the line that is being written, such as a progress bar
+        self.wrote: list[str] = []  # files and folders, as commands of this package tell
+        self.share = math.nan  # of the work that is done, likewise
         folder.mkdir(parents=True, exist_ok=True)
+        events, given = os.pipe()
         self._child = subprocess.Popen(
             [sys.executable, "-m", *arguments],
             cwd=folder,
@@ -33,8 +39,12 @@ class Program:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+            env={**os.environ, "PYTHONUNBUFFERED": "1", EVENTS: str(given)},
+            pass_fds=[given],
         )
+        os.close(given)
+        self._listener = threading.Thread(target=self._listen, args=(events,), daemon=True)
+        self._listener.start()
         self._reader = threading.Thread(target=self._read, name=f"output of {title}", daemon=True)
         self._reader.start()
 
@@ -42,6 +52,11 @@ class Program:
     def running(self) -> bool:
         """Whether it has not ended."""
         return self._child.poll() is None
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has ended, and all that it told is here."""
+        return not self.running and not self._listener.is_alive()
 
     @property
     def status(self) -> int | None:
@@ -73,6 +88,16 @@ class Program:
                 self._child.wait(PATIENCE)
                 break
         self._reader.join(PATIENCE)
+        self._listener.join(PATIENCE)
+
+    def _listen(self, events: int) -> None:
+        with open(events, encoding="utf-8") as lines:
+            for line in lines:
+                told = json.loads(line)
+                if "wrote" in told:
+                    self.wrote.append(told["wrote"])
+                elif told["total"] > 0.0:
+                    self.share = min(1.0, told["done"] / told["total"])
 
     def _read(self) -> None:
         assert self._child.stdout is not None
