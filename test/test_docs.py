@@ -86,6 +86,15 @@ def test_each_command_block_is_run_or_says_where_it_was(path):
                 assert line.startswith(HERE), f"{where}: neither run by this test nor marked: {line}"
 
 
+@pytest.mark.parametrize("folder", ["tutorials", "howto"])
+def test_each_tutorial_and_howto_has_a_picture_with_a_text_in_its_place(folder):
+    for page in sorted((ROOT / "docs" / folder).glob("*.md")):
+        pictures = re.findall(r"!\[(.*?)\]\((\S+?)\)", page.read_text(encoding="utf-8"))
+        assert pictures, f"{page.name} has no picture"
+        for text, name in pictures:
+            assert text and (page.parent / name).exists(), f"{page.name}: {name}"
+
+
 def test_the_readme_leads_to_pages_that_exist_and_is_short():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     lines = text.splitlines()
@@ -204,6 +213,12 @@ def test_site_builds_without_a_warning(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "index.html").exists()
+    loaded = re.compile(
+        r"""<(?:script|img|link|iframe|source)\b[^>]*?(?:src|href)=["'](?:https?:)?//[^"']*"""
+    )
+    for page in tmp_path.rglob("*.html"):
+        assert not loaded.findall(page.read_text(encoding="utf-8")), f"{page.name} loads from the network"
+    assert "Search.setIndex" in (tmp_path / "searchindex.js").read_text(encoding="utf-8")
 
 
 # The pages that are generated

@@ -1,0 +1,650 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""``python docs/pictures.py [NAME ...]``: makes docs/figures/NAME.png for the tutorials and how-tos.
+
+Without a name it makes all of them. Each function below is one picture. It runs
+the commands of its page in a temporary folder and draws their results, or takes a picture of their report in
+Chromium. The pictures that other commands make are demo.png (``make demo``), axes.png (``make axis``),
+compare_tuned.png (``make tuned``), theorems.png (``make theorems``) and dashboard_*.png (the page itself).
+"""
+
+import contextlib
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from valve_control.control.analysis.figures import COLOURS
+
+ROOT = Path(__file__).resolve().parents[1]
+FIGURES = ROOT / "docs" / "figures"
+ENVIRONMENT = {
+    **os.environ,
+    "PYTHONPATH": str(ROOT),
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", "83"),  # not among other nodes of this machine
+    "AMENT_PREFIX_PATH": os.environ.get("AMENT_PREFIX_PATH", str(ROOT / ".venv")),
+}
+PICTURES: dict[str, Callable[[Path], None]] = {}
+
+
+def picture(function: Callable[[Path], None]) -> Callable[[Path], None]:
+    """Register a function that writes the picture of its name into the file that it is given."""
+    PICTURES[function.__name__] = function
+    return function
+
+
+# Commands
+
+
+def run(*words: str) -> None:
+    """Run a Python module of the project with its arguments in the present folder."""
+    subprocess.run([sys.executable, "-m", *words], env=ENVIRONMENT, check=True, stdout=subprocess.DEVNULL)
+
+
+def valve_control(*words: str) -> None:
+    """Run ``valve-control``."""
+    run("valve_control.cli", *words)
+
+
+def columns(name: str) -> dict[str, Any]:
+    """Columns of a CSV file with one row of names."""
+    rows = np.genfromtxt(name, delimiter=",", names=True)
+    return {column: rows[column] for column in rows.dtype.names}
+
+
+def simulated(name: str, *words: str) -> dict[str, Any]:
+    """Signals of a run of ``valve-control simulate``."""
+    valve_control("simulate", *words, "--csv", f"{name}.csv")
+    return columns(f"{name}.csv")
+
+
+def numbers_of_table(page: str, head: str) -> dict[str, list[float]]:
+    """Rows of the measured table in a page of docs whose line begins with ``head``, by their first word."""
+    lines = (ROOT / "docs" / page).read_text(encoding="utf-8").splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith(head))
+    rows = {}
+    for line in lines[start + 1 :]:
+        words = line.split()
+        if len(words) < 2:
+            break
+        rows[words[0]] = [float("nan") if w == "-" else float(w) for w in words[1:]]
+    return rows
+
+
+def screenshot(page: str, path: Path, height: int, top: int = 0) -> None:
+    """Picture of an HTML file, as Chromium shows it 1000 wide, from line ``top`` to line ``height``."""
+    browser = shutil.which("chromium") or "chromium"
+    options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
+    options += [f"--window-size=1000,{height}", f"--screenshot={path}", "--virtual-time-budget=8000"]
+    address = Path(page).resolve().as_uri()
+    subprocess.run([browser, *options, address], check=True, capture_output=True, timeout=120)
+    plt.imsave(path, plt.imread(path)[top:])
+
+
+@contextlib.contextmanager
+def nodes(*commands: Sequence[str]) -> Iterator[None]:
+    """Run nodes as processes; SIGINT ends them, the last one first."""
+    started: list[subprocess.Popen[bytes]] = []
+    try:
+        for name, *arguments in commands:
+            words = [sys.executable, "-m", f"valve_control.nodes.{name}", "--ros-args", *arguments]
+            with open(f"{name}.log", "wb") as log:
+                started.append(subprocess.Popen(words, env=ENVIRONMENT, stdout=log, stderr=log))
+        yield
+    finally:
+        for process in reversed(started):
+            process.send_signal(signal.SIGINT)
+        for process in started:
+            process.wait(30)
+
+
+def record(bag: str) -> None:
+    """Record the cascade for 14 s; oarc.ks1 changes after 5 s, the law after 8 s."""
+    files = [word for name in ("d3fxe", "oarc") for word in ("--params-file", f"config/{name}.yaml")]
+    command = ["-p", "scenario:=sine", "-p", "frequency:=1.0", "-p", "amplitude:=2.0", "-p", "duration:=12.0"]
+    setter = [sys.executable, str(ROOT / "docs" / "examples" / "set_parameters.py"), "/controller"]
+    with nodes(
+        ["recorder", "-p", f"bag:={bag}"],
+        ["valve_simulator", *files],
+        ["controller", *files, "-p", "controller:=oarc"],
+        ["command_source", *command],
+    ):
+        time.sleep(7.0)
+        subprocess.run([*setter, "oarc.ks1=150.0"], env=ENVIRONMENT, check=True, timeout=20)
+        time.sleep(2.0)
+        subprocess.run([*setter, "controller=pid"], env=ENVIRONMENT, check=True, timeout=20)
+        time.sleep(5.0)
+
+
+# Drawing
+
+
+def axes(rows: int, height: float) -> tuple[Any, list[Any]]:
+    """A figure with ``rows`` plots below each other."""
+    figure, grid = plt.subplots(rows, 1, figsize=(9.0, height), sharex=True, squeeze=False)
+    for axis in grid[:, 0]:
+        axis.grid(True, alpha=0.3)
+    return figure, list(grid[:, 0])
+
+
+def save(figure: Any, path: Path) -> None:
+    """Write a figure."""
+    figure.tight_layout()
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+
+
+def recorded(path: Path, marks: dict[float, str], title: str) -> None:
+    """Command, position, error and voltage of the recording ``analysed.csv``, with marked times."""
+    s = columns("analysed.csv")
+    figure, (top, middle, bottom) = axes(3, 6.5)
+    top.plot(s["time_s"], s["command_V"], "k", lw=1.2, label="spool_command")
+    middle.plot(s["time_s"], s["error_V"], color=COLOURS[2], lw=0.8)
+    top.plot(s["time_s"], s["measurement_V"], color=COLOURS[0], lw=1.0, label="spool_position")
+    bottom.plot(s["time_s"], s["voltage_V"], color=COLOURS[1], lw=0.8, label="valve_voltage")
+    for at, text in marks.items():
+        for axis in (top, middle, bottom):
+            axis.axvline(at, color="grey", ls="--", lw=1.0)
+        bottom.annotate(text, (at, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -12),
+                        textcoords="offset points", fontsize=8)  # fmt: skip
+    top.set(ylabel="spool [V]", title=title)
+    middle.set_ylabel("error [V]")
+    bottom.set(ylabel="voltage [V]", xlabel="time [s]")
+    top.legend(loc="lower right", ncols=2, fontsize="small")
+    save(figure, path)
+
+
+def diagram(
+    path: Path, boxes: dict[str, tuple[float, float]], arrows: Sequence[tuple[str, str, str]]
+) -> None:
+    """Boxes with their text at (x, y), and arrows with a text from box to box; <-> in the text: both ways."""
+    xs, ys = zip(*boxes.values(), strict=True)
+    figure, axis = plt.subplots(figsize=(9.0, 1.1 * (max(ys) - min(ys)) + 1.4))
+    shapes = {}
+    for text, (x, y) in boxes.items():
+        style = {"boxstyle": "round,pad=0.6", "facecolor": "#EAF3FA", "edgecolor": COLOURS[0]}
+        shapes[text] = axis.text(x, y, text, ha="center", va="center", fontsize=9, bbox=style, zorder=3)
+    axis.set(xlim=(min(xs) - 0.6, max(xs) + 0.6), ylim=(min(ys) - 0.6, max(ys) + 0.6))
+    axis.axis("off")
+    figure.tight_layout()
+    figure.canvas.draw()
+    for start, end, text in arrows:
+        tip: dict[str, Any] = {"arrowstyle": "<|-|>" if "<->" in text else "-|>", "color": "#333333"}
+        tip["patchA"], tip["patchB"] = (shapes[name].get_bbox_patch() for name in (start, end))
+        axis.annotate("", boxes[end], boxes[start], arrowprops=tip, zorder=1)
+        (x0, y0), (x1, y1) = boxes[start], boxes[end]
+        axis.text(
+            (x0 + x1) / 2,
+            (y0 + y1) / 2 + (0.04 if y0 == y1 else 0.0),
+            text.replace("<->", "").strip(),
+            ha="center",
+            va="bottom" if y0 == y1 else "center",
+            fontsize=8,
+            linespacing=1.6,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
+            zorder=2,
+        )
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+
+
+# Tutorials
+
+
+def my_recording() -> None:
+    """Record a run and analyse it, unless this run of the script has done so."""
+    if not Path("analysed.csv").exists():
+        record("first_run")
+        valve_control("analyze", "first_run", "--csv", "analysed.csv", "--json", "analysed.json")
+
+
+def changes() -> dict[float, str]:
+    """Times [s] and texts of the changes of parameters in ``analysed.json``."""
+    valve = next(iter(json.loads(Path("analysed.json").read_text())["valves"].values()))
+    return {
+        change["time_s"]: ", ".join(f"{name} = {value}" for name, value in change["values"].items())
+        for change in valve["changes"]
+    }
+
+
+@picture
+def live_change(path: Path) -> None:
+    """The cascade over DDS, its gains and its law changed while it runs."""
+    my_recording()
+    recorded(path, changes(), "cascade over DDS: a gain and the law are changed while it runs")
+
+
+@picture
+def your_valve(path: Path) -> None:
+    """The run of the tutorial with its gains."""
+    valve_control("identify", "--params-file", "docs/examples/my_valve.yaml", "--output", "valve.yaml")
+    files = ("valve.yaml", "docs/examples/my_valve.yaml", "docs/examples/my_controller.yaml")
+    words = [word for name in files for word in ("--params-file", name)]
+    valve_control("simulate", *words, "--figure", str(path))
+
+
+# Connect
+
+
+@picture
+def interpolation(path: Path) -> None:
+    """Commands at 100 Hz and the reference that the law gets from them."""
+    figure, (top, bottom) = axes(2, 6.0)
+    for i, kind in enumerate(("hold", "linear", "extrapolate", "bridge")):
+        words = ["--command-period", "0.01", "--set", f"command.interpolation={kind}", "--duration", "1.0"]
+        words += ["--controller", "dcarc", "--scenario", "sine", "--set", "frequency=3.0"]
+        words += ["--params-file", "config/d3fxe.yaml", "--params-file", "config/dcarc.yaml"]
+        s = simulated(kind, *words)
+        shown = (s["time"] > 0.62) & (s["time"] < 0.8)
+        top.plot(s["time"][shown], s["position"][shown], color=COLOURS[i], lw=1.2, label=kind)
+        bottom.plot(s["time"][shown], s["voltage"][shown], color=COLOURS[i], lw=1.0)
+        if kind == "hold":
+            top.plot(
+                s["time"][shown], s["command"][shown], "k", lw=0.8, drawstyle="steps-post", label="command"
+            )
+    top.set(ylabel="spool [V]", title="dcarc, commands at 100 Hz, command.interpolation")
+    bottom.set(ylabel="voltage [V]", xlabel="time [s]")
+    top.legend(fontsize="small", ncols=5)
+    save(figure, path)
+
+
+@picture
+def wiring(path: Path) -> None:
+    """Wiring of a card on a serial line."""
+    boxes = {
+        "controller": (0.0, 0.0), "valve_driver": (1.7, 0.0), "card": (3.4, 0.0),
+        "amplifier": (4.8, 0.8), "LVDT\nconverter": (4.8, -0.8), "valve": (6.2, 0.0),
+    }  # fmt: skip
+    arrows = [
+        ("controller", "valve_driver", "<->valve_voltage\nspool_position"),
+        ("valve_driver", "card", "<->serial line"),
+        ("card", "amplifier", "analogue output"),
+        ("LVDT\nconverter", "card", "analogue input"),
+        ("amplifier", "valve", "coil current"),
+        ("valve", "LVDT\nconverter", "spool"),
+    ]
+    diagram(path, boxes, arrows)
+
+
+@picture
+def canopen_wiring(path: Path) -> None:
+    """A valve on CANopen: nodes, adapter, bus."""
+    boxes = {
+        "controller": (0.0, 0.0), "valve_driver\ndriver:=canopen": (2.2, 0.0), "CAN adapter": (4.2, 0.0),
+        "electronics\nof the valve": (6.4, 0.0), "solenoids,\nspool, LVDT": (8.2, 0.0),
+        "switch of the\nenable input": (6.4, -1.1), "supply of the\nsolenoids, switch": (8.2, -1.1),
+    }  # fmt: skip
+    arrows = [
+        ("controller", "valve_driver\ndriver:=canopen", "<->valve_voltage\nspool_position"),
+        ("valve_driver\ndriver:=canopen", "CAN adapter", "<->"),
+        ("CAN adapter", "electronics\nof the valve", "<->CAN bus:\nSYNC, PDOs"),
+        ("electronics\nof the valve", "solenoids,\nspool, LVDT", "<->"),
+        ("switch of the\nenable input", "electronics\nof the valve", ""),
+        ("supply of the\nsolenoids, switch", "solenoids,\nspool, LVDT", ""),
+    ]
+    diagram(path, boxes, arrows)
+
+
+@picture
+def modbus_wiring(path: Path) -> None:
+    """Analogue I/O on Modbus TCP."""
+    boxes = {
+        "controller": (0.0, 0.0), "valve_driver\ndriver:=modbus": (2.2, 0.0),
+        "Modbus coupler\nown watchdog 100 ms": (4.8, 0.0), "amplifier": (7.1, 0.8),
+        "LVDT\nconverter": (7.1, -0.8), "valve": (8.6, 0.0),
+    }  # fmt: skip
+    coupler = "Modbus coupler\nown watchdog 100 ms"
+    arrows = [
+        ("controller", "valve_driver\ndriver:=modbus", "<->valve_voltage\nspool_position"),
+        ("valve_driver\ndriver:=modbus", coupler, "<->Ethernet,\nno switch"),
+        (coupler, "amplifier", "analogue output,\nenable coil"),
+        ("LVDT\nconverter", coupler, "analogue input"),
+        ("amplifier", "valve", ""),
+        ("valve", "LVDT\nconverter", "spool"),
+    ]
+    diagram(path, boxes, arrows)
+
+
+@picture
+def hosts(path: Path) -> None:
+    """Which processes belong on one host, and which may be elsewhere."""
+    boxes = {
+        "valve_driver": (0.0, 0.0), "controller": (1.9, 0.0), "recorder": (1.9, -1.1),
+        "upper level": (4.6, 0.0), "plots, ros2 topic": (4.6, -1.1),
+    }  # fmt: skip
+    arrows = [
+        ("valve_driver", "controller", "<->1 kHz, same host"),
+        ("controller", "recorder", "same host"),
+        ("upper level", "controller", "network, same ROS_DOMAIN_ID\nROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET"),
+        ("controller", "plots, ros2 topic", "network"),
+    ]
+    diagram(path, boxes, arrows)
+
+
+@picture
+def priorities(path: Path) -> None:
+    """Order of the real-time priorities of the processes on one host."""
+    boxes = {
+        "LVDT driver, amplifier\nSCHED_FIFO, highest": (0.0, 0.0), "controller\nSCHED_FIFO": (2.4, 0.0),
+        "subscribers on this host\nSCHED_FIFO, lowest": (4.8, 0.0),
+        "plots, ros2 topic echo\nanother host": (7.2, 0.0),
+    }  # fmt: skip
+    names = list(boxes)
+    diagram(path, boxes, [(a, b, "higher than") for a, b in zip(names[:2], names[1:3], strict=True)])
+
+
+@picture
+def lockstep(path: Path) -> None:
+    """Messages of two samples in lockstep."""
+    lanes = ("command_source", "controller", "valve_simulator")
+    messages = [
+        (0, 1, "command k"), (2, 1, "reading k"), (2, 0, ""), (1, 2, "voltage k"),
+        (0, 1, "command k+1"), (2, 1, "reading k+1"), (2, 0, ""), (1, 2, "voltage k+1"),
+    ]  # fmt: skip
+    figure, axis = plt.subplots(figsize=(9.0, 3.6))
+    for lane, name in enumerate(lanes):
+        axis.plot([0.0, 8.0], [-lane, -lane], color="grey", lw=1.0)
+        axis.text(-0.2, -lane, name, ha="right", va="center", fontsize=9)
+    for at, (start, end, text) in enumerate(messages):
+        tip = {"arrowstyle": "-|>", "color": COLOURS[at // 4]}
+        axis.annotate("", (at + 0.6, -end), (at, -start), arrowprops=tip)
+        background = {"facecolor": "white", "edgecolor": "none"}
+        axis.text(at + 0.4, -(start + end) / 2, text, fontsize=8, va="center", bbox=background)
+    axis.set(xlim=(-1.8, 8.0), ylim=(-2.4, 0.4))
+    axis.set_title("the simulator waits for voltage k before it computes reading k+1")
+    axis.axis("off")
+    save(figure, path)
+
+
+# Measure and model
+
+
+@picture
+def characteristic(path: Path) -> None:
+    """Characteristic curve of the valve of the page, with its friction, in both directions."""
+    valve = [
+        "lvdt.noise=0.0056",
+        "lvdt.resolution=0.0037",
+        "friction.coulomb=1.16",
+        "friction.presliding=0.02",
+    ]
+    valve += ["friction.stribeck_velocity=0.017", "friction.static_ratio=1.25", "flow_force=0.116"]
+    words = [word for value in valve for word in ("--set", value)]
+    valve_control("identify", "--friction", *words, "--characteristic", str(path), "--output", "model.yaml")
+
+
+@picture
+def calibrated(path: Path) -> None:
+    """Indices of the simulated controllers over those of the table, after a short search."""
+    words = ["--set", "duration=9.3", "--set", "start=0.0", "--evaluations", "400", "--output", "quick.yaml"]
+    valve_control("calibrate", "docs/examples/table.csv", *words, "--json", "quick.json")
+    ratios = json.loads(Path("quick.json").read_text())["mean"]["ratios"]
+    figure, (axis,) = axes(1, 3.4)
+    names = list(next(iter(ratios.values())))
+    at = np.arange(len(names))
+    for i, (law, row) in enumerate(ratios.items()):
+        axis.bar(at + 0.35 * i - 0.17, [row[name] for name in names], 0.35, color=COLOURS[i], label=law)
+    axis.axhline(1.0, color="black", lw=0.8)
+    axis.set_xticks(at, names)
+    axis.set(ylabel="index / table", title="after a search of 400 valves")
+    axis.legend(fontsize="small", loc="lower right")
+    save(figure, path)
+
+
+@picture
+def compensator(path: Path) -> None:
+    """Response of an identified valve with and without its compensator."""
+    valve_control("identify", "--set", "lvdt.noise=0.005", "--output", "valve.yaml")
+    words = ["--from", "valve.yaml", "--bandwidth", "25", "--amplitude", "2"]
+    valve_control("compensator", *words, "--output", "compensator.yaml", "--figure", str(path))
+
+
+# Tune
+
+
+@picture
+def raised_gain(path: Path) -> None:
+    """Error and chatter of OARC as both feedback gains are raised, as tune.md does."""
+    gains = [12.5, 25.0, 50.0, 100.0, 150.0, 200.0, 300.0, 400.0]
+    indices = []
+    for gain in gains:
+        words = ["--controller", "oarc", "--params-file", "config/d3fxe.yaml", "--json", "gain.json"]
+        valve_control("simulate", *words, "--set", f"oarc.ks1={gain}", "--set", f"oarc.ks2={gain}")
+        indices.append(json.loads(Path("gain.json").read_text())["indices"])
+    figure, (top, bottom) = axes(2, 5.0)
+    top.semilogx(gains, [i["e_rms"] for i in indices], "o-", color=COLOURS[0])
+    bottom.semilogx(gains, [i["c_u"] for i in indices], "o-", color=COLOURS[1])
+    top.set(ylabel="e_rms [V]", title="OARC on the valve of config/d3fxe.yaml")
+    bottom.set(ylabel="c_u", xlabel="oarc.ks1 = oarc.ks2")
+    save(figure, path)
+
+
+@picture
+def tune_report(path: Path) -> None:
+    """Head of the report of a short search."""
+    words = ["--controller", "dcarc,pid", "--params-file", "config/d3fxe.yaml", "--max-chatter", "0.25"]
+    words += ["--valves", "8", "--budget", "400", "--seed", "1", "--alone"]
+    valve_control("tune", *words, "--output", "tuned.yaml", "--html", "tuned.html")
+    screenshot("tuned.html", path, 1050)
+
+
+@picture
+def commissioned(path: Path) -> None:
+    """Report of a commissioning over DDS, at the pace of the machine: both nodes wait for each other."""
+    valve = ["--params-file", "config/d3fxe.yaml", "-p", "patience:=1.0"]
+    patience = [
+        "-p",
+        "lvdt.hold_samples:=5000",
+        "-p",
+        "lvdt.period_limit:=1000.0",
+        "-p",
+        "lvdt.frozen_samples:=0",
+    ]
+    with nodes(["valve_simulator", *valve], ["controller", *patience]):
+        words = ["--yes", "--controller", "dcarc", "--max-voltage", "8", "--folder", "commission"]
+        valve_control("commission", *words)
+    screenshot("commission/report.html", path, 1500)
+
+
+# Simulate
+
+
+@picture
+def simulate(path: Path) -> None:
+    """The first run of the page."""
+    files = ("--params-file", "config/arc.yaml", "--params-file", "config/d3fxe.yaml")
+    valve_control("simulate", "--controller", "arc", *files, "--figure", str(path))
+
+
+@picture
+def study(path: Path) -> None:
+    """Distributions of the indices."""
+    valve_control("study", "--controller", "oarc", "--valves", "10000", "--figure", str(path))
+
+
+@picture
+def crane_boom(path: Path) -> None:
+    """The machine of the first command of the page, offline."""
+    valve_control("axis", "--params-file", "config/axis/crane_boom.yaml", "--figure", str(path))
+
+
+@picture
+def fault_reactions(path: Path) -> None:
+    """Measured reaction times of the page's table and their limits."""
+    rows = numbers_of_table("howto/faults.md", "reaction [ms]")
+    figure, axis = plt.subplots(figsize=(9.0, 6.5))
+    for y, (limit, *times) in enumerate(rows.values()):
+        axis.plot(
+            times,
+            [y] * len(times),
+            "o",
+            ms=4,
+            alpha=0.7,
+            color=COLOURS[0],
+            label="" if y else "measured, each law",
+        )
+        axis.plot(limit, y, "|", ms=12, mew=2, color=COLOURS[1], label="" if y else "limit")
+    axis.set_yticks(range(len(rows)), list(rows), fontsize=8)
+    axis.invert_yaxis()
+    axis.set(xscale="log", xlabel="reaction time [ms]")
+    axis.grid(True, alpha=0.3)
+    axis.legend(fontsize="small")
+    save(figure, path)
+
+
+# Record
+
+
+@picture
+def recording(path: Path) -> None:
+    """The recorded signals."""
+    my_recording()
+    recorded(path, {}, "three topics of the bag first_run")
+
+
+@picture
+def analysis(path: Path) -> None:
+    """Head of the report of analyze."""
+    my_recording()
+    valve_control("analyze", "first_run", "--html", "first_run.html")
+    screenshot("first_run.html", path, 2250, 770)
+
+
+@picture
+def what_if(path: Path) -> None:
+    """The recorded loop, and a simulated one on the recorded command."""
+    my_recording()
+    words = ["--mode", "what-if", "--controller", "dcarc", "--params-file", "config/d3fxe.yaml"]
+    valve_control("replay", "first_run", *words, "--csv", "what_if.csv")
+    s = columns("what_if.csv")
+    figure, (top, bottom) = axes(2, 5.2)
+    top.plot(s["time_s"], s["command_V"], "k", lw=1.2, label="recorded command")
+    for i, (name, label) in enumerate((("recorded", "recorded"), ("simulated", "what-if dcarc"))):
+        top.plot(s["time_s"], s[f"{name}_measurement_V"], color=COLOURS[i], lw=1.0, label=label)
+        bottom.plot(s["time_s"], s[f"{name}_voltage_V"], color=COLOURS[i], lw=0.7)
+    top.set(ylabel="spool [V]", title="the recorded command under another law")
+    bottom.set(ylabel="voltage [V]", xlabel="time [s]")
+    top.legend(fontsize="small", loc="lower right", ncols=3)
+    save(figure, path)
+
+
+@picture
+def recovered(path: Path) -> None:
+    """The readings of a damaged bag that recover has saved."""
+    my_recording()
+    shutil.copytree("first_run", "damaged", dirs_exist_ok=True)
+    file = next(Path("damaged").glob("*.mcap"))
+    data = bytearray(file.read_bytes())
+    for part in (0.35, 0.6):
+        start = int(part * len(data))
+        data[start : start + 100_000] = bytes(100_000)
+    file.write_bytes(data)
+    valve_control("bag", "recover", "damaged")
+    valve_control("analyze", "damaged", "--csv", "saved.csv")
+    whole, saved = columns("analysed.csv"), columns("saved.csv")
+    figure, (axis,) = axes(1, 3.4)
+    axis.plot(whole["time_s"], whole["measurement_V"], color="silver", lw=3.0, label="recorded")
+    stamps = np.isin(whole["stamp_ns"], saved["stamp_ns"])
+    axis.plot(whole["time_s"], np.where(stamps, whole["measurement_V"], np.nan), color=COLOURS[0], lw=1.0,
+              label="after recover")  # fmt: skip
+    lost = whole["time_s"][~stamps]
+    if len(lost) == 0:
+        raise ValueError("nothing was lost; damage more of the bag")
+    axis.set(xlim=(lost[0] - 1.0, lost[-1] + 1.0), title=f"two damaged places, {len(lost)} readings lost")
+    axis.set(ylabel="spool_position [V]", xlabel="time [s]")
+    axis.legend(fontsize="small", loc="lower right")
+    save(figure, path)
+
+
+# Extend and verify
+
+
+@picture
+def lead_law(path: Path) -> None:
+    """The example law on the paper's valve, beside open loop."""
+    words = ["pip", "install", "--quiet", "--no-build-isolation", "--no-deps", "--target", "plugin"]
+    example = ROOT / "docs" / "examples" / "lead_law"
+    subprocess.run([sys.executable, "-m", *words, str(example)], check=True)
+    ENVIRONMENT["PYTHONPATH"] = f"{ROOT}{os.pathsep}{Path('plugin').resolve()}"
+    figure, (axis,) = axes(1, 3.8)
+    for i, (law, *words) in enumerate((("open_loop",), ("lead", "--set", "lead.gain=3.0"))):
+        s = simulated(law, "--controller", law, *words)
+        if i == 0:
+            axis.plot(s["time"], s["command"], "k", lw=1.2, label="command")
+        axis.plot(s["time"], s["position"], color=COLOURS[i], lw=1.0, label=law)
+    axis.set(ylabel="spool [V]", xlabel="time [s]", title="lead.gain = 3.0")
+    axis.legend(fontsize="small", loc="lower right")
+    save(figure, path)
+
+
+@picture
+def exported_watch(path: Path) -> None:
+    """The recorded run that an exported law is compared with: its readings and voltages."""
+    valve_control("export", "--controller", "oarc", "--watch", "--output", "oarc_watched")
+    with open("oarc_watched/check.csv", newline="", encoding="utf-8") as stream:
+        rows = [(float(r["a"]), float(r["result"])) for r in csv.DictReader(stream) if r["event"] == "sample"]
+    reading, voltage = np.array(rows).T
+    figure, (top, bottom) = axes(2, 5.0)
+    top.plot(reading, ".", ms=1.5, color=COLOURS[0])
+    bottom.plot(voltage, color=COLOURS[1], lw=0.6)
+    top.set(ylabel="reading [V]", ylim=(-12.0, 12.0), title="check.csv of an export with --watch")
+    bottom.set(ylabel="voltage [V]", xlabel="sample")
+    save(figure, path)
+
+
+@picture
+def loop_ratios(path: Path) -> None:
+    """Latencies of the loop over those of an echo, from the page's table."""
+    rows = numbers_of_table("howto/benchmarks.md", "              p50 [ms]  p99 [ms]    lost         p50")
+    figure, axis = plt.subplots(figsize=(9.0, 3.4))
+    at = np.arange(len(rows))
+    for i, (column, label) in enumerate(((3, "median"), (4, "99th percentile"))):
+        axis.bar(
+            at + 0.4 * i - 0.2, [row[column] for row in rows.values()], 0.4, color=COLOURS[i], label=label
+        )
+    axis.axhline(1.0, color="black", lw=0.8)
+    axis.set_xticks(at, list(rows))
+    axis.set(ylabel="over a plain echo", title="reading to voltage")
+    axis.legend(fontsize="small", loc="lower right")
+    save(figure, path)
+
+
+@picture
+def paper(path: Path) -> None:
+    """Head of the page with the paper's Table 1."""
+    run("research.paper", "--offline", "--out", "paper")
+    screenshot("paper/index.html", path, 1100)
+
+
+def main(names: Sequence[str]) -> int:
+    """Make the pictures ``names``, all if it is empty; returns the exit status."""
+    if unknown := sorted(set(names) - set(PICTURES)):
+        print(f"there is no picture {', '.join(unknown)}; there are {', '.join(PICTURES)}", file=sys.stderr)
+        return 2
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        for name in ("config", "docs"):
+            Path(name).symlink_to(ROOT / name)
+        for name in names or PICTURES:
+            path = FIGURES / f"{name}.png"
+            PICTURES[name](path)
+            print(f"wrote docs/figures/{path.name}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
