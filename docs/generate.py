@@ -36,7 +36,7 @@ def write(folder: Path) -> None:
 def parameters() -> str:
     """Every parameter of every node: default, unit, range, meaning."""
     text = (
-        "# Parameters\n\nThis page is made from `table.py` and `axis.py` in `control/parameters`. "
+        "# Parameters\n\nThis page is generated from the tables in `valve_control/control/parameters`. "
         "`valve-control parameters NAME` prints a part of it. Write doubles as 120.0, never as 120.\n"
     )
     for node, table in ROS_NODES.items():
@@ -70,34 +70,34 @@ def _range(p: Parameter) -> str:
 
 # What the sources cannot tell. A topic or service of a node without an entry here fails the build.
 MEANINGS = {
-    "spool_command": "spool position that the upper level wants [V]",
-    "spool_trajectory": "the same as a trajectory: position [V], velocity [V/s], acceleration [V/s²]",
+    "spool_command": "commanded spool position [V]",
+    "spool_trajectory": "command as a trajectory point: position [V], velocity [V/s], acceleration [V/s²]",
     "spool_position": "LVDT reading [V], the clock of the loop",
     "valve_voltage": "solenoid voltage [V], one for each reading",
     "~/state": "terms of law and supervisor, names in `layout.dim`, every `state_decimation`-th one",
     "~/terms/NAME": "one of these terms, for each name in `state_topics`",
-    "~/journal": "all that the controller took in and gave, a row each, every 0.1 s",
-    "~/memory": "all that the controller remembers and its parameters, as JSON, every `memory_period`",
+    "~/journal": "all inputs and outputs of the controller, one row each, every 0.1 s",
+    "~/memory": "state of the controller and its parameters, as JSON, every `memory_period`",
     "/diagnostics": "mode, reasons and counts, once a second and at once with each change",
     "/clock": "simulated time, in lockstep only",
-    "~/reset": "estimates, filters and doubts about the LVDT go to their start; of an axis: hold the "
+    "~/reset": "reset estimates, filters and plausibility checks; of an axis: hold the "
     "position, and activate the valve's controller",
     "~/save_box": "black box: write the last seconds as a bag; the answer names it",
     "~/save_parameters": "write the running parameters, with the present estimates, to `save_file`",
     "joint_states": "position of the axis [m] under the name of its joint, the clock of the upper level",
-    "pressure_a": "absolute pressure in the room that drives the piston out [Pa]",
-    "pressure_b": "the same in the other room [Pa]",
+    "pressure_a": "absolute pressure in the chamber that extends the piston [Pa]",
+    "pressure_b": "absolute pressure in the other chamber [Pa]",
     "joint_trajectory": "trajectory of the axis [m, m/s, m/s²], from its stamp or from the next reading on",
-    "goal_position": "position to which the axis is to move [m], limited in velocity, acceleration, jerk",
-    "axis_goal": "where the axis is to be at this reading: position [m], velocity [m/s], acceleration [m/s²]",
+    "goal_position": "target position of the axis [m]; velocity, acceleration and jerk are limited",
+    "axis_goal": "reference of the axis at this reading: position [m], velocity [m/s], acceleration [m/s²]",
     "~/stop": "0 V until `~/reset`, and no voltage from the valve's controller",
     "~/enable": "switch the output of a real valve's amplifier on or off, as the parameter `enable` does",
-    "~/load_parameters": "take `load_file` into use as one change, or refuse it as a whole",
+    "~/load_parameters": "apply `load_file` as one change, or refuse it as a whole",
 }
 ANY = {
     "recorder": "The recorder subscribes to the topics of all valves, or to those that `topics` names.",
     "axis_simulator": "The process also has a node `valve_simulator`, the valve that feeds the axis, with "
-    "all that belongs to it.",
+    "its own topics, services and parameters.",
     "manifold": "The manifold hosts one `controller` or `valve_simulator` for each valve, in its namespace.",
     "dashboard": "The dashboard subscribes, best effort, to the topics of all valves on the graph.",
 }
@@ -166,9 +166,9 @@ def _entity(node: str, call: ast.AST) -> Entity | None:
 def topics() -> str:
     """Topics and services of every node."""
     text = (
-        "# Topics and services\n\nThis page is made from the sources of the nodes. Names without a slash at "
-        "their head are relative: each valve has a namespace of its own. `~` is the name of the node. Every "
-        "node also has ROS's own parameter services; `controller`, `valve_simulator`, "
+        "# Topics and services\n\nThis page is generated from the sources of the nodes. Names without a "
+        "leading slash are relative: each valve has a namespace of its own. `~` is the name of the node. "
+        "Every node also has ROS's own parameter services; `controller`, `valve_simulator`, "
         "`valve_driver` and `axis_controller` are managed nodes and have the lifecycle services too "
         "(`~/change_state`, "
         "`~/get_state`).\n"
@@ -193,7 +193,8 @@ def command_line() -> str:
 
     os.environ["COLUMNS"] = "100"
     commands = command.Commands()
-    text = f"# Command line\n\nThis page is what `--help` says.\n\n```text\n{commands.top.format_help()}```\n"
+    text = "# Command line\n\nThis page shows the output of `--help`.\n\n"
+    text += f"```text\n{commands.top.format_help()}```\n"
     for name, parser in commands.parsers.items():
         text += f"\n## `valve-control {name}`\n\n```text\n{parser.format_help()}```\n"
     return text
@@ -204,7 +205,7 @@ def command_line() -> str:
 
 def api() -> dict[str, str]:
     """A page for each room of the package, and their index."""
-    index = "# API\n\nA page for each room of the package; made from the docstrings.\n\n```{toctree}\n"
+    index = "# API\n\nEach package has a page, generated from its docstrings.\n\n```{toctree}\n"
     pages = {}
     for room in sorted(path.parent for path in PACKAGE.rglob("*/__init__.py") if path.parent.name != "cli"):
         index += f"{room.name}\n"
