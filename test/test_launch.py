@@ -15,7 +15,7 @@ from launched import command as launch
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files, launching
 from valve_control.control.parameters.arguments import addressed
-from valve_control.control.parameters.axis import ROS_NODES, known_machine
+from valve_control.control.parameters.axis_parameters import ROS_NODES, known_machine
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, defaults, lookup
 

@@ -19,9 +19,9 @@ import numpy.typing as npt
 from valve_control.control.axis import cascade, run
 from valve_control.control.compiling import compile_function
 from valve_control.control.motion import axis_arc_sampled, course
-from valve_control.control.parameters import axis as parameters
+from valve_control.control.parameters import axis_parameters as parameters
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis import AXIS, AXIS_NODES
+from valve_control.control.parameters.axis_parameters import AXIS, AXIS_NODES
 from valve_control.control.plant import machine
 from valve_control.parameter import Values, defaults, number, updated
 

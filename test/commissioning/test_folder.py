@@ -11,7 +11,7 @@ from supervised import SupervisedValve
 
 from valve_control.cli import command, commission
 from valve_control.control.parameters import files
-from valve_control.design.commissioning import backup, report
+from valve_control.design.commissioning import backup, commissioning_report
 from valve_control.design.commissioning.bench import Fault
 from valve_control.parameter import ParameterError
 
@@ -105,7 +105,7 @@ def test_an_end_while_the_results_are_written_is_no_success(tmp_path, monkeypatc
         "8",
     ]
     plant = {"friction.coulomb": 0.6, "lvdt.noise": 0.004}
-    valve, page = Controller("/controller", plant), report.page
+    valve, page = Controller("/controller", plant), commissioning_report.page
     before = valve.values()
 
     def interrupted(result):
@@ -119,7 +119,7 @@ def test_an_end_while_the_results_are_written_is_no_success(tmp_path, monkeypatc
             raise KeyboardInterrupt
         marked(folder, node, wanted)
 
-    for place, name, cut in ((report, "page", interrupted), (backup, "mark", interrupted_late)):
+    for place, name, cut in ((commissioning_report, "page", interrupted), (backup, "mark", interrupted_late)):
         with monkeypatch.context() as patch:
             patch.setattr(place, name, cut)
             with pytest.raises(KeyboardInterrupt):

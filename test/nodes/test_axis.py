@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from valve_control.control.axis import run
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis import AXIS_NODES
+from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, NumberSubscription
 from valve_control.nodes.harness.processes import process
 from valve_control.parameter import updated

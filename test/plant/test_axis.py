@@ -12,7 +12,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from valve_control.control.compiling import compile_function
-from valve_control.control.parameters import axis as parameters
+from valve_control.control.parameters import axis_parameters as parameters
 from valve_control.control.plant import axis, orifice
 from valve_control.parameter import ParameterError
 

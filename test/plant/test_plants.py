@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from valve_control.control import closed_loop
-from valve_control.control.parameters import axis, build, stability
+from valve_control.control.parameters import axis_parameters, build, stability
 from valve_control.control.parameters.table import NODES, VALVE
 from valve_control.control.plant import registry, solenoid_valve, valve
 from valve_control.control.plant.plant import PlantError, check, try_out
@@ -74,7 +74,7 @@ def test_the_valve_of_an_axis_is_a_linear_one():
     with pytest.raises(
         ParameterError, match="valve is 'solenoid'; the valve of an axis must be 'second_order'"
     ):
-        axis.machine_params(defaults(axis.AXIS), values())
+        axis_parameters.machine_params(defaults(axis_parameters.AXIS), values())
 
 
 # Another package's plant: a lag whose velocity is that of its last sample

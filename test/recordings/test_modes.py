@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made import BEGIN, PERIOD, STATUS, Run, diagnostic, write
 
-from valve_control.recordings import report
+from valve_control.recordings import analysis_report
 from valve_control.recordings.analysis import analyze, as_dict
 from valve_control.recordings.recording import load
 
@@ -95,12 +95,12 @@ def test_indices_with_and_without_what_was_not_ok(run, tmp_path):
 
 def test_the_text_and_the_page_show_the_modes(run, tmp_path):
     result, _ = modes_of(write(tmp_path / "bag", run.messages))
-    lines = report.text(result).splitlines()
+    lines = analysis_report.text(result).splitlines()
     assert any(line.startswith("only ok") for line in lines)
     assert any(line.startswith("without safe") for line in lines)
     assert any(line.startswith("safe ") and "60 LVDT readings lost in a row" in line for line in lines)
     assert any(line.startswith("modes: ok ") and "safe 1 time" in line for line in lines)
-    report.write_html(tmp_path / "r.html", result)
+    analysis_report.write_html(tmp_path / "r.html", result)
     page = (tmp_path / "r.html").read_text()
     assert "60 LVDT readings lost in a row" in page
     shapes = json.loads("[" + page.split('"shapes":[', 1)[1].split("]", 1)[0] + "]")
@@ -116,7 +116,7 @@ def test_without_diagnostics_the_state_tells_the_modes_but_no_reasons(run, tmp_p
     assert [mode for mode, _ in runs_of(found)] == [mode for mode, _ in runs_of(told)]
     assert np.count_nonzero(found != told) <= 10 * len(runs_of(told))
     assert all(interval["reasons"] == [] for interval in about["intervals"])
-    assert "reason is not recorded" in report.text(result)
+    assert "reason is not recorded" in analysis_report.text(result)
 
 
 def test_a_run_that_is_ok_throughout_says_so(tmp_path):
@@ -126,7 +126,7 @@ def test_a_run_that_is_ok_throughout_says_so(tmp_path):
         made.sample()  # "no command yet"
     made.move(1200)
     result, about = modes_of(write(tmp_path / "bag", made.messages))
-    assert "modes: ok throughout" in report.text(result)
+    assert "modes: ok throughout" in analysis_report.text(result)
     assert about["ok"]["samples"] == 1200 and about["degraded"]["intervals"] == 0
     assert about["intervals"][-1]["reasons"] == ["no command yet"] and about["intervals"][-1]["end_s"] < 0.001
 
@@ -154,7 +154,7 @@ def test_a_controller_that_fell_silent_is_not_taken_for_ok(run, tmp_path):
     result, about = modes_of(write(tmp_path / "bag", messages))
     assert about["unknown"]["intervals"] == 1
     assert about["unknown"]["duration_s"] == pytest.approx(5.0, abs=0.02)
-    assert "nothing was heard of the controller" in report.text(result)
+    assert "nothing was heard of the controller" in analysis_report.text(result)
 
 
 def test_of_two_valves_each_has_its_own_modes(tmp_path):
@@ -215,7 +215,7 @@ def test_without_any_word_of_a_controller_modes_are_not_known(run, tmp_path):
     result, about = modes_of(
         write(tmp_path / "bag", run.messages, keep=lambda m: not_state(m) and not_diagnostics(m))
     )
-    assert about is None and "modes" not in report.text(result)
+    assert about is None and "modes" not in analysis_report.text(result)
 
 
 # Changes of parameters
@@ -234,7 +234,7 @@ def test_successive_changes_are_all_listed(tmp_path):
     made.change(controller="pid")
     made.flush()
     result = analyze(load(write(tmp_path / "bag", made.messages)))
-    text = report.text(result)
+    text = analysis_report.text(result)
     for i, change in enumerate(
         ("arc.k2 = 90.0", "arc.k1 = 110.0", "arc.k1 = 100.0", "arc.k1 = 95.0", "controller = pid"), start=1
     ):
@@ -272,7 +272,7 @@ def test_readings_of_another_rate_are_reported_with_both_numbers(steady, tmp_pat
     result = analyze(load(write(tmp_path / "bag", slower(steady.messages, factor))))
     valve = as_dict(result)["valves"]["valve"]
     told = f"LVDT readings come every {factor:.4g} ms, sample_period is 1 ms"
-    assert told in report.text(result) and any(told in text for text in valve["left_out"])
+    assert told in analysis_report.text(result) and any(told in text for text in valve["left_out"])
     period = valve["lvdt_period"]
     assert period["measured_s"] == pytest.approx(1e-3 * factor, rel=1e-3)
     assert period["sample_period_s"] == 0.001 and valve["sample_period_s"] == 0.001
@@ -281,7 +281,7 @@ def test_readings_of_another_rate_are_reported_with_both_numbers(steady, tmp_pat
     # The command is a sine of 1 Hz when a reading a millisecond comes.
     spectrum = result.valves["valve"].voltage_spectrum
     assert spectrum.frequency[-1] == pytest.approx(500.0 / factor, rel=1e-3)
-    report.write_html(tmp_path / "r.html", result)
+    analysis_report.write_html(tmp_path / "r.html", result)
     page = (tmp_path / "r.html").read_text()
     indices, spectra = page.index("valve: indices<"), page.index("valve: spectra<")
     assert page.index(told, indices) < page.index("valve: signals<") and told in page[spectra:]
@@ -314,7 +314,9 @@ def test_a_rate_that_is_wrong_for_a_while_is_reported_with_its_time(steady, tmp_
     assert other["measured_s"] == pytest.approx(2e-3, rel=0.01)
     assert other["start_s"] == pytest.approx(1.0, abs=0.06)
     assert other["end_s"] == pytest.approx(2.0, abs=0.12)
-    assert "LVDT readings come every 2 ms from 0.9" in report.text(result).replace("from 1.0", "from 0.9")
+    assert "LVDT readings come every 2 ms from 0.9" in analysis_report.text(result).replace(
+        "from 1.0", "from 0.9"
+    )
 
 
 def test_a_sample_period_that_was_changed_with_the_readings_is_none(steady, tmp_path):

@@ -11,7 +11,7 @@ from made import BEGIN, EVENT, PERIOD, STORE, Message, Run, T, event, write
 from valve_control.cli import main
 from valve_control.control.axis import run as axis_run
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis import AXIS_NODES
+from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.parameter import updated
 
 JOINTS, FLUID = "sensor_msgs/msg/JointState", "sensor_msgs/msg/FluidPressure"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from valve_control.control.motion import axis_pid, course, path
 from valve_control.control.motion.course import Goal
-from valve_control.control.parameters.axis import AXIS_CONTROLLER
+from valve_control.control.parameters.axis_parameters import AXIS_CONTROLLER
 from valve_control.control.plant.machine import Reading
 from valve_control.control.supervision import axis_supervisor as supervisor
 from valve_control.control.supervision.record import Mode

@@ -58,7 +58,7 @@ def add_commands(commands: Any) -> None:
 def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
     from valve_control.control.axis import run
     from valve_control.control.parameters import files
-    from valve_control.control.parameters.axis import AXIS_NODES
+    from valve_control.control.parameters.axis_parameters import AXIS_NODES
 
     direct: dict[str, dict[str, Any]] = {
         "controller": {"controller": arguments.controller},

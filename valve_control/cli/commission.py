@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from valve_control.design.commissioning.backup import Backup
     from valve_control.design.commissioning.plan import Plan
     from valve_control.design.commissioning.sequence import Result
-    from valve_control.nodes.commission import Controller
+    from valve_control.nodes.commissioning_client import Controller
     from valve_control.parameter import Values
 
 CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
@@ -80,7 +80,7 @@ def _commission(arguments: argparse.Namespace) -> int:
     if arguments.undo:
         _backup(arguments)  # whether there is one is known without the node
     try:
-        from valve_control.nodes.commission import connected
+        from valve_control.nodes.commissioning_client import connected
     except ImportError as error:
         raise ParameterError(f"commission needs ROS 2: {error}") from error
     interrupts.watch(signal.SIGTERM, signal.SIGHUP)
@@ -293,7 +293,7 @@ class _Steps:
 def _texts(arguments: argparse.Namespace, result: "Result") -> dict[str, str]:
     """What is written of a commissioning that succeeded, by file."""
     from valve_control.control.parameters import files
-    from valve_control.design.commissioning import report, sequence
+    from valve_control.design.commissioning import commissioning_report, sequence
 
     made = result.verification.measured
     about = [
@@ -301,7 +301,7 @@ def _texts(arguments: argparse.Namespace, result: "Result") -> dict[str, str]:
         f"e_rms {made.e_rms:.4g} V and c_u {made.c_u:.3f} in the verification run",
     ]
     return {
-        REPORT: report.page(result),
+        REPORT: commissioning_report.page(result),
         RESULT: outputs.as_json(sequence.as_dict(result)),
         TUNED: files.as_yaml({arguments.node: result.applied}, about),
     }

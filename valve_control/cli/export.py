@@ -70,7 +70,7 @@ def _export(arguments: argparse.Namespace) -> None:
     from tqdm import tqdm
 
     from valve_control.control.parameters import files
-    from valve_control.control.parameters.axis import AXIS_NODES
+    from valve_control.control.parameters.axis_parameters import AXIS_NODES
     from valve_control.export import folder, settable, unit
 
     path = folder.refuse_taken(arguments.output)

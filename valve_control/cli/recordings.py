@@ -26,7 +26,7 @@ from valve_control.recordings.bags.errors import BagError
 
 if TYPE_CHECKING:
     from valve_control.recordings.analysis import ValveAnalysis
-    from valve_control.recordings.axis import Axis
+    from valve_control.recordings.axis_analysis import Axis
     from valve_control.recordings.bags.bag import Bag
     from valve_control.recordings.bags.recover import RecoveredFile
     from valve_control.recordings.recording import Recording
@@ -181,7 +181,7 @@ def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveAnal
 
 
 def _analyze(arguments: argparse.Namespace) -> int:
-    from valve_control.recordings import axis, expectations, report
+    from valve_control.recordings import analysis_report, axis_analysis, expectations
     from valve_control.recordings.analysis import analyze, as_dict
 
     check_outputs(arguments, [arguments.csv, arguments.html])
@@ -191,18 +191,18 @@ def _analyze(arguments: argparse.Namespace) -> int:
     outcomes = [o for text in arguments.expect for o in expectations.check(text, about["valves"])]
     found = _axes(arguments, loaded)
     if found:
-        about["axes"] = {name: axis.as_dict(one) for name, one in found.items()}
+        about["axes"] = {name: axis_analysis.as_dict(one) for name, one in found.items()}
     about["expectations"] = [outcome._asdict() for outcome in outcomes]
     csv_files = _csv_files(arguments.csv, result.valves)
     if arguments.json != "-":
-        print(report.text(result))
+        print(analysis_report.text(result))
         for name, one in found.items():
-            print("\n".join(["", *axis.lines(name, one)]))
+            print("\n".join(["", *axis_analysis.lines(name, one)]))
     for path, valve in csv_files:
-        report.write_csv(path, valve)
+        analysis_report.write_csv(path, valve)
         wrote(arguments, path)
     if arguments.html is not None:
-        report.write_html(Path(arguments.html), result)
+        analysis_report.write_html(Path(arguments.html), result)
         wrote(arguments, arguments.html)
     write_json(arguments, about)
     for outcome in outcomes:
@@ -212,12 +212,12 @@ def _analyze(arguments: argparse.Namespace) -> int:
 
 
 def _axes(arguments: argparse.Namespace, loaded: "Recording") -> "dict[str, Axis]":
-    from valve_control.recordings import axis
+    from valve_control.recordings import axis_analysis
 
     def log_time(seconds: float | None) -> int | None:
         return None if seconds is None else loaded.bag.begin + round(seconds * 1e9)
 
-    return axis.axes(loaded.bag, loaded.nodes, log_time(arguments.start), log_time(arguments.end))
+    return axis_analysis.axes(loaded.bag, loaded.nodes, log_time(arguments.start), log_time(arguments.end))
 
 
 def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> "list[tuple[Path, ValveAnalysis]]":
@@ -373,7 +373,7 @@ def compare_bags(arguments: argparse.Namespace) -> None:
     """Print and draw the indices and overlaid runs of several bags."""
     from valve_control.recordings import comparison
     from valve_control.recordings.analysis import analyze
-    from valve_control.recordings.report import time_in
+    from valve_control.recordings.analysis_report import time_in
 
     check_outputs(arguments, [arguments.html], [arguments.figure])
     runs = []

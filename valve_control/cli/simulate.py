@@ -24,7 +24,7 @@ from valve_control.cli.common import (
     wrote,
 )
 from valve_control.control.analysis.tables import HEADER, index_row
-from valve_control.control.parameters.axis import AXIS_NODES
+from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
 

@@ -200,12 +200,12 @@ def _tune(arguments: argparse.Namespace) -> int:
         if recorded is not None:
             _print_recording(result["recording"])
     if arguments.html is not None:
-        from valve_control.design.tuning import report
+        from valve_control.design.tuning import tuning_report
 
         deliver(
             arguments,
             arguments.html,
-            report.page(unseen, aim, found, missing, laws, written, _typed(arguments)),
+            tuning_report.page(unseen, aim, found, missing, laws, written, _typed(arguments)),
         )
     write_json(arguments, result)
     search.kept.forget()

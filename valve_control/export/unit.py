@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from valve_control.control.laws.common import COMMON
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.reshaping import PARAMETERS as RESHAPING
-from valve_control.control.parameters import axis as axis_parameters
+from valve_control.control.parameters import axis_parameters as axis_parameters
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import machine, registry
 from valve_control.control.supervision import watch

@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from valve_control.control.motion import path
 from valve_control.control.motion.course import Goal, MotionLimits
-from valve_control.control.parameters.axis import AXIS_CONTROLLER
+from valve_control.control.parameters.axis_parameters import AXIS_CONTROLLER
 from valve_control.control.plant.machine import Reading
 from valve_control.control.supervision import axis_supervisor
 from valve_control.control.supervision.record import Mode

@@ -13,9 +13,9 @@ from valve_control.control.analysis.indices import Indices
 from valve_control.control.analysis.overlay import TimedSignal, shift
 from valve_control.control.analysis.page import figure, notes, page
 from valve_control.recordings.analysis import NONE, Analysis, Spell, modes_dict
+from valve_control.recordings.analysis_report import BANDS, index_table, listed, time_in
 from valve_control.recordings.modes import Mode
 from valve_control.recordings.recording import Aligned
-from valve_control.recordings.report import BANDS, index_table, listed, time_in
 
 ERROR_PLOT = 1  # the plot in which the modes are marked
 STRIP = 0.03  # part of its height for each run

@@ -14,7 +14,7 @@ from valve_control.control.analysis.page import figure, notes, page, table
 from valve_control.control.analysis.segments import Segment
 from valve_control.control.analysis.tables import HEADER, index_row
 from valve_control.recordings.analysis import segment_indices
-from valve_control.recordings.report import index_table
+from valve_control.recordings.analysis_report import index_table
 from valve_control.recordings.shadow import Shadow
 from valve_control.recordings.what_if import WhatIf
 

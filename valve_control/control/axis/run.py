@@ -19,9 +19,9 @@ from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.motion import course, upper
-from valve_control.control.parameters import axis as parameters
+from valve_control.control.parameters import axis_parameters as parameters
 from valve_control.control.parameters import build
-from valve_control.control.parameters.axis import AXIS_NODES
+from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.control.plant import axis, machine
 from valve_control.parameter import ParameterError, Values, defaults, number, word
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis import ROS_NODES
+from valve_control.control.parameters.axis_parameters import ROS_NODES
 from valve_control.control.parameters.table import is_of_ros
 from valve_control.parameter import ParameterError, Table, Values, defaults, missing
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from valve_control.control.laws.registry import LAWS, REFUSED
 from valve_control.control.parameters import files
 from valve_control.control.parameters.arguments import matches
-from valve_control.control.parameters.axis import ROS_NODES
+from valve_control.control.parameters.axis_parameters import ROS_NODES
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Value, lookup, one_of
 

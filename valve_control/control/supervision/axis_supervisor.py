@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from valve_control.control.motion import axis_pid, path, upper
 from valve_control.control.motion.course import Goal
-from valve_control.control.parameters import axis as parameters
+from valve_control.control.parameters import axis_parameters as parameters
 from valve_control.control.plant.machine import Reading
 from valve_control.control.supervision import axis_watch
 from valve_control.control.supervision.record import Mode

@@ -25,7 +25,7 @@ from tqdm import tqdm
 from valve_control import interrupts
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.arguments import matches
-from valve_control.control.parameters.axis import ROS_NODES
+from valve_control.control.parameters.axis_parameters import ROS_NODES
 from valve_control.nodes.adapter import (
     EVERYTHING,
     NumberSubscription,
