@@ -341,10 +341,10 @@ def _tell_replay(
 
 def _replay_live(arguments: argparse.Namespace) -> int:
     try:
-        from valve_control.nodes import player
+        from valve_control.nodes import playback
     except ImportError as error:
         raise BagError(f"live replay needs ROS 2: {error}; shadow and what-if do without") from error
-    result = player.play(
+    result = playback.play(
         path=arguments.bag,
         maps=arguments.map,
         topics=arguments.topics,

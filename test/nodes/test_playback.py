@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recordings"))
 from bench import controller
 from made import Run, write
 
-from valve_control.nodes import player
+from valve_control.nodes import playback
 from valve_control.nodes.harness.processes import process
 from valve_control.recordings.bags.errors import BagError
 
@@ -32,7 +32,7 @@ def test_a_running_controller_gives_the_recorded_voltages_in_lockstep(tmp_path, 
     bag = write(tmp_path / "bag", made.messages)
     arguments = ["-p", f"controller:={law}", "-p", "lockstep:=true"]
     with controller(tmp_path, *arguments):
-        result = player.play(str(bag), [], None, 1.0, lockstep=True, quiet=True)
+        result = playback.play(str(bag), [], None, 1.0, lockstep=True, quiet=True)
     assert result.differing == 0 and np.array_equal(result.answers, made.voltages)
 
 
@@ -41,7 +41,9 @@ def test_topics_are_published_at_their_times_and_faster(tmp_path, run):
     bag = write(tmp_path / "bag", run.messages)
     for rate in (1.0, 4.0):
         with process("recorder", ["-p", f"bag:={tmp_path / f'again_{rate}'}"], tmp_path / f"r_{rate}.log"):
-            result = player.play(str(bag), [], ["/spool_position", "/spool_command"], rate, False, quiet=True)
+            result = playback.play(
+                str(bag), [], ["/spool_position", "/spool_command"], rate, False, quiet=True
+            )
         heard = again(tmp_path / f"again_{rate}")
         assert result.published == 1200
         assert np.array_equal(heard["/spool_position"], run.readings)
@@ -59,13 +61,13 @@ def test_a_table_is_published_in_volts(tmp_path, run):
     np.savetxt(log, rows, delimiter=";", header="t_ms;lvdt;wanted", comments="", fmt="%.17g")
     maps = ["time=t_ms*0.001", "spool_position=lvdt@4..20mA", "spool_command=wanted"]
     with process("recorder", ["-p", f"bag:={tmp_path / 'again'}"], tmp_path / "recorder.log"):
-        result = player.play(str(log), maps, None, 1.0, False, quiet=True)
+        result = playback.play(str(log), maps, None, 1.0, False, quiet=True)
     heard = again(tmp_path / "again")
     assert result.published == 1200 and result.elapsed >= 0.599
     assert np.allclose(heard["/spool_position"], run.readings, rtol=0.0, atol=1e-12)
     assert np.array_equal(heard["/spool_command"], commands)
     with pytest.raises(BagError, match="is a table, which has no topics"):
-        player.play(str(log), maps, ["/lvdt"], 1.0, False, quiet=True)
+        playback.play(str(log), maps, ["/lvdt"], 1.0, False, quiet=True)
 
 
 def test_messages_with_one_stamp_are_published_in_the_order_of_the_recording():
@@ -74,10 +76,10 @@ def test_messages_with_one_stamp_are_published_in_the_order_of_the_recording():
     stamps = np.arange(count) // 10 * 10_000_000
     places = np.arange(count)
     tracks = [
-        player.Track("/spool_position", "", stamps, 2 * places + 1, [b""] * count),
-        player.Track("/spool_command", "", stamps, 2 * places, [b""] * count),
+        playback.Track("/spool_position", "", stamps, 2 * places + 1, [b""] * count),
+        playback.Track("/spool_command", "", stamps, 2 * places, [b""] * count),
     ]
-    times, owner, number = player.in_turn(tracks)
+    times, owner, number = playback.in_turn(tracks)
     assert owner.tolist() == [1, 0] * count and number.tolist() == np.repeat(places, 2).tolist()
     assert np.all(np.diff(times) >= 0)
 
@@ -90,14 +92,14 @@ def again(path):
 
 
 def test_nobody_who_listens_is_an_error(tmp_path, run, monkeypatch):
-    monkeypatch.setattr(player, "MEET", 0.3)
+    monkeypatch.setattr(playback, "MEET", 0.3)
     bag = write(tmp_path / "bag", run.messages)
     with pytest.raises(BagError, match="nobody has listened to /spool_command"):
-        player.play(str(bag), [], None, 1.0, False, quiet=True)
+        playback.play(str(bag), [], None, 1.0, False, quiet=True)
     assert not rclpy.ok()
 
 
 def test_a_topic_that_is_not_there_is_said():
     bag = Path(__file__).resolve().parents[1] / "data" / "bags" / "jazzy_mcap_drone_yaw"
     with pytest.raises(BagError, match="/nothing"):
-        player.play(str(bag), [], ["/nothing"], 1.0, False, quiet=True)
+        playback.play(str(bag), [], ["/nothing"], 1.0, False, quiet=True)
