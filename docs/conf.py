@@ -33,6 +33,8 @@ autodoc_default_options = {"members": True, "undoc-members": False}
 html_theme = "furo"
 html_title = f"valve_control {__version__}"
 html_math_renderer = "mathml"
+html_static_path = ["_static"]
+html_css_files = ["wide.css"]
 html_copy_source = False
 # Code blocks are of a shell, of its output, or of a page that the reader's own tools highlight.
 suppress_warnings = ["misc.highlighting_failure"]
