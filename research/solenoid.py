@@ -66,15 +66,15 @@ def measured(path: Path) -> Measured:
     gain = 20.0 * np.log10(np.abs(response) / np.abs(response[0]))
     phase = np.degrees(np.unwrap(np.angle(response)))
     return Measured(
-        width,
-        float(np.argmax(step >= 0.9 * step[-1])) * PERIOD,
-        _crossing(frequency, gain, -3.0),
-        _crossing(frequency, phase, -90.0),
-        (u[n:], x[n:]),
-        step,
-        frequency,
-        gain,
-        phase,
+        width=width,
+        rise=float(np.argmax(step >= 0.9 * step[-1])) * PERIOD,
+        minus_3db=_crossing(frequency, gain, -3.0),
+        minus_90=_crossing(frequency, phase, -90.0),
+        loop=(u[n:], x[n:]),
+        step=step,
+        frequency=frequency,
+        gain=gain,
+        phase=phase,
     )
 
 

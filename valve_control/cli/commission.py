@@ -155,16 +155,16 @@ def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
     from valve_control.design.commissioning.plan import Plan
 
     return Plan(
-        SafetyLimits(arguments.max_voltage, arguments.travel),
-        arguments.controller or law,
-        CHATTER if arguments.max_chatter is None else arguments.max_chatter,
-        arguments.budget,
-        arguments.valves,
-        arguments.unseen,
-        arguments.seed,
-        arguments.threads,
-        arguments.max_chatter is not None,
-        arguments.sensor_delay,
+        limits=SafetyLimits(arguments.max_voltage, arguments.travel),
+        law=arguments.controller or law,
+        chatter=CHATTER if arguments.max_chatter is None else arguments.max_chatter,
+        budget=arguments.budget,
+        valves=arguments.valves,
+        unseen=arguments.unseen,
+        seed=arguments.seed,
+        threads=arguments.threads,
+        firm=arguments.max_chatter is not None,
+        sensor_delay=arguments.sensor_delay,
     )
 
 

@@ -167,7 +167,15 @@ def _variables(unit: Unit, made: Sources) -> list[Variable]:
         own = "" if p.unit == "-" else p.unit
         listed.append(
             Variable(
-                name, "parameter", p.text, own, f"m->p.{setter.path}", call, now[setter.path], p.low, p.high
+                name=name,
+                causality="parameter",
+                text=p.text,
+                unit=own,
+                get=f"m->p.{setter.path}",
+                set=call,
+                start=now[setter.path],
+                low=p.low,
+                high=p.high,
             )
         )
     return listed

@@ -87,7 +87,17 @@ def watched(values: Values) -> Unit:
     )
     table = (*inner.table, *(p for p in own if p not in inner.table))
     text = f"{inner.text}, under the watch over LVDT and command"
-    return Unit(inner.name, text, True, module, built(values), table, values, built, inner)
+    return Unit(
+        name=inner.name,
+        text=text,
+        is_law=True,
+        module=module,
+        params=built(values),
+        table=table,
+        values=values,
+        build=built,
+        inner=inner,
+    )
 
 
 def plant(values: Values) -> Unit:

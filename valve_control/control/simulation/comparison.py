@@ -69,7 +69,18 @@ def motions() -> dict[str, Array]:
         return wave
 
     def strokes(amplitude: float, velocity: float, accel: float, cycle: float) -> Array:
-        shape = Shape("point_to_point", amplitude, 0.0, 0.0, 1.0, 1.0, velocity, accel, cycle, 1.0)
+        shape = Shape(
+            scenario="point_to_point",
+            amplitude=amplitude,
+            offset=0.0,
+            start=0.0,
+            frequency=1.0,
+            end_frequency=1.0,
+            max_velocity=velocity,
+            max_accel=accel,
+            cycle=cycle,
+            sweep_time=1.0,
+        )
         return np.array([command(shape, float(time)) for time in t])
 
     return {
@@ -90,7 +101,15 @@ def valves(count: int, seed: int, wide: bool) -> list[valve.Params]:
         flow, offset = random.uniform(-0.5, 0.5, 2)
         poles, zeros, delay = random.uniform(0.8, 1.25), random.uniform(0.8, 1.25), random.uniform(0.0, 1e-3)
         disturbance = valve.Disturbance(
-            coulomb, static, STRIBECK, 0.02, presliding, float(flow), float(offset), 0.0, 0.0
+            coulomb=coulomb,
+            static_ratio=static,
+            stribeck_velocity=STRIBECK,
+            velocity_scale=0.02,
+            presliding=presliding,
+            flow_force=float(flow),
+            offset=float(offset),
+            stiffness_drift=0.0,
+            gain_drift=0.0,
         )
         if not wide:
             poles, zeros, delay = 1.0, 1.0, 0.0
@@ -114,7 +133,23 @@ def made_of(
 
 def undisturbed() -> valve.Params:
     """Model (3) itself, without friction, flow force, offset and dead time, with the LVDT of the others."""
-    return made_of(1.0, 1.0, 1.0, 0.0, valve.Disturbance(0.0, 1.0, STRIBECK, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0))
+    return made_of(
+        1.0,
+        1.0,
+        1.0,
+        0.0,
+        valve.Disturbance(
+            coulomb=0.0,
+            static_ratio=1.0,
+            stribeck_velocity=STRIBECK,
+            velocity_scale=0.02,
+            presliding=0.0,
+            flow_force=0.0,
+            offset=0.0,
+            stiffness_drift=0.0,
+            gain_drift=0.0,
+        ),
+    )
 
 
 def unreshaped(p: reshaping.Params, wanted: Array) -> Array:

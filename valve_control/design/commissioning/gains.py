@@ -89,16 +89,16 @@ def tuned(
         for count, seed in ((plan.valves, plan.seed), (plan.unseen, plan.seed + box.UNSEEN_SEED))
     )
     problem = Problem(
-        values,
-        motions,
-        box.drawn(seen),
-        box.bounding(seen),
-        trial.USUAL,
-        False,
-        False,
-        plan.seed,
-        wider > 1.0,
-        scale_of(found.model),
+        values=values,
+        motions=motions,
+        plants=box.drawn(seen),
+        box=box.bounding(seen),
+        limits=trial.USUAL,
+        preview=False,
+        largest=False,
+        seed=plan.seed,
+        strict=wider > 1.0,
+        scale=scale_of(found.model),
     )
     unseen = problem._replace(
         plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + box.UNSEEN_SEED

@@ -184,15 +184,15 @@ def unexplained(
 def simulated(found: Plant, record: Record) -> Floats:
     """Position [V], n, of the valve under the voltages of ``record``."""
     disturbance = valve.Disturbance(
-        found.friction.coulomb,
-        found.friction.static_ratio,
-        FREE_VELOCITY,
-        SCALE,
-        found.presliding,
-        0.0,
-        found.offset,
-        0.0,
-        0.0,
+        coulomb=found.friction.coulomb,
+        static_ratio=found.friction.static_ratio,
+        stribeck_velocity=FREE_VELOCITY,
+        velocity_scale=SCALE,
+        presliding=found.presliding,
+        flow_force=0.0,
+        offset=found.offset,
+        stiffness_drift=0.0,
+        gain_drift=0.0,
     )
     lvdt = valve.Lvdt(0.0, 0.0, 0.0, found.delay / record.period)
     plant = valve.design(found.model, record.period, 1e6, 1.0, disturbance, lvdt)

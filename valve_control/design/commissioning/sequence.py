@@ -180,9 +180,21 @@ class _Commissioning:
         ]
         notes += _louder(self._plan, made.tuned, rest)
         return Result(
-            self._plan, before, rest, slow, static, found.friction, sine, response, found, made.tuned,
-            backup.differences(before, final), verified, notes, self._seconds,
-        )  # fmt: skip
+            plan=self._plan,
+            before=before,
+            rest=rest,
+            slow=slow,
+            static=static,
+            friction=found.friction,
+            sine=sine,
+            response=response,
+            plant=found,
+            tuned=made.tuned,
+            applied=backup.differences(before, final),
+            verification=verified,
+            notes=notes,
+            seconds=self._seconds,
+        )
 
     def _open_loop(self) -> None:
         """From inactive to 0 V: open loop within the limits, the other parameters as before."""

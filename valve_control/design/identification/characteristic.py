@@ -164,17 +164,19 @@ def curve(
     positive, negative = sides
     unsure = math.hypot(positive.edge.bound, negative.edge.bound)
     return Characteristic(
-        grid,
-        np.mean(rising, axis=0),
-        np.mean(falling, axis=0),
-        _bound(rising),
-        _bound(falling),
-        positive,
-        negative,
-        Bounded(positive.edge.value - negative.edge.value, unsure),
-        Bounded(0.5 * (positive.edge.value + negative.edge.value), 0.5 * unsure),
-        Bounded(0.5 * (widths[0].value + widths[1].value), 0.5 * math.hypot(*(w.bound for w in widths))),
-        len(strokes),
+        voltage=grid,
+        rising=np.mean(rising, axis=0),
+        falling=np.mean(falling, axis=0),
+        rising_bound=_bound(rising),
+        falling_bound=_bound(falling),
+        positive=positive,
+        negative=negative,
+        overlap=Bounded(positive.edge.value - negative.edge.value, unsure),
+        null=Bounded(0.5 * (positive.edge.value + negative.edge.value), 0.5 * unsure),
+        hysteresis=Bounded(
+            0.5 * (widths[0].value + widths[1].value), 0.5 * math.hypot(*(w.bound for w in widths))
+        ),
+        strokes=len(strokes),
     )
 
 

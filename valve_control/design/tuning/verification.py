@@ -99,7 +99,17 @@ def verified(
         period = number(problem.values, "sample_period")
         late = problem._replace(delivery=Delivery(period, UNEVEN * period, problem.seed))
         uneven = trial.run(law, late, [gains], workers)[0].chatter
-    return Verified(seen, unseen, found, restless, pause, reasons, overshot, settling, uneven)
+    return Verified(
+        seen=seen,
+        unseen=unseen,
+        margins=found,
+        restless=restless,
+        pause_s=pause,
+        reasons=reasons,
+        overshoot=overshot,
+        settling=settling,
+        uneven_chatter=uneven,
+    )
 
 
 def _margins_missed(limits: trial.TuningLimits, worst: dict[str, float | None]) -> list[str]:

@@ -486,16 +486,16 @@ class _Collector:
         log, publish, sequence, place = (_joined(pieces, np.int64) for pieces in self._integers)
         numbers = [_joined(pieces, np.float64) for pieces in self._floats]
         return Series(
-            log,
-            publish,
-            sequence,
-            place,
-            dict(zip(self._fields, numbers, strict=True)),
-            {field: mask for field, mask in masks if not mask.all()},
-            self._raw,
-            self._undecodable,
-            self._decoders[0].error if self._decoders else "",
-            {field: count for field, count in absent if count},
+            log_time=log,
+            publish_time=publish,
+            sequence=sequence,
+            place=place,
+            values=dict(zip(self._fields, numbers, strict=True)),
+            present={field: mask for field, mask in masks if not mask.all()},
+            raw=self._raw,
+            undecodable=self._undecodable,
+            error=self._decoders[0].error if self._decoders else "",
+            absent={field: count for field, count in absent if count},
         )
 
 
