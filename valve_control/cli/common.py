@@ -114,6 +114,23 @@ def clock_option(group: Any) -> None:
     )
 
 
+def bag_options(group: Any) -> None:
+    """Add what is used of a bag: --map, --of, --from, --to and --clock."""
+    group.add_argument(
+        "--map",
+        action="append",
+        default=[],
+        metavar="PART=/TOPIC.FIELD",
+        help="as for analyze; again for more",
+    )
+    group.add_argument("--of", metavar="VALVE", help="which valve, if the bag has several")
+    group.add_argument(
+        "--from", dest="start", type=float, metavar="S", help="begin this long after its beginning"
+    )
+    group.add_argument("--to", dest="end", type=float, metavar="S", help="end this long after its beginning")
+    clock_option(group)
+
+
 def cluster_option(group: Any) -> None:
     """Add --cluster."""
     group.add_argument(

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control.cli.common import (
     Progress,
+    bag_options,
     check_outputs,
-    clock_option,
     deliver,
     tell_notes,
     write_json,
@@ -69,21 +69,27 @@ def add_commands(commands: Any) -> None:
     identify.add_argument(
         "bag", nargs="?", metavar="BAG", help="recorded stepped sine, sweep or other motion"
     )
-    group = identify.add_argument_group("with a bag")
-    group.add_argument(
-        "--map",
+    bag_options(identify.add_argument_group("with a bag"))
+    _fit_options(identify.add_argument_group("how it is measured and fitted"))
+    output = identify.add_argument_group("what comes out")
+    output.add_argument(
+        "--output", metavar="FILE", help="ROS 2 parameter file: valve model, compensator's model, estimates"
+    )
+    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
+    output.add_argument("--csv", metavar="FILE", help="measured response as CSV")
+    output.add_argument(
+        "--characteristic",
         action="append",
         default=[],
-        metavar="PART=/TOPIC.FIELD",
-        help="as for analyze; again for more",
+        metavar="FILE",
+        help="with --friction: characteristic curve in both directions, 100 points, as CSV, JSON, PNG or "
+        "SVG; again for more",
     )
-    group.add_argument("--of", metavar="VALVE", help="which valve, if the bag has several")
-    group.add_argument(
-        "--from", dest="start", type=float, metavar="S", help="begin this long after its beginning"
-    )
-    group.add_argument("--to", dest="end", type=float, metavar="S", help="end this long after its beginning")
-    clock_option(group)
-    group = identify.add_argument_group("how it is measured and fitted")
+    output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
+    identify.set_defaults(run=_identify)
+
+
+def _fit_options(group: Any) -> None:
     group.add_argument(
         "--settle",
         type=float,
@@ -123,22 +129,6 @@ def add_commands(commands: Any) -> None:
         default=USUAL["weighting"],
         help="likelihood: by uncertainty; relative: per cent; uniform: volts (default: likelihood)",
     )
-    output = identify.add_argument_group("what comes out")
-    output.add_argument(
-        "--output", metavar="FILE", help="ROS 2 parameter file: valve model, compensator's model, estimates"
-    )
-    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    output.add_argument("--csv", metavar="FILE", help="measured response as CSV")
-    output.add_argument(
-        "--characteristic",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="with --friction: characteristic curve in both directions, 100 points, as CSV, JSON, PNG or "
-        "SVG; again for more",
-    )
-    output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
-    identify.set_defaults(run=_identify)
 
 
 def _identify(arguments: argparse.Namespace) -> int:

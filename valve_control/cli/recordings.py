@@ -88,6 +88,22 @@ def add_commands(commands: Any) -> None:
         "again for more",
     )
     analyze.set_defaults(run=_analyze)
+    _add_replay(commands, shared)
+    bag = commands.add_parser("bag", help="repair a bag", description="Work on a bag itself.")
+    tasks = bag.add_subparsers(dest="bag_task", required=True, metavar="TASK")
+    recover = tasks.add_parser(
+        "recover",
+        help="make an unfinished or damaged bag whole",
+        description="Make a bag whole, in place, whose recorder was killed: end its files, rebuild "
+        "metadata.yaml.",
+    )
+    recover.add_argument("bag", metavar="BAG", help="folder of the bag, or one file")
+    recover.add_argument("--out", metavar="FOLDER", help="repair a copy instead")
+    recover.add_argument("--json", metavar="FILE", help="what was done as JSON; - for standard output alone")
+    recover.set_defaults(run=_recover)
+
+
+def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
     replay = commands.add_parser(
         "replay",
         parents=[shared],
@@ -121,18 +137,6 @@ def add_commands(commands: Any) -> None:
         "--topics", nargs="+", metavar="TOPIC", help="what is published (the valves' command and position)"
     )
     replay.set_defaults(run=_replay)
-    bag = commands.add_parser("bag", help="repair a bag", description="Work on a bag itself.")
-    tasks = bag.add_subparsers(dest="bag_task", required=True, metavar="TASK")
-    recover = tasks.add_parser(
-        "recover",
-        help="make an unfinished or damaged bag whole",
-        description="Make a bag whole, in place, whose recorder was killed: end its files, rebuild "
-        "metadata.yaml.",
-    )
-    recover.add_argument("bag", metavar="BAG", help="folder of the bag, or one file")
-    recover.add_argument("--out", metavar="FOLDER", help="repair a copy instead")
-    recover.add_argument("--json", metavar="FILE", help="what was done as JSON; - for standard output alone")
-    recover.set_defaults(run=_recover)
 
 
 # Reading

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from valve_control import outputs
 from valve_control.cli.common import (
     Progress,
+    bag_options,
     check_outputs,
     check_processes,
     check_search,
-    clock_option,
     cluster_option,
     deliver,
     say,
@@ -75,15 +75,7 @@ def add_commands(commands: Any) -> None:
         help="tune anew for the recorded valve, controller and command; --params-file has what is known of "
         "the valve, and what the recording does not determine stays",
     )
-    group.add_argument(
-        "--map", action="append", default=[], metavar="PART=/TOPIC.FIELD", help="as for analyze"
-    )
-    group.add_argument("--of", metavar="VALVE", help="which valve, if the bag has several")
-    group.add_argument(
-        "--from", dest="start", type=float, metavar="S", help="begin this long after its start"
-    )
-    group.add_argument("--to", dest="end", type=float, metavar="S", help="end this long after its start")
-    clock_option(group)
+    bag_options(group)
     group = tune.add_argument_group("what is wanted")
     group.add_argument("--max-chatter", type=float, metavar="C_U", help="limit of the mean chatter")
     group.add_argument("--max-error", type=float, metavar="V", help="limit of the error, at least chatter")
@@ -91,7 +83,18 @@ def add_commands(commands: Any) -> None:
     group.add_argument(
         "--preview", action="store_true", help="commands are known ahead (topic spool_trajectory)"
     )
-    limits = tune.add_argument_group("what has to hold on every valve of the box")
+    _limit_options(tune.add_argument_group("what has to hold on every valve of the box"))
+    _search_options(tune.add_argument_group("search"))
+    output = tune.add_argument_group("what comes out")
+    output.add_argument(
+        "--output", metavar="FILE", help="ROS 2 parameter file; of several laws NAME_LAW.yaml each"
+    )
+    output.add_argument("--json", metavar="FILE", help="everything as JSON; - for standard output alone")
+    output.add_argument("--html", metavar="FILE", help="report as one HTML page")
+    tune.set_defaults(run=_tune)
+
+
+def _limit_options(limits: Any) -> None:
     limits.add_argument("--gain-margin", type=float, default=3.0, metavar="DB", help="(3 dB)")
     limits.add_argument("--phase-margin", type=float, default=20.0, metavar="DEG", help="(20 degrees)")
     limits.add_argument("--delay-margin", type=float, default=0.0005, metavar="S", help="(0.0005 s)")
@@ -120,7 +123,9 @@ def add_commands(commands: Any) -> None:
         metavar="S",
         help="of the command, after which the reference has to come back (0.01 s; 0: not asked for)",
     )
-    group = tune.add_argument_group("search")
+
+
+def _search_options(group: Any) -> None:
     group.add_argument("--valves", type=int, default=8, metavar="N", help="that are simulated (8)")
     group.add_argument("--unseen", type=int, default=64, metavar="N", help="valves to verify on (64)")
     group.add_argument(
@@ -133,13 +138,6 @@ def add_commands(commands: Any) -> None:
     group.add_argument(
         "--folder", help="where a search that is stopped is kept, to go on (out/tune-…, one for each request)"
     )
-    output = tune.add_argument_group("what comes out")
-    output.add_argument(
-        "--output", metavar="FILE", help="ROS 2 parameter file; of several laws NAME_LAW.yaml each"
-    )
-    output.add_argument("--json", metavar="FILE", help="everything as JSON; - for standard output alone")
-    output.add_argument("--html", metavar="FILE", help="report as one HTML page")
-    tune.set_defaults(run=_tune)
 
 
 def _tune(arguments: argparse.Namespace) -> int:
