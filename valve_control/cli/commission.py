@@ -56,6 +56,7 @@ def add_commands(commands: Any) -> None:
         metavar="S",
         help="what of the dead time is the sensor's (0 s); the rest is the actuator's",
     )
+    group.add_argument("--alone", action="store_true", help="no PID beside the law that is tuned")
     group.add_argument("--budget", type=int, default=200, metavar="N", help="sets of gains (200)")
     group.add_argument("--valves", type=int, default=6, metavar="N", help="that are simulated (6)")
     group.add_argument("--unseen", type=int, default=32, metavar="N", help="valves to verify on (32)")
@@ -165,6 +166,7 @@ def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
         threads=arguments.threads,
         firm=arguments.max_chatter is not None,
         sensor_delay=arguments.sensor_delay,
+        alone=arguments.alone,
     )
 
 

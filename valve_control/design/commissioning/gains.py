@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tunes the law for the fitted valve, and judges the run that verifies the gains on the running one."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,25 +50,32 @@ class Verification(NamedTuple):
     former: Indices | None  # with the parameters from before, None if those saturate or are unstable
     reasons: list[str]  # why the gains are not accepted
     before: Indices | None = None  # measured with the parameters from before, None if they were not tried
+    ended: str = ""  # why the run with these ended early
 
 
-def tuned(
-    plan: Plan, before: Values, found: Plant, known: model.Known, rest: Rest, wider: float, told: Progress
-) -> TunedGains:
-    """Gains for the fitted valve and a box around it, ``wider`` times as wide as usual.
+class Task(NamedTuple):
+    """What gains of one law are tuned on."""
 
-    The gains in force are among the first that are tried, if they are of the same law.
+    law: str
+    problem: Problem
+    unseen: Problem  # other valves
+    valve: Values  # of the simulated valve, with the limit of the voltage that is in force
+    own: Values  # what the law gets to know of the valve
+    starts: Sequence[Values]  # values of the controller, whose gains are among the first that are tried
 
-    Beyond the usual one a voltage that the controller reports as an oscillation counts even on a spool that
-    swings by itself: the running one may have shown just that. What ``told`` raises ends the search.
 
-    Raises ParameterError.
+def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Rest, wider: float) -> Task:
+    """The task of tuning the law of ``plan`` for the fitted valve and a box around it.
+
+    ``wider``: times as wide as usual. Beyond that a voltage that the controller reports as an oscillation
+    counts even on a spool that swings by itself: the running one may have shown just that. Raises
+    ParameterError.
     """
     limits, period = plan.limits, number(before, "sample_period")
     valve = updated(
         NODES["valve_simulator"],
         defaults(NODES["valve_simulator"]),
-        plant.values(found, rest, period, limits.voltage),
+        plant.values(found, rest, period, limits.voltage, plan.sensor_delay),
     )
     own = model.controller_values(known, plan.law)
     values = updated(
@@ -75,7 +83,6 @@ def tuned(
         before,
         {**own, "controller": plan.law, "u_max": limits.voltage, "command_limit": limits.travel},
     )
-    motions = model.motions(found, known, limits, period)
     settings = {
         "controller": values,
         "valve_simulator": valve,
@@ -83,14 +90,14 @@ def tuned(
             NODES["command_source"], defaults(NODES["command_source"]), {"sample_period": period}
         ),
     }
-    quantities = model.box(found, period, wider)
+    quantities = model.box(found, period, wider, plan.sensor_delay)
     seen, other = (
         box.study_of(settings, quantities, count, seed)
         for count, seed in ((plan.valves, plan.seed), (plan.unseen, plan.seed + box.UNSEEN_SEED))
     )
     problem = Problem(
         values=values,
-        motions=motions,
+        motions=model.motions(found, known, limits, period),
         plants=box.drawn(seen),
         box=box.bounding(seen),
         limits=trial.USUAL,
@@ -103,21 +110,30 @@ def tuned(
     unseen = problem._replace(
         plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + box.UNSEEN_SEED
     )
+    starts = [before] if before["controller"] == plan.law else []
+    return Task(plan.law, problem, unseen, valve, own, starts)
+
+
+def tuned(
+    plan: Plan, before: Values, found: Plant, known: model.Known, rest: Rest, wider: float, told: Progress
+) -> TunedGains:
+    """Gains for the ``task``; what ``told`` raises ends the search. Raises ParameterError."""
+    made = task(plan, before, found, known, rest, wider)
     law = LAWS[plan.law]
-    total = plan.budget * len(tuner.variants(law, values))
+    total = plan.budget * len(tuner.variants(law, made.problem.values))
     verifying = VERIFYING * plan.unseen / plan.valves
 
     def done(sets: float, verifications: int = 1) -> None:
         told(sets, total + verifications * verifying)
 
     done(0.0)
-    made = tuner.tuned(
-        law, problem, unseen, Aim(plan.chatter, None, plan.firm), plan.budget, plan.seed, done, plan.threads,
-        lambda tried: done(total + tried * verifying, tried + 1),
-        [before] if before["controller"] == plan.law else [],
+    best = tuner.tuned(
+        law, made.problem, made.unseen, Aim(plan.chatter, None, plan.firm), plan.budget, plan.seed, done,
+        plan.threads, lambda tried: done(total + tried * verifying, tried + 1), made.starts,
     )  # fmt: skip
     done(total + verifying)
-    return TunedGains(made, motions, valve, {**own, **made.chosen.changes, "controller": made.law})
+    chosen = {**made.own, **best.chosen.changes, "controller": best.law}
+    return TunedGains(best, list(made.problem.motions), made.valve, chosen)
 
 
 def judged(plan: Plan, before: Values, gains: TunedGains, wanted: Floats, record: Record) -> Verification:
@@ -153,13 +169,36 @@ def judged(plan: Plan, before: Values, gains: TunedGains, wanted: Floats, record
     return Verification(record, measured, made.indices, punctual.indices, away, former, reasons)
 
 
-def contends(plan: Plan, made: Verification) -> bool:
-    """Whether the parameters from before may be as good as those of ``made``, as far as simulation knows."""
-    return (
-        made.former is not None
-        and made.former.e_rms < CONTENDS * made.measured.e_rms
-        and made.former.c_u <= WORSE * plan.chatter
-    )
+def contends(plan: Plan, made: Verification, doubted: bool = False) -> bool:
+    """Whether the parameters from before may be as good as those of ``made``, as far as simulation knows.
+
+    ``doubted``: it is not believed, unless it says that they are unstable.
+    """
+    if made.former is None:
+        return False
+    near = made.former.e_rms < CONTENDS * made.measured.e_rms and made.former.c_u <= WORSE * plan.chatter
+    return doubted or near
+
+
+def promised(made: TunedGains) -> tuple[bool, float]:
+    """Order of gains of several laws: those that hold first, then by their error on valves not seen."""
+    verified = made.tuned.chosen.verified
+    return bool(verified.reasons), trial.typical(verified.seen.e_rms)
+
+
+def beside(several: Sequence[TunedGains]) -> list[str]:
+    """A sentence about laws that were tuned beside each other, the better first."""
+    if len(several) < 2:
+        return []
+    told = []
+    for made in several:
+        verified = made.tuned.chosen.verified
+        error, holds = (
+            1e3 * trial.typical(verified.seen.e_rms),
+            "" if not verified.reasons else ", not accepted",
+        )
+        told.append(f"{made.tuned.law} {error:.3g} mV with c_u {verified.seen.chatter:.3f}{holds}")
+    return [f"in simulation, on valves that the searches did not see: {', '.join(told)}"]
 
 
 def against(plan: Plan, made: Verification, record: Record) -> Verification:

@@ -17,6 +17,7 @@ from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Rest
 from valve_control.design.identification import dead_time, first_gains, rational, theta
 from valve_control.design.identification.bode import held_response
+from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
 from valve_control.design.identification.response import Response
 from valve_control.design.tuning.trial import TuningMotion
@@ -65,7 +66,7 @@ class Known:
         lvdt = Lvdt(rest.noise, rest.resolution)
         delay = found.delay if late else 0.0
         whole = first_gains.KnownValve(
-            found.model, delay, self.theta, lvdt, period, u_max, sensor_delay=sensor_delay
+            found.model, delay, self.theta, lvdt, period, u_max, _rubbing(found), sensor_delay, _sides(found)
         )
         gains = first_gains.first(whole)
         own = f"{law}.denominator"
@@ -74,6 +75,21 @@ class Known:
             gains = _simpler(exact, whole, law, refused)
         self.gains = gains.values
         self.notes = (*gains.notes, *dead_time.notes(delay, sensor_delay))
+
+
+def _rubbing(found: Plant) -> Friction | None:
+    """Friction of a valve with solenoids, apart from its play; None: the law learns it."""
+    if found.magnet is None:
+        return None
+    m = found.magnet
+    return Friction(m.coulomb, m.presliding, m.gain, m.offset, 0)
+
+
+def _sides(found: Plant) -> first_gains.Magnet | None:
+    m = found.magnet
+    if m is None:
+        return None
+    return first_gains.Magnet(m.coil, 0.5 * m.hysteresis, m.positive / m.negative - 1.0)
 
 
 def _simpler(
@@ -126,15 +142,19 @@ def controller_values(known: Known, law: str) -> Values:
     return {**estimates, **own}
 
 
-def box(found: Plant, period: float, wider: float = 1.0) -> list[Quantity]:
-    """What one valve may be from day to day, around what was found; ``wider``: times as far as usual."""
+def box(found: Plant, period: float, wider: float = 1.0, sensor_delay: float = 0.0) -> list[Quantity]:
+    """What one valve may be from day to day, around what was found; ``wider``: times as far as usual.
+
+    ``sensor_delay`` [s]: what of the dead time of a valve with solenoids is the sensor's.
+    """
+    behind = found.delay if found.magnet is None else min(found.delay, sensor_delay)
     spread, rubbing, shift = wider * SPREAD, wider * RUBBING, wider * OFFSET
     friction, offset = found.friction.coulomb, max(-9.0, min(9.0, found.offset))
     quantities = [
         Quantity("gain", 1.0 - spread, 1.0 + spread, "-"),
         Quantity("speed", 1.0 - spread, 1.0 + spread, "-"),
         Quantity("disturbance.offset", offset - shift, offset + shift, "V"),
-        Quantity("lvdt.delay", found.delay, found.delay + wider * LATER * period, "s"),
+        Quantity("lvdt.delay", behind, behind + wider * LATER * period, "s"),
     ]
     if friction > 0.0:
         low, high = (1.0 - rubbing) * friction, (1.0 + rubbing) * friction

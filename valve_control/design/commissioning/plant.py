@@ -24,9 +24,11 @@ import scipy.optimize
 from valve_control.control import closed_loop
 from valve_control.control.laws import biquads, design
 from valve_control.control.laws.signals import Start
-from valve_control.control.plant import valve
+from valve_control.control.plant import registry, valve
 from valve_control.control.plant.models import TransferFunction
+from valve_control.design.commissioning import magnet
 from valve_control.design.commissioning.bench import Progress, Record
+from valve_control.design.commissioning.magnet import Magnet
 from valve_control.design.commissioning.statics import Friction, Rest
 from valve_control.design.identification.rational import Fit
 from valve_control.parameter import Values
@@ -41,6 +43,8 @@ FREE_VELOCITY, SCALE = 0.1, 0.02  # V/s  Stribeck velocity and linear zone, whic
 BETTER = 0.97  # times the error of the order below, under which a higher order counts
 LATEST, LATEST_TIME = 5.0, 0.01  # sample periods and s, the larger of which bounds the dead time
 EXPLAINED = 3.0  # error up to which a model describes the valve
+SUSPECT = 1.5  # error from which on a valve with solenoids is tried
+SIMPLER = 0.8  # times the error of the linear valve, under which that with solenoids counts
 PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.1  # V  of the bristles: first guess and bounds
 BRISTLE_UNKNOWNS = 8
 POPULATION, TRIALS = 24, 2500  # valves with bristles that are simulated: with fewer the search ends anywhere
@@ -70,10 +74,22 @@ class Plant(NamedTuple):
     delay: float  # s
     error: float  # rms of the residual over what is allowed
     presliding: float = 0.0  # V  of the friction's bristles; 0.0: none, which the tests do not contradict
+    magnet: Magnet | None = None  # a valve with solenoids, of which the others are a part; None: linear
 
 
-def values(found: Plant, rest: Rest, period: float, u_max: float) -> Values:
-    """``found`` as parameters of the simulated valve."""
+def values(found: Plant, rest: Rest, period: float, u_max: float, sensor_delay: float = 0.0) -> Values:
+    """``found`` as parameters of the simulated valve.
+
+    ``sensor_delay`` [s]: what of the dead time of a valve with solenoids is the sensor's.
+    """
+    common: Values = {
+        "sample_period": period,
+        "u_max": u_max,
+        "lvdt.noise": rest.noise,
+        "lvdt.resolution": rest.resolution,
+    }
+    if found.magnet is not None:
+        return {**magnet.values(found.magnet, sensor_delay), **common, "flow_force": 0.0, "gain_scale": 1.0}
     numerator, denominator = ([float(f"{c:.10g}") for c in part] for part in found.model)
     made: Values = {
         "valve": "custom",
@@ -81,14 +97,11 @@ def values(found: Plant, rest: Rest, period: float, u_max: float) -> Values:
         "denominator": denominator,
         "gain_scale": 1.0,
         "flow_force": 0.0,
-        "sample_period": period,
-        "u_max": u_max,
+        **common,
         "friction.coulomb": float(f"{found.friction.coulomb:.6g}"),
         "friction.static_ratio": float(f"{found.friction.static_ratio:.6g}"),
         "friction.presliding": float(f"{found.presliding:.6g}"),
         "disturbance.offset": max(-10.0, min(10.0, float(f"{found.offset:.6g}"))),
-        "lvdt.noise": rest.noise,
-        "lvdt.resolution": rest.resolution,
         "lvdt.delay": float(f"{found.delay:.6g}"),
     }
     return made
@@ -114,7 +127,7 @@ def fitted(
     weights = [_weight(record, rest) for record in records]
     ordered = sorted(fits, key=lambda f: f.order)
     most = [EVALUATIONS * (1 + len(_parameters(fit, friction, offset, records[0].period))) for fit in ordered]
-    total, over, beside = float(sum(most)), 0, 0
+    total, over, beside = float(sum(most) + magnet.EVALUATIONS * (2 + magnet.UNKNOWNS)), 0, 0
     best: Plant | None = None
 
     def counted() -> None:
@@ -141,6 +154,12 @@ def fitted(
             if made.error < BETTER * best.error:
                 best = made
         beside = 0
+    if best.error > SUSPECT and friction.coulomb > 0.0:
+        beside = 0
+        made = _with_solenoids(records, weights, _third(fits, best), friction, offset, counted, threads)
+        over += magnet.EVALUATIONS * (2 + magnet.UNKNOWNS)
+        if made.error < SIMPLER * best.error:
+            best = made
     bare, shown = best, max(friction.coulomb, best.friction.coulomb)
     for number, factor in enumerate(SPEEDS):
         if best.error <= EXPLAINED or friction.coulomb == 0.0 or (number >= DOUBTED and best is bare):
@@ -183,6 +202,8 @@ def unexplained(
 
 def simulated(found: Plant, record: Record) -> Floats:
     """Position [V], n, of the valve under the voltages of ``record``."""
+    if found.magnet is not None:
+        return positions(magnet.solenoid_params(found.magnet, record.period), record.voltage)
     disturbance = valve.Disturbance(
         coulomb=found.friction.coulomb,
         static_ratio=found.friction.static_ratio,
@@ -199,8 +220,8 @@ def simulated(found: Plant, record: Record) -> Floats:
     return positions(plant, record.voltage)
 
 
-def positions(plant: valve.Params, voltage: Floats) -> Floats:
-    """Readings [V] without noise, n, of ``plant`` under ``voltage`` [V], from rest at 0 V."""
+def positions(plant: Any, voltage: Floats) -> Floats:
+    """Readings [V] without noise, n, of a plant with Params ``plant`` under ``voltage`` [V], from rest."""
     law = design.static_params(1.0, plant.u_max)
     rest = biquads.initial(law, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     n = len(voltage)
@@ -208,7 +229,7 @@ def positions(plant: valve.Params, voltage: Floats) -> Floats:
     closed_loop.run_valve(
         biquads,
         closed_loop.parts(law, plant),
-        closed_loop.parts(rest, valve.initial(plant)),
+        closed_loop.parts(rest, registry.plant_of(plant).module.initial(plant)),
         voltage,
         np.zeros(n),
         signals,
@@ -320,6 +341,40 @@ def _refined(
     )  # fmt: skip
     plant = form.plant(done.x)
     return plant._replace(error=float(np.sqrt(np.mean(_residual(records, weights, plant) ** 2))))
+
+
+def _third(fits: Sequence[Fit], best: Plant) -> Fit:
+    """The fit of third order without zeros, or that of the order of ``best``."""
+    order = len(best.model.denominator) - 1
+    return next(
+        (f for f in fits if f.order == 3 and len(f.model.numerator) == 1),
+        next((f for f in fits if f.order == order), fits[0]),
+    )
+
+
+def _with_solenoids(
+    records: Sequence[Record],
+    weights: Sequence[Floats],
+    begin: Fit,
+    friction: Friction,
+    offset: float,
+    counted: Callable[[], None],
+    threads: int,
+) -> Plant:
+    """The valve with solenoids near the fit ``begin`` whose error is least."""
+    period = records[0].period
+
+    def plant(found: Magnet, error: float = math.inf) -> Plant:
+        level = Friction(found.coulomb, found.static_ratio)
+        return Plant(found.model, level, found.offset, found.delay, error, found.presliding, found)
+
+    def errors(found: Magnet) -> Floats:
+        return _residual(records, weights, plant(found))
+
+    made = magnet.refined(
+        magnet.begun(begin.model, friction, -offset, begin.delay), period, errors, counted, threads
+    )
+    return plant(made, float(np.sqrt(np.mean(errors(made) ** 2))))
 
 
 def _with_bristles(

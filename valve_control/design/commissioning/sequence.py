@@ -32,12 +32,14 @@ SPRING = 0.5  # s  in which the spring centres the spool
 STILL = 2.0  # s  at rest
 RATE = 0.4  # 1/s  times the limit of the voltage: rate of the triangle
 TURNS = 4  # of the triangle
+HOME = 1.0  # s  before the motion of a verification run
 PAUSE = 0.3  # s  after each motion of the verification run
 REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
 # Times as wide as usual, the boxes of valves around the model that gains are sought for: the second one where
 # those for the first do not hold.
 BOXES = (1.0, 2.0)
 DOUBTED = (2.0, 3.0)  # likewise, where the model does not explain the readings
+PID = "pid"  # that is tuned beside another law
 NAMED = 3  # parts of the tests that a note names as not explained
 # Of the step "model", in percent, what is done when the fits of the response are, and when the valve is.
 RESPONSE, VALVE, WHOLE = 25.0, 95.0, 100.0
@@ -159,7 +161,9 @@ class _Commissioning:
                 self._plan.threads, lambda: small_signal.richer(response),
             )  # fmt: skip
             self._modelled(VALVE)
-            self._steps.found(plant.values(found, rest, period, number(before, "u_max")))
+            self._steps.found(
+                plant.values(found, rest, period, number(before, "u_max"), self._plan.sensor_delay)
+            )
             known = model.Known(
                 found, rest, period, number(before, "u_max"), self._plan.law, self._plan.sensor_delay
             )
@@ -177,6 +181,7 @@ class _Commissioning:
             *known.notes,
             *notes,
             *_late(verified),
+            *_ended(verified),
         ]
         notes += _louder(self._plan, made.tuned, rest)
         return Result(
@@ -233,22 +238,29 @@ class _Commissioning:
         refusals: list[str] = []
         boxes = BOXES if found.error <= plant.EXPLAINED else DOUBTED
         for wider in boxes:
-            made = self._tuned(found, known, rest, wider, refusals)
-            reasons = made.tuned.chosen.verified.reasons
-            if not reasons:
-                verified, reasons = self._verified(made)
-                if verified is not None and not reasons:
-                    return made, verified, [_taken_at_last(wider, text) for text in refusals]
-                self._bench.off()
-                if wider != boxes[-1]:
-                    self._open_loop()
-            refusals.append("; ".join(reasons))
-            self._steps.refused(made.chosen, refusals[-1])
+            several = self._tuned(found, known, rest, wider, refusals)
+            texts: list[str] = []
+            for made in several:
+                reasons = made.tuned.chosen.verified.reasons
+                if not reasons:
+                    verified, reasons = self._verified(made, found.error > plant.EXPLAINED)
+                    if verified is not None and not reasons:
+                        told = [_taken_at_last(wider, text) for text in refusals]
+                        told += [_taken_instead(made.tuned.law, text) for text in texts]
+                        return made, verified, [*told, *gains.beside(several)]
+                    self._bench.off()
+                    if wider != boxes[-1] or made is not several[-1]:
+                        self._open_loop()
+                texts.append("; ".join(reasons))
+                self._steps.refused(made.chosen, texts[-1])
+            named = zip(several, texts, strict=True)
+            refusals.append("; ".join(_of(self._plan.law, made, text) for made, text in named))
         raise ParameterError(_not_accepted(refusals, boxes[-1]))
 
     def _tuned(
         self, found: Plant, known: model.Known, rest: Rest, wider: float, refusals: list[str]
-    ) -> TunedGains:
+    ) -> list[TunedGains]:
+        """Gains of the law and of a PID beside it, the better first. Raises ParameterError."""
         tried = f"{self._plan.budget} sets of gains of {self._plan.law} are tried in simulation"
         if refusals:
             tried = (
@@ -256,60 +268,90 @@ class _Commissioning:
                 "from the model"
             )
         self._ask(f"{tried}; the valve stays at 0 V")
+        made: list[TunedGains] = []
+        failed: list[ParameterError] = []
+        for law in dict.fromkeys((self._plan.law, *([] if self._plan.alone else [PID]))):
+            step = "tuning" if law == self._plan.law else f"tuning {law}"
 
-        def told(done: float, total: float) -> None:
-            self._bench.watch(self._limits)
-            self._steps.progress("tuning", done, total)
+            def told(done: float, total: float, step: str = step) -> None:
+                self._bench.watch(self._limits)
+                self._steps.progress(step, done, total)
 
-        with self._timed("tuning"):
-            try:
-                return gains.tuned(self._plan, self._before, found, known, rest, wider, told)
-            except ParameterError as error:
-                if not refusals:
-                    raise
-                raise ParameterError(_not_accepted([*refusals, str(error)], wider)) from error
+            with self._timed("tuning"):
+                try:
+                    made.append(
+                        gains.tuned(
+                            self._plan._replace(law=law), self._before, found, known, rest, wider, told
+                        )
+                    )
+                except ParameterError as error:
+                    failed.append(error)
+        if not made:
+            if not refusals:
+                raise failed[0]
+            raise ParameterError(_not_accepted([*refusals, str(failed[0])], wider)) from failed[0]
+        return sorted(made, key=gains.promised)
 
-    def _verified(self, made: TunedGains) -> tuple[Verification | None, list[str]]:
-        """The verification run, None if it ended early, and why the gains are not accepted."""
+    def _verified(self, made: TunedGains, doubted: bool) -> tuple[Verification | None, list[str]]:
+        """The verification run, None if it ended early, and why the gains are not accepted.
+
+        ``doubted``: the model does not explain the readings, so that the parameters from before are tried
+        whatever the simulation says of them.
+        """
         pause = np.zeros(round(PAUSE / self._period))
         parts = [part for motion in made.motions for part in (motion.wanted, pause)]
         wanted = np.concatenate([*parts, np.zeros(round(REST / self._period))])
-        length = len(wanted) * self._period
+        length = HOME + len(wanted) * self._period
         self._ask(
-            f"the new gains of {self._plan.law} are set, and the valve moves for {length:.0f} s in closed "
+            f"the new gains of {made.tuned.law} are set, and the valve moves for {length:.0f} s in closed "
             "loop"
         )
         self._bench.apply({**made.chosen, "command_limit": self._limits.travel})
         try:
-            record = self._drive("verification", courses.motion(wanted, self._period), lambda: length)
+            record = self._moved("verification", wanted)
         except Swings as fault:
             return None, [str(fault)]
         verified = gains.judged(self._plan, self._before, made, wanted, record)
-        if not verified.reasons and gains.contends(self._plan, verified):
+        if not verified.reasons and gains.contends(self._plan, verified, doubted):
             verified = self._against_before(verified, wanted)
         return verified, verified.reasons
 
     def _against_before(self, made: Verification, wanted: Floats) -> Verification:
-        """``made`` judged by the same run with the parameters from before; swings of them are no rival."""
-        length = len(wanted) * self._period
+        """``made`` judged by the same run with the parameters from before.
+
+        Parameters that swing there, or do anything else that ends a run, are no rival. A fault that has
+        another reason than them goes on with the new gains, and is raised then.
+        """
+        length = HOME + len(wanted) * self._period
         self._ask(
-            f"the parameters from before are set for {length:.0f} s of the same motion, because in "
-            "simulation they come near the new gains"
+            f"the parameters from before are set for {length:.0f} s of the same motion, because they may be "
+            "as good as the new gains"
         )
         kept = self._bench.values()
         limits = {name: kept[name] for name in ("u_max", "lvdt.limit", "command_limit", "command_timeout")}
         _bring_to(self._bench, {**self._before, **limits})
         try:
-            record = self._drive(
-                "verification of before", courses.motion(wanted, self._period), lambda: length
-            )
-        except Swings:
+            record = self._moved("verification of before", wanted)
+        except Fault as fault:
             self._bench.off()
             _bring_to(self._bench, kept)
+            self._bench.apply({"lvdt.limit": self._before["lvdt.limit"]})
             self._bench.on()
-            return made
+            self._bench.drive(courses.rest(STILL), self._limits._replace(travel=np.inf), lambda done: None)
+            self._bench.apply({"lvdt.limit": kept["lvdt.limit"]})
+            return made._replace(ended=str(fault))
         _bring_to(self._bench, kept)
         return gains.against(self._plan, made, record)
+
+    def _moved(self, name: str, wanted: Floats) -> Record:
+        """Record of the commands ``wanted`` [V], n, after a rest in which the law comes to 0 V.
+
+        Friction holds the spool where the law before left it; the way from there is not what is judged.
+        """
+        rest = round(HOME / self._period)
+        whole = np.concatenate([np.zeros(rest), wanted])
+        record = self._drive(name, courses.motion(whole, self._period), lambda: len(whole) * self._period)
+        return Record(record.period, record.reading[rest:], record.voltage[rest:], record.command[rest:])
 
     def _drive(self, name: str, course: Course, about: Callable[[], float]) -> Record:
         """Record of ``course``, the step ``name``; ``about``: how long [s] it takes."""
@@ -350,6 +392,15 @@ def _not_accepted(refusals: list[str], wider: float) -> str:
     )
 
 
+def _of(law: str, made: TunedGains, text: str) -> str:
+    """``text`` about gains, with the name of another law than the one that is asked for."""
+    return text if made.tuned.law == law else f"{made.tuned.law}: {text}"
+
+
+def _taken_instead(law: str, refusal: str) -> str:
+    return f"other gains promised more and were not accepted ({refusal}); those of {law} are in force"
+
+
 def _taken_at_last(wider: float, refusal: str) -> str:
     return (
         f"the first gains were not accepted ({refusal}); those in force are for valves {wider:g} times as "
@@ -376,7 +427,7 @@ def _unexplained(
             "tried, with friction, offset and dead time: the gains are judged by the running valve, and were "
             f"sought for valves {DOUBTED[0]:g} or {DOUBTED[-1]:g} times as far from the model as usual"
         )
-    if found.presliding > 0.0:
+    if found.presliding > 0.0 and found.magnet is None:
         notes.append(
             "the spool swings on the bristles of its friction: without them no model describes the readings; "
             f"the one that does has a presliding of {1e3 * found.presliding:.2g} mV"
@@ -394,6 +445,13 @@ def _late(made: Verification) -> list[str]:
         f"in time: with them the simulation has {1e3 * late:.3g} mV of error, and {1e3 * punctual:.3g} mV "
         "with commands in time"
     ]
+
+
+def _ended(made: Verification) -> list[str]:
+    """A sentence about parameters from before that misbehaved."""
+    if not made.ended:
+        return []
+    return [f"with the parameters from before the same motion was ended ({made.ended}): they are no rival"]
 
 
 def _louder(plan: Plan, tuned: Tuned, rest: Rest) -> list[str]:

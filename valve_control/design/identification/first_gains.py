@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from valve_control.control.laws import arc, dcarc, oarc, pid, reshaping
+from valve_control.control.laws.dcarc_design import EXCESS, excess
 from valve_control.control.laws.law import Law
 from valve_control.control.parameters import stability
 from valve_control.control.parameters.table import CONTROLLER
@@ -39,6 +40,10 @@ HIGHEST = 1.5  # times the measured friction, up to which a weight may go
 OFFSET_SPREAD = 0.2  # V
 OFFSET_ROOM = 0.5  # V  beyond the measured offset, up to which a weight may go at least
 CERTAIN = 2.0  # bounds that a dead time must be above 0
+LEAST_PLAY, LEAST_SIDES = 0.01, 0.02  # V and -, above which there are terms for them
+# Of dcarc on a valve whose coil, play and friction are known: the disturbance that is left is small.
+KNOWN_WEIGHT, KNOWN_NOISE, KNOWN_RATE = 0.02, 0.5, 4.0  # -, V, V/√s
+KNOWN_FIT, KNOWN_FORGETTING = 0.4, 0.05  # V, 1/s
 
 
 class FirstGains(NamedTuple):
@@ -46,6 +51,14 @@ class FirstGains(NamedTuple):
 
     values: Values
     notes: tuple[str, ...]
+
+
+class Magnet(NamedTuple):
+    """What is known of the solenoids."""
+
+    coil: float  # s  lag of the force behind the voltage, a pole of the model
+    play: float  # V  half width of the hysteresis
+    sides: float  # -  gain of the positive side over that of the negative, less 1
 
 
 class KnownValve(NamedTuple):
@@ -59,6 +72,7 @@ class KnownValve(NamedTuple):
     u_max: float  # V
     friction: Friction | None = None  # None: not tested
     sensor_delay: float = 0.0  # s  what of the dead time is the sensor's; the rest is the actuator's
+    magnet: Magnet | None = None  # None: not known
 
 
 def with_dead_time(
@@ -257,8 +271,33 @@ def dcarc_values(known: KnownValve, share: float = 1.0) -> Values:
             "dcarc.lvdt_noise": max(known.lvdt.noise, QUIETEST),
             "dcarc.lvdt_resolution": known.lvdt.resolution,
             "dcarc.voltage_weight": number(own, "dcarc.voltage_weight") * gain**2 / share**2,
+            **_solenoids(known, share),
         }
     )
+
+
+def _solenoids(known: KnownValve, share: float) -> Values:
+    """Terms of dcarc for coil, play and unequal gains, and gains for a valve that is known so well.
+
+    There is a term for what is larger than what a fit leaves in doubt.
+    """
+    magnet = known.magnet
+    if magnet is None or excess(known.model) <= EXCESS[0]:
+        return {}
+    rubbing = 0.0 if known.friction is None else known.friction.coulomb
+    scale = known.model.static_gain / models.FOURTH_ORDER.static_gain
+    close = max(CLOSE * rubbing, LEAST_SPREAD)
+    return {
+        "dcarc.coil": magnet.coil,
+        "dcarc.hysteresis": magnet.play if magnet.play > LEAST_PLAY else 0.0,
+        "dcarc.sides": abs(magnet.sides) if abs(magnet.sides) > LEAST_SIDES else 0.0,
+        "dcarc.voltage_weight": KNOWN_WEIGHT * scale**2 / share**2,
+        "dcarc.input_noise": KNOWN_NOISE,
+        "dcarc.disturbance_rate": share**2 * KNOWN_RATE,
+        "dcarc.theta_spread": [0.1, close, close, close, close, 0.1, OFFSET_SPREAD, 0.0, 0.0],
+        "dcarc.fit_noise": KNOWN_FIT,
+        "dcarc.forgetting": KNOWN_FORGETTING,
+    }
 
 
 def _plain(values: Values) -> Values:

@@ -36,7 +36,7 @@ from valve_control.control.laws.free import Free, present
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.reshaping import LEAD_ACCEL
 from valve_control.design import evolution
-from valve_control.design.tuning import limit_cycles, margins, overshoot, pauses, trial
+from valve_control.design.tuning import designs, limit_cycles, margins, overshoot, pauses, trial
 from valve_control.design.tuning.trial import AHEAD, GainSet, Problem, TrialResult, Workers
 from valve_control.parameter import ParameterError, Values
 
@@ -311,7 +311,11 @@ def search(
     n = len(free)
     begin, *others = (
         np.array([0.5 if f is AHEAD else f.to_share(present(f, values)) for f in free])
-        for values in (problem.values, *known)
+        for values in (
+            problem.values,
+            *known,
+            *designs.starts(law, problem.values, problem.preview, problem.scale),
+        )
     )
     sobol = scipy.stats.qmc.Sobol(n, rng=np.random.default_rng(seed))
     with warnings.catch_warnings():
@@ -319,7 +323,7 @@ def search(
         scattered = [begin, *others, *sobol.random(min(SCATTERED, max(1, budget // 25)))]
     held = free.index(LEAD_ACCEL) if LEAD_ACCEL in free else None
     if held is not None:
-        for shares in scattered:
+        for shares in scattered[1 + len(others) :]:
             shares[held] = begin[held]
     main = plan[0]
     first = judge(scattered, main.chatter).costs

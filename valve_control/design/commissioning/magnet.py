@@ -1,0 +1,231 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Fits a valve with solenoids to the tests: coil, hysteresis, two gains, overlap and LuGre friction.
+
+Like the fit of ``plant``, which has a linear valve with friction, this is an output error fit: the simulated
+valve (``solenoid``, docs/valve_model.md) gets the voltages of the tests.
+"""
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.optimize
+
+from valve_control.control.plant import solenoid
+from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.solenoid_valve import transfer
+from valve_control.control.plant.valve import Lvdt
+from valve_control.design.commissioning.statics import Friction
+from valve_control.parameter import Values
+
+Floats = npt.NDArray[np.float64]
+STRIBECK = 0.03  # V/s  which the tests do not show
+PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.15  # V  first guess and bounds
+WIDTH = 0.3  # of the friction, full width of the hysteresis with which a search begins
+FASTEST_COIL, SLOWEST_COIL = 3e-4, 0.03  # s
+COIL = 0.2  # of the spool's time constant, where a response shows no third pole
+STUCK = 1e-3  # V  least friction
+MOST_RATIO = 2.0  # -  static over Coulomb friction
+WIDEST = 2.0  # V  hysteresis and overlap
+LONGEST_DELAY = 0.005  # s
+SIDES = 0.5  # logarithm of the ratio of both gains
+EVALUATIONS, STEP = 20, 2e-3  # of a search, each with a Jacobian; of an unknown, for it
+INSIDE = 1e-3  # of the bounds, within which a search begins
+UNKNOWNS = 12
+
+
+class Magnet(NamedTuple):
+    """A valve with two solenoids."""
+
+    speed: float  # rad/s  natural frequency of the spool
+    damping: float  # -
+    coil: float  # s
+    gain: float  # V/V  mean of both sides
+    sides: float  # -  logarithm of the ratio of the positive gain to the negative
+    hysteresis: float  # V  full width
+    overlap: float  # V
+    coulomb: float  # V
+    presliding: float  # V
+    static_ratio: float  # -
+    offset: float  # V
+    delay: float  # s
+
+    @property
+    def positive(self) -> float:
+        """Factor of the gain of the positive side; that of the other one makes their mean 1."""
+        return 2.0 / (1.0 + math.exp(-self.sides))
+
+    @property
+    def negative(self) -> float:
+        """Factor of the gain of the negative side."""
+        return 2.0 - self.positive
+
+    @property
+    def model(self) -> TransferFunction:
+        """From voltage to position, for small motions."""
+        valve = solenoid_params(self, 0.001)
+        return transfer(valve.magnet, valve.spool)
+
+
+def solenoid_params(found: Magnet, period: float) -> solenoid.Params:
+    """``found`` as a simulated valve without noise, and without limits."""
+    without_end = 1e6
+    return solenoid.design(
+        solenoid.Amplifier(-without_end, found.delay / period, 0.0, 0.0),
+        solenoid.Magnet(
+            found.coil, 0.0, found.hysteresis, found.positive, found.negative, found.overlap, 0.0
+        ),
+        solenoid.Spool(
+            found.speed, found.damping, found.gain, 0.0, found.offset, 0.0, -without_end, without_end
+        ),
+        solenoid.Friction(
+            found.coulomb,
+            (found.static_ratio - 1.0) * found.coulomb,
+            STRIBECK,
+            found.coulomb / found.presliding,
+            0.0,
+        ),
+        solenoid.Sensor(Lvdt(0.0, 0.0, 0.0, 0.0), -without_end, without_end, 0.0, 0.0, 0.0, 1.0),
+        without_end,
+        period,
+    )
+
+
+def values(found: Magnet, sensor_delay: float) -> Values:
+    """``found`` as parameters of the simulated valve.
+
+    ``sensor_delay`` [s]: what of the dead time is the LVDT's.
+    """
+    behind = min(found.delay, sensor_delay)
+    made = {
+        "solenoid.natural_frequency": found.speed / (2.0 * math.pi),
+        "solenoid.damping": found.damping,
+        "solenoid.coil": found.coil,
+        "solenoid.gain": found.gain,
+        "solenoid.positive": found.positive,
+        "solenoid.negative": found.negative,
+        "solenoid.hysteresis": found.hysteresis,
+        "solenoid.overlap": found.overlap,
+        "solenoid.dead_time": found.delay - behind,
+        "lvdt.delay": behind,
+        "friction.coulomb": found.coulomb,
+        "friction.static_ratio": found.static_ratio,
+        "friction.stribeck_velocity": STRIBECK,
+        "friction.presliding": found.presliding,
+        "disturbance.offset": max(-10.0, min(10.0, found.offset)),
+    }
+    return {"valve": "solenoid", **{name: float(f"{value:.6g}") for name, value in made.items()}}
+
+
+def begun(model: TransferFunction, friction: Friction, offset: float, delay: float) -> Magnet:
+    """Where a search begins: a fitted ``model``, its ``delay`` [s] and ``offset`` [V] as a disturbance."""
+    poles = sorted(np.roots(model.denominator), key=lambda pole: (abs(pole), pole.imag))
+    slow = poles[:2] if len(poles) < 3 or abs(poles[1] - np.conj(poles[0])) < 1e-6 * abs(poles[0]) else None
+    if slow is None:  # a real pole before the pair, or three real ones
+        pair = [pole for pole in poles if pole.imag != 0.0][:2]
+        slow = pair or poles[:2]
+    speed = math.sqrt(abs(slow[0] * slow[1]))
+    damping = float(-np.real(slow[0] + slow[1])) / (2.0 * speed)
+    others = [pole.real for pole in poles if pole not in slow and pole.imag == 0.0]
+    coil = -1.0 / others[0] if others and others[0] < 0.0 else COIL / speed
+    coulomb = max(STUCK, friction.coulomb)
+    return Magnet(
+        speed, min(3.0, max(0.1, damping)), coil, model.static_gain, 0.0, WIDTH * coulomb, 0.0,
+        (1.0 - 0.5 * WIDTH) * coulomb, PRESLIDING, min(MOST_RATIO, friction.static_ratio), offset, delay,
+    )  # fmt: skip
+
+
+def unknowns(found: Magnet, period: float) -> Floats:
+    """``found`` as unknowns of a search, all of the size of 1."""
+    return np.array(
+        [
+            1.0 + math.log(found.speed),
+            2.0 + math.log(found.damping),
+            math.log(1e3 * found.coil),
+            found.gain,
+            1.0 + found.sides,
+            1.0 + found.hysteresis,
+            1.0 + found.overlap,
+            1.0 + found.coulomb,
+            2.0 + math.log(found.presliding / PRESLIDING),
+            found.static_ratio,
+            1.0 + found.offset,
+            1.0 + found.delay / period,
+        ]
+    )
+
+
+def of_unknowns(x: Floats, period: float) -> Magnet:
+    """The valve of ``unknowns``."""
+    return Magnet(
+        math.exp(x[0] - 1.0),
+        math.exp(x[1] - 2.0),
+        1e-3 * math.exp(x[2]),
+        float(x[3]),
+        float(x[4]) - 1.0,
+        float(x[5]) - 1.0,
+        float(x[6]) - 1.0,
+        float(x[7]) - 1.0,
+        PRESLIDING * math.exp(x[8] - 2.0),
+        float(x[9]),
+        float(x[10]) - 1.0,
+        (float(x[11]) - 1.0) * period,
+    )
+
+
+def bounds(begin: Magnet, period: float) -> tuple[Floats, Floats]:
+    """Lower and upper bounds of the unknowns of a search from ``begin`` on."""
+    low = Magnet(
+        0.3 * begin.speed, 0.05, FASTEST_COIL, 0.3 * begin.gain, -SIDES, 0.0, -WIDEST, STUCK, SHORTEST, 1.0,
+        -9.0, 0.0,
+    )  # fmt: skip
+    high = Magnet(
+        5.0 * begin.speed, 4.0, SLOWEST_COIL, 3.0 * begin.gain, SIDES, WIDEST, WIDEST, 9.0, LONGEST,
+        MOST_RATIO, 9.0, LONGEST_DELAY,
+    )  # fmt: skip
+    return unknowns(low, period), unknowns(high, period)
+
+
+def refined(
+    begin: Magnet,
+    period: float,
+    errors: Callable[[Magnet], Floats],
+    counted: Callable[[], None],
+    threads: int = 1,
+) -> Magnet:
+    """The valve near ``begin`` whose ``errors``, over what is allowed, are least.
+
+    On so many ``threads``, with the same result; ``counted`` is called here after each simulation.
+    """
+    low, high = bounds(begin, period)
+    inside = np.clip(unknowns(begin, period), low + INSIDE * (high - low), high - INSIDE * (high - low))
+
+    def simulated(x: Floats) -> Floats:
+        return errors(of_unknowns(x, period))
+
+    def residual(x: Floats) -> Floats:
+        counted()
+        return simulated(x)
+
+    with ThreadPoolExecutor(threads) as pool:
+
+        def jacobian(x: Floats) -> Floats:
+            """Differences towards the middle of the bounds, so that all stay within."""
+            steps = np.where(x > 0.5 * (low + high), -STEP, STEP) * np.maximum(1.0, np.abs(x))
+            moved = [x + step * unit for step, unit in zip(steps, np.eye(len(x)), strict=True)]
+            errors_of = []
+            for found in pool.map(simulated, [x, *moved]):
+                counted()
+                errors_of.append(found)
+            here, *there = errors_of
+            return np.column_stack([(y - here) / step for y, step in zip(there, steps, strict=True)])
+
+        done = scipy.optimize.least_squares(
+            residual, inside, jacobian, bounds=(low, high), x_scale="jac", loss="soft_l1",
+            max_nfev=EVALUATIONS,
+        )  # fmt: skip
+    return of_unknowns(done.x, period)
