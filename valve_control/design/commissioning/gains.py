@@ -26,7 +26,7 @@ from valve_control.parameter import Values, defaults, number, updated
 Floats = npt.NDArray[np.float64]
 WORSE = 1.5  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
-CONTENDS = 1.5  # times the error of the new gains, up to which those from before are tried on the valve too
+CONTENDS = 1.5  # times the error of the new gains, up to which others are tried on the valve too
 VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
 
 
@@ -184,6 +184,11 @@ def promised(made: TunedGains) -> tuple[bool, float]:
     """Order of gains of several laws: those that hold first, then by their error on valves not seen."""
     verified = made.tuned.chosen.verified
     return bool(verified.reasons), trial.typical(verified.seen.e_rms)
+
+
+def rivals(made: TunedGains, best: TunedGains) -> bool:
+    """Whether ``made`` promises about as little error as the ``best``."""
+    return promised(made)[1] < CONTENDS * promised(best)[1]
 
 
 def beside(several: Sequence[TunedGains]) -> list[str]:

@@ -241,6 +241,8 @@ class _Commissioning:
             several = self._tuned(found, known, rest, wider, refusals)
             texts: list[str] = []
             for made in several:
+                if texts and wider != boxes[-1] and not gains.rivals(made, several[0]):
+                    break  # the law deserves its second search first
                 reasons = made.tuned.chosen.verified.reasons
                 if not reasons:
                     verified, reasons = self._verified(made, found.error > plant.EXPLAINED)
@@ -253,7 +255,7 @@ class _Commissioning:
                         self._open_loop()
                 texts.append("; ".join(reasons))
                 self._steps.refused(made.chosen, texts[-1])
-            named = zip(several, texts, strict=True)
+            named = zip(several, texts, strict=False)
             refusals.append("; ".join(_of(self._plan.law, made, text) for made, text in named))
         raise ParameterError(_not_accepted(refusals, boxes[-1]))
 
