@@ -134,9 +134,19 @@ def begun(model: TransferFunction, friction: Friction, offset: float, delay: flo
     coil = -1.0 / others[0] if others and others[0] < 0.0 else COIL / speed
     coulomb = max(STUCK, friction.coulomb)
     return Magnet(
-        speed, min(3.0, max(0.1, damping)), coil, model.static_gain, 0.0, WIDTH * coulomb, 0.0,
-        (1.0 - 0.5 * WIDTH) * coulomb, PRESLIDING, min(MOST_RATIO, friction.static_ratio), offset, delay,
-    )  # fmt: skip
+        speed=speed,
+        damping=min(3.0, max(0.1, damping)),
+        coil=coil,
+        gain=model.static_gain,
+        sides=0.0,
+        hysteresis=WIDTH * coulomb,
+        overlap=0.0,
+        coulomb=(1.0 - 0.5 * WIDTH) * coulomb,
+        presliding=PRESLIDING,
+        static_ratio=min(MOST_RATIO, friction.static_ratio),
+        offset=offset,
+        delay=delay,
+    )
 
 
 def unknowns(found: Magnet, period: float) -> Floats:
@@ -162,31 +172,51 @@ def unknowns(found: Magnet, period: float) -> Floats:
 def of_unknowns(x: Floats, period: float) -> Magnet:
     """The valve of ``unknowns``."""
     return Magnet(
-        math.exp(x[0] - 1.0),
-        math.exp(x[1] - 2.0),
-        1e-3 * math.exp(x[2]),
-        float(x[3]),
-        float(x[4]) - 1.0,
-        float(x[5]) - 1.0,
-        float(x[6]) - 1.0,
-        float(x[7]) - 1.0,
-        PRESLIDING * math.exp(x[8] - 2.0),
-        float(x[9]),
-        float(x[10]) - 1.0,
-        (float(x[11]) - 1.0) * period,
+        speed=math.exp(x[0] - 1.0),
+        damping=math.exp(x[1] - 2.0),
+        coil=1e-3 * math.exp(x[2]),
+        gain=float(x[3]),
+        sides=float(x[4]) - 1.0,
+        hysteresis=float(x[5]) - 1.0,
+        overlap=float(x[6]) - 1.0,
+        coulomb=float(x[7]) - 1.0,
+        presliding=PRESLIDING * math.exp(x[8] - 2.0),
+        static_ratio=float(x[9]),
+        offset=float(x[10]) - 1.0,
+        delay=(float(x[11]) - 1.0) * period,
     )
 
 
 def bounds(begin: Magnet, period: float) -> tuple[Floats, Floats]:
     """Lower and upper bounds of the unknowns of a search from ``begin`` on."""
     low = Magnet(
-        0.3 * begin.speed, 0.05, FASTEST_COIL, 0.3 * begin.gain, -SIDES, 0.0, -WIDEST, STUCK, SHORTEST, 1.0,
-        -9.0, 0.0,
-    )  # fmt: skip
+        speed=0.3 * begin.speed,
+        damping=0.05,
+        coil=FASTEST_COIL,
+        gain=0.3 * begin.gain,
+        sides=-SIDES,
+        hysteresis=0.0,
+        overlap=-WIDEST,
+        coulomb=STUCK,
+        presliding=SHORTEST,
+        static_ratio=1.0,
+        offset=-9.0,
+        delay=0.0,
+    )
     high = Magnet(
-        5.0 * begin.speed, 4.0, SLOWEST_COIL, 3.0 * begin.gain, SIDES, WIDEST, WIDEST, 9.0, LONGEST,
-        MOST_RATIO, 9.0, LONGEST_DELAY,
-    )  # fmt: skip
+        speed=5.0 * begin.speed,
+        damping=4.0,
+        coil=SLOWEST_COIL,
+        gain=3.0 * begin.gain,
+        sides=SIDES,
+        hysteresis=WIDEST,
+        overlap=WIDEST,
+        coulomb=9.0,
+        presliding=LONGEST,
+        static_ratio=MOST_RATIO,
+        offset=9.0,
+        delay=LONGEST_DELAY,
+    )
     return unknowns(low, period), unknowns(high, period)
 
 
