@@ -105,6 +105,28 @@ class Recording(NamedTuple):
     clock: Clock  # of all times
 
 
+def _wanted(
+    bag: Bag, topics: Mapping[str, ValveTopics], journals: bool
+) -> tuple[dict[str, list[str]], set[str], set[str], list[str]]:
+    """Fields to read by topic, then the topics of states, of whole messages and of diagnostics."""
+    wanted: dict[str, list[str]] = {}
+    states = {valve.state for valve in topics.values() if valve.state}
+    for valve in topics.values():
+        for source in valve.sources.values():
+            wanted.setdefault(source.topic, [])
+            if source.field not in wanted[source.topic]:
+                wanted[source.topic].append(source.field)
+    for name in states:
+        terms = [f"data[{label}]" for label in STATE_FIELDS]
+        wanted[name] = [*terms, *(field for field in wanted.get(name, ()) if field not in terms)]
+    diagnostics = modes.diagnostic_topics(bag)
+    raw = {parameters.TOPIC, *diagnostics}
+    if journals:
+        raw |= {topic for valve in topics.values() for topic in (valve.journal, valve.memory)}
+    raw &= {name for name, topic in bag.topics.items() if not topic.unreadable}
+    return wanted, states, raw, diagnostics
+
+
 def load(
     path: Path | str,
     maps: Sequence[str] = (),
@@ -124,22 +146,8 @@ def load(
     """
     bag = Bag(path)
     topics = find_valves(bag, maps)
-    wanted: dict[str, list[str]] = {}
-    states = {valve.state for valve in topics.values() if valve.state}
-    for valve in topics.values():
-        for source in valve.sources.values():
-            wanted.setdefault(source.topic, [])
-            if source.field not in wanted[source.topic]:
-                wanted[source.topic].append(source.field)
+    wanted, states, raw, diagnostics = _wanted(bag, topics, journals)
     labels = {name: _labels(bag, name) for name in states}
-    for name in states:
-        terms = [f"data[{label}]" for label in STATE_FIELDS]
-        wanted[name] = [*terms, *(field for field in wanted.get(name, ()) if field not in terms)]
-    diagnostics = modes.diagnostic_topics(bag)
-    raw = {parameters.TOPIC, *diagnostics}
-    if journals:
-        raw |= {topic for valve in topics.values() for topic in (valve.journal, valve.memory)}
-    raw &= {name for name, topic in bag.topics.items() if not topic.unreadable}
     begin = bag.begin
     first = begin if start is None else begin + nanoseconds(start, "--from")
     last = None if end is None else begin + nanoseconds(end, "--to")
