@@ -221,6 +221,23 @@ def test_slope_is_that_of_the_voltage_without_its_friction():
     assert plausibility.slope(p, sums) == pytest.approx(1.3, rel=1e-9)
 
 
+@pytest.mark.parametrize("friction", [0.0, 1.16, 3.0])
+@pytest.mark.parametrize("after", [0.2, 0.5, 0.8, 1.2, 2.0 * math.pi])
+@pytest.mark.parametrize("amplitude", [0.3, 1.0])
+def test_friction_over_part_of_a_cycle_turns_no_sign_round(friction, after, amplitude):
+    """u = w + F·sgn w' from 1.2 rad before the turn of a sine to ``after`` [rad] behind it, as z and as w."""
+    p = plausibility.design((20.0, 1200.0, 1200.0), 0.001, 1.0, 0.1, 5.0)
+    sound = wrong = plausibility.NOTHING
+    for angle in 0.5 * math.pi + np.linspace(-1.2, after, 100):
+        w, s = amplitude * math.sin(angle), math.copysign(1.0, math.cos(angle))
+        u = w + friction * s
+        sound = plausibility.add(p.keep, sound, u, w, w, s)
+        wrong = plausibility.add(p.keep, wrong, u, -w, -w, -s)
+    assert plausibility.wrongness(p, sound) <= 0.0
+    if after > 2.0 and friction <= 4.0 * amplitude:
+        assert plausibility.wrongness(p, wrong) > 0.0
+
+
 def course(late, leap):
     """What is said of a reading [V] that comes ``late`` [s] in a smooth course and leaps by ``leap`` [V]."""
     p, s = lvdt.Params(11.0, 500.0, 0.1, 0, 0.5, 0.001, 0.0, 0.0, 0.0, 0.0), lvdt.NOTHING

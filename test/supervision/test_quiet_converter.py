@@ -68,10 +68,6 @@ class Loop:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_no_false_alarm_of_the_lvdt_with_the_usual_gains(config, law, bits, plant, command):
     own = files.load(str(config / "d3fxe.yaml"))["controller"] if plant else {}
-    if (law, command, plant) == ("pid", "slow sine", FRICTION):
-        # Stribeck's friction makes the voltage fall while the spool sets off: without noise in the LVDT this
-        # stick-slip looks like a wrong sign from lvdt.excitation of 0.1 V on, and no longer from 0.2 V on.
-        own["lvdt.excitation"] = 0.2
     loop = Loop({"controller": law, **own}, {**plant, "lvdt.resolution": BITS[bits]})
     loop.run(COMMANDS[command], 2200)
     assert loop.supervisor.counts["safe_stops"] == 0

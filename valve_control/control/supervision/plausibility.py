@@ -9,7 +9,8 @@ through the same low-pass filter and over moved time only:
     w, in phase with u at all frequencies if the model is right;
     z = y + y'/a1, in phase within 90° whatever a0 and b0 are: (1 + s/a1)/(s² + a1·s + a0) is positive real.
 
-A wrong sign turns both round; friction, offset, flow force, dead time and a wrong model do not turn both.
+A wrong sign turns both round, and w also once the friction, which has the sign of the velocity, is taken out;
+friction, offset, flow force, dead time and a wrong model do not turn all of them.
 Beside that a reading that rests on one side while the voltage pulls to the other by more than any disturbance
 has the wrong sign. See docs/explanation/plausibility.md.
 """
@@ -38,6 +39,7 @@ SAME = 1.4  # factor that is none after twice as many blocks, when the slope is 
 SMOOTH = 0.005  # of the usual slope, for each block
 SOUND = -0.8  # wrongness below which a slope is worth keeping
 TURNS = 0.3  # variance of the sign of the velocity from which friction can be told from an offset
+ONE_WAY = 1e-6  # variance of that sign below which all motion went one way, and friction is constant
 
 TEXTS = {
     "": "",
@@ -290,15 +292,27 @@ def add(keep: float, m: Sums, u: float, z: float, w: float, s: float) -> Sums:
 
 
 def wrongness(p: Params, m: Sums) -> float:
-    """How far both correlations lie below -AGAINST; negative if they do not. 0 for too little motion."""
+    """How far all correlations lie below -AGAINST; negative if one does not. 0 for too little motion.
+
+    The third is that of u with w once friction, F·sgn y', is taken out of both: within part of a cycle the
+    direction of motion goes with the position, and F alone turns the other two round.
+    """
     least = m.n * m.n * p.excitation * p.excitation
     vu = m.n * m.uu - m.u * m.u
     vz = m.n * m.zz - m.z * m.z
     vw = m.n * m.ww - m.w * m.w
     if vu < least or vz < least or vw < least:
         return 0.0
+    along = m.n * m.uw - m.u * m.w
     with_z = (m.n * m.uz - m.u * m.z) / math.sqrt(vu * vz)
-    with_w = (m.n * m.uw - m.u * m.w) / math.sqrt(vu * vw)
+    with_w = along / math.sqrt(vu * vw)
+    spread = m.n * m.n - m.s * m.s
+    if spread > ONE_WAY * m.n * m.n:
+        us, ws = m.n * m.us - m.u * m.s, m.n * m.ws - m.w * m.s
+        vu, vw, along = vu - us * us / spread, vw - ws * ws / spread, along - us * ws / spread
+        if vu < least or vw < least:
+            return 0.0
+        with_w = max(with_w, along / math.sqrt(vu * vw))
     return -AGAINST - max(with_z, with_w)
 
 
