@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.recordings.bags.bag import FAR, Series, edges
-from valve_control.recordings.clocks import SMALL_DISORDER, in_order, steps_back
+from valve_control.recordings.clocks import MANY, SMALL_DISORDER, in_order, steps_back
 from valve_control.recordings.mapping import Source
 from valve_control.recordings.ties import Ties, untied
 
@@ -18,6 +18,8 @@ Integers = npt.NDArray[np.int64]
 LEAD = ("spool_position", "valve_voltage", "spool_command")  # whose part is chosen where time was set back
 CLOCK_STEPS = 3  # times that a clock may have been set back; more means a file that is not sorted
 PUBLISHERS = 8  # that are told apart on one topic
+FEW_STAMPS = 3  # from which on a clock is a coarse one
+LARGEST = 1e100  # V  of a number that can be squared
 BACKLOG = 1000  # numbers by which a publisher may have gone on
 
 
@@ -57,17 +59,21 @@ def seconds(stamp: Integers, begin: int | Integers = 0) -> Floats:
 
 
 def clean(
-    sources: Mapping[str, Source], series: Mapping[str, Series], problems: list[str], rows: bool = False
+    sources: Mapping[str, Source],
+    series: Mapping[str, Series],
+    problems: list[str],
+    rows: bool = False,
+    received: bool = False,
 ) -> Cleaned:
     """Put the signals of one valve in order; what is left out is named in ``problems``.
 
     ``series``: their publish_time is of the clock of the recording; ``rows``: they are columns of a table, of
-    which a row has one stamp.
+    which a row has one stamp; ``received``: their times are those at which they were recorded.
     """
     raw = {part: _samples(source, series[source.topic], problems) for part, source in sources.items()}
     raw = _one_stretch(raw, problems)
-    recorded = _in_order(raw, problems)
-    ties = untied(recorded)
+    recorded = {part: _timed(one, problems) for part, one in _in_order(raw, problems).items()}
+    ties = untied(recorded, received)
     if ties is not None:
         recorded = {part: one._replace(time=ties.times[part]) for part, one in recorded.items()}
         name = recorded["spool_position"].topic
@@ -76,6 +82,11 @@ def clean(
             f"stamps on {name} have a resolution of {1e3 * ties.resolution:.4g} ms, which is too coarse for "
             f"latency, jitter and gaps; messages are paired {by}"
         )
+        if ties.crossed:
+            note = (
+                f"times of recording do not tell which voltage answers which reading of {name}; they are paired by "
+                "number, and no latency is told"
+            )
         if rows and not ties.several:
             note = "command, reading and voltage of a row count as those of one sample; no latency is told"
         problems.append(note)
@@ -88,6 +99,12 @@ def clean(
                 "is not known among the readings: errors are not told"
             )
             samples = samples.pick(slice(0, 0))
+        large = np.abs(samples.value) > LARGEST
+        if large.any():
+            n = int(np.count_nonzero(large & np.isfinite(samples.value)))
+            if n:
+                problems.append(f"{n} messages of {samples.topic} are beyond {LARGEST:g} V and are left out")
+                samples = samples.pick(~(large & np.isfinite(samples.value)))
         keep = np.isfinite(samples.value)
         if not keep.all():
             n = int(np.count_nonzero(~keep))
@@ -95,6 +112,18 @@ def clean(
             samples = samples.pick(keep)
         usable[part] = samples
     return Cleaned(recorded, timed, usable, ties)
+
+
+def _timed(samples: Samples, problems: list[str]) -> Samples:
+    """``samples``, or none of them where they share one or two stamps, between which no time is known."""
+    stamps = len(np.unique(samples.time))
+    if len(samples.time) < MANY or stamps >= FEW_STAMPS:
+        return samples
+    problems.append(
+        f"the {len(samples.time)} messages of {samples.topic} share {stamps} stamp{'s' * (stamps > 1)}, so their times "
+        "are not known; they are left out"
+    )
+    return samples.pick(slice(0, 0))
 
 
 def _samples(source: Source, series: Series, problems: list[str]) -> Samples:

@@ -20,6 +20,7 @@ Mask = npt.NDArray[np.bool_]
 SMALL_DISORDER = 0.1  # s by which messages may be out of order
 BACK = 2.0  # usual intervals by which time goes back, between messages in order, where the clock was set
 SAME_CLOCK = 1e-3  # s, or half a period, by which delays to the recorder may differ between topics
+MISSING = 0.02  # of the messages without a source time from which on that counts
 SAME_SPEED = 0.01  # by which the speeds of two clocks may differ
 PIECES = 20  # of a recording
 PROMPT = 10.0  # % of them in which one message at least is recorded at once
@@ -96,6 +97,7 @@ def decide(
     names = list(dict.fromkeys(name for group in groups for name in group))
     stamped = [name for name in names if np.any(series[name].publish_time != series[name].log_time)]
     without = [name for name in names if name not in stamped]
+    partly = [name for name in stamped if _partly(series[name])]
     if wanted == "publish" and (without or not names):
         which = f" on {', '.join(without)}" if stamped else ""
         raise BagError(f"--clock publish: {path} has no publish_time of its own{which}; take --clock log")
@@ -116,6 +118,8 @@ def decide(
     reason = ""
     if without:
         reason = f"{', '.join(without)} has no source times"
+    elif partly:
+        reason = f"some messages of {', '.join(partly)} have no source times"
     elif backwards:
         reason = f"source times go backwards on {', '.join(backwards)}"
     elif abs(speed - 1.0) > SAME_SPEED:
@@ -134,6 +138,13 @@ def decide(
         note = f"{reason}; times of recording are used (log_time; --clock publish takes the others)"
         return Clock("log_time", speed, offset, (note,) if reason else ())
     return Clock("publish_time", speed, offset, ())
+
+
+def _partly(series: Series) -> bool:
+    """Whether some messages have no time of publication, so that theirs is that of recording."""
+    same = series.publish_time == series.log_time
+    share = float(np.mean(same)) if len(same) else 0.0
+    return MISSING < share < 1.0 - MISSING and not (shared(series.publish_time) or shared(series.log_time))
 
 
 def _differing(series: Mapping[str, Series], group: Sequence[str]) -> str:

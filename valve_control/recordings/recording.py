@@ -13,7 +13,7 @@ import numpy.typing as npt
 from valve_control.control.supervision.journal import Block, block
 from valve_control.control.supervision.state_snapshot import Account, account
 from valve_control.recordings import modes, parameters
-from valve_control.recordings.bags.bag import Bag, Series
+from valve_control.recordings.bags.bag import FAR, Bag, Series
 from valve_control.recordings.bags.cdr import UNDECODABLE, Decoder, jazzy
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import Samples, clean, seconds
@@ -79,7 +79,7 @@ class ValveRecording(NamedTuple):
     doubts: list[str]  # those of them that are about the signals' messages
     clock: Clock  # of all times
     coarse: bool  # whether stamps do not tell latency, jitter and gaps
-    rows: bool = False  # whether the signals are columns of a table, which tells no latency
+    paired: bool = False  # whether voltages belong to readings by row or number, which tells no latency
 
     @property
     def lockstep(self) -> bool:
@@ -271,7 +271,7 @@ def _valve(
     rows: bool,
 ) -> ValveRecording:
     problems: list[str] = []
-    cleaned = clean(topics.sources, series, problems, rows)
+    cleaned = clean(topics.sources, series, problems, rows, received=clock.name == "log_time")
     doubts = list(problems)
     signals = cleaned.usable
     kinds: dict[str, Any] = {}
@@ -289,6 +289,7 @@ def _valve(
             problems.append(f"{topics.name} has no {part}; what needs it is left out")
     if topics.state == "" and not rows:
         problems.append(f"{topics.name} has no ~/state of its controller: no estimates and no V2")
+    problems += _apart(signals)
     journal = _journal(series.get(topics.journal), problems)
     accounts = _accounts(series.get(topics.memory))
     if "controller" not in kinds and not accounts and not rows:
@@ -314,9 +315,28 @@ def _valve(
         problems=problems,
         doubts=doubts,
         clock=clock,
-        coarse=cleaned.ties is not None and (cleaned.ties.several or not rows),
-        rows=rows,
+        coarse=cleaned.ties is not None and not cleaned.ties.crossed and (cleaned.ties.several or not rows),
+        paired=rows or (cleaned.ties is not None and cleaned.ties.crossed),
     )
+
+
+def _apart(signals: Mapping[str, Samples]) -> list[str]:
+    """Sentences on signals that were recorded hours before or after the readings."""
+    readings = signals.get("spool_position")
+    if readings is None or len(readings.time) == 0:
+        return []
+    begin, end = int(readings.time[0]), int(readings.time[-1])
+    found = []
+    for part, one in signals.items():
+        if len(one.time) == 0:
+            continue
+        apart = max(begin - int(one.time[-1]), int(one.time[0]) - end) * 1e-9
+        if apart > FAR:
+            found.append(
+                f"{one.topic} and {readings.topic} have no time in common: {apart / 3600.0:.3g} h lie between them, so "
+                f"nothing is told of {part} and readings together"
+            )
+    return found
 
 
 def _modes(
@@ -370,7 +390,7 @@ def align(valve: ValveRecording) -> Aligned:
         after = np.searchsorted(voltages.time, stamp[later], side="right")
         answer = voltages.time[np.minimum(after, len(voltages.time) - 1)]
         answered = (answer > stamp[later]) & (answer <= until[later]) & (own == later)
-        if not (valve.coarse or valve.rows):
+        if not (valve.coarse or valve.paired):
             latency = seconds(answer[answered], stamp[answered])
         missed = ~answered
         seen = np.where(answered, answer, stamp)
@@ -394,7 +414,7 @@ def align(valve: ValveRecording) -> Aligned:
         measurement=measurement[first:],
         voltage=voltage[first:],
         latency=latency,
-        unanswered=None if valve.coarse or valve.rows else int(np.count_nonzero(missed[first:])),
+        unanswered=None if valve.coarse or valve.paired else int(np.count_nonzero(missed[first:])),
         wall=not valve.lockstep,
     )
 

@@ -14,12 +14,15 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from valve_control.control.analysis.timing import LATE, true_period
-from valve_control.recordings.clocks import MANY, in_order, shared, usual_step
+from valve_control.recordings.clocks import MANY, in_order, shared
 
 Integers = npt.NDArray[np.int64]
 BOTH = 0.2  # of the voltages that have the stamp of a reading where the clock is coarse
 INTERLEAVED = 0.8  # of the messages of two topics that alternate where their order in the file counts
 SAME_RATE = 0.1  # by which numbers may go on faster or slower than those of the readings, one for each
+DISORDER = 0.01  # of the messages that may be out of order in the file where it counts
+CROSSED = 0.02  # of the voltages that may be recorded before their reading, or behind the next
+MOST = 75  # % of the messages
 WINDOW = 101  # messages whose usual distance to the readings counts for the one in their middle
 LATER = 0.6  # of a period from a reading to the command that was there after it
 NEAR = 2.0  # resolutions between the stamp of a message and those of its neighbours in the file
@@ -49,6 +52,7 @@ class Ties(NamedTuple):
     places: Integers  # of the readings, if the order in the file counts
     vague: bool  # whether nothing tells between which readings the commands came
     several: bool  # whether readings share their stamps among themselves, not only with other signals
+    crossed: bool  # whether readings and their answers were recorded in another order than sent
 
     def of(self, time: Integers, place: Integers) -> Integers:
         """Times [ns] of messages with the stamps ``time`` by their ``place`` between the readings.
@@ -68,21 +72,26 @@ class Ties(NamedTuple):
         return np.asarray(np.maximum.accumulate(np.where(near, moved, time)), dtype=np.int64)
 
 
-def untied(signals: Mapping[str, Messages]) -> Ties | None:
+def untied(signals: Mapping[str, Messages], received: bool = False) -> Ties | None:
     """Times of the signals of a valve of which many share their stamps; None if they do not.
 
+    Likewise of times of recording (``received``) that put many voltages before the readings that they answer.
     Voltages, and commands that are as many as the readings, keep their distance to these in numbers, so that
     a message that was recorded too late does not count for another reading.
     """
     readings, voltages = signals.get("spool_position"), signals.get("valve_voltage")
-    if readings is None or not _coarse(readings.time, None if voltages is None else voltages.time):
+    if readings is None:
+        return None
+    crossed = not _coarse(readings.time, None if voltages is None else voltages.time)
+    if crossed and not (received and voltages is not None and _crossed(readings, voltages)):
         return None
     answers = signals.get("valve_voltage", signals.get("spool_command"))
     several = shared(readings.time)
     ordered = several and answers is not None and _interleaved(readings.place, answers.place)
     times = {part: _spread(one) for part, one in signals.items()}
-    places = readings.place if ordered else readings.place[:0]
-    ties = Ties(usual_step(readings.time), times, places, False, several)
+    # A few may have been recorded out of order.
+    places = np.maximum.accumulate(readings.place) if ordered else readings.place[:0]
+    ties = Ties(_resolution(readings.time), times, places, False, several, crossed)
     counted, lead = _numbers(readings), times["spool_position"]
     period = round(float(np.median(np.diff(lead))))
     numbers = np.concatenate([[counted[0] - 1], counted, [counted[-1] + 1]])
@@ -90,7 +99,7 @@ def untied(signals: Mapping[str, Messages]) -> Ties | None:
     for part, one in signals.items():
         if part == "spool_position" or len(one.time) < MANY:
             continue
-        keys = (readings.place, one.place) if ordered else (lead, times[part])
+        keys = (places, one.place) if ordered else (lead, times[part])
         own, answer = times[part], part == "valve_voltage"
         # The reading after which a message comes; a command with the key of a reading is there before it.
         reading = numbers[np.searchsorted(*keys, side="right" if answer else "left")]
@@ -118,10 +127,39 @@ def _coarse(time: Integers, answers: Integers | None) -> bool:
 
 def _interleaved(place: Integers, other: Integers) -> bool:
     """Whether the messages of two topics, by their places in the file, alternate as they were sent."""
-    if len(other) == 0 or np.any(np.diff(place) <= 0) or np.any(np.diff(other) <= 0):
+    if len(other) == 0 or len(place) == 0:
         return False
-    alternating = len(np.unique(np.searchsorted(place, other)))
+    if max(int(np.count_nonzero(np.diff(some) <= 0)) - DISORDER * len(some) for some in (place, other)) > 0:
+        return False
+    alternating = len(np.unique(np.searchsorted(np.maximum.accumulate(place), other)))
     return alternating > INTERLEAVED * min(len(place), len(other))
+
+
+def _crossed(readings: Messages, voltages: Messages) -> bool:
+    """Whether many voltages come beside another reading than their number says, by a steady difference."""
+    if min(len(readings.time), len(voltages.time)) < WINDOW:
+        return False
+    counted, number = _numbers(readings), _numbers(voltages)
+    at = np.searchsorted(readings.time, voltages.time, side="right")
+    reading = np.concatenate([[counted[0] - 1], counted])[at]
+    ahead = np.ptp(reading)
+    if ahead == 0 or abs(np.ptp(number) / ahead - 1.0) >= SAME_RATE:
+        return False
+    beside = reading - number
+    usual = median_filter(beside, WINDOW, mode="mirror")
+    return float(np.mean(beside != usual)) > CROSSED and float(np.mean(np.diff(usual) != 0)) < CROSSED
+
+
+def _resolution(time: Integers) -> float:
+    """Step [s] of the clock from one stamp to the next, as most messages have it, 0 if there is none.
+
+    Of a clock that is coarse for a part of the time it is that of this part.
+    """
+    stamps, count = np.unique(time, return_counts=True)
+    if len(stamps) < 2:
+        return 0.0
+    steps = np.repeat(np.diff(stamps), count[:-1])
+    return float(np.percentile(steps, MOST, method="inverted_cdf")) * 1e-9
 
 
 def _numbers(one: Messages) -> Integers:

@@ -17,6 +17,8 @@ LEAP = 5.0  # periods by which time leaps away from the readings' numbers where 
 SURE = 2000  # readings before and after it that must agree
 LEAST = 200  # readings from which a period is measured
 REGULAR = 0.3  # part of the mean by which the usual interval of messages that come regularly may differ
+ON_GRID = 0.1  # of that interval by which its multiples may differ where messages are missing ...
+MOSTLY = 0.95  # ... and share of the intervals that are such multiples
 DEVIATION = 0.02  # of the period from the one that is wanted, beyond which it is reported ...
 PART_DEVIATION = 0.1  # ... or where that of the whole is right: of some hundred readings jitter shows more
 
@@ -104,9 +106,15 @@ def _slopes_without_gaps(time: Integers) -> Floats:
     intervals = np.diff(time) * 1e-9
     usual = float(np.median(intervals))
     everywhere = _slopes(time, count, APART)
-    # Of messages that come in bursts no interval tells whether one is missing in it.
     if abs(usual / float(np.median(everywhere)) - 1.0) > REGULAR:
-        return everywhere
+        # Whole multiples of the shortest interval are losses. Of messages that come in bursts no interval tells
+        # whether one is missing in it.
+        ratio = intervals / usual if usual > 0.0 else np.zeros(1)
+        multiple = np.round(ratio)
+        on_grid = (np.abs(ratio - multiple) < ON_GRID) & (multiple >= 1.0) & (multiple <= LEAP)
+        if np.mean(on_grid) < MOSTLY:
+            return everywhere
+        return _slopes(time, np.concatenate([[0], np.cumsum(multiple.astype(np.int64))]), APART)
     gaps = np.concatenate([[0], np.cumsum(intervals > LATE * usual)])
     for apart in (APART, 30, 10, 3):
         whole = gaps[apart:] == gaps[:-apart]

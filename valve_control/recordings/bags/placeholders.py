@@ -13,6 +13,10 @@ KINDS = {
     b"/annex/objects/": ("a git-annex pointer", "git annex get"),
 }
 
+HTML, DOCTYPE = b"<html", b"<!doctype html"  # of a server that asks for a password, or has no such file
+BOM = b"\xef\xbb\xbf"
+HEAD = 256  # bytes
+
 
 class PlaceholderError(BagError):
     """Says that a file only stands for another one that was not fetched."""
@@ -23,7 +27,11 @@ def refuse(path: Path) -> None:
     if path.is_symlink() and not path.exists():
         raise PlaceholderError(f"{path} is a link to {path.readlink()}, which does not exist")
     with path.open("rb") as stream:
-        head = stream.read(max(map(len, KINDS)))
+        head = stream.read(HEAD).removeprefix(BOM).lstrip()
+    if head[: len(HTML)].lower() == HTML or head[: len(DOCTYPE)].lower() == DOCTYPE:
+        raise PlaceholderError(
+            f"{path} is a page of a web server (HTML), not the file itself; fetch it again"
+        )
     for begin, (name, remedy) in KINDS.items():
         if head.startswith(begin):
             raise PlaceholderError(f"{path} is {name}, not the file itself; run {remedy}")
