@@ -102,7 +102,10 @@ def test_the_clock_with_the_finer_stamps_is_taken(run, true, tmp_path, clock, us
     assert (clock == "log_time") or any("resolution of 10 ms" in text for text in loaded.problems)
     valve = as_dict(analyze(loaded))["valves"]["valve"]
     assert valve["indices"]["e_rms"] == pytest.approx(true["valves"]["valve"]["indices"]["e_rms"], rel=0.02)
-    assert 0.1e-3 < valve["latency_s"]["p50"] < 0.3e-3
+    if used == "log_time":  # in which voltages come before the readings that they answer
+        assert np.isnan(valve["latency_s"]["p50"]) and valve["unanswered"] is None
+    else:
+        assert 0.1e-3 < valve["latency_s"]["p50"] < 0.3e-3
     assert valve["recorded_after_s"] == {}
 
 

@@ -206,7 +206,11 @@ def load(
     }
     if not any(len(s.time) for valve in valves.values() for s in valve.signals.values()):
         part = "" if start is None and end is None else " in this part of its time"
-        raise BagError(f"{path} has no message on any topic of a valve{part}, so there is nothing to analyse")
+        why = "; ".join(doubt for valve in valves.values() for doubt in valve.doubts)
+        raise BagError(
+            f"{path} has no message on any topic of a valve{part}, so there is nothing to analyse"
+            + (f" ({why})" if why else "")
+        )
     return Recording(bag, valves, nodes, bag.problems, ruling)
 
 
@@ -272,8 +276,8 @@ def _valve(
 ) -> ValveRecording:
     problems: list[str] = []
     cleaned = clean(topics.sources, series, problems, rows, received=clock.name == "log_time")
+    signals = _together(cleaned.usable, problems)
     doubts = list(problems)
-    signals = cleaned.usable
     kinds: dict[str, Any] = {}
     for node in nodes.values():
         if node.namespace == topics.namespace and node.kind:
@@ -289,7 +293,6 @@ def _valve(
             problems.append(f"{topics.name} has no {part}; what needs it is left out")
     if topics.state == "" and not rows:
         problems.append(f"{topics.name} has no ~/state of its controller: no estimates and no V2")
-    problems += _apart(signals)
     journal = _journal(series.get(topics.journal), problems)
     accounts = _accounts(series.get(topics.memory))
     if "controller" not in kinds and not accounts and not rows:
@@ -320,23 +323,24 @@ def _valve(
     )
 
 
-def _apart(signals: Mapping[str, Samples]) -> list[str]:
-    """Sentences on signals that were recorded hours before or after the readings."""
+def _together(signals: Mapping[str, Samples], problems: list[str]) -> dict[str, Samples]:
+    """``signals`` without the messages of those that were recorded hours before or after the readings."""
+    kept = dict(signals)
     readings = signals.get("spool_position")
     if readings is None or len(readings.time) == 0:
-        return []
+        return kept
     begin, end = int(readings.time[0]), int(readings.time[-1])
-    found = []
     for part, one in signals.items():
         if len(one.time) == 0:
             continue
         apart = max(begin - int(one.time[-1]), int(one.time[0]) - end) * 1e-9
         if apart > FAR:
-            found.append(
-                f"{one.topic} and {readings.topic} have no time in common: {apart / 3600.0:.3g} h lie between them, so "
-                f"nothing is told of {part} and readings together"
+            problems.append(
+                f"{one.topic} and {readings.topic} have no time in common ({apart / 3600.0:.3g} h lie between "
+                f"them); {one.topic} is left out"
             )
-    return found
+            kept[part] = one.pick(slice(0, 0))
+    return kept
 
 
 def _modes(

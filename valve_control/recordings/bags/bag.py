@@ -298,7 +298,9 @@ class Bag:
             raise
         except BagError as error:
             advice = (
-                "" if isinstance(error, PlaceholderError) else " (valve-control bag recover writes it anew)"
+                " (valve-control bag recover writes it anew)"
+                if (self.path / bag_metadata.NAME).is_file() and not isinstance(error, PlaceholderError)
+                else ""
             )
             if not found:
                 raise

@@ -38,7 +38,19 @@ from valve_control.recordings.bags.writer import SUFFIXES, Lock, reason
 SIDE_FILES = ("-wal", "-shm", "-journal")  # what SQLite leaves beside a database that was not closed
 KEPT = re.compile(r"(?P<name>.+\.(?:mcap|db3))\.damaged(?:\.(?P<number>\d+))?")
 CLOSE = 1_000_000  # ns by which times in metadata.yaml may differ from those of the messages
+UNFINISHED = (
+    ".part",
+    ".partial",
+    ".crdownload",
+    ".filepart",
+    ".download",
+    ".tmp",
+)  # of browsers, rsync and curl
 NEW = ".repair"  # ends the name of a file that is being written anew
+
+
+class UnfinishedError(BagError):
+    """Says that a file of the bag is still on its way."""
 
 
 class RecoveredFile(NamedTuple):
@@ -152,7 +164,10 @@ def _refuse_foreign(path: Path) -> None:
         raise BagError(f"{error.filename or path} cannot be read: {reason(error)}") from error
     if path.is_dir():
         try:
-            metadata.read(path)
+            for name in metadata.read(path).relative_file_paths:
+                _refuse_unfinished(path / name)
+        except UnfinishedError:
+            raise
         except metadata.UnknownVersionError as error:
             raise BagError(
                 f"{error}; the bag is left as it is (under another name of that file, one of version "
@@ -160,6 +175,15 @@ def _refuse_foreign(path: Path) -> None:
             ) from error
         except BagError:
             pass
+
+
+def _refuse_unfinished(path: Path) -> None:
+    """Raise BagError if ``path`` is missing because its transfer goes on, or stopped on the way."""
+    for name in (path.name + ending for ending in UNFINISHED):
+        if path.with_name(name).exists() and not path.exists():
+            raise UnfinishedError(
+                f"{path} is missing and {name} lies beside it: finish its transfer, or remove it, first"
+            )
 
 
 def _refuse_compressed(path: Path) -> None:
