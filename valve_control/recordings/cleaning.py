@@ -120,8 +120,8 @@ def _timed(samples: Samples, problems: list[str]) -> Samples:
     if len(samples.time) < MANY or stamps >= FEW_STAMPS:
         return samples
     problems.append(
-        f"the {len(samples.time)} messages of {samples.topic} share {stamps} stamp{'s' * (stamps > 1)}, so their times "
-        "are not known; they are left out"
+        f"the {len(samples.time)} messages of {samples.topic} share {stamps} stamp{'s' * (stamps > 1)}, so "
+        "their times are not known; they are left out"
     )
     return samples.pick(slice(0, 0))
 

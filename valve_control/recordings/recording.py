@@ -336,8 +336,8 @@ def _together(signals: Mapping[str, Samples], problems: list[str]) -> dict[str, 
         apart = max(begin - int(one.time[-1]), int(one.time[0]) - end) * 1e-9
         if apart > FAR:
             problems.append(
-                f"{one.topic} and {readings.topic} have no time in common ({apart / 3600.0:.3g} h lie between "
-                f"them); {one.topic} is left out"
+                f"{one.topic} and {readings.topic} have no time in common ({apart / 3600.0:.3g} h lie "
+                f"between them); {one.topic} is left out"
             )
             kept[part] = one.pick(slice(0, 0))
     return kept

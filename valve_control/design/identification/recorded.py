@@ -14,7 +14,6 @@ from valve_control.design.identification import response
 from valve_control.design.identification.experiment import Experiment, Floats, held
 from valve_control.design.identification.response import Segment
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.cleaning import seconds
 from valve_control.recordings.clocks import in_order
 from valve_control.recordings.parameters import Node
 from valve_control.recordings.recording import Recording, ValveRecording, align
@@ -57,14 +56,6 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
         notes.append(f"{length - count} of {length} readings were lost and are left out")
         known = np.isfinite(time)
         time = np.interp(np.arange(length), np.flatnonzero(known), time[known])
-        # Until the next reading that came there were several voltages; each belongs to its own sample.
-        given = valve.signals["valve_voltage"]
-        ends = seconds(given.time, int(aligned.stamp[0]))
-        newest = np.searchsorted(ends, time + period, side="left") - 1
-        beside = np.flatnonzero(~known | ~np.append(known[1:], True))
-        beside = beside[newest[beside] >= 0]
-        if aligned.wall:
-            voltage[beside] = given.value[newest[beside]]
     voltage_held = held(voltage)
     cuts = index[leaps(aligned.stamp, index, period)] if aligned.wall and count > 1 else index[:0]
     bounds = [0, *cuts.tolist(), length]
