@@ -68,7 +68,7 @@ def analyzed(path, capsys):
 
 
 def check(path, capsys, true, expected):
-    """``expected``: words that are said, after ``refused: `` with status 2, after ``part: `` without all indices."""
+    """``expected``: words that are said; ``refused: `` with status 2, ``part: `` without all indices."""
     status, valve, said = analyzed(path, capsys)
     kind, _, words = expected.rpartition(": ")
     assert words in said, said
@@ -116,7 +116,8 @@ CLOCKS = {
     "since the start of the machine": (times(None, lambda m: m.time - BEGIN + 5 * SECOND), ""),
     "sent after they were recorded": (times(None, lambda m: m.time + 37 * MS), ""),
     "one of three runs 2 % faster": (
-        times(None, lambda m: BEGIN + round(1.02 * (m.time - BEGIN)), [VOLTAGE]), "publishers' clocks differ"),
+        times(None, lambda m: BEGIN + round(1.02 * (m.time - BEGIN)), [VOLTAGE]),
+        "publishers' clocks differ"),
     "another time zone": (
         times(None, lambda m: m.time + 3600 * SECOND, [READING]), "publishers' clocks differ"),
     "faster from the middle on": (
@@ -207,9 +208,11 @@ EQUAL = {
     "all messages twice": (twice, "2 publishers are interleaved"),
     "one stamp a sample": (both(lambda stamp: floor(MS)(stamp + 400_000)), "resolution of 1 ms"),
     "10 ms from the middle on": (
-        both(lambda stamp: floor(10 * MS)(stamp) if stamp > BEGIN + 750 * MS else stamp), "resolution of 10 ms"),
+        both(lambda stamp: floor(10 * MS)(stamp) if stamp > BEGIN + 750 * MS else stamp),
+        "resolution of 10 ms"),
     "10 ms until the middle": (
-        both(lambda stamp: floor(10 * MS)(stamp) if stamp < BEGIN + 750 * MS else stamp), "resolution of 10 ms"),
+        both(lambda stamp: floor(10 * MS)(stamp) if stamp < BEGIN + 750 * MS else stamp),
+        "resolution of 10 ms"),
     "voltages at the next tick": (
         lambda messages: [
             one for m in messages for k in (10 * MS * (m.topic == VOLTAGE),)
@@ -346,7 +349,8 @@ SERIALIZED = {
     "each fifth not a number": (
         float64(lambda m: m.data if m.sequence % 5 else number(float("nan"))), [READING],
         "part: hold NaN or infinity"),
-    "one of 1e308": (float64(lambda m: m.data if m.sequence != 700 else number(1e308)), [READING], "beyond 1e+100"),
+    "one of 1e308": (
+        float64(lambda m: m.data if m.sequence != 700 else number(1e308)), [READING], "beyond 1e+100"),
 }  # fmt: skip
 
 
@@ -483,7 +487,7 @@ def digests(bag):
 
 @pytest.mark.parametrize("kind", HARM)
 def test_recovery_does_no_harm(messages, tmp_path, capsys, kind):
-    """A refusal touches nothing; else no reading is lost that can be read, and a second time nothing is done."""
+    """A refusal touches nothing; else no readable reading is lost, and a second time nothing is done."""
     storage, harm, expected = HARM[kind]
     bag = in_file_order(tmp_path / "bag", messages, storage, max_seconds=0.3)
     harm(bag)

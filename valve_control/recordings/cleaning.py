@@ -84,8 +84,8 @@ def clean(
         )
         if ties.crossed:
             note = (
-                f"times of recording do not tell which voltage answers which reading of {name}; they are paired by "
-                "number, and no latency is told"
+                f"times of recording do not tell which voltage answers which reading of {name}; they are "
+                "paired by number, and no latency is told"
             )
         if rows and not ties.several:
             note = "command, reading and voltage of a row count as those of one sample; no latency is told"

@@ -107,8 +107,8 @@ def _slopes_without_gaps(time: Integers) -> Floats:
     usual = float(np.median(intervals))
     everywhere = _slopes(time, count, APART)
     if abs(usual / float(np.median(everywhere)) - 1.0) > REGULAR:
-        # Whole multiples of the shortest interval are losses. Of messages that come in bursts no interval tells
-        # whether one is missing in it.
+        # Whole multiples of the shortest interval are losses. Of messages that come in bursts no interval
+        # tells whether one is missing in it.
         ratio = intervals / usual if usual > 0.0 else np.zeros(1)
         multiple = np.round(ratio)
         on_grid = (np.abs(ratio - multiple) < ON_GRID) & (multiple >= 1.0) & (multiple <= LEAP)

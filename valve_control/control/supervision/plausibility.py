@@ -9,8 +9,8 @@ through the same low-pass filter and over moved time only:
     w, in phase with u at all frequencies if the model is right;
     z = y + y'/a1, in phase within 90° whatever a0 and b0 are: (1 + s/a1)/(s² + a1·s + a0) is positive real.
 
-A wrong sign turns both round, and w also where friction, which has the sign of the velocity, is taken out; friction,
-offset, flow force, dead time and a wrong model do not turn all of them.
+A wrong sign turns both round, and w also where friction, which has the sign of the velocity, is taken out;
+friction, offset, flow force, dead time and a wrong model do not turn all of them.
 Beside that a reading that rests on one side while the voltage pulls to the other by more than any disturbance
 has the wrong sign. See docs/explanation/plausibility.md.
 """
@@ -294,9 +294,9 @@ def add(keep: float, m: Sums, u: float, z: float, w: float, s: float) -> Sums:
 def wrongness(p: Params, m: Sums) -> float:
     """How far all correlations lie below -AGAINST; negative if one does not. 0 for too little motion.
 
-    Over whole cycles w goes up with the sign of the velocity, and friction, F·sgn y', adds to both correlations.
-    Within part of a cycle w may go down with it, and F alone turns both round: there the third counts too, that
-    of u with w once F·sgn y' is taken out of both.
+    Over whole cycles w goes up with the sign of the velocity, and friction, F·sgn y', adds to both
+    correlations. Within part of a cycle w may go down with it, and F alone turns both round: there the third
+    counts too, that of u with w once F·sgn y' is taken out of both.
     """
     least = m.n * m.n * p.excitation * p.excitation
     vu = m.n * m.uu - m.u * m.u
