@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
+from valve_control.control.laws import linearisation
 from valve_control.control.laws.common import COMMON
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.reshaping import PARAMETERS as RESHAPING
@@ -66,6 +67,21 @@ class Unit(NamedTuple):
 
 def law(values: Values) -> Unit:
     """The law that ``controller`` of the controller's ``values`` names. Raises ParameterError."""
+    if not linearisation.is_on(values):
+        return _alone(values)
+    made = _alone(values)
+    module = linearisation.exported(made.module)
+
+    def built(values: Values) -> Any:
+        return module.Params(*linearisation.behind(values, made.build(values)))
+
+    table = (*made.table, *linearisation.PARAMETERS)
+    text = f"{made.text}, with the inverse of the valve's static curve behind it"
+    return made._replace(text=text, module=module, params=built(values), table=table, build=built)
+
+
+def _alone(values: Values) -> Unit:
+    """The law without a curve behind it. Raises ParameterError."""
     found = LAWS[word(values, "controller")]
     table = (*found.parameters, *COMMON, *RESHAPING)
     return Unit(found.name, found.text, True, found.module, found.build(values), table, values, found.build)
@@ -76,8 +92,9 @@ def watched(values: Values) -> Unit:
 
     Raises ParameterError.
     """
-    inner = law(values)
-    module = watch.bound(LAWS[inner.name])
+    inner = _alone(values)
+    on = linearisation.is_on(values)
+    module = watch.bound(LAWS[inner.name], linearisation.inverse(values) if on else 0.0)
 
     def built(values: Values) -> Any:
         return module.design(values, inner.build(values))
@@ -85,7 +102,8 @@ def watched(values: Values) -> Unit:
     own = tuple(
         p for p in CONTROLLER if p.name in WATCHED or (p.name.startswith("lvdt.") and p.name not in UNWATCHED)
     )
-    table = (*inner.table, *(p for p in own if p not in inner.table))
+    curve = linearisation.PARAMETERS if on else ()
+    table = (*inner.table, *(p for p in own if p not in inner.table), *curve)
     text = f"{inner.text}, under the watch over LVDT and command"
     return Unit(
         name=inner.name,

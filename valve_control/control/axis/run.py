@@ -15,7 +15,7 @@ import numpy.typing as npt
 from valve_control.control import closed_loop
 from valve_control.control.axis import cascade
 from valve_control.control.compiling import bind, compile_function
-from valve_control.control.laws import command_lead, reshaping
+from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.motion import course, upper
@@ -120,7 +120,7 @@ def setup(settings: dict[str, Values]) -> Setup:
         cascade=cascade.Params(
             parameters.upper_level(upper_values, plant.axis, at),
             lead,
-            law_params,
+            linearisation.behind(law_values, law_params),
             word(upper_values, "message") == "trajectory",
             reshaped,
             law_params.reshaping if reshaped else NOT_RESHAPED,
@@ -145,7 +145,7 @@ def _loop(law: types.ModuleType, level: types.ModuleType, compiled: bool) -> Cal
 
 def indices_of(s: Setup, signals: Array, compiled: bool = True) -> Indices:
     """Run ``s``; ``signals`` (n×11) receives what ``cascade.shown`` returns at each sample."""
-    law, level = LAWS[s.law].module, upper.LEVELS[s.level]
+    law, level = linearisation.module_of(LAWS[s.law].module, s.cascade.valve_law), upper.LEVELS[s.level]
     n = len(s.goals)
     noise = np.random.default_rng(s.seed).standard_normal((n, machine.NOISES))
     first = machine.read(s.machine, s.begin, noise[0])

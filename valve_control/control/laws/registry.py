@@ -5,8 +5,10 @@
 Another package adds a law by an entry point of the group ``valve_control.laws`` that names a ``Law``.
 """
 
+from functools import partial
+
 from valve_control.control import compiling, plugins
-from valve_control.control.laws import arc, compensator, dcarc, oarc, open_loop, pid, reshaping
+from valve_control.control.laws import arc, compensator, dcarc, linearisation, oarc, open_loop, pid, reshaping
 from valve_control.control.laws.common import COMMON
 from valve_control.control.laws.law import Law, LawError, check, try_out
 from valve_control.parameter import defaults
@@ -26,5 +28,7 @@ def accepted(found: object, taken: dict[str, Law]) -> Law:
 
 LAWS = {law.name: law for law in (arc.LAW, oarc.LAW, dcarc.LAW, pid.LAW, compensator.LAW, open_loop.LAW)}
 LEFT_OUT = plugins.add(GROUP, "law", accepted, LawError, LAWS)  # why, as a sentence
+for _name, _law in LAWS.items():  # the limit of its voltage is behind the curve of linearisation
+    LAWS[_name] = _law._replace(build=partial(linearisation.built, _law.build))
 REFUSED = list(LEFT_OUT.values())
 ADAPTIVE = tuple(law.name for law in LAWS.values() if law.estimates_valve)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lists the parameters of all nodes; descriptors, YAML, command line and reference are made from it."""
 
-from valve_control.control.laws import reshaping
+from valve_control.control.laws import linearisation, reshaping
 from valve_control.control.laws.common import SAMPLE_PERIOD, U_MAX
 from valve_control.control.laws.registry import LAWS, LEFT_OUT
 from valve_control.control.plant import common, models, registry
@@ -196,6 +196,7 @@ CONTROLLER: Table = (
     AUTOSTART,
     *REALTIME,
     *reshaping.PARAMETERS,
+    *linearisation.PARAMETERS,
     *(parameter for law in LAWS.values() for parameter in law.parameters),
 )
 

@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from valve_control.control import closed_loop
 from valve_control.control.compiling import LANES, compile_function, explained
+from valve_control.control.laws import linearisation
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.parameters import linear_loop
@@ -82,7 +83,7 @@ class Batch(NamedTuple):
     """
 
     controller: str
-    law_params: Records | tuple[Any, ...]  # N rows, or one for all valves
+    law_params: Records | tuple[Any, ...]  # N rows, or one for all valves; of ``linearisation.behind``, too
     valve_params: Records | Any  # N rows, or one for all: Params of any plant
     seeds: Sequence[int] | npt.NDArray[np.int64]  # of the LVDTs' noise
     commands: Array
@@ -293,6 +294,18 @@ def _plant(params: Any) -> Plant:
     return registry.PLANTS["linear"]
 
 
+def _law(batch: Batch) -> tuple[types.ModuleType, Any]:
+    """Steps of the law, and its Params with 0.0 everywhere; both with the curve behind it if it has one."""
+    module, params = LAWS[batch.controller].module, batch.law_params
+    alone, curve = template(LAWS[batch.controller].module.Params), template(linearisation.Curve)
+    wide = linearisation.Params(alone, curve, curve, 0.0, 0.0)
+    if isinstance(params, linearisation.Params) or (
+        isinstance(params, np.ndarray) and params.dtype == _dtype_of(wide)
+    ):
+        return linearisation.around(module), wide
+    return module, alone
+
+
 class Prepared(NamedTuple):
     """A batch that is checked and laid out for the compiled loop."""
 
@@ -324,7 +337,7 @@ def _commands(given: Array, count: int) -> Array:
 def _prepared(batch: Batch) -> Prepared:
     if batch.controller not in LAWS:
         raise ValueError(f"there is no controller '{batch.controller}'; there are {', '.join(LAWS)}")
-    law = LAWS[batch.controller].module
+    law, like_law = _law(batch)
     seeds = np.asarray(batch.seeds)
     if seeds.ndim != 1 or len(seeds) == 0 or seeds.dtype.kind not in "iu" or np.any(seeds < 0):
         raise ValueError("seeds must be whole numbers, none below 0, one for each of at least one valve")
@@ -337,7 +350,7 @@ def _prepared(batch: Batch) -> Prepared:
     samples = commands.shape[-1]
     states = (template(batch.measures.tally), template(SpoolState), template(law.State))
     plant = _plant(batch.valve_params)
-    like = Lane(Work._make([*HANDED_OVER, *states]), template(law.Params), template(plant.module.Params))
+    like = Lane(Work._make([*HANDED_OVER, *states]), like_law, template(plant.module.Params))
     law_rows = _rows("law_params", batch.law_params, like.law, count)
     valve_rows = _rows("valve_params", batch.valve_params, like.valve, count)
     laws = law_rows.view(_dtype_of(like.law))[:, 0]

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.control.commands.scenarios import Shape, command
-from valve_control.control.laws import command_lead, reshaping
+from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
@@ -202,7 +202,8 @@ def measured(
         traces = np.empty((len(plants), len(aim), 3))
         seeds = seed + 1000 * i + np.arange(len(plants))
         led = None if previewed else command_lead.applied(lead, sent)
-        rows = params[0] if len(params) == 1 else batch.records(params)
+        loops = [linearisation.behind(v, p) for v, p in zip(values, params, strict=True)]
+        rows = loops[0] if len(loops) == 1 else batch.records(loops)
         batch.simulate(batch.Batch(name, rows, plants, seeds, sent, led=led), 1, traces)
         error = traces[:, :, 0] - aim
         late = error[:, round(ADAPTED / PERIOD) :]

@@ -14,7 +14,7 @@ from valve_control.control.analysis import steps
 from valve_control.control.analysis.indices import Indices, indices, rms
 from valve_control.control.analysis.limit_cycle import LimitCycle, limit_cycle
 from valve_control.control.compiling import explained
-from valve_control.control.laws import command_lead, reshaping
+from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
@@ -104,7 +104,9 @@ def simulate(
     plant = registry.plant_of(valve_params).module
     valve_state = plant.initial(valve_params)
     first = plant.read(valve_params, valve_state, noise[0])
-    law_state = law.module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
+    loop_params = linearisation.behind(controller_values, law_params)
+    module = linearisation.module_of(law.module, loop_params)
+    law_state = module.initial(loop_params, Start(first, 0.0, first, 0.0, 0.0))
     lead = command_lead.build(controller_values, law.reshapes(law_params))
     if delivered is None:
         led = command_lead.applied(lead, command)
@@ -115,8 +117,8 @@ def simulate(
         for start in range(0, n, PIECE):
             piece = slice(start, start + PIECE)
             end = closed_loop.run_valve(
-                law.module,
-                closed_loop.parts(law_params, valve_params),
+                module,
+                closed_loop.parts(loop_params, valve_params),
                 end,
                 led[piece],
                 noise[piece],
@@ -133,7 +135,7 @@ def simulate(
         stability.valve_warning(law, law_params, valve_params),
     ]
     if not warnings_found[1]:
-        warnings_found.append(_probe(law, law_params, valve_params, least, compiled))
+        warnings_found.append(_probe(law, loop_params, valve_params, least, compiled))
     warnings_found.append(_cut(law, law_params, terms, build.valve_model(valve_values)))
     true_error = position - command
     rest = position[:1]  # from which a command may begin with a step
@@ -149,11 +151,20 @@ def simulate(
         theta=list(end.law.theta) if law.adapts else None,
         indices=indices(measurement - command, voltage, period),
         true_error={"e_M": float(np.max(np.abs(true_error))), "e_rms": rms(true_error)},
-        saturated=float(np.mean(np.abs(voltage) >= valve_params.u_max)),
+        saturated=float(np.mean(_at_limit(voltage, loop_params, valve_params))),
         limit_cycle=limit_cycle(voltage, command, period, least, compiled),
         warning="; ".join(filter(None, warnings_found)),
         steps=None if answer is None else (float(answer.overshoot), float(answer.settling)),
     )
+
+
+def _at_limit(voltage: Array, law: Any, plant: Any) -> npt.NDArray[np.bool_]:
+    """Whether ``voltage`` [V] of the amplifier is at its limit by the Params of ``law`` and ``plant``."""
+    if not isinstance(law, linearisation.Params):
+        at_limit: npt.NDArray[np.bool_] = np.abs(voltage) >= plant.u_max
+        return at_limit
+    low, high = (linearisation.value(law.inverse, side * law.law.u_max) for side in (-1.0, 1.0))
+    return (voltage <= low) | (voltage >= high)
 
 
 def _cut(law: Law, params: Any, terms: Array, model: TransferFunction) -> str:
@@ -202,15 +213,16 @@ def _probe(law: Law, law_params: Any, plant: Any, least: float, compiled: bool) 
     kind = registry.plant_of(plant)
     quiet = kind.steady(kind.quiet(plant))
     n = round(PROBE / plant.period)
+    module = linearisation.module_of(law.module, law_params)
     for height in PROBES:
         signals = np.zeros((n, len(closed_loop.SIGNALS)))
         command = np.full(n, height)
         command[0] = 0.0
         rest = kind.module.initial(quiet)
         first = kind.module.read(quiet, rest, 0.0)
-        begun = law.module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
+        begun = module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
         closed_loop.run_valve(
-            law.module,
+            module,
             closed_loop.parts(law_params, quiet),
             closed_loop.parts(begun, rest),
             command,

@@ -23,7 +23,7 @@ import scipy.stats
 from valve_control import outputs, parameter
 from valve_control.control.commands import arrays
 from valve_control.control.compiling import LANES, sources_digest
-from valve_control.control.laws import command_lead
+from valve_control.control.laws import command_lead, linearisation
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES
@@ -186,7 +186,7 @@ def run_chunk(study: Study, first: int, count: int, threads: int | None = None) 
         made = batch.simulate(
             batch.Batch(
                 law,
-                law_params,
+                linearisation.behind(controller, law_params),
                 batch.records([build.valve_params(values) for values in valves]),
                 study.seed + first + chosen,
                 command,

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from valve_control.control.laws import linearisation
 from valve_control.control.supervision import conditions
 from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number
@@ -53,9 +54,9 @@ class Params(NamedTuple):
 
 
 def design(values: Values) -> Params:
-    """Params from the controller's values."""
+    """Params from the controller's values, for voltages of the law. Raises ParameterError."""
     return Params(
-        number(values, "u_max"),
+        number(linearisation.seen(values), "u_max"),
         number(values, "saturation_limit"),
         number(values, "sample_period"),
     )

@@ -21,6 +21,7 @@ import types
 from collections.abc import Callable
 from typing import Any
 
+from valve_control.control.laws import linearisation
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.projection import clip
 from valve_control.control.laws.registry import LAWS
@@ -85,7 +86,7 @@ class Supervisor:
 
     def apply(self, values: Values, params: Any) -> None:
         """Take checked ``values`` and the law's ``params`` built from them into use, between two samples."""
-        m, made = self.memory, watch.design(values, params, self._answered)
+        m, made, sent = self.memory, watch.design(values, params, self._answered), self.voltage
         former = self._params if self._form else None
         self.values, self._params = values, made
         self._watch_law = law_watch.design(values)
@@ -107,6 +108,8 @@ class Supervisor:
             m.course = None
         if made.late is None or former is None or former.late is None or former.late.every != made.late.every:
             m.upper = None
+        if former is not None and made.line != former.line and m.law is not None:
+            m.voltage = linearisation.given(values, sent)
         m.voltage = saturate(m.voltage, self._watch_law.u_max)
         m.command = command_watch.limited(made.command, m.command)
         self._use_law(values, params, None if former is None else former.law)
@@ -114,7 +117,8 @@ class Supervisor:
     def _use_law(self, values: Values, params: Any, former: Any) -> None:
         """Let another law, or another form of it, take over from the one with the params ``former``."""
         m, name = self.memory, word(values, "controller")
-        form = (name, number(values, "sample_period"), *(values[key] for key in LAWS[name].form))
+        line = self._params.line
+        form = (name, number(values, "sample_period"), line, *(values[key] for key in LAWS[name].form))
         estimates = getattr(params, "theta_initial", None)
         anew = form[0] == self.name and estimates != getattr(former, "theta_initial", None)
         if anew and m.law is None:
@@ -123,9 +127,9 @@ class Supervisor:
             return
         before, law = self._descriptor, LAWS[name]
         same_reference = before is not None and before.reshapes(former)
-        if law is not before:
+        if law is not before or line != self._form[2]:
             own = {"hand_out": self._hand_out, "observe": self._observe, "are_finite": are_finite}
-            self._steps = watch.with_places({**watch.places_of(law), **own})
+            self._steps = watch.with_places({**watch.places_of(law, line), **own})
             self._sample = self._steps.sample
         self._descriptor = law
         self._form = form
@@ -267,8 +271,8 @@ class Supervisor:
 
     @property
     def voltage(self) -> float:
-        """Voltage [V] in force."""
-        return self.memory.voltage
+        """Voltage [V] of the amplifier in force."""
+        return float(self._steps.sent(self._params, self.memory)) if self._form else 0.0
 
     @property
     def samples(self) -> int:
@@ -378,7 +382,7 @@ class Supervisor:
             float(self.mode),
             m.effective,
             m.measurement,
-            m.voltage,
+            self.voltage,
             m.transfer.voltage.value,
             *terms,
         ]

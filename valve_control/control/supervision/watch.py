@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, get_type_hints
 
 from valve_control.control.compiling import bind
-from valve_control.control.laws import command_lead, reshaping, velocity
+from valve_control.control.laws import command_lead, linearisation, reshaping, velocity
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.projection import Theta, clip
 from valve_control.control.laws.registry import LAWS
@@ -89,10 +89,13 @@ class Params(NamedTuple):
     probation: float  # V  limit of the voltage while readings are doubted
     lockstep: bool  # whether the law starts as offline, wherever spool and command are
     answered: bool  # whether the readings are those of a valve that gets these voltages
+    line: Any  # voltage of the amplifier over that of the law; 0.0: they are the same
 
 
 def design(values: Values, law: Any, answered: bool = True) -> Params:
     """Params from the controller's values and the Params of its ``law``. Raises ParameterError."""
+    line = linearisation.inverse(values) if linearisation.is_on(values) else 0.0
+    values = linearisation.seen(values)
     reshaped = LAWS[word(values, "controller")].reshapes(law)
     watched = lvdt_watch.design(values, law)
     probation = lvdt_watch.PROBATION * number(values, "lvdt.disturbance") or math.inf
@@ -117,6 +120,7 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
         lvdt_watch.PROBATION * number(values, "lvdt.disturbance"),
         bool(values["lockstep"]),
         answered,
+        line,
     )
 
 
@@ -153,6 +157,11 @@ def law_commanded(p: Any, motion: points.Motion) -> float:
     raise NotImplementedError
 
 
+def amplified(p: Params, voltage: float) -> float:
+    """Place of ``as_given`` or ``linearised``."""
+    raise NotImplementedError
+
+
 @node_only
 def hand_out(voltage: float) -> None:
     """Place of what is done with the voltage [V] as soon as it is certain."""
@@ -186,6 +195,16 @@ def by_motion(p: Any, motion: points.Motion) -> float:
 def by_position(p: Any, motion: points.Motion) -> float:
     """Command [V] of a law that does not reshape."""
     return motion.position
+
+
+def as_given(p: Params, voltage: float) -> float:
+    """Voltage [V] of the amplifier where that of the law is the same."""
+    return voltage
+
+
+def linearised(p: Params, voltage: float) -> float:
+    """Voltage [V] of the amplifier for the ``voltage`` [V] of the law."""
+    return linearisation.value(p.line, voltage)
 
 
 # Inputs
@@ -314,7 +333,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     fault, m.judged = lvdt.step(p.lvdt.judge, m.judged, reading, lost, m.voltage, blocked, elapsed)
     if fault != lvdt.SOUND:
         refuse(p, m, fault, lost)
-        return m.voltage
+        return sent(p, m)
     gap = lost + m.trust.bridged
     if gap > 0:
         bridge(p, m, gap, reading)
@@ -340,7 +359,14 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
         confront(p, m)
     if m.law is not None and p.cycles.cycling.amplitude > 0.0:
         watch_cycles(p, m, reading, voltage)
-    return voltage
+    return sent(p, m)
+
+
+def sent(p: Params, m: Memory) -> float:
+    """Voltage [V] of the amplifier that is in force: 0 V while the law does not have the valve."""
+    if m.law is None:
+        return 0.0
+    return amplified(p, m.voltage)
 
 
 # Readings that cannot be believed, or do not come
@@ -654,7 +680,7 @@ def control(p: Params, m: Memory, reading: float) -> bool:
     if not are_finite(voltage, terms):
         return False
     m.voltage = voltage
-    hand_out(voltage)
+    hand_out(amplified(p, voltage))
     m.law = after
     observe(m, terms, voltage)
     if m.fading:
@@ -726,8 +752,8 @@ def with_places(places: Mapping[str, Any]) -> types.SimpleNamespace:
     return types.SimpleNamespace(**bind(functions, places))
 
 
-def places_of(law: Law) -> dict[str, Callable[..., Any]]:
-    """The functions of ``law`` by the names of their places."""
+def places_of(law: Law, line: Any) -> dict[str, Callable[..., Any]]:
+    """The functions of ``law`` by the names of their places; ``line`` as in Params."""
     module = law.module
     moved = by_motion if "reshaping" in module.Params._fields else by_position
     return {
@@ -737,18 +763,24 @@ def places_of(law: Law) -> dict[str, Callable[..., Any]]:
         "law_steady_command": law.steady_command,
         "law_resumed": bumpless_transfer.resumed,
         "law_commanded": moved,
+        "amplified": as_given if isinstance(line, float) else linearised,
     }
 
 
-def bound(law: Law) -> types.SimpleNamespace:
-    """Params, State and the functions of this file for ``law`` alone, as they are exported to C."""
+def bound(law: Law, line: Any) -> types.SimpleNamespace:
+    """Params, State and the functions of this file for ``law`` alone, as they are exported to C.
+
+    ``line`` as in Params.
+    """
     module = law.module
     hints = get_type_hints(module.Params)
     adapts = law.adapts and "theta_initial" in hints
     watches = collections.namedtuple("Watches", [w.slot for w in STOPPING])  # type: ignore[misc]
     watches.__annotations__ = {w.slot: w.module.Params for w in STOPPING}
     params = _record(
-        Params, {"law": module.Params, "watches": watches | None}, () if STOPPING else ("watches",)
+        Params,
+        {"law": module.Params, "line": type(line), "watches": watches | None},
+        () if STOPPING else ("watches",),
     )
     state = module.State | None
     memory = _record(Memory, {"law": state, "former": state}, TOLD)
@@ -759,7 +791,7 @@ def bound(law: Law) -> types.SimpleNamespace:
         "Theta": hints["theta_initial"] if adapts else Theta,
         "law_resumed": with_estimates if adapts else as_designed,
     }
-    made = with_places({**places_of(law), **others})
+    made = with_places({**places_of(law, line), **others})
     kinds = {Params: params, Memory: memory, Any | None: state}
     for function in vars(made).values():
         if getattr(function, "__module__", "") == __name__ and isinstance(function, types.FunctionType):

@@ -12,7 +12,7 @@ from valve_control.control import closed_loop
 from valve_control.control.analysis.indices import Indices, indices
 from valve_control.control.commands import scenarios
 from valve_control.control.compiling import compile_function
-from valve_control.control.laws import command_lead
+from valve_control.control.laws import command_lead, linearisation
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.parameters import build
@@ -76,15 +76,16 @@ def run(settings: Settings, controllers: Sequence[str], seeds: Sequence[int]) ->
     signals = np.zeros((len(command), len(closed_loop.SIGNALS)))
     found: dict[str, list[Indices]] = {name: [] for name in controllers}
     for name in controllers:
-        law = LAWS[name].module
         values = updated(NODES["controller"], settings["controller"], {"controller": name})
         law_params = LAWS[name].build(values)
-        given = closed_loop.parts(law_params, valve_params)
         led = command_lead.applied(command_lead.build(values, LAWS[name].reshapes(law_params)), command)
+        loop_params = linearisation.behind(values, law_params)
+        law = linearisation.module_of(LAWS[name].module, loop_params)
+        given = closed_loop.parts(loop_params, valve_params)
         for noise in noises:
             state = plant.initial(valve_params)
             first = plant.read(valve_params, state, noise[0])
-            begun = law.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
+            begun = law.initial(loop_params, Start(first, 0.0, first, 0.0, 0.0))
             begin = closed_loop.parts(begun, state)
             closed_loop.run_valve(law, given, begin, led, noise, signals, NO_TERMS)
             found[name].append(indices(signals[:, 1] - command, signals[:, 2], valve_params.period))

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.control.analysis.limit_cycle import ends_at_rest
+from valve_control.control.laws import linearisation
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
@@ -148,7 +149,8 @@ def _restless(
         return [np.empty(0, dtype=np.int64) for _ in several]
     values = [trial.values_with(problem, gains) for gains in several]
     params = [trial.built(law, v) for v in values]
-    laws, valves = batch.records(params), batch.records(list(plants))
+    loops_of = [linearisation.behind(v, p) for v, p in zip(values, params, strict=True)]
+    laws, valves = batch.records(loops_of), batch.records(list(plants))
     period = number(problem.values, "sample_period")
     least = number(problem.values, "oscillation_limit")
     bare = problem._replace(preview=False)  # nobody sends the derivatives of a step
@@ -243,7 +245,8 @@ def _by_feedback(
     """Loops of those ``found`` that are not the valve's own swings at a constant voltage."""
     numbers = sorted(found)
     bare = LAWS["open_loop"]
-    params = bare.build(updated(CONTROLLER, values, {"open_loop.static_gain": 1.0}))
+    straight = {"open_loop.static_gain": 1.0, "linearisation.on": False}
+    params = bare.build(updated(CONTROLLER, values, straight))
     period = number(values, "sample_period")
     kept: list[int] = []
     for first in range(0, len(numbers), CHUNK):

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.control.analysis import steps
+from valve_control.control.laws import linearisation
 from valve_control.control.laws.law import Law
 from valve_control.control.plant import registry
 from valve_control.control.simulation import batch
@@ -56,7 +57,7 @@ def _here(law: Law, problem: Problem, several: Sequence[GainSet], threads: int |
         led = trial.given(law, params, values, gains, bare, motion)
         traces = np.empty((count, len(motion), 3))
         wide = np.broadcast_to(motion, (count, len(motion)))
-        laws = np.repeat(batch.records([params]), count)
+        laws = np.repeat(batch.records([linearisation.behind(values, params)]), count)
         batch.simulate(
             batch.Batch(law.name, laws, plants, range(count), wide, led=np.broadcast_to(led, wide.shape)),
             threads,

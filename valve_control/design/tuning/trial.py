@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.control.compiling import compile_function
-from valve_control.control.laws import command_lead, reshaping
+from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.free import Free, placed
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
@@ -222,7 +222,8 @@ def run_here(
     plants = np.tile(batch.records(list(problem.plants)), len(several))
     values = [values_with(problem, gains) for gains in several]
     params = [built(law, v) for v in values]
-    laws = np.repeat(batch.records(params), count)
+    loops = [linearisation.behind(v, p) for v, p in zip(values, params, strict=True)]
+    laws = np.repeat(batch.records(loops), count)
     found = []
     for i, motion in enumerate(problem.motions):
         led = [

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from valve_control.control.analysis import page as pages
 from valve_control.control.analysis.figures import COLOURS, Line, Plot
+from valve_control.control.laws import linearisation
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation import batch
@@ -245,6 +246,7 @@ def _responses(unseen: Problem, found: Mapping[str, Tuned]) -> str:
         problem = unseen._replace(values=updated(CONTROLLER, unseen.values, one.chosen.variant))
         values = trial.values_with(problem, one.chosen.point.gains)
         params, period = law.build(values), number(values, "sample_period")
+        loop = linearisation.behind(values, params)
         for motion in _shown_motions(period):
             sender = problem._replace(preview=problem.preview and motion.name != limit_cycles.STEPS_NAME)
             led = trial.given(law, params, values, one.chosen.point.gains, sender, motion.wanted)
@@ -252,7 +254,7 @@ def _responses(unseen: Problem, found: Mapping[str, Tuned]) -> str:
             traces = np.empty((len(plants), len(led), 3))
             seeds = [unseen.seed + i for i in shown.values()]
             batch.simulate(
-                batch.Batch(name, params, batch.records(plants), seeds, motion.wanted, led=led), 1, traces
+                batch.Batch(name, loop, batch.records(plants), seeds, motion.wanted, led=led), 1, traces
             )
             times: Array = np.arange(len(led), dtype=np.float64) * period
             positions = [Line("wanted", times, motion.wanted, "#888888", True)]
