@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from valve_control.design.identification.result import Identification
 
 SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
-CURVE_TABLES = (".csv", ".json")
+CURVE_TABLES = (".csv", ".json", ".yaml", ".yml")
 FRICTION_ROUNDS = 2  # the friction needs the model, and the model the friction
 MEASURED = (
     "bag", "valve", "scenario", "command", "duration", "seed", "params_file", "friction", "settle", "band",
@@ -83,7 +83,7 @@ def add_commands(commands: Any) -> None:
         default=[],
         metavar="FILE",
         help="with --friction: characteristic curve in both directions, 100 points, as CSV, JSON, PNG or "
-        "SVG; again for more",
+        "SVG; as YAML its inverse, the parameters linearisation.*; again for more",
     )
     output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
     identify.set_defaults(run=_identify)
@@ -313,6 +313,10 @@ def _curve(found: "Identification", path: str) -> str | bytes:
         return characteristic.csv_text(found.curve)
     if ending == ".json":
         return outputs.as_json(characteristic.as_dict(found.curve))
+    if ending in (".yaml", ".yml"):
+        from valve_control.design.identification import result
+
+        return result.linearisation_text(found)
     return characteristic.figure(found.curve, path)
 
 

@@ -26,7 +26,7 @@ POINTS = ("linearisation.voltage", "linearisation.position")
 
 PARAMETERS: Table = (
     Parameter(
-        "linearisation.on",
+        "linearisation.enabled",
         False,
         "",
         "put the inverse of the valve's static curve between the law and the amplifier; the curve can be "
@@ -158,7 +158,7 @@ def _points(values: Values) -> tuple[Sequence[float], Sequence[float]]:
 
 def is_on(values: Values) -> bool:
     """Whether there is a curve in use."""
-    return values.get("linearisation.on") is True
+    return values.get("linearisation.enabled") is True
 
 
 def inverse(values: Values) -> Curve:

@@ -20,6 +20,7 @@ import scipy.stats
 
 from valve_control import outputs
 from valve_control.control.analysis.figures import COLOURS
+from valve_control.control.laws import linearisation
 from valve_control.design.identification.experiment import Experiment, held
 from valve_control.design.identification.friction import (
     PRESLIDING,
@@ -29,7 +30,7 @@ from valve_control.design.identification.friction import (
     strokes_of,
     turning,
 )
-from valve_control.parameter import ParameterError
+from valve_control.parameter import ParameterError, Values
 
 Floats = npt.NDArray[np.float64]
 Stroke = tuple[int, int, float]  # first sample, number of samples, direction 1.0 or -1.0
@@ -47,6 +48,8 @@ BEYOND = 1.2  # times that half, which the friction of a fit may have
 BEGUN = (0.005, 0.02, 0.08)  # V  preslidings from which its search begins
 SAME = 0.1  # of the friction, by which that of the curve may differ where its presliding is to count
 TOLD_PLAY = 0.05  # V
+DEAD = 0.05  # of the gain, slope of the table in an overlap: its inverse is steep there, and no step
+STOPPED = 0.02  # of the gain, slope of the table behind a stop
 TOLD_NULL = 0.02  # of u_max, from which on a null offset is told
 
 
@@ -278,6 +281,44 @@ def notes(found: Characteristic, u_max: float) -> list[str]:
             f"{100.0 * abs(found.null.value) / u_max:.2g} % of u_max; a bias of the LVDT moves it too, and "
             "no reading shows that: look at the edges or the flow at command 0"
         )
+    return made
+
+
+def parameters(found: Characteristic, gain: float, u_max: float) -> Values:
+    """``linearisation.*`` of the curve for a law whose model has the static ``gain`` [V/V].
+
+    x = g₊·max(0, u - e₊) + g₋·min(0, u - e₋) with the gains and edges of both sides is the curve of an
+    overlap and of an underlap. Raises ParameterError if no inverse can be made of it.
+    """
+    stroke = float(found.voltage[-1] - found.voltage[0])
+    if not found.hysteresis.value < stroke:
+        raise ParameterError(
+            f"the hysteresis of {found.hysteresis.value:.3g} V is as wide as the stroke of {stroke:.3g} V of "
+            "the voltage; the friction test must go further"
+        )
+    points: dict[float, float] = {}
+    for side, other, sign in ((found.negative, found.positive, -1.0), (found.positive, found.negative, 1.0)):
+        g, e = side.gain.value, side.edge.value
+        if sign * (e - other.edge.value) > 0.0:  # overlap: from the null to where a flat line meets the side
+            flat = DEAD * gain
+            begin = (g * e - flat * found.null.value) / (g - flat)
+        else:
+            begin = other.edge.value
+        points[begin] = g * (begin - e)
+        end = sign * u_max
+        stop = end if side.stop is None else e + side.stop.value / g
+        if sign * (end - stop) > 0.0 and sign * (stop - begin) > 0.0:
+            points[stop] = g * (stop - e)
+            points[end] = points[stop] + STOPPED * gain * (end - stop)
+        elif sign * (end - begin) > 0.0:
+            points[end] = g * (end - e)
+    made: Values = {
+        "linearisation.enabled": True,
+        "linearisation.voltage": sorted(points),
+        "linearisation.position": [points[u] for u in sorted(points)],
+        "linearisation.gain": gain,
+    }
+    linearisation.seen({**made, "u_max": u_max})
     return made
 
 

@@ -224,6 +224,28 @@ def yaml_text(found: Identification) -> str:
     )
 
 
+def linearisation_text(found: Identification) -> str:
+    """A ROS 2 parameter file of the inverse of the static curve, for the model of ``parameters``.
+
+    Raises ParameterError if there is none.
+    """
+    assert found.curve is not None
+    made = characteristic.parameters(found.curve, found.best.model.static_gain, found.u_max)
+    values = {
+        name: [_rounded(float(v)) for v in value] if isinstance(value, list) else value
+        for name, value in made.items()
+    }
+    values["linearisation.gain"] = _rounded(found.best.model.static_gain)
+    return parameter_file(
+        {"controller": values},  # type: ignore[dict-item]
+        [
+            f"Inverse of the static curve, from: {found.source}",
+            *characteristic.text(found.curve).splitlines(),
+            "linearisation.gain is the static gain of the model in the file of --output; load both.",
+        ],
+    )
+
+
 def parameter_file(tree: dict[str, Values], comments: list[str]) -> str:
     """A ROS 2 parameter file with a section for each node of any namespace; "" is all nodes."""
     return as_yaml({f"/**/{node}" if node else "/**": values for node, values in tree.items()}, comments)

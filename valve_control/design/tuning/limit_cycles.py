@@ -245,7 +245,7 @@ def _by_feedback(
     """Loops of those ``found`` that are not the valve's own swings at a constant voltage."""
     numbers = sorted(found)
     bare = LAWS["open_loop"]
-    straight = {"open_loop.static_gain": 1.0, "linearisation.on": False}
+    straight = {"open_loop.static_gain": 1.0, "linearisation.enabled": False}
     params = bare.build(updated(CONTROLLER, values, straight))
     period = number(values, "sample_period")
     kept: list[int] = []

@@ -1,0 +1,184 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""The inverse of the static curve: alone, around every law, offline, in batches and under the supervisor."""
+
+import math
+
+import numpy as np
+import pytest
+from changed import controller, valve
+from hypothesis import given
+from hypothesis import strategies as st
+
+from valve_control.control.laws import linearisation
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import build
+from valve_control.control.simulation import batch, offline
+from valve_control.control.supervision.supervisor import Supervisor
+from valve_control.parameter import ParameterError
+
+TIME = 0.001 * np.arange(1500)
+SINE = 2.0 * np.sin(2.0 * np.pi * 3.0 * TIME)
+LOPSIDED = {
+    "linearisation__enabled": True,
+    "linearisation__voltage": [-10.0, -0.32, 0.32, 10.0],
+    "linearisation__position": [-8.9725, -0.0185, 0.0215, 10.4275],
+    "linearisation__gain": 1.0,
+}
+SIDES = {
+    "linearisation__enabled": True,
+    "linearisation__voltage": [-10.0, 0.0, 10.0],
+    "linearisation__position": [-8.5, 0.0, 9.5],
+    "linearisation__gain": 0.9,
+}
+
+
+def rising(most=32):
+    """Points of a curve: steps of the abscissa and slopes between them."""
+    return st.lists(st.tuples(st.floats(0.05, 0.3), st.floats(0.02, 5.0)), min_size=1, max_size=most - 1).map(
+        lambda steps: (np.cumsum([0.0, *(d for d, _ in steps)]) - 3.0, [s for _, s in steps])
+    )
+
+
+def table(made):
+    at, slopes = made
+    position = np.concatenate([[0.0], np.cumsum(np.diff(at) * slopes)]) - 3.0
+    return {"linearisation__voltage": at.tolist(), "linearisation__position": position.tolist()}
+
+
+@given(rising(), st.floats(-60.0, 60.0), st.floats(0.1, 3.0))
+def test_the_inverse_undoes_the_curve_and_is_the_interpolation(made, voltage, gain):
+    values = controller(**table(made), linearisation__gain=gain)
+    forward, inverse = linearisation.forward(values), linearisation.inverse(values)
+    seen = linearisation.value(forward, voltage)
+    assert linearisation.value(inverse, seen) == pytest.approx(voltage, abs=1e-7)
+    at, position = values["linearisation.voltage"], values["linearisation.position"]
+    if at[0] <= voltage <= at[-1]:
+        assert gain * seen == pytest.approx(np.interp(voltage, at, position), abs=1e-9)
+
+
+@given(rising())
+def test_the_inverse_is_continuous_and_rises(made):
+    values = controller(**table(made))
+    inverse = linearisation.inverse(values)
+    for x in values["linearisation.position"]:
+        below, here, above = (linearisation.value(inverse, x + d) for d in (-1e-9, 0.0, 1e-9))
+        assert below < here < above and above - below < 2.1e-9 / 0.02
+
+
+@pytest.mark.parametrize("law", [name for name in LAWS if LAWS[name].feedback])
+def test_a_law_on_unequal_sides_is_the_law_on_equal_ones(law):
+    """Without a lag between amplifier and curve the inverse takes the curve away: the motion is the same."""
+    common = {"valve": "solenoid", "solenoid__coil": 0.0, "solenoid__gain": 0.9, "lvdt__noise": 0.002}
+    limit = linearisation.seen(controller(**SIDES))["u_max"]
+    even = valve(**common, u_max=limit)
+    uneven = valve(**common, solenoid__positive=0.95 / 0.9, solenoid__negative=0.85 / 0.9)
+    straight = offline.simulate(controller(controller=law, u_max=limit), even, SINE, compiled=False)
+    curved = offline.simulate(controller(controller=law, **SIDES), uneven, SINE, compiled=False)
+    assert np.max(np.abs(curved.position - straight.position)) < 1e-9
+    for name, term in straight.terms.items():
+        assert np.allclose(curved.terms[name], term, rtol=1e-7, atol=1e-7), name
+    share = np.where(straight.voltage > 0.0, 0.9 / 0.95, 0.9 / 0.85)
+    assert np.allclose(curved.voltage, share * straight.voltage, atol=1e-7)
+
+
+def test_the_limit_is_what_the_amplifier_can_give_on_both_sides():
+    values = controller(**LOPSIDED)
+    limit = linearisation.seen(values)["u_max"]
+    assert limit == pytest.approx(8.9725)
+    for name in LAWS:
+        assert LAWS[name].build(values).u_max == limit
+    run = offline.simulate(
+        controller(controller="pid", **LOPSIDED), valve(), 8.0 * np.sign(np.sin(20.0 * TIME)), compiled=False
+    )
+    assert np.min(run.voltage) == pytest.approx(-10.0) and np.max(run.voltage) < 8.7 and run.saturated > 0.1
+
+
+@pytest.mark.parametrize("law", ["pid", "dcarc", "open_loop"])
+@pytest.mark.parametrize("plant", ["fourth_order", "solenoid"])
+def test_plain_python_compiled_loop_batch_and_supervisor_have_the_same_bits(law, plant):
+    c, v = controller(controller=law, **LOPSIDED), valve(valve=plant, lvdt__noise=0.003, seed=5)
+    run = offline.simulate(c, v, SINE)
+    plain = offline.simulate(c, v, SINE, compiled=False)
+    assert np.array_equal(run.voltage, plain.voltage) and np.array_equal(run.position, plain.position)
+    made = linearisation.behind(c, build.law_params(c))
+    for params in (made, batch.records([made])):
+        traces = np.empty((1, len(SINE), 3))
+        batch.simulate(batch.Batch(law, params, build.valve_params(v), [5], SINE), 1, traces)
+        assert np.array_equal(traces[0, :, 2], run.voltage)
+    supervisor = Supervisor()
+    supervisor.apply(c, build.law_params(c))
+    for k in range(len(SINE)):
+        supervisor.command(float(SINE[k]))
+        assert supervisor.sample(float(run.measurement[k]), k + 1) == run.voltage[k]
+        assert supervisor.voltage == run.voltage[k]
+
+
+def running(law, **changes):
+    """A supervisor that has moved the valve for a while, the valve's reading, and the sample."""
+    values = controller(controller=law, **changes)
+    supervisor = Supervisor()
+    supervisor.apply(values, build.law_params(values))
+    run = offline.simulate(values, valve(), SINE[:500], compiled=False)
+    for k, reading in enumerate(run.measurement.tolist()):
+        supervisor.command(float(SINE[k]))
+        supervisor.sample(reading, k + 1)
+    return supervisor, values, run.measurement[-1], len(run.measurement)
+
+
+@pytest.mark.parametrize("law", ["pid", "dcarc"])
+@pytest.mark.parametrize("after", [LOPSIDED, {"linearisation__enabled": False}])
+def test_a_new_curve_while_running_takes_over_without_a_bump(law, after):
+    supervisor, values, reading, k = running(law, **SIDES)
+    before = supervisor.voltage
+    changed = {**values, **controller(**after), "controller": law}
+    supervisor.apply(changed, build.law_params(changed))
+    assert supervisor.voltage == pytest.approx(before, abs=1e-12)
+    assert supervisor.sample(float(reading), k + 1) == pytest.approx(before, abs=1e-9)
+
+
+def test_no_voltage_is_none_even_where_the_curve_has_a_null():
+    null = [u + 0.4 for u in (-10.0, 10.0)]
+    supervisor, values, _, k = running("pid", linearisation__enabled=True, linearisation__voltage=null)
+    for i in range(values["lvdt.hold_samples"] + 1):
+        supervisor.sample(math.nan, k + 1 + i)
+    assert supervisor.mode.name == "SAFE" and supervisor.voltage == 0.0
+    assert supervisor.sample(0.0, k + 100) == 0.0
+
+
+BAD = {
+    "linearisation.voltage has 3 points and linearisation.position 2; they must have as many": {
+        "linearisation__voltage": [-10.0, 0.0, 10.0]
+    },
+    "linearisation.voltage has 1 point; it must have 2 to 32": {
+        "linearisation__voltage": [1.0],
+        "linearisation__position": [1.0],
+    },
+    "linearisation.voltage has 33 points; it must have 2 to 32": {
+        "linearisation__voltage": np.linspace(-10.0, 10.0, 33).tolist(),
+        "linearisation__position": np.linspace(-10.0, 10.0, 33).tolist(),
+    },
+    "linearisation.voltage[1] is -10 V; it must be above linearisation.voltage[0], 10 V": {
+        "linearisation__voltage": [10.0, -10.0]
+    },
+    "linearisation.position[2] is 1 V; it must be above linearisation.position[1], 1 V": {
+        "linearisation__voltage": [-10.0, 0.0, 1.0, 10.0],
+        "linearisation__position": [-10.0, 1.0, 1.0, 10.0],
+    },
+    "the curve of linearisation.position rises by 0.0001 V/V behind point 1; it must be between 0.001 and "
+    "1000 V/V, since linearisation.gain is 1": {
+        "linearisation__voltage": [-10.0, 0.0, 1.0],
+        "linearisation__position": [-10.0, 1.0, 1.0001],
+    },
+    "the curve of linearisation.position does not pass 0 V between -10 and 10 V, the limits u_max of the "
+    "amplifier": {"linearisation__position": [1.0, 10.0]},
+}
+
+
+@pytest.mark.parametrize("said", BAD)
+def test_a_curve_that_cannot_be_inverted_is_refused_once_it_is_used(said):
+    unused = controller(**BAD[said])
+    build.law_params(unused)
+    with pytest.raises(ParameterError) as refused:
+        build.law_params({**unused, "linearisation.enabled": True})
+    assert str(refused.value) == said
