@@ -52,6 +52,32 @@ def test_the_contract(run, tmp_path):
     assert done.returncode != 0 and "rows differ" in done.stdout
 
 
+CURVE = {
+    "linearisation.enabled": "true",
+    "linearisation.voltage": "[-10.0, -0.5, 0.32, 0.9, 10.0]",
+    "linearisation.position": "[-8.9, -0.02, 0.02, 0.7, 10.4]",
+    "linearisation.gain": "0.97",
+}
+
+
+@compiles
+@pytest.mark.parametrize("watch", [[], ["--watch"]])
+@pytest.mark.parametrize("law", ["pid", "dcarc", "open_loop"])
+def test_the_inverse_of_a_curve_behind_a_law(run, tmp_path, law, watch):
+    sets = [word for name, value in CURVE.items() for word in ("--set", f"{name}={value}")]
+    status, _, err = run("export", "--controller", law, *watch, *sets, "--output", "made")
+    assert (status, err) == (0, "")
+    done = check(tmp_path / "made", f"CFLAGS={sources.FLAGS} {folder.WARNINGS} {' '.join(SANITIZERS)}")
+    assert done.returncode == 0 and "equal to the last bit" in done.stdout, done.stderr
+    # The comparison can fail: one bit of a slope is enough.
+    text = (tmp_path / "made" / f"{law}.c").read_text()
+    before, line, after = re.split(r"(\.inverse = \{[^}]*\}|\.line = \{[^}]*\})", text, maxsplit=1)
+    changed_line = re.sub(r"0x1\.(\w+)p", lambda found: f"0x1.{'1' * len(found[1])}p", line)
+    assert changed_line != line
+    (tmp_path / "made" / f"{law}.c").write_text(before + changed_line + after)
+    assert "rows differ" in check(tmp_path / "made").stdout
+
+
 @compiles
 @pytest.mark.parametrize("kind", ["linear", "bridge"])
 def test_commands_that_are_joined(run, kind):

@@ -45,6 +45,67 @@ def static(positive=0.9, negative=0.9, low=0.0, high=0.0, play=0.0, stop=9.0, no
     return Experiment("", PERIOD, voltage, position, (), 10.0, ())
 
 
+def of_sides(u, g_low, g_high, low, high):
+    return g_high * np.maximum(0.0, u - high) + g_low * np.minimum(0.0, u - low)
+
+
+@pytest.mark.parametrize(
+    ("sides", "dead"),
+    [
+        ((0.83, 0.97, -0.3, 0.3), True),
+        ((0.83, 0.97, -0.1, 0.5), True),
+        ((0.9, 0.9, 0.2, -0.2), False),  # underlap: both sides act around the null
+        ((0.8, 1.0, 0.0, 0.0), False),
+    ],
+)
+def test_the_table_is_the_curve_of_both_sides(sides, dead):
+    """Beside the overlap it is exact; within it the table rises a little, so that its inverse is no step."""
+    g_low, g_high, low, high = sides
+    found = measured_sides(*sides)
+    made = characteristic.parameters(found, 0.9, 10.0)
+    u = np.linspace(-10.0, 10.0, 2001)
+    table = np.interp(u, made["linearisation.voltage"], made["linearisation.position"])
+    off = np.abs(table - of_sides(u, *sides))
+    assert np.max(off[(u < low - 0.05) | (u > high + 0.05)]) < 1e-9
+    assert np.max(off) < (0.02 if dead else 1e-9)
+    assert made["linearisation.gain"] == 0.9
+    slopes = np.diff(made["linearisation.position"]) / np.diff(made["linearisation.voltage"])
+    assert np.min(slopes) == pytest.approx(0.05 * 0.9 if dead else min(g_low, g_high))
+
+
+def test_the_table_goes_on_behind_a_stop():
+    found = measured_sides(0.9, 0.9, 0.0, 0.0, stop=7.2)
+    made = characteristic.parameters(found, 0.9, 10.0)
+    assert made["linearisation.voltage"] == pytest.approx([-10.0, -8.0, 0.0, 8.0, 10.0])
+    assert made["linearisation.position"][-2:] == pytest.approx([7.2, 7.2 + 0.02 * 0.9 * 2.0])
+
+
+def test_a_hysteresis_as_wide_as_the_stroke_has_no_inverse():
+    found = measured_sides(0.9, 0.9, 0.0, 0.0)
+    wide = found._replace(hysteresis=characteristic.Bounded(8.0, 0.1))
+    with pytest.raises(
+        ParameterError, match=r"hysteresis of 8 V is as wide as the stroke of 8 V of the volt"
+    ):
+        characteristic.parameters(wide, 0.9, 10.0)
+
+
+def measured_sides(g_low, g_high, low, high, stop=None):
+    """A curve that is known without a measurement."""
+    at, none = np.linspace(-4.0, 4.0, characteristic.POINTS), np.zeros(characteristic.POINTS)
+    curve = of_sides(at, g_low, g_high, low, high)
+
+    def exact(value):
+        return characteristic.Bounded(value, 0.0)
+
+    up, down = (
+        characteristic.Side(exact(g), exact(e), None if stop is None else exact(sign * stop))
+        for g, e, sign in ((g_high, high, 1.0), (g_low, low, -1.0))
+    )
+    return characteristic.Characteristic(
+        at, curve, curve, none, none, up, down, exact(high - low), exact(0.5 * (low + high)), exact(0.0), 4
+    )
+
+
 def close(found, value, least=0.004):
     """Whether ``value`` lies within twice the bound of ``found``, which is narrow."""
     return abs(found.value - value) < max(2.0 * found.bound, least) and found.bound < 0.02

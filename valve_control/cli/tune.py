@@ -472,6 +472,7 @@ def _problems(
     from valve_control.design.tuning.trial import Problem
 
     offline.check_agreement(settings["controller"], settings["valve_simulator"])
+    settings = _straight(settings)
     quantities = box_of(arguments) if recorded is None else recorded.box
     if not quantities:
         raise ParameterError("every quantity of the box is fixed; there is no spread to tune for")
@@ -509,6 +510,24 @@ def _problems(
         delivery=None if arguments.preview else delivery_of(arguments, settings["controller"]),
     )
     return seen, seen._replace(plants=box.drawn(other), box=box.bounding(other), seed=seed + box.UNSEEN_SEED)
+
+
+def _straight(settings: dict[str, Values]) -> dict[str, Values]:
+    """``settings`` without a curve where the simulated valve has none that it takes away."""
+    from valve_control.control.laws import linearisation
+    from valve_control.control.plant import registry
+
+    if registry.chosen(settings["valve_simulator"]).name != "linear" or not linearisation.is_on(
+        settings["controller"]
+    ):
+        return settings
+    tell_notes(
+        [
+            "the simulated valve is a linear model, which stands for the valve and the inverse of its static "
+            "curve together; the search has linearisation.enabled false"
+        ]
+    )
+    return {**settings, "controller": {**settings["controller"], "linearisation.enabled": False}}
 
 
 def _braking(values: Values, given: Values) -> Values:

@@ -4,6 +4,7 @@
 
 from typing import NamedTuple
 
+from valve_control.control.laws import linearisation
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.design.commissioning.bench import SafetyLimits
@@ -58,6 +59,11 @@ def check(plan: Plan, values: Values) -> None:
         )
     if values["lockstep"]:
         raise ParameterError("the controller runs in lockstep; a valve is commissioned on the wall clock")
+    if linearisation.is_on(values):
+        raise ParameterError(
+            "linearisation.enabled is true; a valve is commissioned with its own static curve: set it to "
+            "false, and to true again with the new gains"
+        )
     if not LAWS[plan.law].free:
         raise ParameterError(f"{plan.law} has no gains to choose; there is nothing to tune")
     updated(CONTROLLER, values, limiting(values, plan.limits))
