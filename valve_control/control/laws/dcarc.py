@@ -29,10 +29,13 @@ from valve_control.control.laws.dcarc_parts import (
     Past,
     Rest,
     Row,
+    Turn,
+    Wave,
     combined,
     dot,
     moved,
     past_dot,
+    turned,
 )
 from valve_control.control.laws.free import Free
 from valve_control.control.laws.law import Law
@@ -74,6 +77,7 @@ class Params(NamedTuple):
 
     model: Model
     kalman: KalmanGains
+    turn: Turn
     feedback: Row  # K of LQR, on the state when the voltage begins to act
     waiting: Past  # the same on voltages that have not acted yet
     unexplained: float  # the same on the disturbance
@@ -111,6 +115,7 @@ class Estimate(NamedTuple):
     disturbance: float  # V  at the input, without what the compensation makes good
     past: Past  # V
     held: Past  # V  voltages of the samples before, on the model
+    hum: Wave
 
 
 class Fit(NamedTuple):
@@ -183,7 +188,9 @@ class Terms(NamedTuple):
 
 def corrected(p: Params, e: Estimate, innovation: float) -> Estimate:
     """Estimate with the reading taken in, which is ``innovation`` [V] off what was predicted."""
-    g = p.kalman
+    g, hum = p.kalman, e.hum
+    if p.turn.on > 0.0:
+        hum = Wave(hum.shown + g.hum.shown * innovation, hum.ahead + g.hum.ahead * innovation)
     return Estimate(
         Row(
             e.state.x0 + g.state.x0 * innovation,
@@ -201,6 +208,7 @@ def corrected(p: Params, e: Estimate, innovation: float) -> Estimate:
             e.past.fourth + g.past.fourth * innovation,
         ),
         e.held,
+        hum,
     )
 
 
@@ -231,6 +239,7 @@ def predicted(p: Params, e: Estimate, voltage: float, explained: float) -> Estim
             e.past.third,
         ),
         Past(voltage, e.held.first, e.held.second, e.held.third),
+        turned(p.turn, e.hum) if p.turn.on > 0.0 else e.hum,
     )
     if m.waits > 0.0:
         return begun(m, following, past_dot(m.leaving, e.held))
@@ -252,6 +261,7 @@ def begun(m: Model, e: Estimate, voltage: float) -> Estimate:
         e.disturbance,
         Past(e.past.first + m.passing_early * voltage, e.past.second, e.past.third, e.past.fourth),
         e.held,
+        e.hum,
     )
 
 
@@ -385,7 +395,7 @@ def initial(p: Params, start: Start) -> State:
         rate,
         inverse,
         Bristles(0.0, 0.0, 0.0),
-        Estimate(state, disturbance, past, Past(sent, sent, sent, sent)),
+        Estimate(state, disturbance, past, Past(sent, sent, sent, sent), Wave(0.0, 0.0)),
         Fit(NOTHING, p.prior, 0.0),
         Burden(0.0, p.fit_variance),
         t,
@@ -453,6 +463,8 @@ def step(
     innovation = (
         measurement - p.model.present * s.estimate.state.x0 - past_dot(p.model.shown, s.estimate.past)
     )
+    if p.turn.on > 0.0:
+        innovation -= s.estimate.hum.shown
     estimate = corrected(p, s.estimate, innovation)
 
     scale = 1.0 + s.theta.gain
@@ -601,6 +613,15 @@ PARAMETERS: Table = (
         "dead time of bus and amplifier before the valve, at most 4 sample periods",
         0.0,
         0.4,
+    ),
+    Parameter(
+        "dcarc.hum",
+        0.0,
+        "Hz",
+        "frequency of a hum in the reading, 50 or 60 Hz, which the Kalman filter tells from motion; below "
+        "half of the sample rate; 0.0: none",
+        0.0,
+        1000.0,
     ),
     Parameter(
         "dcarc.input_noise",
@@ -753,12 +774,14 @@ def build(values: Values) -> Params:
             number(values, "dcarc.voltage_weight"),
             number(values, "dcarc.coil"),
             number(values, "dcarc.actuator_delay"),
+            number(values, "dcarc.hum"),
         )
     except dcarc_design.DesignError as error:
         raise ParameterError(str(error)) from error
     return Params(
         model=made.model,
         kalman=made.kalman,
+        turn=made.turn,
         feedback=made.feedback,
         waiting=made.waiting,
         unexplained=made.unexplained,
@@ -843,6 +866,7 @@ LAW = Law(
         "dcarc.smoothing",
         "dcarc.hysteresis",
         "dcarc.sides",
+        "dcarc.hum",
     ),
     dead_time="dcarc.delay",
     linear=without_adaptation,

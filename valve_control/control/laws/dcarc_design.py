@@ -23,6 +23,8 @@ from valve_control.control.laws.dcarc_parts import (
     Past,
     Rest,
     Row,
+    Turn,
+    Wave,
 )
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.valve import observability_form
@@ -37,6 +39,7 @@ SLOWEST_ZERO = (
     10.0  # 1/s  zeros of the model must decay at least as fast, since the inverse has them as poles
 )
 LEAST_DAMPING = 0.1  # -  of these zeros
+HUM_WIDTH = 1.0  # Hz  on both sides of a hum's frequency, within which the observer takes it for hum
 
 
 class DesignError(ValueError):
@@ -48,6 +51,7 @@ class Design(NamedTuple):
 
     model: Model
     kalman: KalmanGains
+    turn: Turn
     feedback: Row
     waiting: Past
     unexplained: float
@@ -234,6 +238,27 @@ def observed(
     return Observed(a, b, c, process, reading**2)
 
 
+def humming(o: Observed, gain: Array, angle: float, period: float) -> Observed:
+    """``o`` with a hum in its reading that turns by ``angle`` [rad] in one ``period`` [s].
+
+    ``gain``: of the Kalman filter without it, whose innovation has the variance s = r/(1 - c·gain). The two
+    states are shaken so that their own filter, with the gain √(q/2s), decays at 2π·HUM_WIDTH.
+    """
+    size = len(o.a)
+    a = np.zeros((size + 2, size + 2))
+    a[:size, :size] = o.a
+    a[size:, size:] = [[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]
+    innovation = o.reading / (1.0 - float(o.c @ gain))
+    walk = 2.0 * innovation * (2.0 * math.pi * HUM_WIDTH * period) ** 2
+    return Observed(
+        a,
+        np.append(o.b, [0.0, 0.0]),
+        np.append(o.c, [1.0, 0.0]),
+        scipy.linalg.block_diag(o.process, walk * np.eye(2)),
+        o.reading,
+    )
+
+
 def kalman(o: Observed, scale: Array) -> Array:
     """Gain of the steady-state Kalman filter, P·c/(c·P·c + R) with P of the Riccati equation.
 
@@ -291,14 +316,15 @@ def mean_lag(o: Observed, gain: Array, at: int) -> float:
     return float(errors[at, at])
 
 
-def jitter(o: Observed, gain: Array, feedback: Array, scale: Array) -> float:
+def jitter(o: Observed, gain: Array, feedback: Array, scale: Array, waves: int = 0) -> float:
     """Mean speed [V/s] at which the noise of the reading shakes the spool through ``feedback``.
 
     √(2/π) of the velocity's standard deviation on the model without friction, from the Lyapunov equation
-    of model and observer in the loop. ``scale``: sizes of the observer's states. Raises DesignError.
+    of model and observer in the loop. ``scale``: sizes of the observer's states; the last ``waves`` of them
+    are of a hum. Raises DesignError.
     """
     n, size = len(feedback), len(gain)
-    own = [i for i in range(size) if i != n]  # the model's states; its disturbance is none
+    own = [i for i in range(size - waves) if i != n]  # the model's states; its disturbance is none
     a, b, c = o.a * scale / scale[:, None], o.b / scale, o.c * scale
     gain = gain / scale
     k = np.concatenate([feedback, [1.0], np.zeros(size - n - 1)]) * scale
@@ -450,12 +476,13 @@ def design(
     voltage_weight: float,
     coil: float,
     dead_time: float,
+    hum: float = 0.0,
 ) -> Design:
     """The law for ``model`` at ``period`` [s], with a reading ``delay`` [s] late.
 
     ``noise`` and ``resolution`` [V]: of the LVDT; ``input_noise`` [V], ``disturbance_rate`` [V/√s]: what the
     Kalman filter assumes of the input; ``voltage_weight``: of LQR; ``coil`` [s]: lag of the force behind the
-    voltage; ``dead_time`` [s]: of the actuator. Raises DesignError.
+    voltage; ``dead_time`` [s]: of the actuator; ``hum`` [Hz]: in the reading, 0.0: none. Raises DesignError.
     """
     at = reference(model, period)
     if coil > 0.0 and excess(model) <= EXCESS[0]:
@@ -473,6 +500,10 @@ def design(
             f"dcarc.actuator_delay is {dead_time:g} s; at a sample period of {period:g} s it must be at most "
             f"{MOST_DELAY * period:g} s"
         )
+    if hum >= 0.5 / period:
+        raise DesignError(
+            f"dcarc.hum is {hum:g} Hz; it must lie below half of the sample rate, {0.5 / period:g} Hz"
+        )
     n, zeros = readings(model, period, delay).order, len(at.of.rate)
     reading = math.sqrt(noise**2 + resolution**2 / 12.0)
     o = observed(model, period, delay, reading, input_noise, disturbance_rate * math.sqrt(period), coil)
@@ -480,6 +511,12 @@ def design(
     sizes = scale_of(model)
     scale = np.concatenate([sizes, [1.0], np.ones(m)])
     gain = kalman(o, scale)
+    angle, waves = 2.0 * math.pi * hum * period, 2 if hum > 0.0 else 0
+    wave = np.zeros(2)
+    if waves:
+        o, scale = humming(o, gain, angle, period), np.append(scale, [1.0, 1.0])
+        gain = kalman(o, scale)
+        wave = gain[-waves:]
     transition, held = o.a[:n, :n], o.b[:n]
     feedback = regulator(transition, held, voltage_weight, sizes)
     ages = np.array([delay - (m - i) * period for i in range(1, m + 1)])
@@ -515,7 +552,13 @@ def design(
             shown=_past(shown),
             ages=_past(ages),
         ),
-        kalman=KalmanGains(_row(gain[:n]), float(gain[n]), _past(gain[n + 1 :])),
+        kalman=KalmanGains(
+            _row(gain[:n]),
+            float(gain[n]),
+            _past(gain[n + 1 : n + 1 + m]),
+            Wave(float(wave[0]), float(wave[1])),
+        ),
+        turn=Turn(1.0 if waves else 0.0, math.cos(angle), math.sin(angle)),
         feedback=_row(feedback @ wait.transition if dead_time > 0.0 else feedback),
         waiting=_past(feedback @ wait.held),
         unexplained=float(feedback @ wait.pushed),
@@ -526,6 +569,6 @@ def design(
         standing=at.standing,
         moving=at.moving,
         lag_share=1.0 / mean_lag(o, gain, n),
-        jitter=jitter(o, gain, feedback, scale),
+        jitter=jitter(o, gain, feedback, scale, waves),
         equivalent=equivalent(model),
     )

@@ -83,12 +83,28 @@ class Model(NamedTuple):
     ages: Past  # s  of the past positions
 
 
+class Wave(NamedTuple):
+    """Hum of the mains in the reading, as it turns, or the gains of both numbers."""
+
+    shown: float  # V  part of the reading
+    ahead: float  # V  the same a quarter of a period later
+
+
+class Turn(NamedTuple):
+    """By how much the hum turns in one sample period."""
+
+    on: float  # 1.0 if there is a hum to be looked for
+    cosine: float  # -
+    sine: float  # -
+
+
 class KalmanGains(NamedTuple):
-    """Gains of the Kalman filter."""
+    """KalmanGains of the Kalman filter."""
 
     state: Row
     disturbance: float
     past: Past
+    hum: Wave
 
 
 class Rest(NamedTuple):
@@ -119,6 +135,13 @@ def past_dot(a: Past, b: Past) -> float:
     a0, a1, a2, a3 = a
     b0, b1, b2, b3 = b
     return a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3
+
+
+def turned(turn: Turn, wave: Wave) -> Wave:
+    """``wave`` one sample period later."""
+    return Wave(
+        turn.cosine * wave.shown + turn.sine * wave.ahead, turn.cosine * wave.ahead - turn.sine * wave.shown
+    )
 
 
 class Course(NamedTuple):
