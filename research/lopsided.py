@@ -75,7 +75,17 @@ def identified(valve: Valve, folder: Path) -> tuple["Values", "Values"]:
         for word in ("--set", f"{name}={value}")
     ]
     model, curve = folder / "model.yaml", folder / "curve.yaml"
-    words = ["--friction", "--output", str(model), "--characteristic", str(curve)]
+    words = [
+        "--friction",
+        "--order",
+        "3",
+        "--zeros",
+        "0",
+        "--output",
+        str(model),
+        "--characteristic",
+        str(curve),
+    ]
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         status = cli.main(["identify", "--valve", "solenoid", *words, *sets])
     assert status == 0, "identify takes this valve"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Puts the inverse of a valve's static curve between a law and the amplifier (docs/linearisation.md).
+"""Puts the inverse of a valve's static curve between a law and the amplifier (docs/howto/linearise.md).
 
 The static curve x = f(u) has two gains, an overlap or underlap, a null and stops. A law gives the voltage v,
 the amplifier gets u = f⁻¹(G·v) with the static gain G of the law's model: law, observer and watches then see
@@ -230,7 +230,10 @@ def law_hold(p: Any, s: Any, command: float, measurement: float, voltage: float)
 
 def initial(p: Params, start: Start) -> Any:
     """State of the law at ``start``, whose voltage is that of the amplifier."""
-    return law_initial(p.law, start._replace(voltage=value(p.forward, start.voltage)))
+    voltage = value(p.forward, start.voltage)
+    return law_initial(
+        p.law, Start(start.measurement, voltage, start.reference, start.reference_rate, start.velocity)
+    )
 
 
 def step(p: Params, s: Any, command: float, measurement: float, offset: float) -> Any:

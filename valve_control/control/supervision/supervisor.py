@@ -108,7 +108,7 @@ class Supervisor:
             m.course = None
         if made.late is None or former is None or former.late is None or former.late.every != made.late.every:
             m.upper = None
-        if former is not None and made.line != former.line and m.law is not None:
+        if former is not None and made.line != former.line:
             m.voltage = linearisation.given(values, sent)
         m.voltage = saturate(m.voltage, self._watch_law.u_max)
         m.command = command_watch.limited(made.command, m.command)

@@ -90,6 +90,7 @@ class Params(NamedTuple):
     lockstep: bool  # whether the law starts as offline, wherever spool and command are
     answered: bool  # whether the readings are those of a valve that gets these voltages
     line: Any  # voltage of the amplifier over that of the law; 0.0: they are the same
+    neutral: float  # V  of the law, for 0 V of the amplifier
 
 
 def design(values: Values, law: Any, answered: bool = True) -> Params:
@@ -121,6 +122,7 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
         bool(values["lockstep"]),
         answered,
         line,
+        linearisation.given(values, 0.0),
     )
 
 
@@ -303,7 +305,7 @@ def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
         else:
             switch_off(p, m, "lvdt_silent", leapt)
             report(m, "lvdt_silent", f"{lvdt.TEXTS['silent']} for more than {p.lvdt.hold_samples} samples")
-    return m.voltage
+    return 0.0
 
 
 def reset(p: Params, m: Memory) -> None:
@@ -345,7 +347,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
         back = recover(p, m, reading, gap > 0 or unpaced or m.now < m.pause.until)
         if not back:
             m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
-            return applied
+            return sent(p, m)
     if m.law is None:
         begin(p, m, reading)
     if not advance(p, m, 0, reading):
@@ -535,7 +537,7 @@ def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
         clear(m, "lvdt_doubted")
     m.trust = trust
     count(m, "safe_stops")
-    m.voltage = 0.0
+    m.voltage = p.neutral
     m.former = m.law
     m.law = None
     m.transfer = bumpless_transfer.NOTHING
@@ -585,6 +587,7 @@ def begin(p: Params, m: Memory, reading: float) -> None:
     """Start the law: as offline if all is at rest, without a bump if spool or command are elsewhere."""
     m.measurement = reading
     m.velocity = velocity.State(reading, 0.0)
+    m.voltage = p.neutral
     welcome(p, m, reading)
     wanted = 0.0 if m.command.value is None else m.command.value
     if p.lockstep or max(abs(reading), abs(wanted)) <= p.lvdt.judge.tolerance:
