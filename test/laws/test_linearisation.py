@@ -85,7 +85,7 @@ def test_a_law_on_unequal_sides_is_the_law_on_equal_ones(law):
         spool = linear.initial(plant)
         first = linear.read(plant, spool, 0.0)
         state = module.initial(p, Start(first, 0.0, first, 0.0, 0.0))
-        rows = []
+        rows, voltage = [], 0.0
         for k, command in enumerate(commands.tolist()):
             reading = linear.read(plant, spool, float(noise[k]))
             if k % 50 == 49:
