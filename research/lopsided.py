@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from research import coil, running
-from research.coil import Valve
+from research.coil import CoilValve
 from valve_control.cli.common import Parser, write_json
 
 if TYPE_CHECKING:
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 DEAD, SHARE = 0.3, 0.075  # V and -: edge of the dead zone, and what each side has more or less than the mean
 VALVES = {
-    "coil 0.3 ms": Valve(15.0, 0.8, 0.0003, 0.0, 0.0),
-    "coil 3 ms": Valve(15.0, 0.8, 0.003, 0.0, 0.0),
-    "coil 3 ms, hysteresis and friction": Valve(15.0, 0.8, 0.003, 0.1, 0.3),
+    "coil 0.3 ms": CoilValve(15.0, 0.8, 0.0003, 0.0, 0.0),
+    "coil 3 ms": CoilValve(15.0, 0.8, 0.003, 0.0, 0.0),
+    "coil 3 ms, hysteresis and friction": CoilValve(15.0, 0.8, 0.003, 0.1, 0.3),
 }
 LAWS: dict[str, "Values"] = {
     "open_loop": {"controller": "open_loop"},
@@ -49,7 +49,7 @@ class Error(NamedTuple):
     chatter: float  # -  mean c_u
 
 
-def plant(valve: Valve, lopsided: bool) -> "Values":
+def plant(valve: CoilValve, lopsided: bool) -> "Values":
     """Values of the simulator for ``valve``."""
     from valve_control.control.parameters.table import VALVE
     from valve_control.parameter import updated
@@ -62,7 +62,7 @@ def plant(valve: Valve, lopsided: bool) -> "Values":
     return updated(VALVE, coil.plant(valve), own)
 
 
-def identified(valve: Valve, folder: Path) -> tuple["Values", "Values"]:
+def identified(valve: CoilValve, folder: Path) -> tuple["Values", "Values"]:
     """What ``identify`` writes for the controller of the lopsided ``valve``: its file, and its curve."""
     from valve_control import cli
     from valve_control.control.parameters import files
@@ -117,7 +117,7 @@ def measured(given: "Values", valve: "Values") -> Error:
     return Error(means[0], means[1], float(np.mean(chatter)))
 
 
-def rows(valve: Valve) -> dict[str, dict[str, Error]]:
+def rows(valve: CoilValve) -> dict[str, dict[str, Error]]:
     """Errors of each of LAWS on the even valve, on the lopsided one, and there with the table."""
     with tempfile.TemporaryDirectory(prefix="valve_control-") as place:
         model, curve = identified(valve, Path(place))

@@ -73,7 +73,8 @@ def law(values: Values) -> Unit:
     module = linearisation.exported(made.module)
 
     def built(values: Values) -> Any:
-        return module.Params(*linearisation.behind(values, made.build(values)))
+        on: Values = {**values, "linearisation.enabled": True}
+        return module.Params(*linearisation.behind(on, made.build(on)))
 
     table = (*made.table, *linearisation.PARAMETERS)
     text = f"{made.text}, with the inverse of the valve's static curve behind it"

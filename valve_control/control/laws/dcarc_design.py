@@ -241,15 +241,18 @@ def observed(
 def humming(o: Observed, gain: Array, angle: float, period: float) -> Observed:
     """``o`` with a hum in its reading that turns by ``angle`` [rad] in one ``period`` [s].
 
-    ``gain``: of the Kalman filter without it, whose innovation has the variance s = r/(1 - c·gain). The two
-    states are shaken so that their own filter, with the gain √(q/2s), decays at 2π·HUM_WIDTH.
+    ``gain``: of the Kalman filter without it. Its innovation has the variance s = r/(1 - c·gain) and shows the
+    hum with the share |1/(1 + c(zI - A)⁻¹A·gain)|. The two states are shaken so that what is known of them
+    decays at 2π·HUM_WIDTH.
     """
     size = len(o.a)
     a = np.zeros((size + 2, size + 2))
     a[:size, :size] = o.a
     a[size:, size:] = [[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]
     innovation = o.reading / (1.0 - float(o.c @ gain))
-    walk = 2.0 * innovation * (2.0 * math.pi * HUM_WIDTH * period) ** 2
+    z = complex(math.cos(angle), math.sin(angle))
+    shown = 1.0 / abs(1.0 + o.c @ np.linalg.solve(z * np.eye(size) - o.a, o.a @ gain))
+    walk = 2.0 * innovation * (2.0 * math.pi * HUM_WIDTH * period / shown) ** 2
     return Observed(
         a,
         np.append(o.b, [0.0, 0.0]),
