@@ -241,7 +241,7 @@ def observed(
 def humming(o: Observed, gain: Array, angle: float, period: float) -> Observed:
     """``o`` with a hum in its reading that turns by ``angle`` [rad] in one ``period`` [s].
 
-    ``gain``: of the Kalman filter without it. Its innovation has the variance s = r/(1 - c·gain) and shows the
+    ``gain``: of the Kalman filter without it. Its innovation has the variance s = r/(1 - c·gain) and has the
     hum with the share |1/(1 + c(zI - A)⁻¹A·gain)|. The two states are shaken so that what is known of them
     decays at 2π·HUM_WIDTH.
     """
