@@ -6,6 +6,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.ready
 DOCS_STAMP := $(VENV)/.docs
+ROS_WHEELS := requirements-ros.txt
 BASE_PYTHON ?= $(shell command -v python3.12 2>/dev/null | xargs -I{} sh -c '{} -c "" 2>/dev/null && echo {}' || true)
 ifeq ($(strip $(BASE_PYTHON)),)
 BASE_PYTHON := python3
@@ -24,11 +25,11 @@ help:  ## this list
 
 setup: $(STAMP)  ## virtual environment with everything that demo, test and lint need
 
-$(STAMP): requirements.txt requirements-ros.txt setup.py
+$(STAMP): requirements.txt $(ROS_WHEELS) setup.py
 	@set -e; \
 	$(if $(ROS_DISTRO),python3 -m venv --system-site-packages $(VENV),$(BASE_PYTHON) -m venv $(VENV)); \
 	echo "installing the pinned requirements into $(VENV) (once, some minutes) ..."; \
-	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements.txt $(if $(ROS_DISTRO),,-r requirements-ros.txt); \
+	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements.txt $(if $(ROS_DISTRO),,-r $(ROS_WHEELS)); \
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .; \
 	touch $@
 

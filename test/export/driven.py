@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pytest
 
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws.signals import Start
@@ -18,9 +19,20 @@ from valve_control.export import sources, unit
 from valve_control.parameter import ParameterError, defaults
 
 DRIVE = Path(__file__).with_name("drive.c")
-WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")
-SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror")
+SANITIZERS = ("-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+BOTH = ("gcc", "clang")
+COMPILERS = [name for name in BOTH if shutil.which(name)]
+EACH_COMPILER = pytest.mark.parametrize(
+    "compiler",
+    [
+        pytest.param(
+            name,
+            marks=pytest.mark.skipif(name not in COMPILERS, reason=f"{name} is not here: apt install {name}"),
+        )
+        for name in BOTH
+    ],
+)
 START = Start(0.3, 0.5, 0.3, 1.0, 1.0)
 
 

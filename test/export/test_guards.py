@@ -6,6 +6,7 @@ import shutil
 import subprocess
 
 import pytest
+from driven import EACH_COMPILER
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
@@ -25,17 +26,36 @@ def compiled(run, tmp_path):
     return make
 
 
-def test_unsafe_mathematics_are_refused(compiled):
+@EACH_COMPILER
+def test_unsafe_mathematics_and_other_numbers_are_refused(compiled, compiler):
     options = ("--controller", "pid")
-    assert compiled(options, ["cc"]).returncode == 0
+    assert compiled(options, [compiler]).returncode == 0
     for flag, word in (
         ("-ffast-math", "NaN"),
         ("-Ofast", "NaN"),
         ("-ffinite-math-only", "NaN"),
+        ("-Ddouble=float", "macros"),
         ("-D__DBL_MANT_DIG__=24", "IEEE 754"),
+        ("-D__DBL_MAX_EXP__=128", "IEEE 754"),
+        ("-D__CHAR_BIT__=16", "8 bit"),
     ):
-        done = compiled(options, ["cc", "-O2", flag])
-        assert done.returncode != 0 and "#error" in done.stderr and word in done.stderr, flag
+        done = compiled(options, [compiler, "-O2", flag])
+        said = [line for line in done.stderr.splitlines() if "error" in line]
+        assert done.returncode != 0 and any(word in line for line in said), (flag, done.stderr)
+
+
+@pytest.mark.skipif(shutil.which("clang") is None, reason="clang is not here: apt install clang")
+def test_a_program_for_a_target_whose_double_has_32_bit_is_refused(run, tmp_path):
+    """Of AVR, in a program that includes the header; the export in float is for such targets."""
+    for kind in ([], ["--float"]):
+        name = "single" if kind else "double"
+        assert run("export", "--controller", "pid", *kind, "--output", name)[0] == 0
+        command = ["clang", "--target=avr", "-ffreestanding", "-fsyntax-only", "-x", "c"]
+        done = subprocess.run(
+            [*command, tmp_path / name / "pid.h"], capture_output=True, text=True, check=False
+        )
+        assert ("IEEE 754: export with --float" in done.stderr) == (not kind), done.stderr
+        assert (done.returncode == 0) == bool(kind), done.stderr
 
 
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler")

@@ -173,7 +173,7 @@ def compiled(tmp_path_factory):
         f"double out{i}(double a, double b) {{ return {one.name}(a, b); }}" for i, one in enumerate(made)
     ]
     (folder / "subset.c").write_text("\n".join(text))
-    options = ["-fPIC", "-shared", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror"]
+    options = ["-fPIC", "-shared", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror"]
     compiler.build([folder / "subset.c"], folder / "subset.so", options)
     library = ctypes.CDLL(str(folder / "subset.so"))
     found = {}

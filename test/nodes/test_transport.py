@@ -21,6 +21,7 @@ from valve_control.nodes.transport import (
 )
 from valve_control.parameter import ParameterError
 
+NEWER = "FASTDDS_DEFAULT_PROFILES_FILE"
 PROFILE, RANGE = "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
@@ -46,6 +47,19 @@ def test_the_folder_of_the_logs_is_that_of_ros(tmp_path):
     assert made == ["home", "home/.ros", "home/.ros/log", "logs"]
 
 
+def test_the_variable_is_that_of_the_installed_fast_dds(tmp_path):
+    """Fast DDS 3 does not read the variable of version 2, and rmw_fastrtps warns of it in each process."""
+    jazzy, kilted = tmp_path / "jazzy", tmp_path / "kilted"
+    (jazzy / "share" / "fastrtps").mkdir(parents=True)
+    (kilted / "share" / "fastdds").mkdir(parents=True)
+    for prefixes, variable in (("", PROFILE), (f"{jazzy}", PROFILE), (f"/nosuch:{kilted}", NEWER)):
+        environment = {"AMENT_PREFIX_PATH": prefixes}
+        use_own_profile(environment)
+        assert environment[variable] == ANYWHERE and len(environment) == 2
+        leave_own_profile(environment)
+        assert environment == {"AMENT_PREFIX_PATH": prefixes}
+
+
 def test_the_profile_follows_the_range_of_discovery():
     for given, profile, wanted in (
         ({}, ANYWHERE, None),
@@ -67,7 +81,7 @@ def test_the_profile_follows_the_range_of_discovery():
     [
         {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"},
         {PROFILE: "mine.xml"},
-        {"FASTDDS_DEFAULT_PROFILES_FILE": "mine.xml"},
+        {NEWER: "mine.xml"},
         {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"},
     ],
 )
@@ -80,9 +94,10 @@ def test_a_choice_of_the_user_and_another_middleware_are_left_alone(own):
     assert environment == given
 
 
-def test_a_profile_in_the_working_folder_is_left_alone(tmp_path, monkeypatch):
+@pytest.mark.parametrize("name", ["DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml"])
+def test_a_profile_in_the_working_folder_is_left_alone(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_text("<dds/>")
+    (tmp_path / name).write_text("<dds/>")
     environment = {}
     use_own_profile(environment)
     assert environment == {}

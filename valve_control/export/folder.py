@@ -16,7 +16,7 @@ from valve_control.export.sources import FLAGS, Sources
 from valve_control.export.unit import Unit
 from valve_control.parameter import ParameterError
 
-WARNINGS = "-Wall -Wextra -Wconversion -pedantic -Werror"
+WARNINGS = "-Wall -Wextra -Wconversion -Wpedantic -Werror"
 
 
 def refuse_taken(path: str) -> Path:

@@ -17,15 +17,28 @@ from valve_control.export.unit import Unit, begun, leaves, places
 
 FLAGS = "-std=c99 -O2 -ffp-contract=off"  # no fast-math, no fused operations: the bits of Python
 
-_GUARDS = """#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
-#error "compile without -ffast-math, -Ofast and -ffinite-math-only: they take out the checks for NaN"
+# In the header, for the program that includes it, too.
+_TARGET = """#if defined(double) || defined(float)
+#error "double and float are defined as macros; the numbers here are those of IEEE 754"
 #endif
-#if FLT_RADIX != 2 || REAL_MANT_DIG != DIGITS
+#if CHAR_BIT != 8
+#error "the char of this target has not 8 bit"
+#endif
+#if FLT_RADIX != 2 || REAL_MANT_DIG != DIGITS || REAL_MAX_EXP != EXPONENT || REAL_MIN_EXP != 3 - EXPONENT
 #error "the numbers of this target are not those of IEEE 754: export with --float where a double has 32 bits"
+#endif"""
+_CALCULATION = """#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "compile without -ffast-math, -Ofast and -ffinite-math-only: they take out the checks for NaN"
 #endif
 #if FLT_EVAL_METHOD != 0
 #error "this target calculates with more digits than the numbers have; on x86 use SSE (-msse2 -mfpmath=sse)"
 #endif"""
+
+
+def _target(single: bool) -> str:
+    """Checks that ``char`` and the numbers of the target are those of the export."""
+    real, digits, exponent = ("FLT", "24", "128") if single else ("DBL", "53", "1024")
+    return _TARGET.replace("REAL", real).replace("DIGITS", digits).replace("EXPONENT", exponent)
 
 
 class Sources(NamedTuple):
@@ -97,7 +110,8 @@ def make(unit: Unit, single: bool = False, found: Settable | None = None) -> Sou
         [
             head,
             f"#ifndef {guard}\n#define {guard}",
-            "#include <stdbool.h>\n#include <stdint.h>",
+            "#include <float.h>\n#include <limits.h>\n#include <stdbool.h>\n#include <stdint.h>",
+            _target(single),
             '#ifdef __cplusplus\nextern "C" {\n#endif',
             *(
                 [f"#define {unit.name.upper()}_MEMORY {memory} /* numbers that {unit.name}_init wants */"]
@@ -115,7 +129,7 @@ def make(unit: Unit, single: bool = False, found: Settable | None = None) -> Sou
         [
             head,
             f'#include <float.h>\n#include <math.h>\n\n#include "{unit.name}.h"',
-            _GUARDS.replace("REAL", "FLT" if single else "DBL").replace("DIGITS", "24" if single else "53"),
+            _CALCULATION,
             *enumeration,
             *private,
             *program.constants,

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sees to what the middleware needs of a process: how Fast DDS carries its messages, and where it may log."""
 
+import os
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 
@@ -11,11 +12,19 @@ ANYWHERE = str(Path(__file__).with_name("fast_dds.xml"))
 THIS_HOST = str(
     Path(__file__).with_name("fast_dds_this_host.xml")
 )  # the same, and discovery on this host alone
-VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
-OWN_CHOICE = (VARIABLE, "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
-OWN_FILE = "DEFAULT_FASTRTPS_PROFILES.xml"  # in the working folder, which Fast DDS reads by itself
+VERSION_2, VERSION_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
+OWN_CHOICE = (VERSION_2, VERSION_3, "FASTDDS_BUILTIN_TRANSPORTS")
+# In the working folder, which Fast DDS reads by itself.
+OWN_FILES = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
 FAST_DDS = "rmw_fastrtps"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+
+def profile_variable(environment: Mapping[str, str]) -> str:
+    """Variable with the profile's file: Fast DDS 3 (ROS 2 Kilted) has another than version 2 (Jazzy)."""
+    prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    newer = any(Path(prefix, "share", "fastdds").is_dir() for prefix in prefixes if prefix)
+    return VERSION_3 if newer else VERSION_2
 
 
 def use_own_profile(environment: MutableMapping[str, str]) -> None:
@@ -26,13 +35,15 @@ def use_own_profile(environment: MutableMapping[str, str]) -> None:
     """
     middleware = environment.get("RMW_IMPLEMENTATION") or FAST_DDS
     choices = {environment.get(name) or ANYWHERE for name in OWN_CHOICE}
-    if not middleware.startswith(FAST_DDS) or choices - {ANYWHERE, THIS_HOST} or Path(OWN_FILE).exists():
+    own = choices - {ANYWHERE, THIS_HOST} or any(Path(name).exists() for name in OWN_FILES)
+    if own or not middleware.startswith(FAST_DDS):
         return
+    variable = profile_variable(environment)
     if environment.get(RANGE) == "LOCALHOST" and not environment.get("ROS_STATIC_PEERS"):
         environment[RANGE] = "SYSTEM_DEFAULT"
-        environment[VARIABLE] = THIS_HOST
+        environment[variable] = THIS_HOST
     elif THIS_HOST not in choices or environment.get(RANGE) != "SYSTEM_DEFAULT":
-        environment[VARIABLE] = ANYWHERE
+        environment[variable] = ANYWHERE
 
 
 def check_log_folder(environment: Mapping[str, str]) -> None:
@@ -52,8 +63,9 @@ def check_log_folder(environment: Mapping[str, str]) -> None:
 
 def leave_own_profile(environment: MutableMapping[str, str]) -> None:
     """Undo ``use_own_profile``: Fast DDS uses its usual transports."""
-    profile = environment.get(VARIABLE)
+    variable = profile_variable(environment)
+    profile = environment.get(variable)
     if profile in (ANYWHERE, THIS_HOST):
-        del environment[VARIABLE]
+        del environment[variable]
     if profile == THIS_HOST:
         environment[RANGE] = "LOCALHOST"
