@@ -115,4 +115,4 @@ def test_an_fmu_is_free_of_undefined_behaviour(tmp_path, compiler, version, name
     assert done.returncode == 0 and not done.stderr, done.stderr
     readable, settable, refused = map(int, done.stdout.split())
     inputs = 2 if chosen.is_law else 1 + len(chosen.noises)
-    assert readable > settable >= inputs and refused > 2 * 7 * (2000 - readable)
+    assert readable > settable >= inputs and refused > 2 * 6 * (2000 - readable)

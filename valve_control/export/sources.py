@@ -17,11 +17,11 @@ from valve_control.export.unit import Unit, begun, leaves, places
 
 FLAGS = "-std=c99 -O2 -ffp-contract=off"  # no fast-math, no fused operations: the bits of Python
 
-# In the header, for the program that includes it, too.
-_TARGET = """#if defined(double) || defined(float)
+# These two are in the header, for the program that includes it, too; the first before the headers of C.
+_MACROS = """#if defined(double) || defined(float)
 #error "double and float are defined as macros; the numbers here are those of IEEE 754"
-#endif
-#if CHAR_BIT != 8
+#endif"""
+_TARGET = """#if CHAR_BIT != 8
 #error "the char of this target has not 8 bit"
 #endif
 #if FLT_RADIX != 2 || REAL_MANT_DIG != DIGITS || REAL_MAX_EXP != EXPONENT || REAL_MIN_EXP != 3 - EXPONENT
@@ -110,6 +110,7 @@ def make(unit: Unit, single: bool = False, found: Settable | None = None) -> Sou
         [
             head,
             f"#ifndef {guard}\n#define {guard}",
+            _MACROS,
             "#include <float.h>\n#include <limits.h>\n#include <stdbool.h>\n#include <stdint.h>",
             _target(single),
             '#ifdef __cplusplus\nextern "C" {\n#endif',
@@ -128,7 +129,7 @@ def make(unit: Unit, single: bool = False, found: Settable | None = None) -> Sou
     source = "\n\n".join(
         [
             head,
-            f'#include <float.h>\n#include <math.h>\n\n#include "{unit.name}.h"',
+            f'#include "{unit.name}.h"\n\n#include <float.h>\n#include <math.h>',
             _CALCULATION,
             *enumeration,
             *private,
