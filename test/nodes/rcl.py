@@ -15,13 +15,28 @@ class Allocator(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in ("allocate", "free", "reallocate", "zero", "state")]
 
 
+def array(kind):
+    class Array(ctypes.Structure):
+        _fields_ = [("values", ctypes.POINTER(kind)), ("size", ctypes.c_size_t)]
+
+    return ctypes.POINTER(Array)
+
+
+class Words(ctypes.Structure):
+    _fields_ = [("size", ctypes.c_size_t), ("values", ctypes.POINTER(ctypes.c_char_p))]
+
+
 class Variant(ctypes.Structure):
     _fields_ = [
         ("bool", ctypes.POINTER(ctypes.c_bool)),
         ("int64", ctypes.POINTER(ctypes.c_int64)),
         ("double", ctypes.POINTER(ctypes.c_double)),
         ("word", ctypes.c_char_p),
-        *((f"{name}s", ctypes.c_void_p) for name in ("byte", "bool", "int64", "double", "word")),
+        ("bytes", ctypes.c_void_p),
+        ("bools", array(ctypes.c_bool)),
+        ("int64s", array(ctypes.c_int64)),
+        ("doubles", array(ctypes.c_double)),
+        ("words", ctypes.POINTER(Words)),
     ]
 
 
@@ -56,7 +71,7 @@ def parser():
 
 
 def read(node, *sources):
-    """Single values that a node of this full name has; ``sources``, in turn: a file, or a ``name:=text``."""
+    """Values that a node of this full name has; ``sources``, in turn: a file, or a ``name:=text``."""
     library = parser()
     default = ctypes.CDLL("librcutils.so").rcutils_get_default_allocator
     default.restype, default.argtypes = Allocator, []
@@ -82,4 +97,8 @@ def plain(value):
     for kind in KINDS:
         if pointer := getattr(value, kind):
             return pointer.contents.value
+    for kind in (*(f"{name}s" for name in KINDS), "words"):
+        if pointer := getattr(value, kind):
+            found = list(pointer.contents.values[: pointer.contents.size])
+            return [word.decode() for word in found] if kind == "words" else found
     return None if value.word is None else value.word.decode()

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Holds what the nodes share: parameters from the table, polled subscriptions, messages, diagnostics."""
 
+import contextlib
 import math
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from struct import error as StructError
 from struct import pack, unpack_from
 from typing import Any, NamedTuple
@@ -25,6 +26,7 @@ from rclpy.exceptions import (
     ParameterNotDeclaredException,
 )
 from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Float64
@@ -32,6 +34,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control.control.parameters import arguments
 from valve_control.control.parameters.build import as_text
+from valve_control.control.parameters.files import from_text
 from valve_control.nodes.rclpy_internals import override
 from valve_control.nodes.services import Unwatched
 from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, missing, updated
@@ -72,6 +75,21 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
 def plain(value: Any) -> Any:
     """Parameter value in the types of the table: arrays as lists."""
     return value if isinstance(value, (bool, int, float, str)) else list(value)
+
+
+def with_numbers(table: Table, parameters: Sequence[Any]) -> list[Any]:
+    """``parameters`` that a client sent, with the numbers that came as words.
+
+    `ros2 param set` and `ros2 param load` read 1e-05 as YAML 1.1 does, which wants a point in a number.
+    """
+    known = {parameter.name: parameter for parameter in table}
+    made = list(parameters)
+    for i, sent in enumerate(parameters):
+        parameter = known.get(sent.name)
+        if parameter and isinstance(sent.value, str) and isinstance(parameter.default, (float, list)):
+            with contextlib.suppress(ParameterError):  # what is no number stays the word, which ROS refuses
+                made[i] = RosParameter(sent.name, value=from_text(parameter, sent.value))
+    return made
 
 
 class Undeclared(ParameterNotDeclaredException):
@@ -163,7 +181,7 @@ class ParameterSet:
         unknown = [p.name for p in parameters if not self._node.has_parameter(p.name)]
         if unknown:
             raise Undeclared(missing(self._table, unknown))
-        return parameters
+        return with_numbers(self._table, parameters)
 
     def _changes(self, parameters: list[Any]) -> Values:
         names = {p.name for p in self._table}

@@ -123,15 +123,18 @@ def _not_by_param_load(sections: Mapping[str, Values]) -> list[str]:
 def _turns(value: Value) -> bool:
     """Whether `ros2 param load` makes something else of ``value``: it reads each value of a file twice.
 
-    The second time as the text that Python has for it. That is 1e-05 for 1.0e-05, which YAML 1.1 takes for a
-    word, and 2 for "2", a number.
+    The second time as the text that Python has for it, which is 2 for "2", a number. Of 1.0e-05 it makes the
+    word 1e-05, which the nodes take for the number.
     """
     try:
         again = yaml.safe_load(str(value))
     except yaml.YAMLError:
         return True
     again = "" if again is None else again
+    if isinstance(value, float):
+        again = _number(again)
     if isinstance(value, list) and isinstance(again, list):
+        again = [_number(a) if isinstance(v, float) else a for a, v in zip(again, value, strict=False)]
         return again != value or [type(entry) for entry in again] != [type(entry) for entry in value]
     return again != value or type(again) is not type(value)
 

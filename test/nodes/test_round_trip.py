@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""`ros2 param dump`, then `--params-file`: each node has the same parameters, whichever parser reads it."""
+
+import pytest
+import rcl
+import yaml
+from bench import call
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
+
+from valve_control.control.parameters import files
+from valve_control.control.parameters.axis import ROS_NODES
+from valve_control.control.parameters.table import is_of_ros
+from valve_control.nodes import NODES
+from valve_control.nodes.adapter import plain
+from valve_control.nodes.harness.processes import node_arguments, process
+
+# Small, large and negative numbers, words that look like something else, lists.
+CHANGED = {
+    "controller": {
+        "arc.epsilon": 1.5e-05, "arc.gamma": [0.0, 1e-05, 1e12, 2.0], "save_file": "gains 2.yaml",
+        "controller": "oarc", "lvdt.hold_samples": 7, "state_topics": ["a1", "a0"], "realtime.cpus": "0",
+    },
+    "valve_simulator": {"friction.presliding": 0.0033, "lvdt.delay": 1e-05, "seed": 12},
+    "command_source": {"scenario": "sine", "amplitude": 1.0, "frequency": 0.01},
+    "axis_controller": {"machine": "bench"},
+    "valve_driver": {"autostart": False},
+    "dashboard": {"port": 0},
+    "manifold": {"valves": ["boom", "arm"]},
+}  # fmt: skip
+HOSTED = {"manifold": ("/boom/controller", "/arm/controller")}
+
+
+def parameters(ros, name):
+    """Names and values of a running node, by its services."""
+    listed = call(ros, ListParameters, f"{name}/list_parameters", ListParameters.Request())
+    names = sorted(listed.result.names)
+    got = call(ros, GetParameters, f"{name}/get_parameters", GetParameters.Request(names=names))
+    return {n: plain(parameter_value_to_python(v)) for n, v in zip(names, got.values, strict=True)}
+
+
+def dump(path, name, values):
+    """Write the file as `ros2 param dump` does: nested at each dot, by PyYAML in its own notation."""
+    tree = {}
+    for parameter, value in values.items():
+        *places, last = parameter.split(".")
+        inner = tree
+        for place in places:
+            inner = inner.setdefault(place, {})
+        inner[last] = value
+    path.write_text(yaml.dump({name: {"ros__parameters": tree}}, default_flow_style=False))
+
+
+def table_of(name):
+    return {name.rpartition("/")[2]: ROS_NODES[name.rpartition("/")[2]]}
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_a_dumped_file_starts_the_node_with_the_same_parameters(ros, tmp_path, node):
+    """PyYAML and rcl's parser read the same from it, with the same types."""
+    names = (f"/{node}", *HOSTED.get(node, ()))
+    first = {**CHANGED.get(node, {}), **({"bag": str(tmp_path / "one")} if node == "recorder" else {})}
+    with process(node, node_arguments(node, (), first), tmp_path / "one.log"):
+        before = {name: parameters(ros, name) for name in names}
+    assert all(before[f"/{node}"][name] == value for name, value in first.items())
+    words = []
+    for i, (name, values) in enumerate(before.items()):
+        path = tmp_path / f"{i}.yaml"
+        dump(path, name, values)
+        words += ["--params-file", str(path)]
+        assert same(rcl.read(name, path), values)
+        own = {p: value for p, value in values.items() if not is_of_ros(p)}
+        assert same(files.load(str(path), nodes=table_of(name))[name.rpartition("/")[2]], own)
+    after_it = {"bag": str(tmp_path / "two")} if node == "recorder" else {}
+    words += node_arguments(node, (), after_it)
+    with process(node, words, tmp_path / "two.log"):
+        after = {name: parameters(ros, name) for name in names}
+    before[f"/{node}"].update(after_it)
+    for name in names:
+        assert same(after[name], before[name])
+
+
+def same(found, wanted):
+    """Whether two nodes have the same parameters, with the same types."""
+    assert found == wanted
+    return all(type(found[name]) is type(value) for name, value in wanted.items())
+
+
+def sent(ros, name, path, section):
+    """What `ros2 param load` sends of a section, one by one; returns the reasons of what was refused."""
+    messages = parameter_dict_from_yaml_file(str(path), target_nodes=[section]).values()
+    request = SetParameters.Request(parameters=list(messages))
+    results = call(ros, SetParameters, f"{name}/set_parameters", request).results
+    return [result.reason for result in results if not result.successful]
+
+
+def test_param_load_gives_an_axis_numbers_with_exponents(ros, tmp_path):
+    """`ros2 param load` sends 1.0e-13 as the word 1e-13, which was refused in the file of every axis."""
+    paths = sorted(files.config_folder().glob("axis/*.yaml"))
+    assert any("e-13" in path.read_text(encoding="utf-8") for path in paths)
+    with process("axis_simulator", [], tmp_path / "log"):
+        for path in paths:
+            for section in yaml.safe_load(path.read_text(encoding="utf-8")):
+                if section.rpartition("/")[2] == "axis_simulator":
+                    refused = sent(ros, "/axis_simulator", path, section)
+                    assert not [reason for reason in refused if "type" in reason], path
+            meant = files.load(str(path), nodes=ROS_NODES)["axis_simulator"]
+            small = {n: v for n, v in meant.items() if isinstance(v, float) and 0.0 < abs(v) < 1e-6}
+            found = parameters(ros, "/axis_simulator")
+            assert small and same({name: found[name] for name in small}, small)
+
+
+def test_a_word_that_is_no_number_is_still_refused(ros, tmp_path):
+    with process("controller", [], tmp_path / "log"):
+        for word in ("high", "nan", "1e400", "1e-05 V", "[1.0, 1e-05]"):
+            path = tmp_path / "file.yaml"
+            path.write_text(f"/controller: {{ros__parameters: {{arc.epsilon: '{word}'}}}}")
+            (reason,) = sent(ros, "/controller", path, "/controller")
+            assert "Wrong parameter type" in reason
+        path.write_text("/controller: {ros__parameters: {arc.epsilon: '1e-05', save_file: 1e-05}}")
+        assert sent(ros, "/controller", path, "/controller") == []
+        found = parameters(ros, "/controller")
+        assert (found["arc.epsilon"], found["save_file"]) == (1e-05, "1e-05")
