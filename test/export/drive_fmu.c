@@ -33,7 +33,7 @@ static handle_t begun(void)
     if (c)
         fmi2SetupExperiment(c, 0, 0.0, 0.0, 0, 0.0), fmi2EnterInitializationMode(c);
 #else
-    handle_t c = fmi3InstantiateCoSimulation("one", MODEL_TOKEN, "", 0, 0, 0, 0, 0, 0, 0, 0);
+    handle_t c = fmi3InstantiateCoSimulation("one", MODEL_TOKEN, "", 0, 0, 0, 0, 0, 0, 0, 0, 0);
     if (c)
         fmi3EnterInitializationMode(c, 0, 0.0, 0.0, 0, 0.0);
 #endif

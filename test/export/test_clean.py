@@ -38,7 +38,7 @@ def exported(name):
     law, _, watch = name.partition(" with its ")
     if law in LAWS:
         return (unit.watched if watch else unit.law)(changed.controller(controller=law))
-    values = updated(VALVE, defaults(VALVE), FRICTION if name == "valve" else SOLENOID)
+    values = updated(VALVE, defaults(VALVE), FRICTION if name != OTHERS[1] else SOLENOID)
     if name == "axis":
         return unit.hydraulic_axis(defaults(AXIS_NODES["axis_simulator"]), values)
     return unit.plant(values)
