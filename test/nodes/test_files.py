@@ -112,7 +112,7 @@ def test_numbers_stay_numbers_and_words_stay_words(tmp_path, node):
 
 def by_param_load(path):
     """Parameters as `ros2 param load` sends them, by rclpy's own reader, and as a controller takes them."""
-    for name, message in parameter_dict_from_yaml_file(str(path), use_wildcard=True).items():
+    for name, message in parameter_dict_from_yaml_file(str(path), target_nodes=["/controller"]).items():
         sent = parameter_value_to_python(message.value)
         if isinstance(sent, str):
             sent = with_numbers(CONTROLLER, [Parameter(name, value=sent)])[0].value
