@@ -157,6 +157,17 @@ def test_what_the_command_has_is_no_limit_cycle(frequency, friction):
     assert found(voltage, command) is None
 
 
+@pytest.mark.parametrize("frequency", [3.0, 9.13, 20.0])
+def test_the_third_harmonic_of_friction_is_no_limit_cycle(frequency):
+    """Under a sine; the same voltage is one under a command that rests, or at another frequency."""
+    phase = 2.0 * math.pi * frequency * T
+    command = 0.2 * np.sin(phase)
+    voltage = np.sin(phase + 0.4) + 2.0 * np.sin(3.0 * phase)
+    assert found(voltage, command) is None
+    assert found(voltage, np.zeros(len(T))).frequency == pytest.approx(3.0 * frequency, rel=0.02)
+    assert found(2.0 * np.sin(3.9 * phase), command).frequency == pytest.approx(3.9 * frequency, rel=0.02)
+
+
 def test_a_sweep_is_no_limit_cycle():
     phase = 2.0 * math.pi * 1.0 * (6.0 / math.log(60.0)) * np.expm1(T / 6.0 * math.log(60.0))
     assert found(8.0 * np.sin(phase + 0.5), 2.9 * np.sin(phase)) is None

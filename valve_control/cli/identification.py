@@ -436,7 +436,15 @@ def _found(
     sensor = arguments.sensor_delay
     gains = first_gains.first(
         first_gains.KnownValve(
-            model, delay, suggestion, readings, measured.period, tested.u_max, rubbing, sensor
+            model=model,
+            delay=delay,
+            theta=suggestion,
+            lvdt=readings,
+            period=measured.period,
+            u_max=tested.u_max,
+            friction=first_gains.without_play(rubbing, curve),
+            sensor_delay=sensor,
+            magnet=first_gains.magnet_of(model, curve),
         )
     )
     return result.Identification(

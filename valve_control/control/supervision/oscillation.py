@@ -9,7 +9,8 @@ command brings about has the command's own frequency.
 The voltage is cut into swings: a turn counts once the voltage has come back from it by ``amplitude``. A cycle
 goes from maximum to maximum; it is like the ones before if its length is within LENGTH (and 1.5 periods) and
 its height within HEIGHT of their running mean. Enough of them, long enough, are an oscillation, unless the
-command turned (a sine), or set off (a staircase), about as often.
+command turned (a sine), or set off (a staircase), about as often. A law that makes up for friction answers a
+sine with a voltage that turns three times as often, exactly: its third harmonic is no oscillation either.
 """
 
 from typing import NamedTuple
@@ -20,6 +21,7 @@ WEIGHT = 0.25  # of the newest cycle in the means
 CYCLES = 8.0  # in a row
 LEAST = 0.3  # s that they last
 SHARE = 0.25  # by which counts of command and voltage may differ where the one explains the other
+HARMONIC = 0.05  # the same of the third harmonic, beside one turn
 COMMAND_TURN = 0.02  # V by which a command comes back from a turn
 
 
@@ -117,8 +119,10 @@ def sustained(s: State) -> bool:
 
 
 def explained(s: State) -> bool:
-    """Whether the command turned or set off about as often as the voltage."""
+    """Whether the command turned or set off about as often as the voltage, or turned a third as often."""
     turned = abs(s.turns - 2.0 * s.cycles) <= 2.0 * SHARE * s.cycles + 1.0
+    if abs(3.0 * s.turns - 2.0 * s.cycles) <= 2.0 * HARMONIC * s.cycles + 3.0:
+        turned = True
     set_off = abs(s.departures - s.cycles) <= SHARE * s.cycles + 1.0
     return turned or set_off
 

@@ -77,7 +77,7 @@ def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Res
         defaults(NODES["valve_simulator"]),
         plant.values(found, rest, period, limits.voltage, plan.sensor_delay),
     )
-    own = model.controller_values(known, plan.law)
+    own = _without_form(model.controller_values(known, plan.law), before, plan.law)
     values = updated(
         CONTROLLER,
         before,
@@ -112,6 +112,18 @@ def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Res
     )
     starts = [before] if before["controller"] == plan.law else []
     return Task(plan.law, problem, unseen, valve, own, starts)
+
+
+def _without_form(own: Values, before: Values, law: str) -> Values:
+    """``own`` values of ``law`` without the form of its first gains, so that each of its forms is tuned.
+
+    A form that the parameters ``before`` choose stays.
+    """
+    usual = defaults(CONTROLLER)
+    forms = {
+        name for variant in LAWS[law].variants for name, value in variant.items() if isinstance(value, str)
+    }
+    return {name: value for name, value in own.items() if name not in forms or before[name] != usual[name]}
 
 
 def tuned(

@@ -66,7 +66,15 @@ class Known:
         lvdt = Lvdt(rest.noise, rest.resolution)
         delay = found.delay if late else 0.0
         whole = first_gains.KnownValve(
-            found.model, delay, self.theta, lvdt, period, u_max, _rubbing(found), sensor_delay, _sides(found)
+            model=found.model,
+            delay=delay,
+            theta=self.theta,
+            lvdt=lvdt,
+            period=period,
+            u_max=u_max,
+            friction=_rubbing(found),
+            sensor_delay=sensor_delay,
+            magnet=_sides(found),
         )
         gains = first_gains.first(whole)
         own = f"{law}.denominator"

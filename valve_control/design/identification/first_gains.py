@@ -12,6 +12,8 @@ import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+import numpy as np
+
 from valve_control.control.laws import arc, dcarc, oarc, pid, reshaping
 from valve_control.control.laws.dcarc_design import EXCESS, excess
 from valve_control.control.laws.law import Law
@@ -20,6 +22,7 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models, valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.identification import dead_time
+from valve_control.design.identification.characteristic import Characteristic
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
 from valve_control.design.identification.rational import Fit, check_worth, fit
@@ -41,6 +44,7 @@ OFFSET_SPREAD = 0.2  # V
 OFFSET_ROOM = 0.5  # V  beyond the measured offset, up to which a weight may go at least
 CERTAIN = 2.0  # bounds that a dead time must be above 0
 LEAST_PLAY, LEAST_SIDES = 0.01, 0.02  # V and -, above which there are terms for them
+REAL = 1e-6  # imaginary part of a real pole, at most, over its size
 # Of dcarc on a valve whose coil, play and friction are known: the disturbance that is left is small.
 KNOWN_WEIGHT, KNOWN_NOISE, KNOWN_RATE = 0.02, 0.5, 4.0  # -, V, V/√s
 KNOWN_FIT, KNOWN_FORGETTING = 0.4, 0.05  # V, 1/s
@@ -284,13 +288,17 @@ def _solenoids(known: KnownValve, share: float) -> Values:
     magnet = known.magnet
     if magnet is None or excess(known.model) <= EXCESS[0]:
         return {}
-    rubbing = 0.0 if known.friction is None else known.friction.coulomb
-    scale = known.model.static_gain / models.FOURTH_ORDER.static_gain
-    close = max(CLOSE * rubbing, LEAST_SPREAD)
-    return {
+    terms: Values = {
         "dcarc.coil": magnet.coil,
         "dcarc.hysteresis": magnet.play if magnet.play > LEAST_PLAY else 0.0,
         "dcarc.sides": abs(magnet.sides) if abs(magnet.sides) > LEAST_SIDES else 0.0,
+    }
+    if known.friction is None:
+        return terms
+    scale = known.model.static_gain / models.FOURTH_ORDER.static_gain
+    close = max(CLOSE * known.friction.coulomb, LEAST_SPREAD)
+    return {
+        **terms,
         "dcarc.voltage_weight": KNOWN_WEIGHT * scale**2 / share**2,
         "dcarc.input_noise": KNOWN_NOISE,
         "dcarc.disturbance_rate": share**2 * KNOWN_RATE,
@@ -298,6 +306,31 @@ def _solenoids(known: KnownValve, share: float) -> Values:
         "dcarc.fit_noise": KNOWN_FIT,
         "dcarc.forgetting": KNOWN_FORGETTING,
     }
+
+
+def magnet_of(model: TransferFunction, curve: Characteristic | None) -> Magnet | None:
+    """Coil, play and unequal gains that ``model`` and the characteristic ``curve`` show.
+
+    The coil is the fastest pole of a model with three more poles than zeros. None: that is no real pole, or
+    there are fewer poles.
+    """
+    if excess(model) <= EXCESS[0]:
+        return None
+    fastest = max(np.roots(model.denominator), key=abs)
+    if abs(fastest.imag) > REAL * abs(fastest):
+        return None
+    play, sides = 0.0, 0.0
+    if curve is not None:
+        play = 0.0 if curve.shares is None else curve.shares.play
+        sides = curve.positive.gain.value / curve.negative.gain.value - 1.0 if curve.lopsided else 0.0
+    return Magnet(-1.0 / float(fastest.real), play, sides)
+
+
+def without_play(rubbing: Friction | None, curve: Characteristic | None) -> Friction | None:
+    """Friction without the play of the magnet, where the ``curve`` tells the two apart."""
+    if rubbing is None or curve is None or curve.shares is None or curve.shares.play <= LEAST_PLAY:
+        return rubbing
+    return rubbing._replace(coulomb=curve.shares.friction, presliding=curve.shares.presliding)
 
 
 def _plain(values: Values) -> Values:
