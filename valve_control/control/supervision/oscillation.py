@@ -21,7 +21,7 @@ WEIGHT = 0.25  # of the newest cycle in the means
 CYCLES = 8.0  # in a row
 LEAST = 0.3  # s that they last
 SHARE = 0.25  # by which counts of command and voltage may differ where the one explains the other
-HARMONIC = 0.05  # the same of the third harmonic, beside one turn
+HARMONIC = 0.05  # the same of the third harmonic, beside one and a half turns
 COMMAND_TURN = 0.02  # V by which a command comes back from a turn
 
 
@@ -121,7 +121,7 @@ def sustained(s: State) -> bool:
 def explained(s: State) -> bool:
     """Whether the command turned or set off about as often as the voltage, or turned a third as often."""
     turned = abs(s.turns - 2.0 * s.cycles) <= 2.0 * SHARE * s.cycles + 1.0
-    if abs(3.0 * s.turns - 2.0 * s.cycles) <= 2.0 * HARMONIC * s.cycles + 3.0:
+    if abs(3.0 * s.turns - 2.0 * s.cycles) <= 2.0 * HARMONIC * s.cycles + 4.5:
         turned = True
     set_off = abs(s.departures - s.cycles) <= SHARE * s.cycles + 1.0
     return turned or set_off
