@@ -435,6 +435,11 @@ def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown)
             switch_off(p, m, watch.condition, False)
 
 
+@node_only
+def unreported(p: Any, m: Memory, seen: plausibility.SeenBlock) -> None:
+    """Watches that only report, where nobody hears them."""
+
+
 def forget_watches(m: Memory) -> None:
     """Drop what the watches of the table have learnt of the valve."""
     for watch in STOPPING:
@@ -794,6 +799,8 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
         "Theta": hints["theta_initial"] if adapts else Theta,
         "law_resumed": with_estimates if adapts else as_designed,
     }
+    if not STOPPING:  # nothing looks at the blocks, in C and in this twin of it
+        params.watches, others["reported_of"] = None, unreported
     made = with_places({**places_of(law, line), **others})
     kinds = {Params: params, Memory: memory, Any | None: state}
     for function in vars(made).values():
