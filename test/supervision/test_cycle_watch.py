@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from valve_control.control.parameters import build, files
@@ -105,6 +105,7 @@ def test_a_pause_after_cycles_ends_with_reset(config):
     st.floats(0.0, 0.7),
     st.floats(-2.0, 2.0),
 )
+@example(99.5, 0.0, 0.5, 0.0, 2.0)  # the mean leaked into a reading of millivolts
 @settings(deadline=None, max_examples=60)
 def test_lock_in_measures_gain_lag_and_frequency(frequency, off, gain, turn, mean):
     """Against the frequency response of the model; ``off``: error of the assumed frequency."""
@@ -123,7 +124,7 @@ def test_lock_in_measures_gain_lag_and_frequency(frequency, off, gain, turn, mea
         k += 1
     found = lock_in.found(p, s)
     assert found.frequency == pytest.approx(frequency, rel=3e-3)
-    assert found.gain == pytest.approx(gain, rel=0.04)
+    assert found.gain == pytest.approx(gain, rel=0.005)
     assert (found.lag * frequency - turn + 0.5) % 1.0 - 0.5 == pytest.approx(0.0, abs=0.02)
 
 

@@ -44,6 +44,8 @@ class State(NamedTuple):
     taken: float  # samples of both
     first: Sums
     second: Sums
+    level: float  # V  first voltage, which is taken out: a window of whole samples is not of whole cycles
+    reading_level: float  # V  first reading, likewise
 
 
 class LockInResult(NamedTuple):
@@ -56,13 +58,13 @@ class LockInResult(NamedTuple):
 
 
 SILENT = Sums(0.0, 0.0, 0.0, 0.0)
-NOTHING = State(0.0, 0.0, 0.0, SILENT, SILENT)
+NOTHING = State(0.0, 0.0, 0.0, SILENT, SILENT, 0.0, 0.0)
 
 
 def begun(frequency: float, period: float) -> State:
     """A measurement at ``frequency`` [Hz] with samples each ``period`` [s]."""
     cycles = max(CYCLES, math.ceil(WINDOW * frequency))
-    return State(frequency, math.floor(cycles / (frequency * period) + 0.5), 0.0, SILENT, SILENT)
+    return State(frequency, math.floor(cycles / (frequency * period) + 0.5), 0.0, SILENT, SILENT, 0.0, 0.0)
 
 
 def step(s: State, voltage: float, reading: float, period: float) -> State:
@@ -72,17 +74,20 @@ def step(s: State, voltage: float, reading: float, period: float) -> State:
     angle = 2.0 * math.pi * s.frequency * s.taken * period
     weight = 1.0 - math.cos(2.0 * math.pi * (s.taken % s.length) / s.length)
     c, d = weight * math.cos(angle), weight * math.sin(angle)
+    level = voltage if s.taken == 0.0 else s.level
+    reading_level = reading if s.taken == 0.0 else s.reading_level
+    u, y = voltage - level, reading - reading_level
     second = s.taken >= s.length
     m = s.second if second else s.first
     m = Sums(
-        m.voltage + c * voltage,
-        m.voltage_lag + d * voltage,
-        m.reading + c * reading,
-        m.reading_lag + d * reading,
+        m.voltage + c * u,
+        m.voltage_lag + d * u,
+        m.reading + c * y,
+        m.reading_lag + d * y,
     )
     if second:
-        return State(s.frequency, s.length, s.taken + 1.0, s.first, m)
-    return State(s.frequency, s.length, s.taken + 1.0, m, s.second)
+        return State(s.frequency, s.length, s.taken + 1.0, s.first, m, level, reading_level)
+    return State(s.frequency, s.length, s.taken + 1.0, m, s.second, level, reading_level)
 
 
 def finished(s: State) -> bool:
