@@ -56,7 +56,11 @@ def add_commands(commands: Any) -> None:
         metavar="S",
         help="what of the dead time is the sensor's (0 s); the rest is the actuator's",
     )
-    group.add_argument("--alone", action="store_true", help="no PID beside the law that is tuned")
+    group.add_argument(
+        "--alone",
+        action="store_true",
+        help="tune this law alone: no PID beside it, which may win",
+    )
     group.add_argument("--budget", type=int, default=200, metavar="N", help="sets of gains (200)")
     group.add_argument("--valves", type=int, default=6, metavar="N", help="that are simulated (6)")
     group.add_argument("--unseen", type=int, default=32, metavar="N", help="valves to verify on (32)")
@@ -191,7 +195,7 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     plan = _plan(arguments, word(before, "controller"))
     check(plan, before)
     controller.meet_valve()
-    refused = [REFUSED.format(number) for number in (1, 2)]
+    refused = sorted(path.name for path in folder.glob(REFUSED.format("*")))
     aside = backup.set_aside(folder, [REPORT, RESULT, TUNED, VALVE, *refused])
     if aside is not None:
         say(arguments, f"moved what an earlier commissioning left to {aside}")

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reports a commissioning as one HTML page: verdict in words, tests, model, gains, verification run."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -86,6 +88,18 @@ def _valve(found: Result) -> str:
         ["-90° at", result.hertz(bode.model_corners(made.model, made.delay).minus_90)],
         ["rms residual over what noise and 3 % of the motion allow", f"{made.error:.2g}"],
     ]
+    if made.magnet is not None:
+        m = made.magnet
+        rows += [
+            [
+                "natural frequency and damping of the spool",
+                f"{result.hertz(m.speed / math.tau)}, {m.damping:.3g}",
+            ],
+            ["time constant of the coil", f"{1e3 * m.coil:.3g} ms"],
+            ["hysteresis of the magnet, full width", f"{m.hysteresis:.3g} V"],
+            ["gains of the sides over their mean", f"{m.positive:.3g} and {m.negative:.3g}"],
+            ["overlap", f"{m.overlap:.3g} V"],
+        ]
     return pages.table(["", ""], rows)
 
 

@@ -3,7 +3,7 @@
 """Fits a valve with solenoids to the tests: coil, hysteresis, two gains, overlap and LuGre friction.
 
 Like the fit of ``plant``, which has a linear valve with friction, this is an output error fit: the simulated
-valve (``solenoid``, docs/valve_model.md) gets the voltages of the tests.
+valve (``solenoid``, docs/explanation/valve_model.md) gets the voltages of the tests.
 """
 
 import math
@@ -27,6 +27,7 @@ STRIBECK = 0.03  # V/s  which the tests do not show
 PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.15  # V  first guess and bounds
 WIDTH = 0.3  # of the friction, full width of the hysteresis with which a search begins
 FASTEST_COIL, SLOWEST_COIL = 3e-4, 0.03  # s
+LEAST_OVERLAP = 0.05  # V  below which a fit shows none; an underlap doubles the gain around 0 V
 COIL = 0.2  # of the spool's time constant, where a response shows no third pole
 STUCK = 1e-3  # V  least friction
 MOST_RATIO = 2.0  # -  static over Coulomb friction
@@ -109,7 +110,7 @@ def values(found: Magnet, sensor_delay: float) -> Values:
         "solenoid.positive": found.positive,
         "solenoid.negative": found.negative,
         "solenoid.hysteresis": found.hysteresis,
-        "solenoid.overlap": found.overlap,
+        "solenoid.overlap": found.overlap if abs(found.overlap) >= LEAST_OVERLAP else 0.0,
         "solenoid.dead_time": found.delay - behind,
         "lvdt.delay": behind,
         "friction.coulomb": found.coulomb,

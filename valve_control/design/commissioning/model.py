@@ -172,12 +172,15 @@ def box(found: Plant, period: float, wider: float = 1.0, sensor_delay: float = 0
 
 def motions(found: Plant, known: Known, limits: SafetyLimits, period: float) -> list[TuningMotion]:
     """Strokes and a sine, as fast as the valve can follow within ``limits``. Raises ParameterError."""
-    left = DRIVEN * limits.voltage - found.friction.coulomb - abs(found.offset)
-    height = min(ROOM * limits.travel, STATIC * left * abs(found.model.static_gain))
+    left, weaker = DRIVEN * limits.voltage - found.friction.coulomb - abs(found.offset), 1.0
+    if found.magnet is not None:
+        left -= 0.5 * found.magnet.hysteresis + max(0.0, found.magnet.overlap)
+        weaker = min(found.magnet.positive, found.magnet.negative)
+    height = min(ROOM * limits.travel, STATIC * left * weaker * abs(found.model.static_gain))
     if height <= 0.0:
         raise ParameterError(
-            f"friction and offset take up the limit of the voltage, {limits.voltage:g} V, so that no motion "
-            "can be tuned on"
+            "friction, hysteresis, overlap and offset take up the limit of the voltage, "
+            f"{limits.voltage:g} V, so that no motion can be tuned on"
         )
     b0, a1, a0 = (float(v) for v in known.second.values[:3])
 

@@ -89,7 +89,8 @@ def values(found: Plant, rest: Rest, period: float, u_max: float, sensor_delay: 
         "lvdt.resolution": rest.resolution,
     }
     if found.magnet is not None:
-        return {**magnet.values(found.magnet, sensor_delay), **common, "flow_force": 0.0, "gain_scale": 1.0}
+        of_valve = magnet.values(found.magnet, sensor_delay)
+        return {**of_valve, **common, "solenoid.u_min": -u_max, "flow_force": 0.0, "gain_scale": 1.0}
     numerator, denominator = ([float(f"{c:.10g}") for c in part] for part in found.model)
     made: Values = {
         "valve": "custom",

@@ -238,7 +238,7 @@ class _Commissioning:
         refusals: list[str] = []
         boxes = BOXES if found.error <= plant.EXPLAINED else DOUBTED
         for wider in boxes:
-            several = self._tuned(found, known, rest, wider, refusals)
+            several, missing = self._tuned(found, known, rest, wider, refusals)
             texts: list[str] = []
             for made in several:
                 if texts and wider != boxes[-1] and not gains.rivals(made, several[0]):
@@ -249,7 +249,7 @@ class _Commissioning:
                     if verified is not None and not reasons:
                         told = [_taken_at_last(wider, text) for text in refusals]
                         told += [_taken_instead(made.tuned.law, text) for text in texts]
-                        return made, verified, [*told, *gains.beside(several)]
+                        return made, verified, [*missing, *told, *gains.beside(several)]
                     self._bench.off()
                     if wider != boxes[-1] or made is not several[-1]:
                         self._open_loop()
@@ -261,8 +261,11 @@ class _Commissioning:
 
     def _tuned(
         self, found: Plant, known: model.Known, rest: Rest, wider: float, refusals: list[str]
-    ) -> list[TunedGains]:
-        """Gains of the law and of a PID beside it, the better first. Raises ParameterError."""
+    ) -> tuple[list[TunedGains], list[str]]:
+        """Gains of the law and of a PID beside it, the better first, and a sentence about each that failed.
+
+        Raises ParameterError, where both failed.
+        """
         tried = f"{self._plan.budget} sets of gains of {self._plan.law} are tried in simulation"
         if refusals:
             tried = (
@@ -271,7 +274,7 @@ class _Commissioning:
             )
         self._ask(f"{tried}; the valve stays at 0 V")
         made: list[TunedGains] = []
-        failed: list[ParameterError] = []
+        failed: dict[str, ParameterError] = {}
         for law in dict.fromkeys((self._plan.law, *([] if self._plan.alone else [PID]))):
             step = "tuning" if law == self._plan.law else f"tuning {law}"
 
@@ -287,12 +290,14 @@ class _Commissioning:
                         )
                     )
                 except ParameterError as error:
-                    failed.append(error)
+                    failed[law] = error
         if not made:
+            first = failed[self._plan.law]
             if not refusals:
-                raise failed[0]
-            raise ParameterError(_not_accepted([*refusals, str(failed[0])], wider)) from failed[0]
-        return sorted(made, key=gains.promised)
+                raise first
+            raise ParameterError(_not_accepted([*refusals, str(first)], wider)) from first
+        missing = [f"{law} has no gains: {error}" for law, error in failed.items()]
+        return sorted(made, key=gains.promised), missing
 
     def _verified(self, made: TunedGains, doubted: bool) -> tuple[Verification | None, list[str]]:
         """The verification run, None if it ended early, and why the gains are not accepted.
@@ -425,11 +430,19 @@ def _unexplained(
         told = ", ".join(f"{name} by {error:.2g} times" for name, error in worst)
         notes.append(
             f"the model misses the readings by {found.error:.2g} times what noise and "
-            f"{plant.MODEL_ERROR:.0%} of the motion allow ({told}); models of second to fourth order were "
-            "tried, with friction, offset and dead time: the gains are judged by the running valve, and were "
+            f"{plant.MODEL_ERROR:.0%} of the motion allow ({told}); models of second to fourth order with "
+            "friction, offset and dead time were tried, and a valve with solenoids: the gains are judged "
+            "by the running valve, and were "
             f"sought for valves {DOUBTED[0]:g} or {DOUBTED[-1]:g} times as far from the model as usual"
         )
-    if found.presliding > 0.0 and found.magnet is None:
+    if found.magnet is not None:
+        m = found.magnet
+        notes.append(
+            "a valve with solenoids describes the readings better than a linear one with friction: coil "
+            f"{1e3 * m.coil:.2g} ms, hysteresis {m.hysteresis:.2g} V, gains of the sides "
+            f"{m.positive:.3g} and {m.negative:.3g} times {m.gain:.3g} V/V, overlap {m.overlap:.2g} V"
+        )
+    elif found.presliding > 0.0:
         notes.append(
             "the spool swings on the bristles of its friction: without them no model describes the readings; "
             f"the one that does has a presliding of {1e3 * found.presliding:.2g} mV"
@@ -489,6 +502,7 @@ def as_dict(result: Result) -> dict[str, Any]:
             "offset": found.offset,
             "friction": found.friction._asdict(),
             "presliding": found.presliding,
+            "solenoids": None if found.magnet is None else found.magnet._asdict(),
             "error": found.error,
         },
         "chatter_limit": {"wanted": result.plan.chatter, "kept": result.tuned.chatter},

@@ -287,7 +287,7 @@ def _solenoids(known: KnownValve, share: float) -> Values:
     """
     magnet = known.magnet
     if magnet is None or excess(known.model) <= EXCESS[0]:
-        return {}
+        return {"dcarc.coil": 0.0, "dcarc.hysteresis": 0.0, "dcarc.sides": 0.0}  # nothing of another valve
     terms: Values = {
         "dcarc.coil": magnet.coil,
         "dcarc.hysteresis": magnet.play if magnet.play > LEAST_PLAY else 0.0,
