@@ -30,7 +30,7 @@ def starts(law: Law, values: Values, preview: bool, scale: Scale) -> list[Values
 
     None of a law that has no coil in its model. Those that ``law`` cannot be built with are left out.
     """
-    if law is not dcarc.LAW or excess(models.chosen(values, "dcarc.model", "dcarc.")) <= EXCESS[0]:
+    if law.name != dcarc.LAW.name or excess(models.chosen(values, "dcarc.model", "dcarc.")) <= EXCESS[0]:
         return []
     close = max(LEAST, RUBBING * float(list(values["dcarc.theta_initial"])[2]))  # type: ignore[arg-type]
     common: Values = {
