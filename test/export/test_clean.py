@@ -12,7 +12,7 @@ from pathlib import Path
 import changed
 import pytest
 from driven import EACH_COMPILER, SANITIZERS, WARNINGS
-from valve_control.control.parameters.axis import AXIS_NODES
+from valve_control.control.parameters.axis_parameters import AXIS_NODES
 
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import VALVE

@@ -80,11 +80,11 @@ NEW = '''
 from typing import NamedTuple
 
 from valve_control.control.supervision import plausibility
-from valve_control.control.supervision.conditions import Condition
+from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number
 
 CONDITIONS = (
-    Condition(("lvdt_far",), "MODE", "LVDT is far out at … V", "readings beyond half of lvdt.limit", "look"),
+    ReportedCondition(("lvdt_far",), "MODE", "LVDT is far out at … V", "readings beyond half of lvdt.limit", "look"),
 )
 
 

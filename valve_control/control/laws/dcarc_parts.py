@@ -99,7 +99,7 @@ class Turn(NamedTuple):
 
 
 class KalmanGains(NamedTuple):
-    """KalmanGains of the Kalman filter."""
+    """Gains of the Kalman filter."""
 
     state: Row
     disturbance: float

@@ -14,7 +14,7 @@ page docs/reference/modes.md and exported C follow from the row. The file has ``
 ``NOTHING`` (the state at the start), ``CONDITIONS`` and these functions, which export/ can translate:
 
 design(values, check)   Params from the controller's values and the Params of the plausibility check
-step(p, s, seen)        the state after one more block, of which ``seen`` is a ``plausibility.Seen``
+step(p, s, seen)        the state after one more block, of which ``seen`` is a ``plausibility.SeenBlock``
 found(p, s)             whether the condition is there
 text(p, s)              one sentence for the user
 stopped(s)              the state after the voltage was switched off, whatever the reason
