@@ -84,7 +84,9 @@ from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number
 
 CONDITIONS = (
-    ReportedCondition(("lvdt_far",), "MODE", "LVDT is far out at … V", "readings beyond half of lvdt.limit", "look"),
+    ReportedCondition(
+        ("lvdt_far",), "MODE", "LVDT is far out at … V", "readings beyond half of lvdt.limit", "look"
+    ),
 )
 
 
@@ -109,7 +111,7 @@ def design(values: Values, c: plausibility.Params) -> Params:
     return Params(0.25 * number(values, "lvdt.limit"))
 
 
-def step(p: Params, s: State, seen: plausibility.Seen) -> State:
+def step(p: Params, s: State, seen: plausibility.SeenBlock) -> State:
     """State after one more block."""
     return State(s.blocks + 1.0 if abs(seen.shown.y1) > p.limit else 0.0, seen.shown.y1)
 

@@ -39,6 +39,7 @@ SLOWEST_ZERO = (
     10.0  # 1/s  zeros of the model must decay at least as fast, since the inverse has them as poles
 )
 LEAST_DAMPING = 0.1  # -  of these zeros
+LEAST_HUM = 40.0  # Hz  below it the observer would take motion for hum
 HUM_WIDTH = 1.0  # Hz  on both sides of a hum's frequency, within which the observer takes it for hum
 
 
@@ -502,6 +503,11 @@ def design(
         raise DesignError(
             f"dcarc.actuator_delay is {dead_time:g} s; at a sample period of {period:g} s it must be at most "
             f"{MOST_DELAY * period:g} s"
+        )
+    if 0.0 < hum < LEAST_HUM:
+        raise DesignError(
+            f"dcarc.hum is {hum:g} Hz; it must be 0 or at least {LEAST_HUM:g} Hz, so that motion is not taken "
+            "for hum"
         )
     if hum >= 0.5 / period:
         raise DesignError(

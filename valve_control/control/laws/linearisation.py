@@ -19,6 +19,7 @@ from valve_control.control.compiling import bind
 from valve_control.control.laws.signals import Start
 from valve_control.parameter import Parameter, ParameterError, Table, Values, number, numbers
 
+ROUNDING = 1e-9  # of the limit, which the inverse then cannot exceed
 MOST = 32  # points
 FLATTEST = 1e-3  # of the gain, slope of the curve between two points
 NEVER = 1e30  # V  where no segment begins
@@ -181,11 +182,17 @@ def seen(values: Values) -> Values:
     if not is_on(values):
         return values
     curve, u_max = forward(values), number(values, "u_max")
-    limit = min(value(curve, u_max), -value(curve, -u_max))
+    limit = (1.0 - ROUNDING) * min(value(curve, u_max), -value(curve, -u_max))
     if not limit > 0.0:
         raise ParameterError(
             f"the curve of linearisation.position does not pass 0 V between -{u_max:g} and {u_max:g} V, the "
             "limits u_max of the amplifier"
+        )
+    null = value(curve, 0.0)
+    if not abs(null) < limit:
+        raise ParameterError(
+            f"the curve of linearisation.position gives the law {null:g} V at 0 V of the amplifier; it must be "
+            f"less than {limit:g} V, which the amplifier reaches on both sides within u_max"
         )
     return {**values, "u_max": limit}
 

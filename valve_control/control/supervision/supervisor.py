@@ -30,6 +30,8 @@ from valve_control.control.supervision import (
     bumpless_transfer,
     command_watch,
     law_watch,
+    lock_in,
+    oscillation,
     rate,
     trajectory,
     watch,
@@ -90,9 +92,12 @@ class Supervisor:
         former = self._params if self._form else None
         self.values, self._params = values, made
         self._watch_law = law_watch.design(values)
-        if former is not None and made.lvdt.comparison != former.lvdt.comparison:
+        curve_changed = former is not None and made.line != former.line
+        if former is not None and (made.lvdt.comparison != former.lvdt.comparison or curve_changed):
             m.evidence = None
             watch.forget_watches(m)
+            if made.lvdt.comparison is None:
+                watch.end_watches(m)
         if former is not None and made.lvdt.period != former.lvdt.period:
             m.pace = rate.UNKNOWN
             clear(m, "lvdt_rate")
@@ -108,8 +113,12 @@ class Supervisor:
             m.course = None
         if made.late is None or former is None or former.late is None or former.late.every != made.late.every:
             m.upper = None
-        if former is not None and made.line != former.line:
+        if curve_changed:  # the law's voltage has another unit, and its estimates are those of another valve
             m.voltage = linearisation.given(values, sent)
+            watch.end_doubt(m)
+            m.cycle = m.swing = oscillation.NOTHING
+            m.probe = lock_in.NOTHING
+            m.former, m.kept = None, ("", None)
         m.voltage = saturate(m.voltage, self._watch_law.u_max)
         m.command = command_watch.limited(made.command, m.command)
         self._use_law(values, params, None if former is None else former.law)
@@ -126,6 +135,7 @@ class Supervisor:
         if form == self._form and not anew:
             return
         before, law = self._descriptor, LAWS[name]
+        another_curve = bool(self._form) and line != self._form[2]
         same_reference = before is not None and before.reshapes(former)
         if law is not before or line != self._form[2]:
             own = {"hand_out": self._hand_out, "observe": self._observe, "are_finite": are_finite}
@@ -137,6 +147,9 @@ class Supervisor:
         self._watched = law_watch.watched(law.module.Terms._fields)
         self._terms = ()
         if m.law is None:
+            return
+        if another_curve:
+            self._steps.take_over(self._params, m, None, True)
             return
         begun = m.law._replace(theta=estimates) if anew else m.law
         if same_reference and law.reshapes(params):

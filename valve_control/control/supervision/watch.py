@@ -52,7 +52,7 @@ from valve_control.control.supervision.record import (
     reported_of,
     stop_reporting,
 )
-from valve_control.control.supervision.watch_table import REPORTING, STOPPING
+from valve_control.control.supervision.watch_table import BESIDE, REPORTING, STOPPING
 from valve_control.parameter import Values, number, word
 
 BOTH = "spool_command is ignored while spool_trajectory commands"
@@ -445,6 +445,13 @@ def forget_watches(m: Memory) -> None:
     for watch in STOPPING:
         setattr(m, watch.slot, watch.module.forgotten(getattr(m, watch.slot)))
     forget_reported(m)
+
+
+def end_watches(m: Memory) -> None:
+    """There is no plausibility check any more, on which the watches of the table depend."""
+    for watch in BESIDE:
+        setattr(m, watch.slot, watch.module.NOTHING)
+        clear(m, watch.condition)
 
 
 def confront(p: Params, m: Memory) -> None:
