@@ -506,8 +506,8 @@ def design(
         )
     if 0.0 < hum < LEAST_HUM:
         raise DesignError(
-            f"dcarc.hum is {hum:g} Hz; it must be 0 or at least {LEAST_HUM:g} Hz, so that motion is not taken "
-            "for hum"
+            f"dcarc.hum is {hum:g} Hz; it must be 0 or at least {LEAST_HUM:g} Hz, so that motion is not "
+            "taken for hum"
         )
     if hum >= 0.5 / period:
         raise DesignError(

@@ -191,8 +191,8 @@ def seen(values: Values) -> Values:
     null = value(curve, 0.0)
     if not abs(null) < limit:
         raise ParameterError(
-            f"the curve of linearisation.position gives the law {null:g} V at 0 V of the amplifier; it must be "
-            f"less than {limit:g} V, which the amplifier reaches on both sides within u_max"
+            f"the curve of linearisation.position gives the law {null:g} V at 0 V of the amplifier; it must "
+            f"be less than {limit:g} V, which the amplifier reaches on both sides within u_max"
         )
     return {**values, "u_max": limit}
 
