@@ -64,6 +64,7 @@ def test_dcarc_with_a_coil_in_its_model_has_the_same_bits(tmp_path):
                 "dcarc.hysteresis": 0.1,
                 "dcarc.sides": 0.1,
                 "dcarc.actuator_delay": 0.0013,
+                "dcarc.hum": 50.0,
             },
         )
     ]

@@ -11,6 +11,7 @@ import scipy.integrate
 import scipy.linalg
 import scipy.signal
 from changed import controller
+from changed import valve as simulated
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -608,3 +609,26 @@ def test_another_law_takes_over_the_reference_that_is_followed(model):
     for (_, state), (terms, _) in itertools.pairwise(states):
         found = bumpless_transfer.followed(p, state)
         assert found == pytest.approx((terms.reference, terms.reference_rate), abs=1e-12)
+
+
+@pytest.mark.parametrize("hertz", [300.0, 1500.0])
+def test_a_zero_beyond_the_samples_is_taken_out_of_an_identified_model(hertz):
+    """The inverse of such a zero asks for many times the voltage; without it the valve is followed."""
+    denominator, z = (1.0, 451.7, 55198.5, 2725358.0), 2.0 * math.pi * hertz
+    model = TransferFunction((2295720.0 / z, 2295720.0), denominator)
+    bare = dcarc_design.without_fast_zero(model, PERIOD)
+    assert np.allclose(bare.numerator, [2295720.0], rtol=1e-12) and bare.denominator == denominator
+    slow = TransferFunction((2295720.0 / 1400.0, 2295720.0), denominator)
+    assert dcarc_design.without_fast_zero(slow, PERIOD) is slow
+    wanted = comparison.motions()["sine 10 Hz"][:1002]
+    errors = []
+    for part in (bare, model):
+        own = {"dcarc.numerator": list(part.numerator), "dcarc.denominator": list(denominator)}
+        values = controller(**{"controller": "dcarc", "dcarc.model": "custom", **own, **comparison.NO_LIMITS})
+        p = dcarc.build(values)
+        v = simulated(valve="custom", numerator=list(model.numerator), denominator=list(denominator))
+        run = offline.simulate(
+            values, v, comparison.unreshaped(p.reshaping, wanted), compiled=False, alone=True
+        )
+        errors.append(float(np.std((run.position - wanted[:-2])[300:])))
+    assert errors[0] < 0.02 and errors[1] > 5.0 * errors[0]

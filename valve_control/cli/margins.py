@@ -72,9 +72,10 @@ def _margins(arguments: argparse.Namespace) -> None:
         found[f"worst of {len(plants)} valves of the box"] = margins.worst(over)
     if arguments.json != "-":
         _print(law.name, found)
-    for warning in filter(
-        None, (stability.warning(law, params), stability.valve_warning(law, params, plant))
-    ):
+    warnings = [stability.warning(law, params), stability.valve_warning(law, params, plant)]
+    if not any(warnings):
+        warnings.append(stability.coil_warning(law, params, settings["controller"]))
+    for warning in filter(None, warnings):
         print(f"warning: {warning}", file=sys.stderr)
     rows = {name: margins.as_dict(one) for name, one in found.items()}
     write_json(arguments, {"controller": law.name, "margins": rows})

@@ -492,7 +492,8 @@ class Controller(Managed):
         """Warn about unstable gains; after they are in use, since the check takes longer than a period."""
         if self._unchecked:
             self._unchecked = False
-            text = stability.warning(LAWS[self._supervisor.name], self._params)
+            law, values = LAWS[self._supervisor.name], self._supervisor.values
+            text = stability.warning(law, self._params) or stability.coil_warning(law, self._params, values)
             if text:
                 self.get_logger().warning(text)
 

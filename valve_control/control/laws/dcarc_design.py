@@ -40,6 +40,7 @@ SLOWEST_ZERO = (
 )
 LEAST_DAMPING = 0.1  # -  of these zeros
 LEAST_HUM = 40.0  # Hz  below it the observer would take motion for hum
+FASTEST_ZERO = 1.5  # over the sample period, from which on a real zero is taken out of an identified model
 HUM_WIDTH = 1.0  # Hz  on both sides of a hum's frequency, within which the observer takes it for hum
 
 
@@ -119,6 +120,24 @@ def excess(model: TransferFunction) -> int:
         len(np.trim_zeros(np.asarray(part), "f")) for part in (model.denominator, model.numerator)
     )
     return poles - zeros
+
+
+def without_fast_zero(model: TransferFunction, period: float) -> TransferFunction:
+    """``model`` without a real zero that samples of ``period`` [s] cannot invert, of the same static gain.
+
+    In the middle of a period the inverse has the ζ̈ of a reference in a straight line, x/sinh(x) of the right
+    one with x = z·ΔT/2. The highest derivative is then wrong by z·(1 - x/sinh(x))·ζ̈, which with a fast zero
+    is more than the whole voltage. The lead of the zero, 1/z, is less than a period. A model that has three more
+    poles than zeros already stays.
+    """
+    zeros = np.roots(np.asarray(model.numerator))
+    if excess(model) >= EXCESS[1] or not len(zeros):
+        return model
+    fastest = zeros[np.argmax(np.abs(zeros))]
+    if fastest.imag != 0.0 or abs(fastest) * period < FASTEST_ZERO:
+        return model
+    rest = np.polydiv(np.asarray(model.numerator), [1.0 / -fastest.real, 1.0])[0]
+    return TransferFunction(tuple(rest.tolist()), model.denominator)
 
 
 def _from_force(model: TransferFunction, coil: float) -> TransferFunction:

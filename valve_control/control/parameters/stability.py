@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from valve_control.control.laws.law import Law
+from valve_control.control.laws import dcarc
+from valve_control.control.laws.law import Law, by_slow_motion
 from valve_control.control.laws.signals import Start
 from valve_control.control.parameters import linear_loop
 from valve_control.control.parameters.linear_loop import LinearValves
 from valve_control.control.plant import registry, valve
 from valve_control.control.plant.models import TransferFunction
+from valve_control.parameter import Values
 
 GAIN_MARGIN = 1.25  # of b0; the real valve's b0 lies that far from θ(0), and so does (2)
 MOST_DELAY = 50.0  # periods of dead time; more is left to the run
@@ -94,6 +96,36 @@ def warning(law: Law, params: Any) -> str:
     if at_rest < 1.0:
         return f"{told}; {law.remedy}"
     return f"{told}; {_advice(law, params, believed, law.remedy)}"
+
+
+def coil_warning(law: Law, params: Any, values: Values) -> str:
+    """One sentence if the sampled loop is unstable on a valve whose coil the ``law`` does not know, else "".
+
+    ARC, OARC and PID believe in (1), which has no coil. The controller's ``values`` tell of one where dcarc's
+    model has three more poles than zeros: this is then the valve, with its gain as it is and 2 dB above.
+    """
+    if law.model is None or law.sampled_model is not by_slow_motion:
+        return ""
+    known = dcarc.LAW.build(values)
+    exact = dcarc.sampled_model(known)
+    if exact is None or known.reshaping.smoothing == 0.0:
+        return ""
+    valves = linear_loop.undelayed(*exact)
+    at_rest = _pole(law, params, valves)
+    pole = max(at_rest, _pole(law, params, linear_loop.undelayed(exact[0], GAIN_MARGIN * exact[1])), key=abs)
+    if abs(pole) < 1.0:
+        return ""
+    rate = abs(cmath.phase(pole)) / params.period
+    lag = ""
+    if known.magnet.coil > 0.0:
+        angle = math.degrees(math.atan(rate * known.magnet.coil))
+        lag = f": dcarc.coil, {known.magnet.coil:g} s, is {angle:.2g}° there"
+    remedy = law.remedy if abs(at_rest) < 1.0 else _advice(law, params, valves, "lower the gains")
+    return (
+        f"{law.name} knows no coil, and on the model of dcarc, which has one, it is unstable with these "
+        f"gains, or within 2 dB of it (largest pole of the sampled loop: {abs(pole):.3f}, at "
+        f"{rate / (2.0 * math.pi):.3g} Hz{lag}); {remedy}, or use dcarc"
+    )
 
 
 def valve_warning(law: Law, params: Any, plant: Any) -> str:

@@ -134,6 +134,8 @@ def simulate(
         stability.warning(law, law_params),
         stability.valve_warning(law, law_params, valve_params),
     ]
+    if not any(warnings_found) and not alone:
+        warnings_found.append(stability.coil_warning(law, law_params, controller_values))
     if not warnings_found[1]:
         warnings_found.append(_probe(law, loop_params, valve_params, least, compiled))
     warnings_found.append(_cut(law, law_params, terms, build.valve_model(valve_values)))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from valve_control.control.laws import arc, dcarc, oarc, pid, reshaping
-from valve_control.control.laws.dcarc_design import EXCESS, excess
+from valve_control.control.laws.dcarc_design import EXCESS, excess, without_fast_zero
 from valve_control.control.laws.law import Law
 from valve_control.control.parameters import stability
 from valve_control.control.parameters.table import CONTROLLER
@@ -260,6 +260,7 @@ def dcarc_values(known: KnownValve, share: float = 1.0) -> Values:
     Less bandwidth is a larger weight of the voltage, and a disturbance that is expected to change less.
     """
     own = defaults(CONTROLLER)
+    model = without_fast_zero(known.model, known.period)
     gain = known.model.static_gain / models.FOURTH_ORDER.static_gain
     slower: Values = {}
     if share < 1.0:  # the disturbance's estimate is a part of the loop too
@@ -269,8 +270,8 @@ def dcarc_values(known: KnownValve, share: float = 1.0) -> Values:
             **(_bristles(known.friction) if known.friction is not None else {}),
             **slower,
             "dcarc.model": "custom",
-            "dcarc.numerator": list(known.model.numerator),
-            "dcarc.denominator": list(known.model.denominator),
+            "dcarc.numerator": list(model.numerator),
+            "dcarc.denominator": list(model.denominator),
             **dead_time.of_dcarc(known.delay, known.sensor_delay),
             "dcarc.lvdt_noise": max(known.lvdt.noise, QUIETEST),
             "dcarc.lvdt_resolution": known.lvdt.resolution,

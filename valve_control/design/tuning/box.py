@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from valve_control.control.laws.dcarc_design import without_fast_zero
 from valve_control.control.laws.law import Law
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER
@@ -92,6 +93,8 @@ def with_model(law: Law, settings: Settings, given: Container[str]) -> tuple[Val
     changes: dict[str, Any] = {name: plant["valve"]}
     if plant["valve"] not in models.MODELS or number(plant, "gain_scale") != 1.0:
         model = build.valve_model(plant)
+        if law.name == "dcarc":
+            model = without_fast_zero(model, number(plant, "sample_period"))
         changes = {name: "custom"}
         changes.update({f"{law.name}.{part}": list(c) for part, c in model._asdict().items()})
         known = _solenoids(law, values, plant)

@@ -1,0 +1,105 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""A hum in the reading under dcarc.hum: it leaves the voltage, and costs little of the margins."""
+
+import math
+
+import numpy as np
+import pytest
+
+from research import coil
+from valve_control.control.analysis.indices import rms
+from valve_control.control.laws import dcarc, dcarc_design
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import models
+from valve_control.control.simulation import comparison, offline
+from valve_control.design.tuning import margins
+from valve_control.parameter import ParameterError, updated
+
+PERIOD = 0.001
+NOTCH = [(name, hum) for name in coil.VALVES for hum in (50.0, 60.0)]
+
+
+def controller(name, hum, **changes):
+    return updated(CONTROLLER, coil.controller(coil.VALVES[name], coil.TERMS), {"dcarc.hum": hum, **changes})
+
+
+@pytest.mark.parametrize(("name", "hum"), NOTCH)
+def test_what_is_known_of_the_hum_decays_at_the_width(name, hum):
+    """The pole of the whole observer at the hum, against the walk that the derivation gives for its width."""
+    values, turn = controller(name, 0.0), 2.0 * math.pi * hum * PERIOD
+    model = models.chosen(values, "dcarc.model", "dcarc.")
+    noises = (math.hypot(0.004, 0.0049 / math.sqrt(12.0)), 0.5, 4.0 * math.sqrt(PERIOD))
+    plain = dcarc_design.observed(model, PERIOD, 0.0, *noises, coil.VALVES[name].coil)
+    scale = np.append(dcarc_design.scale_of(model), 1.0)
+    o = dcarc_design.humming(plain, dcarc_design.kalman(plain, scale), turn, PERIOD)
+    gain = dcarc_design.kalman(o, np.append(scale, [1.0, 1.0]))
+    poles = np.linalg.eigvals(o.a @ (np.eye(len(gain)) - np.outer(gain, o.c)))
+    pole = poles[np.argmin(np.abs(poles - np.exp(1j * turn)))]
+    assert -math.log(abs(pole)) / PERIOD == pytest.approx(2.0 * math.pi * dcarc_design.HUM_WIDTH, rel=0.02)
+    assert np.angle(pole) == pytest.approx(turn, rel=0.002)
+
+
+@pytest.mark.parametrize(("name", "hum"), NOTCH)
+def test_a_hum_alone_leaves_the_voltage(name, hum):
+    """By and by: the law without a valve has poles of its own that are slower than those of the loop."""
+
+    def swing(notch):
+        p = dcarc.build(controller(name, notch))
+        state, voltages = dcarc.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0)), []
+        for k in range(8000):
+            voltage, state, _ = dcarc.step(
+                p, state, 0.0, 0.02 * math.sin(2.0 * math.pi * hum * PERIOD * k), 0.0
+            )
+            voltages.append(voltage)
+        last = np.array(voltages[-500:])
+        return float(np.std(last))
+
+    with_it, without = swing(hum), swing(0.0)
+    assert without > 0.05 and with_it < 1e-3 * without
+
+
+@pytest.mark.parametrize(("hum", "most"), [(0.005, 0.7), (0.02, 0.35)])
+def test_a_hum_leaves_the_motion_of_a_solenoid_valve(hum, most):
+    """10 Hz on valve A, with a mains that is 0.1 Hz off."""
+
+    def found(notch, amplitude):
+        values, valve = controller("A", notch), coil.plant(coil.VALVES["A"])
+        valve = updated(VALVE, valve, {"solenoid.hum": amplitude, "solenoid.hum_frequency": 50.1})
+        wanted = comparison.motions()["sine 10 Hz"][:2502]
+        sent = comparison.unreshaped(dcarc.build(values).reshaping, wanted)
+        run = offline.simulate(values, valve, sent, compiled=False, alone=True)
+        return rms((run.position - wanted[:-2])[1000:]), run.indices.c_u
+
+    (plain, restless), (error, chatter), (quiet, _) = found(0.0, hum), found(50.0, hum), found(0.0, 0.0)
+    assert error < most * plain and chatter < restless
+    assert found(50.0, 0.0)[0] < 1.1 * quiet
+
+
+@pytest.mark.parametrize("name", coil.VALVES)
+def test_the_margins_of_the_loop_hardly_change(name):
+    plants = margins.prepared([build.valve_params(coil.plant(coil.VALVES[name]))])
+    plain, notched = (
+        margins.as_dict(
+            margins.worst(margins.margins(LAWS["dcarc"], dcarc.build(controller(name, hum)), plants))
+        )
+        for hum in (0.0, 50.0)
+    )
+    assert notched["radius"] < 1.0
+    assert abs(notched["phase_deg"] - plain["phase_deg"]) < 1.0
+    assert plain["gain_db"] - notched["gain_db"] < 2.0
+    assert notched["sensitivity_db"] - plain["sensitivity_db"] < 0.5
+
+
+def test_without_a_hum_there_is_nothing_of_it():
+    p = dcarc.build(controller("A", 0.0))
+    assert p.turn.on == 0.0 and p.kalman.hum == (0.0, 0.0)
+
+
+def test_a_hum_that_the_samples_do_not_show_is_refused():
+    with pytest.raises(ParameterError) as refused:
+        dcarc.build(controller("A", 500.0))
+    assert str(refused.value) == "dcarc.hum is 500 Hz; it must lie below half of the sample rate, 500 Hz"
