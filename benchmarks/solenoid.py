@@ -397,7 +397,12 @@ def told(row: Mapping[str, Any]) -> list[str]:
         for law, one in row["laws"].items()
         if not one["accepted"]
     ]
-    return [line, *refused]
+    replaced = [
+        f"       {one['law']} was better than {law} on the running valve and is in force"
+        for law, one in row["laws"].items()
+        if one["accepted"] and one["law"] != law
+    ]
+    return [line, *refused, *replaced]
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
