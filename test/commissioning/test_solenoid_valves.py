@@ -91,6 +91,7 @@ def row(seed, **laws):
         "options": {**QUICK._asdict(), "seed": seed},
         "valve": solenoid.drawn(seed),
         "reference": {**best, "cpu_s": 1.0},
+        "stable": {"with preview": True, "command alone": False},
         "laws": laws,
     }
 
@@ -126,6 +127,7 @@ def test_targets_are_judged_by_what_was_measured():
     assert found["dcarc: limit cycles"].value == 1.0
     assert not found["dcarc: share of valves accepted"].reached
     lines = "\n".join(line for one in rows for line in solenoid.told(one))
+    assert solenoid.summary(rows)[-1].endswith("without friction: 3 of 6")
     assert "0.40/0.40" in lines and "dcarc refused in step 'model': friction takes up the sine" in lines
 
 
