@@ -39,7 +39,7 @@ from valve_control.design.commissioning import sequence
 from valve_control.design.commissioning.bench import Fault, SafetyLimits
 from valve_control.design.commissioning.plan import Plan, check
 from valve_control.design.commissioning.plant import EXPLAINED
-from valve_control.design.tuning import limit_cycles, search, trial
+from valve_control.design.tuning import limit_cycles, margins, search, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
 from valve_control.parameter import ParameterError, Value, Values, defaults, number, updated, word
 
@@ -206,6 +206,17 @@ def reference(values: Values, options: Options, kept: Mapping[str, Any] | None) 
     return found
 
 
+def stable(plant: Any, found: Mapping[str, Any]) -> dict[str, bool]:
+    """Whether each of the best PIDs ``found`` is stable on the valve without friction, by mode."""
+    law, box = LAWS["pid"], margins.prepared([plant])
+    params = {
+        mode: law.build(updated(CONTROLLER, defaults(CONTROLLER), found[mode]["values"])) for mode in MODES
+    }
+    return {
+        mode: bool(margins.margins(law, p, box).radius[0] < 1.0 + margins.EDGE) for mode, p in params.items()
+    }
+
+
 def _better(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     """Whether ``one`` keeps the limit of the chatter and the ``other`` does not, or has less error."""
     quiet = [bool(each["c_u"] <= CHATTER) for each in (one, other)]
@@ -300,6 +311,7 @@ def gone_through(folder: Path, seed: int, options: Options) -> dict[str, Any]:
         outputs.write(str(path), outputs.as_json(row))
 
     row["reference"] = reference(values, options, kept.get("reference"))
+    row["stable"] = stable(build.valve_params(values), row["reference"])
     row["laws"] = {} if kept.get("sources") != row["sources"] else dict(kept["laws"])
     for law in LAWS_COMMISSIONED:
         keep()
@@ -397,7 +409,12 @@ def told(row: Mapping[str, Any]) -> list[str]:
         for law, one in row["laws"].items()
         if not one["accepted"]
     ]
-    return [line, *refused]
+    replaced = [
+        f"       {one['law']} was better than {law} on the running valve and is in force"
+        for law, one in row["laws"].items()
+        if one["accepted"] and one["law"] != law
+    ]
+    return [line, *refused, *replaced]
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -407,6 +424,8 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         sign = "≥" if target.least else "≤"
         verdict = "reached" if target.reached else "NOT reached"
         lines.append(f"{target.name:56}{target.value:10.3f}{f'{sign} {target.bound:g}':>12}  {verdict}")
+    whole = [one for row in rows for one in row["stable"].values()]
+    lines.append(f"best PIDs that are stable on their valve without friction: {sum(whole)} of {len(whole)}")
     return lines
 
 

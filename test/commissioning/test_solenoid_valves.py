@@ -91,13 +91,15 @@ def row(seed, **laws):
         "options": {**QUICK._asdict(), "seed": seed},
         "valve": solenoid.drawn(seed),
         "reference": {**best, "cpu_s": 1.0},
+        "stable": {"with preview": True, "command alone": False},
         "laws": laws,
     }
 
 
-def accepted(e_rms, c_u=0.2, error=1.0, cycle=False):
+def accepted(e_rms, c_u=0.2, error=1.0, cycle=False, law="dcarc"):
     return {
         "accepted": True,
+        "law": law,
         "cpu_s": 2.0,
         "running_c_u": c_u,
         "modes": {mode: {"e_rms": e_rms, "c_u": c_u} for mode in solenoid.MODES},
@@ -111,8 +113,8 @@ REFUSED = {"accepted": False, "reason": "friction takes up the sine", "step": "m
 
 def test_targets_are_judged_by_what_was_measured():
     rows = [
-        row(1, dcarc=accepted(0.008), pid=accepted(0.03)),
-        row(2, dcarc=accepted(0.012, c_u=0.35, error=4.0, cycle=True), pid=accepted(0.022)),
+        row(1, dcarc=accepted(0.008), pid=accepted(0.03, law="pid")),
+        row(2, dcarc=accepted(0.012, c_u=0.35, error=4.0, cycle=True), pid=accepted(0.022, law="pid")),
         row(3, dcarc=REFUSED, pid=REFUSED),
     ]
     found = {target.name: target for target in solenoid.targets(rows)}
@@ -125,7 +127,13 @@ def test_targets_are_judged_by_what_was_measured():
     assert found["dcarc: limit cycles"].value == 1.0
     assert not found["dcarc: share of valves accepted"].reached
     lines = "\n".join(line for one in rows for line in solenoid.told(one))
+    assert solenoid.summary(rows)[-1].endswith("without friction: 3 of 6")
     assert "0.40/0.40" in lines and "dcarc refused in step 'model': friction takes up the sine" in lines
+
+
+def test_a_pid_that_takes_the_place_of_the_law_is_named():
+    lines = solenoid.told(row(1, dcarc=accepted(0.02, law="pid"), pid=accepted(0.02, law="pid")))
+    assert sum("pid was better than dcarc" in line for line in lines) == len(lines) - 1 == 1
 
 
 def test_nothing_accepted_reaches_nothing():
