@@ -14,9 +14,11 @@ of the valve, coil and dead time included. λ follows from the gain margin that 
 
 import itertools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from valve_control.control.laws import dcarc, pid, reshaping
 from valve_control.control.laws.dcarc_design import EXCESS, excess
@@ -25,19 +27,21 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models
 from valve_control.control.plant.models import Scale
 from valve_control.design.tuning import margins
+from valve_control.design.tuning.trial import Problem
 from valve_control.parameter import ParameterError, Value, Values, number, updated, word
 
+Array = npt.NDArray[np.float64]
 LOOPS = ((0.05, 4.0), (0.15, 2.0), (0.5, 4.0), (0.5, 2.0))  # weight at the gain of the D3FXE, V/√s
 SHARES = (0.35, 0.55, 0.85)  # of the highest natural frequency of the reference filter
 INPUT_NOISE, FIT_NOISE, FORGETTING = 0.5, 0.4, 0.05  # V, V, 1/s
 RUBBING, LEAST = 0.3, 0.1  # of the friction that is known, and V: spread of the weights of bristles
 OTHERS = (0.1, 0.1, 0.2, 0.0, 0.0)  # of gain, and of flow force, offset, damping and inertia
 SLOW, QUICK = 0.2, 1.0  # of the frequency at which the valve is 90° late: where 1/G is matched
-LEFT = (1.8, 2.2, 3.0)  # times the gain, which the worst valve of the box bears
-CUTOFFS = (2.5, 6.0)  # of the derivative's low-pass, over 1/λ
+LEFT = (1.8, 2.5)  # times the gain, which the worst valve of the box bears
+CUTOFFS = (1.2, 3.0, 8.0)  # of the derivative's low-pass, over 1/λ
 LEAST_CUTOFF, MOST_CUTOFF = 1.0, 1e4  # Hz
 LOOSE = 10.0  # times c1 of the valve, for λ of a loop that is stable
-STATIC = 0.35  # of 1/gain, as the static feedforward of the plain form
+FED = (0.4, 0.8)  # of the friction, as viscous, in the feedforward; of 1/gain in that of the plain form
 REFERENCE = 0.85  # of the highest natural frequency of the reference filter
 
 
@@ -49,14 +53,22 @@ class Reciprocal(NamedTuple):
     c2: float  # s²
 
 
-def starts(law: Law, values: Values, preview: bool, scale: Scale, box: margins.Box) -> list[Values]:
-    """Parameters of the controller from which a search of ``law`` begins besides ``values``.
+def starts(law: Law, problem: Problem, box: margins.Box) -> list[Values]:
+    """Parameters of the controller from which a search of ``law`` begins besides those of the ``problem``.
 
-    ``box``: the valves on which margins have to hold. Those that ``law`` cannot be built with are left out.
+    ``box``: the valves of the problem on which margins have to hold. Those that ``law`` cannot be built with
+    are left out.
     """
-    if law.name == "pid":
-        return _pids(values, preview, scale, box)
-    return _dcarcs(law, values, preview, scale)
+    if law.name == pid.LAW.name:
+        return _pids(problem, box)
+    return _dcarcs(law, problem.values, problem.preview, problem.scale)
+
+
+def _viscous(box: margins.Box, wanted: Sequence[Array], period: float) -> float:
+    """Voltage over velocity [s] that is nearest to Coulomb friction, on the motion where it is least."""
+    rates = [np.gradient(motion, period) for motion in wanted]
+    moved = [float(np.mean(np.abs(v)) / np.mean(v * v)) for v in rates if np.any(v)]
+    return float(np.median(box.coulomb)) * min(moved, default=0.0)
 
 
 def reciprocal(box: margins.Box, share: float) -> Reciprocal | None:
@@ -64,32 +76,34 @@ def reciprocal(box: margins.Box, share: float) -> Reciprocal | None:
 
     None: the valve has no such frequency, or another form.
     """
-    inverse = np.median(1.0 / box.response.real[:, 0]), np.median(1.0 / box.response, axis=0)
-    c0, away = float(inverse[0]), inverse[1]
-    late = np.flatnonzero(away.real * c0 <= 0.0)
-    if not len(late) or c0 <= 0.0:
+    each = 1.0 / box.response
+    real, imag = np.median(each.real, axis=0), np.median(each.imag, axis=0)
+    late = np.flatnonzero(real <= 0.0)
+    if not len(late) or late[0] == 0:
         return None
-    k = int(np.argmin(np.abs(box.omega - share * box.omega[late[0]])))
-    w = float(box.omega[k])
-    found = Reciprocal(c0, float(away.imag[k]) / w, (c0 - float(away.real[k])) / (w * w))
+    k = max(1, int(np.argmin(np.abs(box.omega - share * box.omega[late[0]]))))
+    squares = box.omega**2
+    c2 = float((real[0] - real[k]) / (squares[k] - squares[0]))
+    found = Reciprocal(float(real[0] + c2 * squares[0]), float(imag[k] / box.omega[k]), c2)
     return found if min(found) > 0.0 else None
 
 
-def _pids(values: Values, preview: bool, scale: Scale, box: margins.Box) -> list[Values]:
-    """PIDs of a few bandwidths; the feedforward of the reference form is 1/G of slow motions."""
-    slow = reciprocal(box, SLOW)
-    if slow is None or word(values, "pid.form") == "paper":
+def _pids(problem: Problem, box: margins.Box) -> list[Values]:
+    """PIDs of a few bandwidths, with a feedforward that is 1/G of slow motions."""
+    values = problem.values
+    slow, shape = reciprocal(box, SLOW), reciprocal(box, QUICK)
+    if slow is None or shape is None or word(values, "pid.form") == "paper":
         return []
+    viscous = _viscous(box, [m.wanted for m in problem.motions], number(values, "sample_period"))
     made = []
-    for share, cutoff, left in itertools.product((SLOW, QUICK), CUTOFFS, LEFT):
-        shape = reciprocal(box, share)
-        if shape is None:
-            continue
+    for cutoff in CUTOFFS:
         try:
-            tight = _tightest(values, shape, MOST_CUTOFF, box)
-            closest = _tightest(values, shape, cutoff / tight / (2.0 * math.pi), box)
-            loop = _gains(shape, left * closest, cutoff / tight / (2.0 * math.pi))
-            made.append(_fed(updated(CONTROLLER, values, loop), slow, left * closest, preview, scale))
+            highest = cutoff / _tightest(values, shape, MOST_CUTOFF, box) / (2.0 * math.pi)
+            closest = _tightest(values, shape, highest, box)
+            for left, part in itertools.product(LEFT, FED):
+                loop = updated(CONTROLLER, values, _gains(shape, left * closest, highest))
+                rubbed = slow._replace(c1=slow.c1 + part * viscous)
+                made.append(_fed(loop, rubbed, left * closest, part, problem))
         except ParameterError:
             continue
     return made
@@ -116,30 +130,34 @@ def _tightest(values: Values, shape: Reciprocal, cutoff: float, box: margins.Box
     left = float(np.min(margins.margins(pid.LAW, params, box).gain_db))
     if not 0.0 < left < math.inf:
         raise ParameterError("the loop has no gain at which it becomes unstable")
-    return loose * 10.0 ** (-left / 20.0)
+    return loose / float(10.0 ** (left / 20.0))
 
 
-def _fed(values: Values, slow: Reciprocal, filtered: float, preview: bool, scale: Scale) -> Values:
-    """``values`` of a PID with λ ``filtered`` [s] and a feedforward; raises ParameterError.
+def _fed(values: Values, slow: Reciprocal, filtered: float, part: float, problem: Problem) -> Values:
+    """``values`` of a PID with λ ``filtered`` [s], with a feedforward and the lead of the command.
 
-    With a static one of a share x of c0 the plain form is late by (1 - x)·λ on a ramp, which the lead of the
-    command makes up for. In the reference form it makes up for that of the reference filter.
+    With a static feedforward of a ``part`` x of c0 the plain form is late by (1 - x)·λ on a ramp. The
+    reference form follows its reference, so that the lead makes up for the lag of the reference filter.
+    Raises ParameterError.
     """
-    if word(values, "pid.form") == "plain":
-        plain: Values = {"pid.static_feedforward": STATIC * slow.c0}
-        led = {} if preview else {"reshaping.lead": (1.0 - STATIC) * filtered, "reshaping.lead_accel": 1.0}
-        return updated(CONTROLLER, values, {**plain, **led})
-    made = updated(CONTROLLER, values, {"pid.theta": [slow.c1 / slow.c2, slow.c0 / slow.c2, 1.0 / slow.c2]})
-    if preview:
+    plain = word(values, "pid.form") == "plain"
+    fed: Values = {"pid.theta": [slow.c1 / slow.c2, slow.c0 / slow.c2, 1.0 / slow.c2]}
+    if plain:
+        fed = {"pid.static_feedforward": part * slow.c0}
+    made = updated(CONTROLLER, values, fed)
+    if problem.preview:
         return made
-    highest = reshaping.frequency(values, scale).high
-    made = updated(CONTROLLER, made, {"reshaping.natural_frequency": REFERENCE * highest})
-    return updated(CONTROLLER, made, {"reshaping.lead": reshaping.lag(made), "reshaping.lead_accel": 1.0})
+    lead = (1.0 - part) * filtered
+    if not plain:
+        highest = reshaping.frequency(values, problem.scale).high
+        made = updated(CONTROLLER, made, {"reshaping.natural_frequency": REFERENCE * highest})
+        lead = reshaping.lag(made)
+    return updated(CONTROLLER, made, {"reshaping.lead": lead, "reshaping.lead_accel": 1.0})
 
 
 def _dcarcs(law: Law, values: Values, preview: bool, scale: Scale) -> list[Values]:
     """Gains of dcarc; none of a law that has no coil in its model."""
-    if law is not dcarc.LAW or excess(models.chosen(values, "dcarc.model", "dcarc.")) <= EXCESS[0]:
+    if law.name != dcarc.LAW.name or excess(models.chosen(values, "dcarc.model", "dcarc.")) <= EXCESS[0]:
         return []
     close = max(LEAST, RUBBING * float(list(values["dcarc.theta_initial"])[2]))  # type: ignore[arg-type]
     common: Values = {

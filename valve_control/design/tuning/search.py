@@ -314,7 +314,7 @@ def search(
         for values in (
             problem.values,
             *known,
-            *designs.starts(law, problem.values, problem.preview, problem.scale, trials.box),
+            *designs.starts(law, problem, trials.box),
         )
     )
     sobol = scipy.stats.qmc.Sobol(n, rng=np.random.default_rng(seed))
