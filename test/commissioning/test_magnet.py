@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Valves with solenoids: what the tests show of them, and what the laws get to know."""
 
-import itertools
 import math
 
 import numpy as np
@@ -152,7 +151,7 @@ def test_some_designs_keep_the_margins_on_a_box_of_valves(name):
 @pytest.mark.parametrize("form", ["plain", "reference"])
 @pytest.mark.parametrize("name", coil.VALVES)
 def test_the_pid_of_internal_model_control_keeps_the_margins_on_a_box_of_valves(name, form):
-    """The gain margin of the worst valve is what it was designed for; an undelayed ramp needs no feedback."""
+    """The gain margin of the worst valve is what it was designed for."""
     v = coil.VALVES[name]
     valve = TRUE._replace(
         speed=2.0 * math.pi * v.frequency, damping=v.damping, coil=v.coil, coulomb=v.coulomb, overlap=0.0
@@ -162,10 +161,10 @@ def test_the_pid_of_internal_model_control_keeps_the_margins_on_a_box_of_valves(
     problem = task.problem._replace(values=updated(CONTROLLER, task.problem.values, {"pid.form": form}))
     box = margins.prepared(problem.box)
     starts = designs.starts(LAWS["pid"], problem, box)
-    assert len(starts) == len(designs.CUTOFFS) * len(designs.LEFT) * len(designs.FED)
+    assert len(starts) == len(designs.CUTOFFS) * len(designs.SHAPES) * len(designs.FED)
     found = [margins.margins(LAWS["pid"], LAWS["pid"].build(values), box) for values in starts]
-    left = itertools.cycle(np.repeat(designs.LEFT, len(designs.FED)))
-    for one, wanted in zip(found, left, strict=False):
+    left = np.repeat([shape[-1] for shape in designs.SHAPES], len(designs.FED))
+    for one, wanted in zip(found, np.tile(left, len(designs.CUTOFFS)), strict=True):
         assert float(np.min(one.gain_db)) == pytest.approx(20.0 * math.log10(wanted), abs=1e-3)
     assert min(trial.violation(trial.USUAL, one) for one in found) == 0.0
 

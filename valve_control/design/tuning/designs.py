@@ -10,6 +10,7 @@ filter has a lead that makes up for all of its lag.
 The PID is that of internal model control (Rivera, Morari and Skogestad 1986): it is the reciprocal of the
 valve, up to the second power of s, over λ·s. Its loop is an integrator at low frequencies, whatever the poles
 of the valve, coil and dead time included. λ follows from the gain margin that is left on the worst valve.
+Others have more of the integral, or more damping, against friction.
 """
 
 import itertools
@@ -37,8 +38,9 @@ INPUT_NOISE, FIT_NOISE, FORGETTING = 0.5, 0.4, 0.05  # V, V, 1/s
 RUBBING, LEAST = 0.3, 0.1  # of the friction that is known, and V: spread of the weights of bristles
 OTHERS = (0.1, 0.1, 0.2, 0.0, 0.0)  # of gain, and of flow force, offset, damping and inertia
 SLOW, QUICK = 0.2, 1.0  # of the frequency at which the valve is 90° late: where 1/G is matched
-LEFT = (1.8, 2.5)  # times the gain, which the worst valve of the box bears
-CUTOFFS = (1.2, 3.0, 8.0)  # of the derivative's low-pass, over 1/λ
+# Of a PID: times c0, as viscous friction in c1, and times the gain that the worst valve bears.
+SHAPES = ((1.0, 0.0, 1.9), (2.0, 0.0, 1.9), (1.5, 0.0, 2.8), (1.0, 1.0, 2.2))
+CUTOFFS = (1.5, 5.0)  # of the derivative's low-pass, over 1/λ
 LEAST_CUTOFF, MOST_CUTOFF = 1.0, 1e4  # Hz
 LOOSE = 10.0  # times c1 of the valve, for λ of a loop that is stable
 FED = (0.4, 0.8)  # of the friction, as viscous, in the feedforward; of 1/gain in that of the plain form
@@ -96,14 +98,15 @@ def _pids(problem: Problem, box: margins.Box) -> list[Values]:
         return []
     viscous = _viscous(box, [m.wanted for m in problem.motions], number(values, "sample_period"))
     made = []
-    for cutoff in CUTOFFS:
+    for cutoff, (stiff, damped, left) in itertools.product(CUTOFFS, SHAPES):
+        formed = shape._replace(c0=stiff * shape.c0, c1=shape.c1 + damped * viscous)
         try:
-            highest = cutoff / _tightest(values, shape, MOST_CUTOFF, box) / (2.0 * math.pi)
-            closest = _tightest(values, shape, highest, box)
-            for left, part in itertools.product(LEFT, FED):
-                loop = updated(CONTROLLER, values, _gains(shape, left * closest, highest))
-                rubbed = slow._replace(c1=slow.c1 + part * viscous)
-                made.append(_fed(loop, rubbed, left * closest, part, problem))
+            highest = cutoff / _tightest(values, formed, MOST_CUTOFF, box) / (2.0 * math.pi)
+            filtered = left * _tightest(values, formed, highest, box)
+            loop = updated(CONTROLLER, values, _gains(formed, filtered, highest))
+            for part in FED:
+                fed = slow._replace(c1=slow.c1 + part * viscous)
+                made.append(_fed(loop, fed, filtered / stiff, part, problem))
         except ParameterError:
             continue
     return made
