@@ -15,7 +15,7 @@ from research import coil
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant.models import TransferFunction, scale_of
+from valve_control.control.plant.models import TransferFunction
 from valve_control.design.commissioning import gains, magnet, model, plant, sequence
 from valve_control.design.commissioning.bench import Fault, SafetyLimits
 from valve_control.design.commissioning.magnet import Magnet
@@ -136,16 +136,57 @@ def test_some_designs_keep_the_margins_on_a_box_of_valves(name):
     made, knows = known(valve)
     plan = Plan(LIMITS, "dcarc", 0.25, 20, 4, 4, 1, 1)
     task = gains.task(plan, defaults(CONTROLLER), made, knows, REST, 1.0)
-    starts = designs.starts(LAWS["dcarc"], task.problem.values, False, scale_of(made.model))
-    assert len(starts) == len(designs.LOOPS) * len(designs.SHARES)
     box = margins.prepared(task.problem.box)
+    starts = designs.starts(LAWS["dcarc"], task.problem, box)
+    assert len(starts) == len(designs.LOOPS) * len(designs.SHARES)
     missing = [
         trial.violation(trial.USUAL, margins.margins(LAWS["dcarc"], LAWS["dcarc"].build(values), box))
         for values in starts
     ]
     assert min(missing) == 0.0
-    assert designs.starts(LAWS["dcarc"], defaults(CONTROLLER), False, scale_of(made.model)) == []
-    assert designs.starts(LAWS["pid"], task.problem.values, False, scale_of(made.model)) == []
+    assert designs.starts(LAWS["dcarc"], task.problem._replace(values=defaults(CONTROLLER)), box) == []
+    assert designs.starts(LAWS["arc"], task.problem, box) == []
+
+
+@pytest.mark.parametrize("form", ["plain", "reference"])
+@pytest.mark.parametrize("name", coil.VALVES)
+def test_the_pid_of_internal_model_control_keeps_the_margins_on_a_box_of_valves(name, form):
+    """The gain margin of the worst valve is what it was designed for."""
+    v = coil.VALVES[name]
+    valve = TRUE._replace(
+        speed=2.0 * math.pi * v.frequency, damping=v.damping, coil=v.coil, coulomb=v.coulomb, overlap=0.0
+    )
+    made, knows = known(valve, "pid")
+    task = gains.task(Plan(LIMITS, "pid", 0.25, 20, 4, 4, 1, 1), defaults(CONTROLLER), made, knows, REST, 1.0)
+    problem = task.problem._replace(values=updated(CONTROLLER, task.problem.values, {"pid.form": form}))
+    box = margins.prepared(problem.box)
+    starts = designs.starts(LAWS["pid"], problem, box)
+    assert len(starts) == len(designs.CUTOFFS) * len(designs.SHAPES) * len(designs.FED)
+    found = [margins.margins(LAWS["pid"], LAWS["pid"].build(values), box) for values in starts]
+    left = np.repeat([shape[-1] for shape in designs.SHAPES], len(designs.FED))
+    for one, wanted in zip(found, np.tile(left, len(designs.CUTOFFS)), strict=True):
+        assert float(np.min(one.gain_db)) == pytest.approx(20.0 * math.log10(wanted), abs=1e-3)
+    assert min(trial.violation(trial.USUAL, one) for one in found) == 0.0
+
+
+@given(st.floats(20.0, 300.0), st.floats(0.4, 2.0), st.floats(5e-4, 0.006), st.floats(0.3, 2.0))
+def test_the_reciprocal_is_the_power_series_of_the_valve(speed, damping, lag, gain):
+    """Of (τs + 1)(s²/ω² + 2ζs/ω + 1)/K, with half a period of the hold."""
+    made = TRUE._replace(speed=speed, damping=damping, coil=lag, gain=gain, sides=0.0, overlap=0.0, delay=0.0)
+    box = margins.prepared([magnet.solenoid_params(made, PERIOD)])
+    found = designs.reciprocal(box, 0.05)
+    late, rubs = lag + 0.5 * PERIOD, 2.0 * damping / speed
+    assert found.c0 == pytest.approx(1.0 / gain, rel=1e-3)
+    assert found.c1 == pytest.approx((late + rubs) / gain, rel=0.01)
+    second = 1.0 / speed**2 + rubs * late + 0.5 * PERIOD * lag + PERIOD**2 / 6.0
+    assert found.c2 == pytest.approx(second / gain, rel=0.05)
+
+
+@pytest.mark.parametrize(("overlap", "simulated"), [(-1e-4, 0.0), (-0.049, 0.0), (0.03, 0.0), (-0.2, -0.2)])
+def test_an_overlap_that_a_fit_leaves_in_doubt_is_none(overlap, simulated):
+    """With an underlap the linear valve has both sides, that is twice the gain."""
+    found = TRUE._replace(overlap=overlap)
+    assert magnet.values(found, 0.0)["solenoid.overlap"] == simulated
 
 
 def test_both_forms_of_the_pid_are_tuned():

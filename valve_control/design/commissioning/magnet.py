@@ -20,6 +20,7 @@ from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.solenoid_valve import transfer
 from valve_control.control.plant.valve import Lvdt
 from valve_control.design.commissioning.statics import Friction
+from valve_control.design.identification.characteristic import TOLD_OVERLAP
 from valve_control.parameter import Values
 
 Floats = npt.NDArray[np.float64]
@@ -99,8 +100,10 @@ def solenoid_params(found: Magnet, period: float) -> solenoid.Params:
 def values(found: Magnet, sensor_delay: float) -> Values:
     """``found`` as parameters of the simulated valve.
 
-    ``sensor_delay`` [s]: what of the dead time is the LVDT's.
+    ``sensor_delay`` [s]: what of the dead time is the LVDT's. An overlap of less than TOLD_OVERLAP is none: a
+    fit is not so exact, and with an underlap, be it ever so small, the valve has twice the gain at 0 V.
     """
+    overlap = found.overlap if abs(found.overlap) >= TOLD_OVERLAP else 0.0
     behind = min(found.delay, sensor_delay)
     made = {
         "solenoid.natural_frequency": found.speed / (2.0 * math.pi),
@@ -110,7 +113,7 @@ def values(found: Magnet, sensor_delay: float) -> Values:
         "solenoid.positive": found.positive,
         "solenoid.negative": found.negative,
         "solenoid.hysteresis": found.hysteresis,
-        "solenoid.overlap": found.overlap if abs(found.overlap) >= LEAST_OVERLAP else 0.0,
+        "solenoid.overlap": overlap,
         "solenoid.dead_time": found.delay - behind,
         "lvdt.delay": behind,
         "friction.coulomb": found.coulomb,

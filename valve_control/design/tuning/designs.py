@@ -1,35 +1,165 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Gives gains of dcarc with which a search begins on a valve with a coil.
+"""Gives gains of dcarc and of the PID with which a search begins, from the valves of the box.
 
-On a model with three more poles than zeros hardly any of the gains in the ranges keep the margins, so that a
-small search finds none at all. LQR and Kalman filter are designed for a few bandwidths here, from loops that
-are tight on a valve that is known well to loops that bear another gain and speed. The reference filter has a
-lead that makes up for all of its lag.
+On a model with three more poles than zeros hardly any of the gains in the ranges of dcarc keep the margins,
+so that a small search finds none at all. LQR and Kalman filter are designed for a few bandwidths here, from
+loops that are tight on a valve that is known well to loops that bear another gain and speed. The reference
+filter has a lead that makes up for all of its lag.
+
+The PID is that of internal model control (Rivera, Morari and Skogestad 1986): it is the reciprocal of the
+valve, up to the second power of s, over λ·s. Its loop is an integrator at low frequencies, whatever the poles
+of the valve, coil and dead time included. λ follows from the gain margin that is left on the worst valve.
+Others have more of the integral, or more damping, against friction.
 """
 
 import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
-from valve_control.control.laws import dcarc, reshaping
+import numpy as np
+import numpy.typing as npt
+
+from valve_control.control.laws import dcarc, pid, reshaping
 from valve_control.control.laws.dcarc_design import EXCESS, excess
 from valve_control.control.laws.law import Law
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models
 from valve_control.control.plant.models import Scale
-from valve_control.parameter import ParameterError, Values, number, updated
+from valve_control.design.tuning import margins
+from valve_control.design.tuning.trial import Problem
+from valve_control.parameter import ParameterError, Value, Values, number, updated, word
 
+Array = npt.NDArray[np.float64]
 LOOPS = ((0.05, 4.0), (0.15, 2.0), (0.5, 4.0), (0.5, 2.0))  # weight at the gain of the D3FXE, V/√s
 SHARES = (0.35, 0.55, 0.85)  # of the highest natural frequency of the reference filter
 INPUT_NOISE, FIT_NOISE, FORGETTING = 0.5, 0.4, 0.05  # V, V, 1/s
 RUBBING, LEAST = 0.3, 0.1  # of the friction that is known, and V: spread of the weights of bristles
 OTHERS = (0.1, 0.1, 0.2, 0.0, 0.0)  # of gain, and of flow force, offset, damping and inertia
+SLOW, QUICK = 0.2, 1.0  # of the frequency at which the valve is 90° late: where 1/G is matched
+# Of a PID: times c0, as viscous friction in c1, and times the gain that the worst valve bears.
+SHAPES = ((1.0, 0.0, 1.9), (2.0, 0.0, 1.9), (1.5, 0.0, 2.8), (1.0, 1.0, 2.2))
+CUTOFFS = (1.5, 5.0)  # of the derivative's low-pass, over 1/λ
+LEAST_CUTOFF, MOST_CUTOFF = 1.0, 1e4  # Hz
+LOOSE = 10.0  # times c1 of the valve, for λ of a loop that is stable
+FED = (0.4, 0.8)  # of the friction, as viscous, in the feedforward; of 1/gain in that of the plain form
+REFERENCE = 0.85  # of the highest natural frequency of the reference filter
 
 
-def starts(law: Law, values: Values, preview: bool, scale: Scale) -> list[Values]:
-    """Parameters of the controller from which a search of ``law`` begins besides ``values``.
+class Reciprocal(NamedTuple):
+    """Voltage for a motion: c0·x + c1·dx/dt + c2·d²x/dt²."""
 
-    None of a law that has no coil in its model. Those that ``law`` cannot be built with are left out.
+    c0: float  # V/V
+    c1: float  # s
+    c2: float  # s²
+
+
+def starts(law: Law, problem: Problem, box: margins.Box) -> list[Values]:
+    """Parameters of the controller from which a search of ``law`` begins besides those of the ``problem``.
+
+    ``box``: the valves of the problem on which margins have to hold. Those that ``law`` cannot be built with
+    are left out.
     """
+    if law.name == pid.LAW.name:
+        return _pids(problem, box)
+    return _dcarcs(law, problem.values, problem.preview, problem.scale)
+
+
+def _viscous(box: margins.Box, wanted: Sequence[Array], period: float) -> float:
+    """Voltage over velocity [s] that is nearest to Coulomb friction, on the motion where it is least."""
+    rates = [np.gradient(motion, period) for motion in wanted]
+    moved = [float(np.mean(np.abs(v)) / np.mean(v * v)) for v in rates if np.any(v)]
+    return float(np.median(box.coulomb)) * min(moved, default=0.0)
+
+
+def reciprocal(box: margins.Box, share: float) -> Reciprocal | None:
+    """1/G of the median valve, matched at rest and at ``share`` of the frequency of a lag of 90°.
+
+    None: the valve has no such frequency, or another form.
+    """
+    each = 1.0 / box.response
+    real, imag = np.median(each.real, axis=0), np.median(each.imag, axis=0)
+    late = np.flatnonzero(real <= 0.0)
+    if not len(late) or late[0] == 0:
+        return None
+    k = max(1, int(np.argmin(np.abs(box.omega - share * box.omega[late[0]]))))
+    squares = box.omega**2
+    c2 = float((real[0] - real[k]) / (squares[k] - squares[0]))
+    found = Reciprocal(float(real[0] + c2 * squares[0]), float(imag[k] / box.omega[k]), c2)
+    return found if min(found) > 0.0 else None
+
+
+def _pids(problem: Problem, box: margins.Box) -> list[Values]:
+    """PIDs of a few bandwidths, with a feedforward that is 1/G of slow motions."""
+    values = problem.values
+    slow, shape = reciprocal(box, SLOW), reciprocal(box, QUICK)
+    if slow is None or shape is None or word(values, "pid.form") == "paper":
+        return []
+    viscous = _viscous(box, [m.wanted for m in problem.motions], number(values, "sample_period"))
+    made = []
+    for cutoff, (stiff, damped, left) in itertools.product(CUTOFFS, SHAPES):
+        formed = shape._replace(c0=stiff * shape.c0, c1=shape.c1 + damped * viscous)
+        try:
+            highest = cutoff / _tightest(values, formed, MOST_CUTOFF, box) / (2.0 * math.pi)
+            filtered = left * _tightest(values, formed, highest, box)
+            loop = updated(CONTROLLER, values, _gains(formed, filtered, highest))
+            for part in FED:
+                fed = slow._replace(c1=slow.c1 + part * viscous)
+                made.append(_fed(loop, fed, filtered / stiff, part, problem))
+        except ParameterError:
+            continue
+    return made
+
+
+def _gains(shape: Reciprocal, filtered: float, cutoff: float) -> dict[str, Value]:
+    """Gains of the PID (c0 + c1·s + c2·s²)/(λ·s) with λ ``filtered`` [s] and the ``cutoff`` [Hz]."""
+    return {
+        "pid.break_frequency": 0.0,
+        "pid.kp": shape.c1 / filtered,
+        "pid.ki": shape.c0 / filtered,
+        "pid.kd": shape.c2 / filtered,
+        "pid.derivative_cutoff": min(MOST_CUTOFF, max(LEAST_CUTOFF, cutoff)),
+    }
+
+
+def _tightest(values: Values, shape: Reciprocal, cutoff: float, box: margins.Box) -> float:
+    """λ [s] with which the loop of one valve of the ``box`` is at the edge of stability.
+
+    All gains go with 1/λ, so that it follows from the gain margin with any λ. Raises ParameterError.
+    """
+    loose = LOOSE * shape.c1 / shape.c0
+    params = pid.build(updated(CONTROLLER, values, _gains(shape, loose, cutoff)))
+    left = float(np.min(margins.margins(pid.LAW, params, box).gain_db))
+    if not 0.0 < left < math.inf:
+        raise ParameterError("the loop has no gain at which it becomes unstable")
+    return loose / float(10.0 ** (left / 20.0))
+
+
+def _fed(values: Values, slow: Reciprocal, filtered: float, part: float, problem: Problem) -> Values:
+    """``values`` of a PID with λ ``filtered`` [s], with a feedforward and the lead of the command.
+
+    With a static feedforward of a ``part`` x of c0 the plain form is late by (1 - x)·λ on a ramp. The
+    reference form follows its reference, so that the lead makes up for the lag of the reference filter.
+    Raises ParameterError.
+    """
+    plain = word(values, "pid.form") == "plain"
+    fed: Values = {"pid.theta": [slow.c1 / slow.c2, slow.c0 / slow.c2, 1.0 / slow.c2]}
+    if plain:
+        fed = {"pid.static_feedforward": part * slow.c0}
+    made = updated(CONTROLLER, values, fed)
+    if problem.preview:
+        return made
+    lead = (1.0 - part) * filtered
+    if not plain:
+        highest = reshaping.frequency(values, problem.scale).high
+        made = updated(CONTROLLER, made, {"reshaping.natural_frequency": REFERENCE * highest})
+        lead = reshaping.lag(made)
+    return updated(CONTROLLER, made, {"reshaping.lead": lead, "reshaping.lead_accel": 1.0})
+
+
+def _dcarcs(law: Law, values: Values, preview: bool, scale: Scale) -> list[Values]:
+    """Gains of dcarc; none of a law that has no coil in its model."""
     if law.name != dcarc.LAW.name or excess(models.chosen(values, "dcarc.model", "dcarc.")) <= EXCESS[0]:
         return []
     close = max(LEAST, RUBBING * float(list(values["dcarc.theta_initial"])[2]))  # type: ignore[arg-type]

@@ -124,7 +124,7 @@ class _Trials:
         self.points: list[EvaluatedGains] = []
         self.tried = self.missed = 0
         self._law, self._problem, self._free, self._workers = law, problem, free, workers
-        self._box = margins.prepared(problem.box)
+        self.box = margins.prepared(problem.box)
         self._rested: dict[tuple[float, ...], float] = {}  # share of the valves on which a set does not rest
         self._alert_until = 0  # number of the set of gains up to which those near the best are asked too
         self._least: dict[float, tuple[int, float]] = {}  # by limit: points looked at, and their least cost
@@ -226,7 +226,7 @@ class _Trials:
         """By how much ``gains`` miss the margins; None: they are none."""
         try:
             params = trial.built(self._law, trial.values_with(self._problem, gains))
-            found = margins.margins(self._law, params, self._box)
+            found = margins.margins(self._law, params, self.box)
         except CompileError:
             raise
         except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
@@ -314,7 +314,7 @@ def search(
         for values in (
             problem.values,
             *known,
-            *designs.starts(law, problem.values, problem.preview, problem.scale),
+            *designs.starts(law, problem, trials.box),
         )
     )
     sobol = scipy.stats.qmc.Sobol(n, rng=np.random.default_rng(seed))
