@@ -8,9 +8,9 @@ import yaml
 from bench import call
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
-from valve_control.control.parameters.axis import ROS_NODES
 
 from valve_control.control.parameters import files
+from valve_control.control.parameters.axis_parameters import ROS_NODES
 from valve_control.control.parameters.table import is_of_ros
 from valve_control.nodes import NODES
 from valve_control.nodes.adapter import plain
