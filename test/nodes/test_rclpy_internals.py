@@ -2,16 +2,55 @@
 # SPDX-License-Identifier: Apache-2.0
 """What nodes use of rclpy beyond its public interface is there; each line names what broke if it is not."""
 
+import ast
 import ctypes
 import inspect
+from pathlib import Path
 
 import rclpy
 from rcl_interfaces.srv import SetParameters
-from rclpy import _rclpy_pybind11
+from rclpy import _rclpy_pybind11, executors
 from std_msgs.msg import Float64
 
 from valve_control.nodes import rclpy_internals
 from valve_control.nodes.rclpy_internals import FirstList, MessageFunctions
+
+
+def private(tree):
+    """Modules of rclpy that are imported, and attributes of other objects, whose names begin with _."""
+    for node in ast.walk(tree):
+        named = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+        named += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        yield from (name for name in named if name.startswith("rclpy.") and "._" in name)
+        if (
+            isinstance(node, ast.Attribute)
+            and isinstance(node.value, ast.Name)
+            and node.value.id not in OWN
+            and node.attr.startswith("_")
+            and node.attr not in PUBLIC
+            and not node.attr.endswith("__")
+        ):
+            yield f"{node.value.id}.{node.attr}"
+
+
+OWN = ("self", "cls", "os")
+PUBLIC = ("_asdict", "_fields", "_replace")  # of every NamedTuple
+
+
+def test_one_file_alone_knows_private_names_of_rclpy():
+    """So that another version of rclpy is met in that file."""
+    folder = Path(rclpy_internals.__file__).parent
+    found = {
+        path.name: list(private(ast.parse(path.read_text(encoding="utf-8")))) for path in folder.rglob("*.py")
+    }
+    assert {"rclpy._rclpy_pybind11", "node._parameter_overrides"} <= set(found.pop("rclpy_internals.py"))
+    assert {name: names for name, names in found.items() if names} == {}
+
+
+def test_the_executor_gives_one_callback_at_a_time():
+    wait = getattr(executors.SingleThreadedExecutor, "wait_for_ready_callbacks", None)
+    assert wait, "SingleThreadedExecutor.wait_for_ready_callbacks: nodes/loop.py"
+    assert hasattr(executors, "TimeoutException"), "rclpy.executors.TimeoutException: nodes/loop.py"
 
 
 def test_wait_sets_have_what_the_loop_needs():
