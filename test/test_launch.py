@@ -6,12 +6,14 @@ import importlib.util
 import re
 import subprocess
 import xml.etree.ElementTree as ET
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from launched import VARIABLE, nodes, variables
 from launched import command as launch
 
+from research.campaigns import arm as campaign
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files, launching
 from valve_control.control.parameters.arguments import addressed
@@ -134,6 +136,26 @@ def test_both_axes_of_the_arm_take_their_machines_and_the_manifold_has_their_val
         # The law of its valve comes from the manifold's file, to the node that a stop deactivates.
         assert upper["stop.controller"] == "controller"
         assert arguments_of(f"/{valve}/controller", [ROOT / "config" / "arm.yaml"])["controller"] == "pid"
+
+
+def test_the_campaign_of_the_arm_starts_its_nodes_with_their_files(tmp_path):
+    found = dict(started(ET.parse(ROOT / "launch" / ARM).getroot()))
+    begun = {}
+    for program, words in campaign.commands(0.004, tmp_path).values():
+        space = next((word.removeprefix("__ns:=") for word in words if word.startswith("__ns:=")), "")
+        begun[f"{space}/{program}"] = [
+            Path(path) for option, path in pairwise(words) if option == "--params-file"
+        ]
+    own = tmp_path / "arm_period.yaml"
+    assert begun == {
+        name: [*paths, own] for name, paths in found.items() if name not in ("/recorder", "/dashboard")
+    }
+    for valve in ("boom", "arm"):
+        for node in campaign.PACED:
+            assert (
+                arguments_of(f"/{valve}/{node}", [ROOT / "config" / "arm.yaml", own])["sample_period"]
+                == 0.004
+            )
 
 
 def arguments_of(name, paths):

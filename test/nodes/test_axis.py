@@ -362,6 +362,43 @@ def test_both_axes_of_the_arm_follow_goals_through_one_manifold_and_a_stop_ends_
 VALVES = {"boom": 0.02, "arm": -0.02}  # m  to go
 
 
+def test_a_file_of_the_user_wins_over_those_of_the_arm_but_for_joint_and_seed(tmp_path):
+    """As rcl orders the sections of all files, which it merges by their patterns."""
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(
+        "/**/axis_simulator:\n"
+        "  ros__parameters: {sample_period: 0.004, load: {mass: 2500.0}, joint: me, seed: 9}\n"
+        "/**/axis_controller: {ros__parameters: {sample_period: 0.004, kp: 2.5}}\n"
+        "/**/controller: {ros__parameters: {sample_period: 0.004, controller: dcarc, pid: {form: plain}}}\n"
+    )
+    arm = str(files.config_folder() / "arm.yaml")
+    for valve, seed in zip(VALVES, (1, 2), strict=True):
+        machine = path_of(f"crane_{valve}")
+        assert taken("axis_simulator", valve, [machine, arm, mine]).items() >= {
+            "sample_period": 0.004, "load.mass": 2500.0, "joint": valve, "seed": seed,
+        }.items()  # fmt: skip
+        assert taken("axis_controller", valve, [machine, arm, mine]).items() >= {
+            "sample_period": 0.004, "kp": 2.5, "joint": valve,
+        }.items()  # fmt: skip
+        assert taken("controller", valve, [arm, mine]).items() >= {
+            "sample_period": 0.004, "controller": "dcarc", "pid.form": "plain",
+        }.items()  # fmt: skip
+
+
+def taken(name, space, paths):
+    """Parameters that rcl gives a node of these files."""
+    words = [word for path in paths for word in ("--params-file", str(path))]
+    context = rclpy.Context()
+    rclpy.init(args=["--ros-args", *words], context=context)
+    try:
+        node = rclpy.create_node(
+            name, namespace=space, context=context, automatically_declare_parameters_from_overrides=True
+        )
+        return {key: parameter.value for key, parameter in node.get_parameters_by_prefix("").items()}
+    finally:
+        rclpy.shutdown(context=context)
+
+
 @pytest.mark.parametrize(
     ("node", "words", "sentence"),
     [

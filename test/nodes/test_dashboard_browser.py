@@ -437,6 +437,8 @@ def test_commands_recordings_and_faults(page, tmp_path, folder):
         page.press("#start")
         page.wait_for("#command-state", "/arm/page_command")
         until(lambda: page.figure("e_rms") > 0.0, "an error")
+        until(lambda: "no command yet" not in page.text("#mode"), "the command in force")
+        settled(lambda: round(page.figure("e_rms"), 2))
         picture(page, "do")
         page.press("#end")
         until(lambda: page.text("#command-state").endswith("nobody commands this valve"), "the command's end")

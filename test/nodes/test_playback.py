@@ -11,10 +11,11 @@ import rclpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recordings"))
 from bench import controller
-from made import Run, write
+from made import PERIOD, Run, in_file_order, write
 
 from valve_control.nodes import playback
 from valve_control.nodes.harness.processes import process
+from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.bags.errors import BagError
 
 
@@ -84,9 +85,33 @@ def test_messages_with_one_stamp_are_published_in_the_order_of_the_recording():
     assert np.all(np.diff(times) >= 0)
 
 
-def again(path):
-    from valve_control.recordings.bags.bag import Bag
+@pytest.mark.parametrize("numbered", [True, False])
+@pytest.mark.parametrize("resolution", [4, 10, 700])
+def test_messages_of_a_coarse_clock_are_published_one_by_one(ros, tmp_path, run, numbered, resolution):
+    """Stamps of 10 ms at 1 kHz: each reading a period after the one before, not ten of them at once."""
+    tick = resolution * PERIOD
+    messages = [
+        m._replace(
+            time=m.time // tick * tick, log_time=m.log_time // tick * tick, sequence=m.sequence * numbered
+        )
+        for m in sorted(run.messages, key=lambda m: m.log_time)
+    ]
+    bag = Bag(in_file_order(tmp_path / "bag", messages))
+    tracks = playback.tracks_of(ros, bag, [], None, None, None, None)
+    assert [track.topic for track in tracks] == ["/spool_command", "/spool_position"]
+    for track in tracks:
+        recorded = [m for m in messages if m.topic == track.topic]
+        assert track.messages == [m.data for m in recorded]
+        if resolution > 600:  # two stamps tell no time between them
+            assert np.array_equal(track.time, [m.time for m in recorded])
+            continue
+        sent = np.array([m.time for m in run.messages if m.topic == track.topic])
+        moved = (track.time - sent)[resolution:-resolution]
+        assert np.ptp(moved) < PERIOD
+        assert np.all(np.diff(track.time)[resolution:-resolution] > 0.5 * PERIOD)
 
+
+def again(path):
     series = Bag(path).read({"/spool_position": ["data"], "/spool_command": ["data"]})
     return {name: entry.values["data"] for name, entry in series.items()}
 

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stamps that many messages share, as those of a simulated clock: pairs by order, and what is not told."""
 
+import json
+
 import numpy as np
 import pytest
 from made import BEGIN, FLOAT, PERIOD, Message, Run, in_file_order, number, write
@@ -77,6 +79,18 @@ def test_a_clock_of_ten_ms_moves_no_figure(run, true, tmp_path, resolution, phas
     assert np.array_equal(signals.measurement, run.readings)
     assert np.array_equal(signals.voltage, run.voltages)
     assert np.all(np.diff(signals.time) > 0.0)
+
+
+def test_two_bags_are_compared_and_laid_over_each_other(run, tmp_path, capsys):
+    """The same run with the stamps of a clock of 10 ms: the same indices, a shift of a stamp at most."""
+    true = write(tmp_path / "true", run.messages)
+    bag = in_file_order(tmp_path / "coarse", coarse(run.messages, 10 * MS))
+    assert main(["compare", str(true), str(bag), "--json", "-"]) == 0
+    first, second = json.loads(capsys.readouterr().out)["runs"]
+    assert abs(second["shift_s"]) <= 0.01
+    for name, value in first["indices"].items():
+        assert second["indices"][name] == pytest.approx(value, rel=0.03), name
+    assert any("resolution of 10 ms" in text for text in second["left_out"])
 
 
 @pytest.mark.parametrize("resolution", [10, 4])

@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,12 +22,15 @@ from valve_control.nodes.definitions import message_class
 from valve_control.nodes.transport import check_log_folder
 from valve_control.recordings.bags.bag import Bag, Series
 from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.cleaning import FEW_STAMPS
 from valve_control.recordings.clocks import decide, without_strays
-from valve_control.recordings.mapping import find_valves
+from valve_control.recordings.mapping import PARTS, find_valves
 from valve_control.recordings.recording import ValveRecording, align, chosen, load
 from valve_control.recordings.stamps import fields, retimed
+from valve_control.recordings.ties import untied
 
 Integers = npt.NDArray[np.int64]
+PLAYED = ("spool_command", "spool_position")
 MEET = 10.0  # s to wait for somebody who listens
 SETTLE = 0.5  # s in which discovery becomes mutual
 ANSWER = 5.0  # s to wait for a voltage in lockstep
@@ -43,6 +46,14 @@ class Played(NamedTuple):
     late: float  # s, p99 of the delay behind the recorded time
     answers: list[float]  # V, lockstep: voltage to each reading
     differing: int | None  # of them, from the recorded voltage, bit for bit
+
+
+class Stamps(NamedTuple):
+    """When the messages of a topic were sent, in order of time."""
+
+    time: Integers  # ns
+    sequence: Integers
+    place: Integers  # among all messages of the recording
 
 
 class Track(NamedTuple):
@@ -109,7 +120,7 @@ def _timed(
     if bag.table is not None:
         tracks = _columns(path, maps, topics, start, end, clock)
     else:
-        tracks = _topics(node, bag, maps, topics, start, end, clock)
+        tracks = tracks_of(node, bag, maps, topics, start, end, clock)
     try:
         publishers = {
             track.topic: node.create_publisher(message_class(track.type), track.topic, SAMPLES)
@@ -154,15 +165,21 @@ def in_turn(tracks: Sequence[Track]) -> tuple[Integers, Integers, Integers]:
     return times[order], owner[order], number[order]
 
 
-def _topics(
+def tracks_of(
     node: Node, bag: Bag, maps: Sequence[str], topics: Sequence[str] | None, start: float | None,
     end: float | None, clock: str | None,
 ) -> list[Track]:  # fmt: skip
     """Messages of ``topics`` of a bag, of the valves' commands and positions if none are named."""
+    valves: dict[str, dict[str, str]] = {}
     if topics is None:
-        parts = ("spool_command", "spool_position")
-        valves = find_valves(bag, maps).values()
-        topics = sorted({v.sources[part].topic for v in valves for part in parts if part in v.sources})
+        for valve, found in find_valves(bag, maps).items():
+            valves[valve] = {part: source.topic for part, source in found.sources.items() if part in PLAYED}
+        topics = sorted({name for parts in valves.values() for name in parts.values()})
+    else:
+        for name in topics:
+            space, _, part = name.rpartition("/")
+            if part in PARTS:
+                valves.setdefault(space, {})[part] = name
     for name in topics:
         if bag.topic(name).unreadable:
             raise BagError(f"{bag.path} cannot be played: {bag.topic(name).unreadable}")
@@ -180,11 +197,31 @@ def _topics(
         ruling = decide(series, [topics], clock, bag.path)
     for note in (*notes, *ruling.notes):
         node.get_logger().warning(note)
-    read = ruling.read(series)
+    read = one_by_one(ruling.read(series), valves.values())
     return [
         Track(name, bag.topic(name).type, read[name].publish_time, read[name].place, read[name].raw)
         for name in topics
     ]
+
+
+def one_by_one(read: Mapping[str, Series], valves: Iterable[Mapping[str, str]]) -> dict[str, Series]:
+    """``read``, with a time for each message of a valve's signals whose clock is coarser than the messages.
+
+    ``valves``: topics by part. Otherwise all messages of a stamp would be published at once.
+    """
+    found = dict(read)
+    for topics in valves:
+        series = {
+            part: read[name].pick(np.argsort(read[name].publish_time, kind="stable"))
+            for part, name in topics.items()
+            if len(np.unique(read[name].publish_time)) >= FEW_STAMPS
+        }
+        ties = untied({part: Stamps(s.publish_time, s.sequence, s.place) for part, s in series.items()})
+        if ties is not None and ties.several:
+            # Parts may be fields of one topic: then the position's time counts.
+            for part, one in sorted(series.items(), key=lambda item: item[0] == "spool_position"):
+                found[topics[part]] = one._replace(publish_time=ties.times[part])
+    return found
 
 
 def _part(series: dict[str, Series], start: float | None, end: float | None) -> dict[str, Series]:
