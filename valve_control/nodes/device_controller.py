@@ -18,7 +18,7 @@ from valve_control.control.parameters import drivers
 from valve_control.control.parameters.drivers import DEVICE, LIVE
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.adapter import SAMPLES, PolledSubscription, acquainted, encoded
-from valve_control.nodes.controller import COMMANDING, NEVER, WARMING, Built, Controller
+from valve_control.nodes.controller_node import COMMANDING, NEVER, WARMING, Built, Controller
 from valve_control.parameter import ParameterError, Values, word
 
 LEVELS = {"degraded": DiagnosticStatus.WARN, "safe": DiagnosticStatus.ERROR}
@@ -218,8 +218,3 @@ class DeviceController(Controller):
             values["lost"] = self._device.lost
             values["reopened"] = self._device.reopened
         return values
-
-
-def make() -> list[DeviceController]:
-    """Create the node."""
-    return [DeviceController()]

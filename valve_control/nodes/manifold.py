@@ -8,7 +8,7 @@ from typing import Any
 
 from valve_control.control.parameters.table import MANIFOLD, NODES
 from valve_control.nodes.adapter import ParameterSet, admit
-from valve_control.nodes.controller import Controller
+from valve_control.nodes.controller_node import Controller
 from valve_control.nodes.loop import Worker, run
 from valve_control.nodes.valve_simulator import ValveSimulator
 from valve_control.parameter import ParameterError, Values, items, word
