@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from std_msgs.msg import Float64
 sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "drivers"))
 from examples import serial_card
 
-from valve_control.control.parameters import build
+from valve_control.control.parameters import build, files
 from valve_control.control.parameters.drivers import SIMULATED
 from valve_control.control.simulation import offline
 from valve_control.nodes.harness.lockstep import CONFIG
@@ -27,8 +28,24 @@ from valve_control.nodes.harness.processes import Listener, node_arguments, node
 STEP = 10.0 / 32767  # V
 
 
-@pytest.mark.parametrize("law", ["arc", pytest.param("dcarc", marks=pytest.mark.campaign)])
-def test_the_bits_are_those_of_offline_and_of_the_topics_in_lockstep(ros, tmp_path, law):
+def simulated(plant):
+    """Words that make the simulated valve ``plant`` the device, one sample as soon as it is asked for."""
+    own = {p.name: plant[p.name.removeprefix("simulated.")] for p in SIMULATED if p.name != "simulated.paced"}
+    words = ["-p", "driver:=simulated", "-p", "simulated.paced:=false"]
+    for name, value in own.items():
+        words += ["-p", f"{name}:={build.as_text(value)}"]
+    return words
+
+
+@pytest.mark.parametrize(
+    ("law", "node", "spaces"),
+    [
+        ("arc", "controller", ("",)),
+        ("arc", "manifold", ("/a", "/b")),
+        pytest.param("dcarc", "controller", ("",), marks=pytest.mark.campaign),
+    ],
+)
+def test_the_bits_are_those_of_offline_and_of_the_topics_in_lockstep(ros, tmp_path, law, node, spaces):
     settings = {
         "controller": {"controller": law, "lockstep": True, "lvdt.frozen_samples": 0, "state_decimation": 0},
         "command_source": {"trigger": "lockstep", "listeners": 1, "duration": 2.0},
@@ -36,27 +53,33 @@ def test_the_bits_are_those_of_offline_and_of_the_topics_in_lockstep(ros, tmp_pa
     plant = node_values("valve_simulator", CONFIG, {})
     command = build.commands(node_values("command_source", CONFIG, settings["command_source"]))
     twin = offline.simulate(node_values("controller", CONFIG, settings["controller"]), plant, command)
-    own = {p.name: plant[p.name.removeprefix("simulated.")] for p in SIMULATED if p.name != "simulated.paced"}
-    words = ["-p", "driver:=simulated", "-p", "simulated.paced:=false"]
-    for name, value in own.items():
-        words += ["-p", f"{name}:={build.as_text(value)}"]
-    listener = Listener("listener", ("valve_voltage", "spool_position"))
-    logs = tmp_path / "c.log", tmp_path / "s.log"
-    with process("controller", node_arguments("controller", CONFIG, settings["controller"]) + words, logs[0]):
-        spin_until(ros, lambda: ros.count_publishers("spool_position") == 1, "controller")
-        source = node_arguments("command_source", CONFIG, settings["command_source"])
-        with process("command_source", source, logs[1]):
-            end = time.monotonic() + 1.0 * LIMIT
-            heard = listener.sequence["valve_voltage"]
-            while not heard or heard[-1] < len(command):
-                assert time.monotonic() < end, (heard[-1:], logs[0].read_text(), logs[1].read_text())
-                rclpy.spin_once(ros, timeout_sec=0.02)
-                listener.fetch()
-    for topic, expected in (("valve_voltage", twin.voltage), ("spool_position", twin.measurement)):
-        numbers = np.array(listener.sequence[topic]) - 1
-        inside = numbers < len(command)
-        assert np.count_nonzero(inside) >= 0.9 * len(command)
-        assert np.array_equal(listener.arrays(topic)[0][inside], expected[numbers[inside]])
+    words = node_arguments("controller", CONFIG, settings["controller"]) + simulated(plant)
+    if node == "manifold":
+        words += ["-p", f"valves:=[{','.join(space[1:] for space in spaces)}]"]
+    expected = {"valve_voltage": twin.voltage, "spool_position": twin.measurement}
+    listener = Listener("listener", [f"{space}/{topic}" for space in spaces for topic in expected])
+    log = tmp_path / "c.log"
+    with ExitStack() as stack:
+        stack.enter_context(process(node, words, log))
+        for space in spaces:
+            there = f"{space}/spool_position"
+            spin_until(ros, lambda there=there: ros.count_publishers(there) == 1, there)
+            source = node_arguments("command_source", CONFIG, settings["command_source"])
+            named = [*source, "-r", f"__ns:={space}"] if space else source
+            stack.enter_context(process("command_source", named, tmp_path / f"s{space[1:]}.log"))
+        end = time.monotonic() + 1.0 * LIMIT
+        heard = [listener.sequence[f"{space}/valve_voltage"] for space in spaces]
+        while not all(numbers and numbers[-1] >= len(command) for numbers in heard):
+            assert time.monotonic() < end, ([numbers[-1:] for numbers in heard], log.read_text())
+            rclpy.spin_once(ros, timeout_sec=0.02)
+            listener.fetch()
+    for space in spaces:
+        for name, values in expected.items():
+            topic = f"{space}/{name}"
+            numbers = np.array(listener.sequence[topic]) - 1
+            inside = numbers < len(command)
+            assert np.count_nonzero(inside) >= 0.9 * len(command)
+            assert np.array_equal(listener.arrays(topic)[0][inside], values[numbers[inside]])
     listener.destroy_node()
 
 
@@ -100,6 +123,65 @@ def test_a_card_is_controlled_beside_it_and_its_faults_are_told(ros, tmp_path):
         os.kill(child.pid, signal.SIGKILL)
         run(lambda: not card._asked and card.voltage == 0.0, "0 V by the card's own watchdog")
     card.close()
+
+
+def test_a_silent_card_of_a_manifold_does_not_hold_up_the_other(ros, tmp_path):
+    """Two cards on two lines; one falls silent for 1 s, in which the other must not miss a frame."""
+    cards = [serial_card.Card(), serial_card.Card()]
+    voltages = {space: [] for space in ("a", "b")}
+    for space, heard in voltages.items():
+        ros.create_subscription(
+            Float64, f"/{space}/valve_voltage", lambda m, heard=heard: heard.append(m.data), 100
+        )
+    words = ["-p", "valves:=[a,b]", "-p", "driver:=serial", "-p", "lvdt.period_limit:=1000.0"]
+    ports = {f"/{s}/controller": {"serial.port": card.port} for s, card in zip(voltages, cards, strict=True)}
+    (tmp_path / "ports.yaml").write_text(files.as_yaml(ports))
+    words += ["--params-file", str(tmp_path / "ports.yaml")]
+
+    def turn(*spoken):
+        for card in spoken:
+            card.receive(time.monotonic())
+            card.move()
+            card.send(time.monotonic())
+        rclpy.spin_once(ros, timeout_sec=0.001)
+
+    with process("manifold", words, tmp_path / "m.log"):
+        end = time.monotonic() + LIMIT
+        while not all(card._asked for card in cards):
+            assert time.monotonic() < end, (tmp_path / "m.log").read_text()
+            turn(*cards)
+        begun, frames = cards[0].counter, cards[0].frames
+        silence = time.monotonic() + 1.0
+        while time.monotonic() < silence:
+            turn(cards[0])
+        sent = cards[0].counter - begun
+        assert sent > 100 and cards[0].frames - frames >= 0.95 * sent and cards[0]._asked
+        for _ in range(3):
+            turn(*cards)
+        spin_until(ros, lambda: turn(*cards) or cards[1]._asked, "the silent card again")
+    for card in cards:
+        card.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "file", "sentence"),
+    [
+        (["driver:=modbus"], {}, "driver is 'modbus', which waits for its device"),
+        ([], {"/a/controller": {"driver": "simulated"}}, "/b/controller has no parameter driver"),
+        (["driver:=simulated", "node:=valve_simulator"], {}, "-p driver:=simulated: there is no parameter"),
+    ],
+)
+def test_what_a_manifold_with_devices_refuses(tmp_path, words, file, sentence):
+    given = [word for text in ["valves:=[a,b]", *words] for word in ("-p", text)]
+    if file:
+        (tmp_path / "p.yaml").write_text(files.as_yaml(file))
+        given += ["--params-file", str(tmp_path / "p.yaml")]
+    done = subprocess.run(
+        [sys.executable, "-m", "valve_control.nodes.manifold", "--ros-args", *given],
+        capture_output=True, text=True, timeout=LIMIT,
+    )  # fmt: skip
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert sentence in done.stderr.splitlines()[-1]
 
 
 def test_a_device_that_is_not_there_ends_it_with_a_sentence():

@@ -67,6 +67,7 @@ COMMANDING = ("spool_command", "spool_trajectory")
 WINDOW = 1000  # samples of the timing statistics
 NEVER = math.inf
 WARMING = 0.65  # of a period after a reading
+QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
 
 
 class Built(NamedTuple):
@@ -92,6 +93,7 @@ class Controller(Managed):
         self._journal = Journal(self._supervisor)
         self._warming = CacheWarming() if warms else None
         self._said: tuple[Mode, str] | None = None
+        self._announced = -NEVER  # s, when a change was last told
         self._readings: NumberSubscription | None = None
         self._lockstep = False
         self._watch_at = NEVER
@@ -309,7 +311,10 @@ class Controller(Managed):
         if len(self._journal) >= MOST_ROWS:
             self._publish_journal()
         if self.working and self._supervisor.changed:
-            self._announce()
+            now = time.monotonic()
+            if self._supervisor.mode is Mode.SAFE or now >= self._announced + QUIET:
+                self._announced = now
+                self._announce()
 
     def _answer(self, reading: float, info: dict[str, Any]) -> None:
         began = time.monotonic()

@@ -73,7 +73,11 @@ def _own_name(arguments: Sequence[str], name: str) -> str:
 
 def looked_up(arguments: Sequence[str], name: str, parameter: str) -> object:
     """What a command line and its files give a ``parameter`` of the node ``name``, None: nothing."""
-    node = _own_name(arguments, name)
+    return value_given(arguments, _own_name(arguments, name), parameter)
+
+
+def value_given(arguments: Sequence[str], node: str, parameter: str) -> object:
+    """What a command line and its files give a ``parameter`` of ``node`` (full name), None: nothing."""
     found: object = written(arguments, node, parameter)
     for path in given(arguments).paths if found is None else ():
         try:
