@@ -60,13 +60,13 @@ def test_the_bits_are_those_of_offline_and_of_the_topics_in_lockstep(ros, tmp_pa
     listener = Listener("listener", [f"{space}/{topic}" for space in spaces for topic in expected])
     log = tmp_path / "c.log"
     with ExitStack() as stack:
-        stack.enter_context(process(node, words, log))
-        for space in spaces:
-            there = f"{space}/spool_position"
-            spin_until(ros, lambda there=there: ros.count_publishers(there) == 1, there)
+        for space in spaces:  # before the readings, which wait for commands that are there for longer
             source = node_arguments("command_source", CONFIG, settings["command_source"])
             named = [*source, "-r", f"__ns:={space}"] if space else source
             stack.enter_context(process("command_source", named, tmp_path / f"s{space[1:]}.log"))
+            there = f"{space}/spool_command"
+            spin_until(ros, lambda there=there: ros.count_publishers(there) == 1, there)
+        stack.enter_context(process(node, words, log))
         end = time.monotonic() + 1.0 * LIMIT
         heard = [listener.sequence[f"{space}/valve_voltage"] for space in spaces]
         while not all(numbers and numbers[-1] >= len(command) for numbers in heard):
