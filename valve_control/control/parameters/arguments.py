@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from valve_control.control.parameters import files
 from valve_control.control.parameters.axis_parameters import ROS_NODES
+from valve_control.control.parameters.drivers import DEVICE
 from valve_control.control.parameters.table import is_of_ros
 from valve_control.parameter import ParameterError, Table, Values, defaults, missing
 
@@ -117,6 +118,12 @@ def help_text(node: str, text: str, arguments: Sequence[str]) -> str:
         "parameters:",
         *(f"  {parameter.described}" for parameter in ROS_NODES[node]),
     ]
+    if node == "controller":
+        lines += [
+            "",
+            "with the parameter driver also:",
+            *(f"  {parameter.described}" for parameter in DEVICE),
+        ]
     return "\n".join(lines)
 
 
