@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m benchmarks.beside``: reading to voltage through topics and beside the device, many valves, 4 kHz.
+"""``python -m benchmarks.beside``: reading to voltage by topics and beside the device, many valves, 4 kHz.
 
 Through topics: `valve_simulator` and `controller`, from the simulator's publication of a reading to the
 controller's of the voltage. Beside the device: `controller` with ``driver:=simulated``, from the reading that
