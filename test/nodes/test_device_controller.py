@@ -14,7 +14,7 @@ import pytest
 import rclpy
 from bench import LIMIT, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 
 sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "drivers"))
 from examples import serial_card
@@ -22,6 +22,7 @@ from examples import serial_card
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.drivers import SIMULATED
 from valve_control.control.simulation import offline
+from valve_control.control.supervision.journal import COLUMNS, HEAD
 from valve_control.nodes.harness.lockstep import CONFIG
 from valve_control.nodes.harness.processes import Listener, node_arguments, node_values, process
 
@@ -110,6 +111,12 @@ def test_a_card_is_controlled_beside_it_and_its_faults_are_told(ros, tmp_path):
     with process("controller", arguments, tmp_path / "c.log") as child:
         run(lambda: readings and abs(readings[-1] - 1.0) < 0.2, "the spool at its command")
         assert card._asked
+        for settings, words in (
+            ({"voltage__low": 0.0, "voltage__high": 0.0}, "voltage.low is 0 V; it must be below"),
+            ({"lockstep": True, "signal_decimation": 10}, "signal_decimation must be 1 in lockstep"),
+        ):
+            refused = set_parameters(ros, **settings)
+            assert not refused.successful and words in refused.reason
         refused = set_parameters(ros, serial__baud=9600)
         assert not refused.successful and "serial.baud of an open device" in refused.reason
         assert set_parameters(ros, arc__k1=150.0, voltage__high=4.0).successful
@@ -123,6 +130,28 @@ def test_a_card_is_controlled_beside_it_and_its_faults_are_told(ros, tmp_path):
         os.kill(child.pid, signal.SIGKILL)
         run(lambda: not card._asked and card.voltage == 0.0, "0 V by the card's own watchdog")
     card.close()
+
+
+def test_topics_may_have_every_tenth_sample_while_the_journal_has_all(ros, tmp_path):
+    words = ["-p", "driver:=simulated", "-p", "simulated.lvdt.noise:=0.01", "-p", "signal_decimation:=10"]
+    heard = {"spool_position": [], "valve_voltage": []}
+    for topic, values in heard.items():
+        ros.create_subscription(Float64, topic, lambda m, values=values: values.append(m.data), 1000)
+    rows = []
+    ros.create_subscription(
+        Float64MultiArray,
+        "/controller/journal",
+        lambda m: rows.extend(np.reshape(m.data[HEAD:], (-1, len(COLUMNS))).tolist()),
+        1000,
+    )
+    with process("controller", words, tmp_path / "c.log"):
+        spin_until(ros, lambda: rows and all(len(values) > 200 for values in heard.values()), "samples")
+    sampled = [row for row in rows if not np.isnan(row[COLUMNS.index("reading")])]
+    for topic, column in (("spool_position", "reading"), ("valve_voltage", "voltage")):
+        places = {row[COLUMNS.index(column)]: i for i, row in enumerate(sampled)}  # noise repeats no number
+        at = [places[value] for value in heard[topic] if value in places]
+        steps = np.diff(at)
+        assert len(at) > 100 and np.median(steps) == 10 and not np.any(steps % 10), (topic, steps)
 
 
 def test_a_silent_card_of_a_manifold_does_not_hold_up_the_other(ros, tmp_path):

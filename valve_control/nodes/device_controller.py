@@ -19,7 +19,7 @@ from valve_control.control.parameters.drivers import DEVICE, LIVE
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.adapter import SAMPLES, PolledSubscription, acquainted, encoded
 from valve_control.nodes.controller_node import COMMANDING, WARMING, Built, Controller
-from valve_control.parameter import ParameterError, Values, word
+from valve_control.parameter import ParameterError, Values, number, word
 
 LEVELS = {"degraded": DiagnosticStatus.WARN, "safe": DiagnosticStatus.ERROR}
 OWN = frozenset(parameter.name for parameter in CONTROLLER)
@@ -67,6 +67,8 @@ class DeviceController(Controller):
         self._begun = False
         self._given: list[float] = []  # V, to be published
         self._told: tuple[Condition, ...] = ()
+        self._every = 1  # reading that is published
+        self._unpublished = 0  # readings
         super().__init__(**options)
 
     def _build(self, values: Values) -> Built:
@@ -75,15 +77,18 @@ class DeviceController(Controller):
         changed = [name for name in fixed if values[name] != former[name]]
         if self._device is not None and changed:
             raise ParameterError(f"{changed[0]} of an open device does not change; clean the node up first")
-        if not self._alone and not drivers.device(values).polled:
+        if not drivers.device(values).polled and not self._alone:
             raise ParameterError(
                 f"driver is '{values['driver']}', which waits for its device and would hold up the other "
                 "valves of the process; give this valve a controller of its own"
             )
+        if values["lockstep"] and values["signal_decimation"] != 1:
+            raise ParameterError("signal_decimation must be 1 in lockstep, where each reading is waited for")
         return super()._build(values)
 
     def _apply(self, values: Values, built: Built) -> None:
         self._device_values = values
+        self._every = int(number(values, "signal_decimation"))
         if self._device is not None:
             self._device.limit(*drivers.sides(values))
         super()._apply({name: value for name, value in values.items() if name in OWN}, built)
@@ -190,10 +195,16 @@ class DeviceController(Controller):
         """Publish readings and voltages that the topics do not have yet; not a reading without its answer."""
         fresh = self._from_device.fresh
         answered = len(fresh) if self._waiting is None else len(fresh) - 1
-        for reading in fresh[:answered]:
-            self._positions.publish(encoded(reading))
-        for voltage in self._given:
-            self._voltages.publish(encoded(voltage))
+        self._unpublished += answered
+        if self._every == 1:
+            for reading in fresh[:answered]:
+                self._positions.publish(encoded(reading))
+            for voltage in self._given:
+                self._voltages.publish(encoded(voltage))
+        elif answered and self._given and self._unpublished >= self._every:
+            self._unpublished = 0
+            self._positions.publish(encoded(fresh[answered - 1]))
+            self._voltages.publish(encoded(self._given[-1]))
         del fresh[:answered]
         self._given.clear()
 
