@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks import axes, bags, batch, handover, latency, start
+from benchmarks import axes, bags, batch, beside, handover, latency, start
 from valve_control import interrupts, outputs
 
-PARTS = ("batch", "axes", "start", "loop", "bags", "export")
+PARTS = ("batch", "axes", "start", "loop", "beside", "bags", "export")
 
 
 def misses(figures: Mapping[str, float], wanted: Mapping[str, tuple[str, float]]) -> list[str]:
@@ -58,6 +58,7 @@ def _measured(arguments: argparse.Namespace) -> int:
             "axes": (axes.run, axes.WANTED),
             "start": (start.run, start.WANTED),
             "loop": (lambda: latency.run(folder), latency.WANTED),
+            "beside": (lambda: beside.run(folder), beside.WANTED),
             "export": (lambda: handover.run(folder), handover.WANTED),
             "bags": (lambda: bags.run(folder, arguments.seconds), bags.WANTED),
         }

@@ -123,7 +123,8 @@ class Entity(NamedTuple):
 def entities() -> Iterator[Entity]:
     """Publishers, subscriptions and services that the sources of the nodes make by name."""
     for node in ROS_NODES:
-        path = next(p for p in sorted((PACKAGE / "nodes").rglob(f"{node}.py")))
+        nodes = PACKAGE / "nodes"  # where a node has a file of its own beside its entry point, in that
+        path = next(p for name in (f"{node}_node", node) for p in sorted(nodes.rglob(f"{name}.py")))
         seen = set()
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             found = _entity(node, call)

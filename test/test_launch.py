@@ -18,7 +18,8 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files, launching
 from valve_control.control.parameters.arguments import addressed
 from valve_control.control.parameters.axis_parameters import ROS_NODES, known_machine
-from valve_control.control.parameters.table import NODES
+from valve_control.control.parameters.drivers import DEVICE, SIMULATED
+from valve_control.control.parameters.table import NODES, VALVE
 from valve_control.parameter import ParameterError, defaults, lookup
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -372,6 +373,57 @@ def test_what_tune_wrote_can_be_launched(name):
 def test_an_argument_may_say_what_the_file_of_the_user_says(own, setting, text):
     given = {"controller": "arc", "rate": "1000.0", "scenario": "point_to_point", "duration": "60.0"}
     launching.checked("cascade.launch.xml", **{**GIVEN, **given, **setting, "params_file": own(text)})
+
+
+def beside(**given):
+    """Whether valve_simulator runs, and the values that the controller gets for its device."""
+    found = variables(ROOT / "launch" / "valve.launch.xml", **given)
+    if found["device_option"] == "-r":
+        return found["simulator"], found["device_value"]
+    return found["simulator"], addressed(found["device_value"], "/v1/controller", DEVICE)
+
+
+def test_a_controller_with_its_device_has_no_simulator_beside_it(own):
+    assert beside() == ("true", "__node:=controller")
+    assert beside(driver="serial") == ("false", {"driver": "serial"})
+    mine = own("controller: {ros__parameters: {driver: serial, serial.port: /dev/ttyS1}}")
+    assert beside(params_file=mine) == ("false", {"driver": "serial"})
+    assert launching.file_value(mine) == mine  # which has the port
+
+
+def test_a_simulated_device_is_the_valve_of_the_launch(own):
+    """What valve_simulator would have, with the same values."""
+    simulator, values = beside(driver="simulated", valve="d3fxe_experiment")
+    there = addressed(str(ROOT / "config" / "d3fxe_experiment.yaml"), "/v1/valve_simulator", VALVE)
+    names = {p.name.removeprefix("simulated.") for p in SIMULATED}
+    assert simulator == "false" and values.pop("driver") == "simulated"
+    assert values == {f"simulated.{name}": value for name, value in there.items() if name in names}
+    assert len(values) > 3
+    mine = own("valve_simulator: {ros__parameters: {gain_scale: 0.9}}")
+    assert beside(driver="simulated", params_file=mine)[1]["simulated.gain_scale"] == 0.9
+
+
+@pytest.mark.parametrize(
+    ("given", "text", "words"),
+    [
+        (["driver:=seriel"], "", "driver is 'seriel'; it must be"),
+        (["driver:=simulated", "simulate:=true"], "", "the driver is 'simulated', beside which no valve_sim"),
+        (
+            ["simulate:=true"],
+            "driver: serial",
+            "the driver is 'serial', beside which no valve_simulator runs",
+        ),
+        (["driver:=serial"], "driver: modbus", "driver is 'serial', and "),
+        (["driver:=serial"], "serial.bauds: 9600", "did you mean 'serial.baud' or"),
+    ],
+)
+@pytest.mark.parametrize("path", VALVES, ids=lambda path: path.name)
+def test_a_wrong_driver_is_refused(path, own, given, text, words, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["ros2", "launch", "valve_control", path.name, *given])
+    mine = {"params_file": own(f"controller: {{ros__parameters: {{{text}}}}}")} if text else {}
+    with pytest.raises(ParameterError) as error:
+        variables(path, **dict(word.split(":=") for word in given), **mine)
+    assert words in str(error.value) and "\n" not in str(error.value)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="needs ros2 launch")

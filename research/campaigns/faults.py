@@ -19,7 +19,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
-from research.campaigns import strangers
+from research.campaigns import drivers, strangers
 from research.campaigns.joiners import LOOK, Waits, crowd, pauses
 from valve_control import outputs
 from valve_control.control.laws.registry import LAWS
@@ -564,10 +564,13 @@ def table(results: Sequence[dict[str, Any]]) -> str:
 
 def main() -> int:
     """Entry point of `make faults`."""
-    options = tool_options("faults", __doc__, CONTROLLERS)
+    options = tool_options("faults", __doc__, (*CONTROLLERS, *drivers.KINDS))
     options.add_argument("--seed", type=int, default=1, metavar="N", help="of the moments of injection (1)")
     options.add_argument(
-        "--fault", choices=[f.name for f in FAULTS], action="append", help="one fault; again for more"
+        "--fault",
+        choices=[f.name for f in (*FAULTS, *drivers.FAULTS)],
+        action="append",
+        help="one fault; again for more",
     )
     arguments = parse_tool(options)
     folder = Path(arguments.out)
@@ -575,7 +578,8 @@ def main() -> int:
     def work() -> int:
         random = np.random.default_rng(arguments.seed)
         results: list[dict[str, Any]] = []
-        for controller in arguments.only or CONTROLLERS:
+        only = arguments.only or (*CONTROLLERS, *drivers.KINDS)
+        for controller in [name for name in only if name in CONTROLLERS]:
             chosen = [
                 fault
                 for fault in FAULTS
@@ -583,7 +587,16 @@ def main() -> int:
             ]
             if chosen:
                 results += run_controller(controller, chosen, folder, random)
-        print(f"\n{table(results)}")
+        of_devices = [
+            drivers.run_fault(fault, folder)
+            for fault in drivers.FAULTS
+            if fault.driver in only and (not arguments.fault or fault.name in arguments.fault)
+        ]
+        if results:
+            print(f"\n{table(results)}")
+        if of_devices:
+            print(f"\n{drivers.table(of_devices)}")
+        results += of_devices
         path = folder / "faults.json"
         outputs.write(str(path), outputs.as_json(results))
         print(f"\nwrote {path} and the nodes' logs")

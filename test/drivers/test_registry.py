@@ -69,7 +69,7 @@ def test_broken_ones_are_left_out_with_the_reason(tmp_path):
 
 
 def test_the_example_of_the_docs_drives_files_of_counts(tmp_path):
-    """Half of full scale in both directions, the output at 0 V in the end, and a card without files."""
+    """Half of full scale in both directions, 0 V at beginning and end, and a card without numbers."""
     code = """
         import sys, pathlib
         from valve_control.control.drivers.driver import DriverError
@@ -89,6 +89,14 @@ def test_the_example_of_the_docs_drives_files_of_counts(tmp_path):
         print(one.read().signal, (folder / "out_voltage0_raw").read_text().strip())
         one.close()
         print((folder / "out_voltage0_raw").read_text().strip(), KINDS["iio"].package)
+        unipolar = drivers.device({**values, "voltage.scale": "*0.00030517578125-10"})  # 0 to 65,536 counts
+        unipolar.open()
+        unipolar.enable(True)
+        print((folder / "out_voltage0_raw").read_text().strip())
+        unipolar.write(-5.0)
+        print((folder / "out_voltage0_raw").read_text().strip())
+        unipolar.close()
+        print((folder / "out_voltage0_raw").read_text().strip())
         (folder / "in_voltage0_raw").write_text("busy")
         try:
             drivers.device(values).open()
@@ -107,4 +115,6 @@ def test_the_example_of_the_docs_drives_files_of_counts(tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
-    assert lines[:2] == ["5.0 -16384", "0 valve_iio_card"] and "gives no number" in lines[2]
+    assert lines[:2] == ["5.0 -16384", "0 valve_iio_card"]
+    assert lines[2:5] == ["32768", "16384", "32768"], "0 V of an output that has no negative counts"
+    assert "gives no number" in lines[5]

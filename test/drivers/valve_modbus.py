@@ -3,12 +3,15 @@
 """A valve behind analogue I/O on Modbus TCP: pymodbus's server on loopback, faults are ordered on stdin.
 
 One unit (1): input register 3 is the LVDT, holding register 5 the amplifier, coil 7 its enable; ±32767 counts
-are ±10 V. Each reading is one sample of the simulated valve.
+are ±10 V. Each reading is one sample of the simulated valve. A third argument is the watchdog [s]: without a
+request for so long the output is off, as couplers do it.
 """
 
 import asyncio
 import logging
+import math
 import sys
+import time
 
 from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
@@ -20,8 +23,9 @@ LVDT, AMPLIFIER, ENABLE = 3, 5, 7
 
 
 class Io:
-    def __init__(self, period):
-        self.period = period
+    def __init__(self, period, watchdog):
+        self.period, self.watchdog = period, watchdog
+        self.heard = 0.0
         self.reset()
 
     def reset(self):
@@ -31,6 +35,8 @@ class Io:
 
     async def action(self, function, start, address, count, registers, values):
         what, _, code = self.fault.partition(" ")
+        if what != "silent":
+            self.heard = time.monotonic()
         if what == "silent":
             await asyncio.sleep(3600.0)
         if (what, function) in (("refuse_read", 4), ("refuse_write", 6)):
@@ -49,9 +55,16 @@ class Io:
             self.on = bool(values[0])
         return None
 
+    async def watch(self):
+        while True:
+            await asyncio.sleep(0.005)
+            if time.monotonic() > self.heard + self.watchdog:
+                self.volts, self.on = 0.0, False
 
-async def main(port, period):
-    io = Io(period)
+
+async def main(port, period, watchdog=math.inf):
+    io = Io(period, watchdog)
+    watching = asyncio.create_task(io.watch())
 
     def registers(address):
         return [SimData(address, values=0, datatype=DataType.REGISTERS)]
@@ -74,7 +87,8 @@ async def main(port, period):
         elif order != "state":
             io.fault = order
         print(f"{io.volts:.4f} {int(io.on)}", flush=True)
+    watching.cancel()
 
 
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
-asyncio.run(main(int(sys.argv[1]), float(sys.argv[2])))
+asyncio.run(main(int(sys.argv[1]), *map(float, sys.argv[2:])))

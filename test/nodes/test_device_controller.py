@@ -7,28 +7,46 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
 import rclpy
 from bench import LIMIT, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 
 sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "drivers"))
 from examples import serial_card
 
-from valve_control.control.parameters import build
+from valve_control.control.parameters import build, files
 from valve_control.control.parameters.drivers import SIMULATED
 from valve_control.control.simulation import offline
+from valve_control.control.supervision.journal import COLUMNS, HEAD
 from valve_control.nodes.harness.lockstep import CONFIG
 from valve_control.nodes.harness.processes import Listener, node_arguments, node_values, process
 
 STEP = 10.0 / 32767  # V
 
 
-@pytest.mark.parametrize("law", ["arc", pytest.param("dcarc", marks=pytest.mark.campaign)])
-def test_the_bits_are_those_of_offline_and_of_the_topics_in_lockstep(ros, tmp_path, law):
+def simulated(plant):
+    """Words that make the simulated valve ``plant`` the device, one sample as soon as it is asked for."""
+    own = {p.name: plant[p.name.removeprefix("simulated.")] for p in SIMULATED if p.name != "simulated.paced"}
+    words = ["-p", "driver:=simulated", "-p", "simulated.paced:=false"]
+    for name, value in own.items():
+        words += ["-p", f"{name}:={build.as_text(value)}"]
+    return words
+
+
+@pytest.mark.parametrize(
+    ("law", "node", "spaces"),
+    [
+        ("arc", "controller", ("",)),
+        ("arc", "manifold", ("/a", "/b")),
+        pytest.param("dcarc", "controller", ("",), marks=pytest.mark.campaign),
+    ],
+)
+def test_the_bits_are_those_of_offline_and_of_the_topics_in_lockstep(ros, tmp_path, law, node, spaces):
     settings = {
         "controller": {"controller": law, "lockstep": True, "lvdt.frozen_samples": 0, "state_decimation": 0},
         "command_source": {"trigger": "lockstep", "listeners": 1, "duration": 2.0},
@@ -36,27 +54,33 @@ def test_the_bits_are_those_of_offline_and_of_the_topics_in_lockstep(ros, tmp_pa
     plant = node_values("valve_simulator", CONFIG, {})
     command = build.commands(node_values("command_source", CONFIG, settings["command_source"]))
     twin = offline.simulate(node_values("controller", CONFIG, settings["controller"]), plant, command)
-    own = {p.name: plant[p.name.removeprefix("simulated.")] for p in SIMULATED if p.name != "simulated.paced"}
-    words = ["-p", "driver:=simulated", "-p", "simulated.paced:=false"]
-    for name, value in own.items():
-        words += ["-p", f"{name}:={build.as_text(value)}"]
-    listener = Listener("listener", ("valve_voltage", "spool_position"))
-    logs = tmp_path / "c.log", tmp_path / "s.log"
-    with process("controller", node_arguments("controller", CONFIG, settings["controller"]) + words, logs[0]):
-        spin_until(ros, lambda: ros.count_publishers("spool_position") == 1, "controller")
-        source = node_arguments("command_source", CONFIG, settings["command_source"])
-        with process("command_source", source, logs[1]):
-            end = time.monotonic() + 1.0 * LIMIT
-            heard = listener.sequence["valve_voltage"]
-            while not heard or heard[-1] < len(command):
-                assert time.monotonic() < end, (heard[-1:], logs[0].read_text(), logs[1].read_text())
-                rclpy.spin_once(ros, timeout_sec=0.02)
-                listener.fetch()
-    for topic, expected in (("valve_voltage", twin.voltage), ("spool_position", twin.measurement)):
-        numbers = np.array(listener.sequence[topic]) - 1
-        inside = numbers < len(command)
-        assert np.count_nonzero(inside) >= 0.9 * len(command)
-        assert np.array_equal(listener.arrays(topic)[0][inside], expected[numbers[inside]])
+    words = node_arguments("controller", CONFIG, settings["controller"]) + simulated(plant)
+    if node == "manifold":
+        words += ["-p", f"valves:=[{','.join(space[1:] for space in spaces)}]"]
+    expected = {"valve_voltage": twin.voltage, "spool_position": twin.measurement}
+    listener = Listener("listener", [f"{space}/{topic}" for space in spaces for topic in expected])
+    log = tmp_path / "c.log"
+    with ExitStack() as stack:
+        for space in spaces:  # before the readings, which wait for commands that are there for longer
+            source = node_arguments("command_source", CONFIG, settings["command_source"])
+            named = [*source, "-r", f"__ns:={space}"] if space else source
+            stack.enter_context(process("command_source", named, tmp_path / f"s{space[1:]}.log"))
+            there = f"{space}/spool_command"
+            spin_until(ros, lambda there=there: ros.count_publishers(there) == 1, there)
+        stack.enter_context(process(node, words, log))
+        end = time.monotonic() + 1.0 * LIMIT
+        heard = [listener.sequence[f"{space}/valve_voltage"] for space in spaces]
+        while not all(numbers and numbers[-1] >= len(command) for numbers in heard):
+            assert time.monotonic() < end, ([numbers[-1:] for numbers in heard], log.read_text())
+            rclpy.spin_once(ros, timeout_sec=0.02)
+            listener.fetch()
+    for space in spaces:
+        for name, values in expected.items():
+            topic = f"{space}/{name}"
+            numbers = np.array(listener.sequence[topic]) - 1
+            inside = numbers < len(command)
+            assert np.count_nonzero(inside) >= 0.9 * len(command)
+            assert np.array_equal(listener.arrays(topic)[0][inside], values[numbers[inside]])
     listener.destroy_node()
 
 
@@ -87,6 +111,12 @@ def test_a_card_is_controlled_beside_it_and_its_faults_are_told(ros, tmp_path):
     with process("controller", arguments, tmp_path / "c.log") as child:
         run(lambda: readings and abs(readings[-1] - 1.0) < 0.2, "the spool at its command")
         assert card._asked
+        for settings, words in (
+            ({"voltage__low": 0.0, "voltage__high": 0.0}, "voltage.low is 0 V; it must be below"),
+            ({"lockstep": True, "signal_decimation": 10}, "signal_decimation must be 1 in lockstep"),
+        ):
+            refused = set_parameters(ros, **settings)
+            assert not refused.successful and words in refused.reason
         refused = set_parameters(ros, serial__baud=9600)
         assert not refused.successful and "serial.baud of an open device" in refused.reason
         assert set_parameters(ros, arc__k1=150.0, voltage__high=4.0).successful
@@ -100,6 +130,87 @@ def test_a_card_is_controlled_beside_it_and_its_faults_are_told(ros, tmp_path):
         os.kill(child.pid, signal.SIGKILL)
         run(lambda: not card._asked and card.voltage == 0.0, "0 V by the card's own watchdog")
     card.close()
+
+
+def test_topics_may_have_every_tenth_sample_while_the_journal_has_all(ros, tmp_path):
+    words = ["-p", "driver:=simulated", "-p", "simulated.lvdt.noise:=0.01", "-p", "signal_decimation:=10"]
+    heard = {"spool_position": [], "valve_voltage": []}
+    for topic, values in heard.items():
+        ros.create_subscription(Float64, topic, lambda m, values=values: values.append(m.data), 1000)
+    rows = []
+    ros.create_subscription(
+        Float64MultiArray,
+        "/controller/journal",
+        lambda m: rows.extend(np.reshape(m.data[HEAD:], (-1, len(COLUMNS))).tolist()),
+        1000,
+    )
+    with process("controller", words, tmp_path / "c.log"):
+        spin_until(ros, lambda: rows and all(len(values) > 200 for values in heard.values()), "samples")
+    sampled = [row for row in rows if not np.isnan(row[COLUMNS.index("reading")])]
+    for topic, column in (("spool_position", "reading"), ("valve_voltage", "voltage")):
+        places = {row[COLUMNS.index(column)]: i for i, row in enumerate(sampled)}  # noise repeats no number
+        at = [places[value] for value in heard[topic] if value in places]
+        steps = np.diff(at)
+        assert len(at) > 100 and np.median(steps) == 10 and not np.any(steps % 10), (topic, steps)
+
+
+def test_a_silent_card_of_a_manifold_does_not_hold_up_the_other(ros, tmp_path):
+    """Two cards on two lines; one falls silent for 1 s, in which the other must not miss a frame."""
+    cards = [serial_card.Card(), serial_card.Card()]
+    voltages = {space: [] for space in ("a", "b")}
+    for space, heard in voltages.items():
+        ros.create_subscription(
+            Float64, f"/{space}/valve_voltage", lambda m, heard=heard: heard.append(m.data), 100
+        )
+    words = ["-p", "valves:=[a,b]", "-p", "driver:=serial", "-p", "lvdt.period_limit:=1000.0"]
+    ports = {f"/{s}/controller": {"serial.port": card.port} for s, card in zip(voltages, cards, strict=True)}
+    (tmp_path / "ports.yaml").write_text(files.as_yaml(ports))
+    words += ["--params-file", str(tmp_path / "ports.yaml")]
+
+    def turn(*spoken):
+        for card in spoken:
+            card.receive(time.monotonic())
+            card.move()
+            card.send(time.monotonic())
+        rclpy.spin_once(ros, timeout_sec=0.001)
+
+    with process("manifold", words, tmp_path / "m.log"):
+        end = time.monotonic() + LIMIT
+        while not all(card._asked for card in cards):
+            assert time.monotonic() < end, (tmp_path / "m.log").read_text()
+            turn(*cards)
+        begun, frames = cards[0].counter, cards[0].frames
+        silence = time.monotonic() + 1.0
+        while time.monotonic() < silence:
+            turn(cards[0])
+        sent = cards[0].counter - begun
+        assert sent > 100 and cards[0].frames - frames >= 0.95 * sent and cards[0]._asked
+        for _ in range(3):
+            turn(*cards)
+        spin_until(ros, lambda: turn(*cards) or cards[1]._asked, "the silent card again")
+    for card in cards:
+        card.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "file", "sentence"),
+    [
+        (["driver:=modbus"], {}, "driver is 'modbus', which waits for its device"),
+        ([], {"/a/controller": {"driver": "simulated"}}, "/b/controller has no parameter driver"),
+        (["driver:=simulated", "node:=valve_simulator"], {}, "-p driver:=simulated: there is no parameter"),
+    ],
+)
+def test_what_a_manifold_with_devices_refuses(tmp_path, words, file, sentence):
+    given = [word for text in ["valves:=[a,b]", *words] for word in ("-p", text)]
+    if file:
+        (tmp_path / "p.yaml").write_text(files.as_yaml(file))
+        given += ["--params-file", str(tmp_path / "p.yaml")]
+    done = subprocess.run(
+        [sys.executable, "-m", "valve_control.nodes.manifold", "--ros-args", *given],
+        capture_output=True, text=True, timeout=LIMIT,
+    )  # fmt: skip
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert sentence in done.stderr.splitlines()[-1]
 
 
 def test_a_device_that_is_not_there_ends_it_with_a_sentence():

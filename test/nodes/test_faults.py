@@ -8,6 +8,7 @@ import pytest
 import sizes
 from bench import run_tool
 
+from research.campaigns import drivers
 from research.campaigns.faults import CONTROLLERS, FAULTS
 
 
@@ -27,3 +28,21 @@ def test_each_fault(tmp_path, controller):
     for entry in entries:
         assert entry["recovered"] and entry["reaction_s"] <= entry["limit_s"], entry
         assert math.isfinite(entry["max_abs_voltage"]) and entry["max_abs_voltage"] <= 10.0
+
+
+def test_each_driver_is_killed_in_the_campaign_and_leaves_its_device_off():
+    killed = {fault.driver: fault for fault in drivers.FAULTS if fault.order == drivers.KILL}
+    assert set(killed) == set(drivers.KINDS)
+    assert all(fault.off is not None for fault in killed.values())
+
+
+@pytest.mark.alone
+@pytest.mark.campaign
+@pytest.mark.parametrize("driver", drivers.KINDS)
+def test_each_fault_of_a_device(tmp_path, driver):
+    entries = run_tool("faults", tmp_path, "--only", driver, timeout=400)
+    assert [(e["driver"], e["fault"]) for e in entries] == [
+        (fault.driver, fault.name) for fault in drivers.FAULTS if fault.driver == driver
+    ]
+    for entry in entries:
+        assert entry["passed"], entry

@@ -27,7 +27,7 @@ READ = """
 import json, sys
 import rclpy
 from valve_control.nodes.adapter import plain
-from valve_control.nodes.controller import Controller
+from valve_control.nodes.controller_node import Controller
 from valve_control.nodes.valve_simulator import ValveSimulator
 from valve_control.nodes.command_source import CommandSource
 for path in sys.argv[1:]:

@@ -12,7 +12,7 @@ from bench import get_double, spin_until
 from std_msgs.msg import Float64
 
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
-from valve_control.nodes.controller import Controller
+from valve_control.nodes.controller_node import Controller
 from valve_control.nodes.harness.processes import process
 
 PROMPT = 2.0  # s for the end of a process, most of it Python's

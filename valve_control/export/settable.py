@@ -3,8 +3,8 @@
 """Finds the parameters that the C can set while it runs, by building the Params again with other values.
 
 A parameter is settable if it goes into a single number of Params as it is, at both ends of its range and
-between. All others are computed on the way (a discretised filter, a Riccati equation), depend on each
-other, or choose a form: they need a new export.
+between; above 0 if 0 turns something off. All others are computed on the way (a discretised filter, a
+Riccati equation), depend on each other, or choose a form: they need a new export.
 """
 
 from collections.abc import Callable, Iterator
@@ -18,6 +18,7 @@ DEPENDS = "its range depends on other parameters"
 NO_NUMBER = "it is no number"
 WHOLE = "it is a whole number"
 FORM = "it chooses what is computed"
+LEAST = 1e-9  # lowest value where 0 is a form of its own
 WITHOUT = "it has no effect in this export"
 
 
@@ -47,7 +48,11 @@ def find(unit: Unit, done: Callable[[], object] = lambda: None) -> Settable:
             others[parameter.name] = COMPUTED
             continue
         for entry, low, high, now in _numbers(parameter, unit.values[parameter.name]):
-            reason = _trial(unit, parameter, entry, base, sorted({low, high, *_between(low, high, now)}))
+            inner = {high, *_between(low, high, now)}
+            reason = _trial(unit, parameter, entry, base, sorted({low, *inner}))
+            if reason == FORM and low == 0.0 < now:  # which turns it off; what is on stays so
+                positive = parameter._replace(low=LEAST)
+                reason = _trial(unit, positive, entry, base, sorted({LEAST, *inner}))
             if isinstance(reason, Setter):
                 setters.append(reason)
             elif reason != WITHOUT:

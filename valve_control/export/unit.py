@@ -24,6 +24,8 @@ PLANTS = ("valve", "axis")
 WATCHED = (
     "command_limit",
     "command_timeout",
+    "command.bridge",
+    "command.interpolation",
     "neutral_rate",
     "neutral_accel",
     "transfer_time",

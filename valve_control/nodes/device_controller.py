@@ -18,8 +18,8 @@ from valve_control.control.parameters import drivers
 from valve_control.control.parameters.drivers import DEVICE, LIVE
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.adapter import SAMPLES, PolledSubscription, acquainted, encoded
-from valve_control.nodes.controller import COMMANDING, NEVER, WARMING, Built, Controller
-from valve_control.parameter import ParameterError, Values, word
+from valve_control.nodes.controller_node import COMMANDING, WARMING, Built, Controller
+from valve_control.parameter import ParameterError, Values, number, word
 
 LEVELS = {"degraded": DiagnosticStatus.WARN, "safe": DiagnosticStatus.ERROR}
 OWN = frozenset(parameter.name for parameter in CONTROLLER)
@@ -36,8 +36,8 @@ class DeviceReadings:
         self.fresh: list[float] = []  # V, to be published; NaN: lost or not valid
 
     def take(self) -> Iterator[tuple[float, dict[str, Any]]]:
-        """Wait for the next reading; nothing if none comes in time."""
-        reading = None if self.held else self._device.read()
+        """The next reading if it is there; a device that cannot be polled is waited for."""
+        reading = None if self.held else self._device.poll()
         if reading is not None:
             self._number += reading.lost + 1
             self.fresh += [math.nan] * min(reading.lost, MOST_MISSING)
@@ -52,7 +52,8 @@ class DeviceReadings:
 class DeviceController(Controller):
     """The controller with a device; it publishes `spool_position` and `valve_voltage` after each sample.
 
-    For part of a period after a reading it serves others and warms its caches; then it waits for the next.
+    A device that cannot be polled makes the loop wait: for part of a period after a reading the node serves
+    others and warms its caches, then it waits for the next. Such a device shares its process with no other.
     """
 
     table = CONTROLLER + DEVICE
@@ -60,11 +61,14 @@ class DeviceController(Controller):
     def __init__(self, **options: Any) -> None:
         self._device: Device | None = None  # None: it is not open
         self._device_values: Values = {}
+        self._alone = options.get("warms", True)
         self._refusal = ""
         self._ready_at = 0.0  # s, from when on the next reading is waited for
         self._begun = False
         self._given: list[float] = []  # V, to be published
         self._told: tuple[Condition, ...] = ()
+        self._every = 1  # reading that is published
+        self._unpublished = 0  # readings
         super().__init__(**options)
 
     def _build(self, values: Values) -> Built:
@@ -73,11 +77,18 @@ class DeviceController(Controller):
         changed = [name for name in fixed if values[name] != former[name]]
         if self._device is not None and changed:
             raise ParameterError(f"{changed[0]} of an open device does not change; clean the node up first")
-        drivers.device(values)
+        if not drivers.device(values).polled and not self._alone:
+            raise ParameterError(
+                f"driver is '{values['driver']}', which waits for its device and would hold up the other "
+                "valves of the process; give this valve a controller of its own"
+            )
+        if values["lockstep"] and values["signal_decimation"] != 1:
+            raise ParameterError("signal_decimation must be 1 in lockstep, where each reading is waited for")
         return super()._build(values)
 
     def _apply(self, values: Values, built: Built) -> None:
         self._device_values = values
+        self._every = int(number(values, "signal_decimation"))
         if self._device is not None:
             self._device.limit(*drivers.sides(values))
         super()._apply({name: value for name, value in values.items() if name in OWN}, built)
@@ -147,24 +158,31 @@ class DeviceController(Controller):
         return super().inputs() if self._waiting is not None else ()
 
     def due(self) -> float:
-        """Time [s] from which the next reading is waited for."""
-        return super().due() if self._waiting is not None else self._ready_at if self.working else NEVER
+        """Time [s] from which the device is asked for a reading, or there is something else to do."""
+        if self._waiting is not None or not self.working:
+            return super().due()
+        assert self._device is not None
+        ready = max(self._ready_at, self._device.due())
+        return min(ready, super().due()) if self._begun else 0.0
+
+    def fileno(self) -> int:
+        """File of the device."""
+        listens = self.working and self._begun and self._waiting is None
+        return self._device.fileno() if listens and self._device is not None else -1
 
     def work(self) -> bool:
-        """Wait for the next reading, and answer it."""
+        """Answer a reading that has come."""
         if not self.working:
             return False
         assert self._device is not None
         if not self._begun:
             self._begun = True
             self._device.enable(True)
-        if self._warm_at <= time.monotonic():
-            self._warm_caches()
         before = self._supervisor.samples
         self._from_device.held = self._waiting is not None
         worked = super().work()
-        answered = self._supervisor.samples != before and not self._lockstep
-        self._ready_at = self._arrivals[-1] + WARMING * self._period if answered else 0.0
+        waits = not (self._device.polled or self._lockstep) and self._supervisor.samples != before
+        self._ready_at = self._arrivals[-1] + WARMING * self._period if waits else 0.0
         return worked or self._waiting is None
 
     def _publish(self, voltage: float) -> None:
@@ -177,10 +195,16 @@ class DeviceController(Controller):
         """Publish readings and voltages that the topics do not have yet; not a reading without its answer."""
         fresh = self._from_device.fresh
         answered = len(fresh) if self._waiting is None else len(fresh) - 1
-        for reading in fresh[:answered]:
-            self._positions.publish(encoded(reading))
-        for voltage in self._given:
-            self._voltages.publish(encoded(voltage))
+        self._unpublished += answered
+        if self._every == 1:
+            for reading in fresh[:answered]:
+                self._positions.publish(encoded(reading))
+            for voltage in self._given:
+                self._voltages.publish(encoded(voltage))
+        elif answered and self._given and self._unpublished >= self._every:
+            self._unpublished = 0
+            self._positions.publish(encoded(fresh[answered - 1]))
+            self._voltages.publish(encoded(self._given[-1]))
         del fresh[:answered]
         self._given.clear()
 
@@ -216,10 +240,6 @@ class DeviceController(Controller):
         values["conditions"] = ", ".join(names)
         if self._device is not None:
             values["lost"] = self._device.lost
+            values["late"] = self._device.late
             values["reopened"] = self._device.reopened
         return values
-
-
-def make() -> list[DeviceController]:
-    """Create the node."""
-    return [DeviceController()]

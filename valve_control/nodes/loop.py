@@ -9,6 +9,7 @@ timers and discovery too, now and then, one node at a time.
 
 import gc
 import os
+import select
 import signal
 import sys
 import time
@@ -47,6 +48,10 @@ class Worker(Node):
         """Subscriptions whose messages make the loop call ``work``."""
         return ()
 
+    def fileno(self) -> int:
+        """File that makes the loop call ``work`` when it is readable, -1 for none."""
+        return -1
+
     def due(self) -> float:
         """Time (`time.monotonic`) at which ``work`` is called even if no message has come."""
         return float("inf")
@@ -54,7 +59,7 @@ class Worker(Node):
     def work(self) -> bool:
         """Do what has to be done now; returns whether anything was done.
 
-        Called only when a message has come on one of ``inputs``, or ``due`` has passed.
+        Called only when a message has come on one of ``inputs``, ``fileno`` is readable or ``due`` is over.
         """
         return False
 
@@ -190,6 +195,9 @@ def _loop(nodes: Sequence[Any], chores: Sequence[Chores], reception: Reception) 
                 for i, (node, _) in enumerate(inputs)
                 if wait_set.is_ready("subscription", i) and node.work()
             ]
+        elif files := {node.fileno(): node for node in nodes if node.fileno() >= 0}:
+            heard = select.select(files, [], [], max(0.0, pause))[0]
+            worked += [files[file] for file in heard if files[file].work()]
         elif pause > 0.0:
             time.sleep(pause)
         now = time.monotonic()

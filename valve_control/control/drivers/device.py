@@ -6,7 +6,14 @@ import math
 import time
 from typing import NamedTuple
 
-from valve_control.control.drivers.driver import Condition, Driver, DriverError, Reading, patience
+from valve_control.control.drivers.driver import (
+    Condition,
+    Driver,
+    DriverError,
+    PolledDriver,
+    Reading,
+    patience,
+)
 from valve_control.control.drivers.scaling import Scale
 
 RETRY = 1.0  # s between two attempts to open a device that is gone
@@ -27,15 +34,17 @@ class Device:
     def __init__(self, driver: Driver, position: Side, voltage: Side, period: float) -> None:
         """``period``: sample period [s]."""
         self._driver = driver
+        self._polled = driver if isinstance(driver, PolledDriver) else None
         self.position, self.voltage = position, voltage
         self._pause = patience(period)
+        self._period = period
         self._gone: Condition | None = None
         self._fault: Condition | None = None  # keeps the output off after the device was opened anew
         self._retry_at = 0.0
         self._on = False
         self._beyond: float | None = None  # V, of the last reading if it is out of range
         self._lost_until = -math.inf
-        self.readings = self.lost = self.silences = self.reopened = 0
+        self.readings = self.lost = self.late = self.silences = self.reopened = 0
 
     def limit(self, position: Side, voltage: Side) -> None:
         """Use other limits."""
@@ -69,10 +78,47 @@ class Device:
             except DriverError as error:
                 self._lose(error)
 
+    @property
+    def polled(self) -> bool:
+        """Whether ``poll`` never waits, so that devices can share a thread."""
+        return self._polled is not None
+
+    def due(self) -> float:
+        """Time (`time.monotonic`) from which ``poll`` has something to do, besides bytes on ``fileno``."""
+        if self._gone is not None:
+            return self._retry_at
+        return 0.0 if self._polled is None else self._polled.due()
+
+    def fileno(self) -> int:
+        """File that is readable when the device has sent something, -1 for none."""
+        return -1 if self._polled is None or self._gone is not None else self._polled.fileno()
+
+    def poll(self) -> Reading | None:
+        """The next reading in volts if it is there; a driver that cannot be polled waits for it."""
+        if self._polled is None:
+            return self.read()
+        if self._gone is not None:
+            if time.monotonic() >= self._retry_at:
+                self._reopen()
+            return None
+        tick = self._polled.due()
+        try:
+            reading = self._polled.poll()
+        except DriverError as error:
+            self._lose(error)
+            return None
+        if reading is None:
+            return None
+        self.late += 0.0 < tick < time.monotonic() - self._period
+        return self._in_volts(reading)
+
     def read(self) -> Reading | None:
         """Wait for the next reading in volts, NaN if it is out of range; None if none came in time."""
         if self._gone is not None:
-            self._reopen()
+            if time.monotonic() >= self._retry_at:
+                self._reopen()
+            else:
+                time.sleep(self._pause)
             return None
         try:
             reading = self._driver.read()
@@ -82,6 +128,9 @@ class Device:
         if reading is None:
             self.silences += 1
             return None
+        return self._in_volts(reading)
+
+    def _in_volts(self, reading: Reading) -> Reading:
         self.readings += 1
         if reading.lost:
             self.lost += reading.lost
@@ -109,10 +158,7 @@ class Device:
         self._retry_at = time.monotonic() + RETRY
 
     def _reopen(self) -> None:
-        """Open the device again, if it is time; otherwise wait as long as a reading is waited for."""
-        if time.monotonic() < self._retry_at:
-            time.sleep(self._pause)
-            return
+        """Open the device again."""
         try:
             self._driver.open()
             self._driver.enable(self._on and self._fault is None)

@@ -7,7 +7,7 @@ A driver has one device. One thread calls it: ``open``, ``enable``, then ``write
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from valve_control.parameter import Table, Values
 
@@ -74,6 +74,23 @@ class Driver(Protocol):
 
     def conditions(self) -> tuple[Condition, ...]:
         """Faults that are there now, of different names; after each reading, so it may take microseconds."""
+
+
+@runtime_checkable
+class PolledDriver(Driver, Protocol):
+    """A driver that never makes its thread wait, so that several devices can share one."""
+
+    def poll(self) -> Reading | None:
+        """The next reading if it is there, at once."""
+
+    def due(self) -> float:
+        """Time (`time.monotonic`) from which `poll` has a reading without a new byte, inf if never.
+
+        Of a driver with an absolute clock it is the next tick, by which the device counts late readings.
+        """
+
+    def fileno(self) -> int:
+        """File that is readable when the device has sent something, -1 for none."""
 
 
 class Kind(NamedTuple):

@@ -138,11 +138,25 @@ class SerialCard:
             if rest <= 0.0 or not self._poll.poll(math.ceil(1e3 * rest)):
                 return None
             self._receive()
+        return self.poll()
+
+    def poll(self) -> Reading | None:
+        """The next reading if it has come. Raises DriverError if the port is gone."""
         while self._poll.poll(0):
             self._receive()
+        if not self._waiting:
+            return None
         if len(self._waiting) > self._most_waiting:
             self._waiting = deque((self._waiting[-1],))
         return self._taken(self._waiting.popleft())
+
+    def due(self) -> float:
+        """At once if a frame waits here; otherwise the port has to be heard."""
+        return 0.0 if self._waiting else math.inf
+
+    def fileno(self) -> int:
+        """The port."""
+        return int(self._port.fileno())
 
     def _receive(self) -> None:
         try:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Driver `simulated`: the simulated valve in the process, for trials without hardware."""
 
+import time
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from valve_control.control.drivers.driver import Condition, Reading
 from valve_control.control.drivers.ticks import Ticks
 from valve_control.control.plant import registry
 from valve_control.control.plant.amplifier import saturate
+
+BACKLOG = 0.02  # s  ticks that lie further back are left out
 
 
 class SimulatedValve:
@@ -43,15 +46,34 @@ class SimulatedValve:
         self._voltage = saturate(signal, self._params.u_max)
 
     def read(self) -> Reading:
-        """The reading of the next tick; the ticks that went by before are lost readings."""
-        lost = self._ticks.wait() if self._paced else 0
+        """The reading of the next tick; ticks that are late are made up for, as `poll` says."""
+        if self._paced:
+            time.sleep(self._ticks.due())
+        return self._next()
+
+    def poll(self) -> Reading | None:
+        """The reading of a tick that has come; the spool moves by one period from tick to tick.
+
+        Ticks that lie more than ``BACKLOG`` back are lost readings.
+        """
+        return None if self._paced and self._ticks.at() > time.monotonic() else self._next()
+
+    def _next(self) -> Reading:
+        lost = self._ticks.take(BACKLOG) if self._paced else 0
         if self._moving:
             for _ in range(lost + 1):
                 self._state = self._plant.step(self._params, self._state, self._voltage)
         self._moving = True
-        return Reading(
-            self._plant.read(self._params, self._state, float(self._random.standard_normal())), lost
-        )
+        reading = self._plant.read(self._params, self._state, float(self._random.standard_normal()))
+        return Reading(reading, lost)
+
+    def due(self) -> float:
+        """Time of the next tick."""
+        return self._ticks.at() if self._paced else 0.0
+
+    def fileno(self) -> int:
+        """There is no file."""
+        return -1
 
     def close(self) -> None:
         """Give 0 V."""

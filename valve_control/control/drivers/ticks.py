@@ -1,26 +1,37 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Ticks of an absolute clock, for devices that have none: no tick depends on how late the last one was."""
+"""Ticks of an absolute clock, for devices that have none: no tick depends on how late the last one was.
+
+They are whole multiples of the period on the monotonic clock: devices of one period tick together.
+"""
 
 import math
 import time
 
 
 class Ticks:
-    """Ticks one ``period`` [s] apart, the first at once."""
+    """Ticks one ``period`` [s] apart; the first one is at most a period away."""
 
     def __init__(self, period: float) -> None:
         self._period = period
-        self._next = time.monotonic()
+        self._count = math.ceil(time.monotonic() / period)  # of the next tick
+
+    def at(self) -> float:
+        """Time [s] of the next tick, by `time.monotonic`."""
+        return self._count * self._period
 
     def due(self) -> float:
         """Seconds until the next tick, 0.0 if it is over."""
-        return max(0.0, self._next - time.monotonic())
+        return max(0.0, self.at() - time.monotonic())
 
-    def take(self) -> int:
-        """Go on to the tick after now; returns how many ticks went by unused."""
-        missed = max(0, math.floor((time.monotonic() - self._next) / self._period))
-        self._next += (missed + 1) * self._period
+    def take(self, patience: float = 0.0) -> int:
+        """Go on to the tick after the next one; returns how many ticks went by unused.
+
+        Those are left out that lie more than ``patience`` [s] and more than a period back.
+        """
+        late = time.monotonic() - self.at()
+        missed = math.floor(late / self._period) if late > max(patience, self._period) else 0
+        self._count += missed + 1
         return missed
 
     def wait(self) -> int:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from valve_control.control.parameters import files
 from valve_control.control.parameters.axis_parameters import ROS_NODES
+from valve_control.control.parameters.drivers import DEVICE
 from valve_control.control.parameters.table import is_of_ros
 from valve_control.parameter import ParameterError, Table, Values, defaults, missing
 
@@ -73,7 +74,11 @@ def _own_name(arguments: Sequence[str], name: str) -> str:
 
 def looked_up(arguments: Sequence[str], name: str, parameter: str) -> object:
     """What a command line and its files give a ``parameter`` of the node ``name``, None: nothing."""
-    node = _own_name(arguments, name)
+    return value_given(arguments, _own_name(arguments, name), parameter)
+
+
+def value_given(arguments: Sequence[str], node: str, parameter: str) -> object:
+    """What a command line and its files give a ``parameter`` of ``node`` (full name), None: nothing."""
     found: object = written(arguments, node, parameter)
     for path in given(arguments).paths if found is None else ():
         try:
@@ -113,6 +118,12 @@ def help_text(node: str, text: str, arguments: Sequence[str]) -> str:
         "parameters:",
         *(f"  {parameter.described}" for parameter in ROS_NODES[node]),
     ]
+    if node == "controller":
+        lines += [
+            "",
+            "with the parameter driver also:",
+            *(f"  {parameter.described}" for parameter in DEVICE),
+        ]
     return "\n".join(lines)
 
 

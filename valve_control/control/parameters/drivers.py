@@ -88,9 +88,18 @@ VALVE_DRIVER: Table = (
     *REALTIME,
     *KINDS_PARAMETERS,
 )
-DEVICE: Table = (DRIVER, *SIDES, *KINDS_PARAMETERS)  # of a controller that has the device itself
+DECIMATION = Parameter(
+    "signal_decimation",
+    1,
+    "",
+    "every n-th reading and voltage goes to spool_position and valve_voltage; the journal has them all",
+    1,
+    1000,
+)
+DEVICE: Table = (DRIVER, DECIMATION, *SIDES, *KINDS_PARAMETERS)  # of a controller that has the device itself
 LIVE = frozenset(
     {"enable", "watchdog", "answer_share", "position.low", "position.high", "voltage.low", "voltage.high"}
+    | {DECIMATION.name}
     | {parameter.name for parameter in REALTIME}
 )  # what a running driver takes
 

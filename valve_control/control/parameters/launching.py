@@ -10,6 +10,7 @@ import difflib
 import math
 import re
 import sys
+import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
@@ -19,12 +20,18 @@ from valve_control.control.laws.registry import LAWS, REFUSED
 from valve_control.control.parameters import files
 from valve_control.control.parameters.arguments import matches
 from valve_control.control.parameters.axis_parameters import ROS_NODES
+from valve_control.control.parameters.drivers import DEVICE, SIMULATED
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Value, lookup, one_of
 
 SWITCHES = ("simulate", "record", "dashboard")
 # Arguments that set a parameter of the same name, which a file of the user's may set too.
-NAMED = ("controller", "scenario", "duration", "message", "upper_level", "sample_period")
+NAMED = ("controller", "driver", "scenario", "duration", "message", "upper_level", "sample_period")
+# Nodes of launch files; the controller may have its device itself.
+LAUNCHED = {
+    **{name: table for name, table in ROS_NODES.items() if name != "valve_driver"},
+    "controller": (*ROS_NODES["controller"], *DEVICE),
+}
 NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", re.ASCII)
 
 
@@ -51,6 +58,14 @@ def checked(file: str, **values: str) -> str:
         )
     if values["record"].strip().lower() in ("true", "1") and Path(values["bag"]).expanduser().exists():
         raise ParameterError(f"bag is '{values['bag']}', which exists already; name a new one with bag:=NAME")
+    if driver := values.get("driver", ""):
+        lookup(DEVICE, "driver").check(driver)
+    wanted = "simulate" in (given or []) and values["simulate"].strip().lower() in ("true", "1")
+    if wanted and (device := _device(driver, values["params_file"])):
+        raise ParameterError(
+            f"simulate is '{values['simulate']}' and the driver is '{device}', beside which no "
+            "valve_simulator runs; leave one of them out"
+        )
     if given is not None:  # of a file that is included another part may be for nodes of the one around it
         _refuse_useless(file, values["params_file"])
     _refuse_contradictions(values["params_file"], values, declared)
@@ -131,7 +146,7 @@ def _named(path: str) -> Iterator[tuple[str, str, Value]]:
     """Pattern, name and value of what a file sets that arguments set too. Raises ParameterError."""
     _load(path)
     for section in files.sections(path) if path else []:
-        for node, table in ROS_NODES.items():
+        for node, table in LAUNCHED.items():
             for parameter in table if section.node == node or "*" in section.node else ():
                 if parameter.name in NAMED and parameter.name in section.values:
                     value = files.from_yaml(parameter, section.values[parameter.name])
@@ -140,7 +155,7 @@ def _named(path: str) -> Iterator[tuple[str, str, Value]]:
 
 def _load(path: str) -> dict[str, dict[str, Value]]:
     """Checked values of the file of parameters by node; none without a file. Raises ParameterError."""
-    return files.load(path, nodes=ROS_NODES) if path else {}
+    return files.load(path, nodes={**ROS_NODES, **LAUNCHED}) if path else {}
 
 
 def parameters_of(params_file: str, otherwise: str, *nodes: str) -> str:
@@ -169,6 +184,42 @@ def _given(params_file: str, nodes: Iterable[str]) -> str:
     """Path of ``params_file``, "" if it has nothing for ``nodes``."""
     values = _load(params_file)
     return str(Path(params_file).expanduser().absolute()) if any(values.get(node) for node in nodes) else ""
+
+
+def _device(driver: str, params_file: str) -> str:
+    """Kind of the device that the controller has itself, by argument or file, "": none."""
+    return driver or str(_load(params_file).get("controller", {}).get("driver", ""))
+
+
+def simulator(simulate: str, driver: str, params_file: str) -> str:
+    """Whether valve_simulator runs: it does, unless there is a device. Raises ParameterError."""
+    return "false" if _device(driver, params_file) else simulate
+
+
+def device_option(driver: str, params_file: str) -> str:
+    """ROS option that makes the controller have its device, or one without effect. Raises ParameterError."""
+    return "--params-file" if _device(driver, params_file) else "-r"
+
+
+def device_value(driver: str, params_file: str, valve: str) -> str:
+    """Return the word that belongs to ``device_option``: a new file, in which a simulated valve is ``valve``.
+
+    ``valve``: name of a file in config/; what the user's file has for valve_simulator comes before it. Raises
+    ParameterError.
+    """
+    device = _device(driver, params_file)
+    if not device:
+        return "__node:=controller"
+    values: dict[str, Value] = {"driver": device}
+    if device == "simulated":
+        known = {parameter.name for parameter in SIMULATED}
+        for path in (str(files.config_folder() / f"{valve}.yaml"), params_file):
+            given = _load(path).get("valve_simulator", {})
+            values |= {f"simulated.{n}": value for n, value in given.items() if f"simulated.{n}" in known}
+    text = files.as_yaml({"/**/controller": values})
+    with tempfile.NamedTemporaryFile("w", prefix="valve_control_", suffix=".yaml", delete=False) as file:
+        file.write(text)
+    return file.name
 
 
 def sample_period(rate: str, params_file: str = "") -> float:

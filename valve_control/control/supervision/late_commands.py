@@ -24,7 +24,8 @@ NODE = 0.005  # s  least distance of the nodes
 SAME = 0.05  # of the usual interval, below which two messages are one node
 ENOUGH = 4  # messages from which on a motion is known
 USUAL = 0.05  # share of an interval in the usual one
-JOINING, RETURNING = 1.5, 0.5  # rates of both decays times the bridged time
+JOINING = 1.5  # rate times the bridged time, of the decay of the distance from what comes late
+RETURNING = 0.5  # the same from the last message, if none comes
 TAKEN_BACK = 0.1  # of an offset, from which on a command takes it back
 BEGIN = 0.25  # of what the limit of the acceleration allows, that counts as motion after rest
 DECAYED = 20.0  # time constants after which nothing is left
@@ -43,8 +44,6 @@ class Params(NamedTuple):
     """For how long a motion goes on, and its limits."""
 
     time: float  # s  after a message was due
-    joining: float  # 1/s  decay of the distance from what comes late
-    returning: float  # 1/s  decay of the distance from the last message, if none comes
     every: bool  # whether the motion goes on between all messages, also those in time
     limit: float  # V
     max_rate: float  # V/s
@@ -92,8 +91,6 @@ def design(values: Values) -> Params | None:
         return None
     return Params(
         time,
-        JOINING / time,
-        RETURNING / time,
         kind == "bridge",
         number(values, "command_limit"),
         number(values, "reshaping.max_rate"),
@@ -144,15 +141,18 @@ def continued(p: Params, m: Motion, jerk: float, home: float, time: float, until
     if time <= until:
         return after(m, jerk, time)
     end = after(m, jerk, until)
-    left = faded(Motion(end.position - home, end.velocity, end.acceleration), p.returning, time - until)
+    left = faded(
+        Motion(end.position - home, end.velocity, end.acceleration), RETURNING / p.time, time - until
+    )
     return Motion(home + left.position, left.velocity, left.acceleration)
 
 
 def with_offset(p: Params, m: Motion, offset: Offset, now: float) -> Motion:
     """Motion ``m`` with what is left of ``offset`` at ``now`` [s]."""
-    if offset.since == NOTHING or p.joining * (now - offset.since) > DECAYED:
+    rate = JOINING / p.time
+    if offset.since == NOTHING or rate * (now - offset.since) > DECAYED:
         return m
-    return together(m, faded(offset.value, p.joining, now - offset.since))
+    return together(m, faded(offset.value, rate, now - offset.since))
 
 
 def rejoined(p: Params, was: Motion, left: Offset, course: Motion, elapsed: float, now: float) -> Offset:

@@ -1,0 +1,610 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""The node `controller` with topics: for each LVDT reading one step of the law and one voltage."""
+
+import math
+import os
+import time
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
+from std_srvs.srv import Trigger
+
+from valve_control import parameter
+from valve_control.control.laws.registry import LAWS, REFUSED
+from valve_control.control.parameters import arguments, build, files, stability
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.supervision.cache_warming import CacheWarming
+from valve_control.control.supervision.journal import OBSERVED, Journal
+from valve_control.control.supervision.record import Mode, named_terms
+from valve_control.control.supervision.supervisor import Supervisor
+from valve_control.control.supervision.trajectory import Motion
+from valve_control.nodes import realtime
+from valve_control.nodes.adapter import (
+    NEWEST,
+    SAMPLES,
+    UNKNOWN,
+    NumberSubscription,
+    ParameterSet,
+    PointSubscription,
+    PolledSubscription,
+    TrajectoryPoint,
+    acquainted,
+    diagnostics,
+    encoded,
+    needs_numbers,
+    number_of,
+)
+from valve_control.nodes.lifecycle import Managed
+from valve_control.nodes.loop import Failure
+from valve_control.nodes.pairing import Pairing
+from valve_control.parameter import ParameterError, Values, word
+
+LEVELS = {
+    Mode.OK: DiagnosticStatus.OK,
+    Mode.DEGRADED: DiagnosticStatus.WARN,
+    Mode.SAFE: DiagnosticStatus.ERROR,
+}
+STALL = 0.01  # s; this loop wakes on time unless its process stood still
+REMIND = 0.1  # s between two voltages of 0 V while the LVDT is silent
+MOST_ROWS = 500  # of the journal at once
+WATCH_GRAPH = 0.1  # s between two looks at who publishes and reads, and between two parts of the journal
+GREETING = 20  # parts of the journal with an account, since who comes does not hear everything at once
+LOOK = 0.01  # s; lockstep: between two looks at what a reading waits for
+MEET = 5.0  # s; lockstep: who gives the readings has so long to become ready for voltages
+COMMANDED = {False: 5.0, True: 20.0}  # s; lockstep: a command is waited for, by whether anybody commands
+LAST_WORD = 0.2  # s to see the last voltage of 0 V received
+COMMANDING = ("spool_command", "spool_trajectory")
+WINDOW = 1000  # samples of the timing statistics
+NEVER = math.inf
+WARMING = 0.65  # of a period after a reading
+QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
+
+
+class Built(NamedTuple):
+    """What is made of a set of values before it is taken into use."""
+
+    params: Any  # of the law
+    realtime: realtime.Request
+    terms: tuple[str, ...]  # of ~/terms
+
+
+class Controller(Managed):
+    """Reads `spool_position`, `spool_command`, `spool_trajectory`, publishes `valve_voltage` and `~/state`.
+
+    ``warms``: whether it warms the CPU's caches before each reading; of use to a process with one valve.
+    ``alone``: whether the process has no other node.
+    """
+
+    table = CONTROLLER
+
+    def __init__(self, warms: bool = True, alone: bool = True, **options: Any) -> None:
+        super().__init__("controller", **options)
+        self._supervisor = Supervisor()
+        self._journal = Journal(self._supervisor)
+        self._warming = CacheWarming() if warms else None
+        self._said: tuple[Mode, str] | None = None
+        self._announced = -NEVER  # s, when a change was last told
+        self._readings: NumberSubscription | None = None
+        self._lockstep = False
+        self._watch_at = NEVER
+        self._catching_up = False
+        self._warm_at = NEVER
+        self._seen = 0.0  # s, last reading or silence
+        self._pairing: Pairing | None = None  # in lockstep
+        self._waiting: tuple[float, dict[str, Any]] | None = None  # lockstep: a reading without its command
+        self._waits_since = self._look_at = NEVER
+        self._met = False  # lockstep: who gives the readings is ready for voltages
+        self._uncommanded = False  # lockstep without anybody who commands
+        self._state_message = Float64MultiArray()
+        self._telemetry: list[list[float]] = []  # of samples, to be published
+        self._terms: dict[str, Any] = {}  # publishers of ~/terms, by name
+        self._named: list[tuple[int, Any]] = []  # place in the telemetry, publisher
+        self._rows = Float64MultiArray()
+        self._accounted = -NEVER  # s, last account
+        self._readers = 0  # of journal and accounts
+        self._greeting = 0  # parts of the journal that still bring an account
+        self._last_command = NEVER  # wall time of the last one
+        self._commanded = False  # whether there has been an upper level
+        self._arrivals: deque[float] = deque(maxlen=WINDOW)
+        self._latencies: deque[int] = deque(maxlen=WINDOW)
+        self._durations: deque[float] = deque(maxlen=WINDOW)
+        self._published = 0  # ns, when the last voltage was
+        self._overruns = 0
+        self._unchecked = False
+        self._unnumbered = False  # whether the middleware has numbered no reading
+        self._realtime: realtime.Request | None = None
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+        ParameterSet(self, self.table, self._build, self._apply, alone)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/save_parameters", self._on_save)
+        self.create_service(Trigger, "~/load_parameters", self._on_load)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._diagnose, clock=steady)
+        self.create_timer(WATCH_GRAPH, self._watch_graph, clock=steady)
+        self._check_stability()
+        if self._values["autostart"]:
+            self.autostart()
+
+    def _build(self, values: Values) -> Built:
+        chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
+        return Built(build.law_params(values), realtime.request(values), named_terms(chosen))
+
+    def _apply(self, values: Values, built: Built) -> None:
+        params, wanted, terms = built
+        self._values = values
+        self._journal.apply(values, params)
+        self._params = params
+        self._period = parameter.number(values, "sample_period")
+        self._memory_period = parameter.number(values, "memory_period")
+        self._decimation = int(parameter.number(values, "state_decimation"))
+        if values["lockstep"] != self._lockstep:
+            self._lockstep = values["lockstep"] is True
+            if self._readings is not None:
+                self._unsubscribe()
+                self._subscribe()
+        # Half a period more than the last reading that may still come in time.
+        self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
+        if self._lockstep:
+            self._watch_at = self._warm_at = NEVER
+        labels = self._supervisor.labels()
+        if [entry.label for entry in self._state_message.layout.dim] != list(labels):
+            self._state_message.layout = MultiArrayLayout(
+                dim=[MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
+            )
+        self._chosen_terms = terms
+        if self._readings is not None:
+            self._name_terms()
+        if wanted != self._realtime:
+            self._realtime = wanted
+            realtime.obtain(wanted, self.get_logger().warning)
+        self._unchecked = True
+        self._publish_journal()
+        if self._warming is not None:
+            self._warming.apply(values, params)
+
+    # Life
+
+    def open(self) -> None:
+        """Create publishers and subscriptions."""
+        self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
+        self._states = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
+        self._memories = self.create_publisher(String, "~/memory", SAMPLES)
+        self._journals = self.create_publisher(Float64MultiArray, "~/journal", SAMPLES)
+        self._name_terms()
+        self._readers = self._greeting = 0
+        self._subscribe()
+
+    def _name_terms(self) -> None:
+        """Have a publisher for each chosen term, and know where the law in force has it."""
+        for name in self._terms.keys() - set(self._chosen_terms):
+            self.destroy_publisher(self._terms.pop(name))
+        for name in self._chosen_terms:
+            if name not in self._terms:
+                self._terms[name] = self.create_publisher(Float64, f"~/terms/{name}", SAMPLES)
+        labels = self._supervisor.labels()
+        self._named = [(labels.index(name), self._terms[name]) for name in self._terms if name in labels]
+
+    def _subscribe(self) -> None:
+        # In lockstep each message is waited for.
+        qos = SAMPLES if self._lockstep else NEWEST
+        self._commands = NumberSubscription(self, "spool_command", qos)
+        self._trajectories = PointSubscription(self, "spool_trajectory", qos)
+        self._readings = self._source(qos)
+        self._pairing = Pairing(self._next_command, self._use_paired) if self._lockstep else None
+        self._waiting, self._look_at = None, NEVER
+        self._met = self._uncommanded = False
+
+    def _source(self, qos: QoSProfile) -> NumberSubscription:
+        """Readings of the LVDT with their numbers."""
+        return NumberSubscription(self, "spool_position", qos)
+
+    def _unsubscribe(self) -> None:
+        assert self._readings is not None
+        self._readings.destroy()
+        self._commands.destroy()
+        self._trajectories.destroy()
+
+    def close(self) -> None:
+        """Destroy publishers and subscriptions."""
+        self._unsubscribe()
+        self.destroy_publisher(self._voltages)
+        self.destroy_publisher(self._states)
+        self.destroy_publisher(self._memories)
+        self.destroy_publisher(self._journals)
+        for publisher in self._terms.values():
+            self.destroy_publisher(publisher)
+        self._terms.clear()
+        self._named = []
+        self._readings = None
+
+    def begin(self) -> None:
+        """Start from rest; messages that already wait are stale and dropped, but not in lockstep."""
+        assert self._readings is not None
+        if not self._lockstep:
+            for topic in (self._readings, self._commands, self._trajectories):
+                for _ in topic.take():
+                    pass
+        self._journal.start()
+        self._publish_journal()
+        self._said = None
+        self._seen = time.monotonic()
+        self._watch_at = NEVER if self._lockstep else self._seen + REMIND
+        self._warm_at = NEVER
+        if self._warming is not None:
+            self._warming.start()
+        self._catching_up = False
+        rate = 1.0 / self._period
+        for sentence in REFUSED:
+            self.get_logger().warning(sentence)
+        self.get_logger().info(f"{self._supervisor.name} at {rate:g} Hz, waiting for spool_position")
+
+    def end(self) -> None:
+        """Publish 0 V once and stop."""
+        self._publish(self._journal.stop())
+        self._publish_journal()
+        self._watch_at = NEVER
+        self.get_logger().info("inactive, 0 V")
+
+    def deliver(self) -> None:
+        """Wait until the last 0 V is acknowledged; not in ``end``, where other valves would have to wait."""
+        if self._readings is not None:
+            for publisher in (self._voltages, self._journals):
+                publisher.wait_for_all_acked(Duration(seconds=LAST_WORD))
+
+    # Work
+
+    def inputs(self) -> Sequence[PolledSubscription]:
+        """Subscription of the LVDT; in lockstep those of commands while a reading waits for one."""
+        if not self.working or self._readings is None:
+            return ()
+        if self._waiting is None:
+            return (self._readings,)
+        return (self._commands, self._trajectories) if self._met else ()
+
+    def due(self) -> float:
+        """Next time [s] to act without a message: LVDT silent too long, caches to warm, lockstep check."""
+        return min(self._watch_at, self._warm_at, self._look_at) if self.working else NEVER
+
+    def work(self) -> bool:
+        """Answer each waiting reading, or warm caches for the next; without a reading in time, switch off."""
+        if not self.working or self._readings is None:
+            return False
+        if self._lockstep:
+            return self._work_in_lockstep()
+        worked = False
+        for reading, info in self._readings.take():
+            self._answer(reading, info)
+            worked = True
+        now = time.monotonic()
+        if self._warm_at <= now < self._watch_at and not worked:
+            self._warm_caches()
+        if now >= self._watch_at and not worked:
+            self._warm_at = NEVER
+            self._catching_up = now - self._watch_at > STALL
+            self._take_commands()
+            voltage = self._journal.silence(self._elapsed(now), self._catching_up)
+            if not math.isnan(voltage):
+                self._publish(voltage)
+            self._watch_at = now + REMIND
+            worked = True
+        return worked
+
+    def report(self) -> None:
+        """Publish telemetry, and diagnostics if something has changed."""
+        for numbers in self._telemetry:
+            self._state_message.data = numbers
+            self._states.publish(self._state_message)
+            for at, publisher in self._named:
+                if not math.isnan(numbers[at]):
+                    publisher.publish(encoded(numbers[at]))
+        self._telemetry.clear()
+        if len(self._journal) >= MOST_ROWS:
+            self._publish_journal()
+        if self.working and self._supervisor.changed:
+            now = time.monotonic()
+            if self._supervisor.mode is Mode.SAFE or now >= self._announced + QUIET:
+                self._announced = now
+                self._announce()
+
+    def _answer(self, reading: float, info: dict[str, Any]) -> None:
+        began = time.monotonic()
+        number = number_of(info)
+        if number == 0 and not self._unnumbered:
+            self._unnumbered = True
+            self.get_logger().warning(UNKNOWN)
+        if not self._lockstep:
+            self._take_commands()
+        # What was sent while this process stood still comes in a burst afterwards and is stale.
+        if began - self._watch_at > STALL:
+            self._catching_up = True
+        elif self._catching_up and (not self._arrivals or began - self._arrivals[-1] >= 0.5 * self._period):
+            self._catching_up = False
+        if self._catching_up:
+            self._publish(self._journal.skip(reading, number, self._elapsed(began)))
+        else:
+            elapsed = self._elapsed(began)
+            self._journal.sample(reading, number, 0.0 if self._lockstep else elapsed, self._publish)
+        ended = time.monotonic()
+        self._latencies.append(self._published - info["source_timestamp"])
+        self._arrivals.append(began)
+        self._durations.append(ended - began)
+        if ended - began > self._period:
+            self._overruns += 1
+        if not self._lockstep:
+            if self._warming is not None:
+                self._warm_at = began + WARMING * self._period
+            self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
+        if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
+            self._telemetry.append(self._supervisor.telemetry())
+
+    def _warm_caches(self) -> None:
+        """Take waiting commands, and run a step so that its code is in the caches for the next reading."""
+        assert self._warming is not None
+        self._warm_at = NEVER
+        self._take_commands()
+        self._warming.warm(self._supervisor)
+
+    def _publish_journal(self) -> None:
+        """Publish the journal's waiting rows, and now and then a snapshot of the controller's state."""
+        if self._readings is None:
+            return
+        rows = self._journal.take()
+        if self._memory_period == 0.0 or self._count_readers() == 0:
+            return
+        if rows:
+            self._rows.data = rows
+            self._journals.publish(self._rows)
+        now = time.monotonic()
+        if self._journal.owes_account or now - self._accounted >= self._memory_period:
+            self._accounted = now
+            self._memories.publish(String(data=self._journal.account()))
+
+    def _elapsed(self, now: float) -> float:
+        """Time [s] since the last call."""
+        elapsed, self._seen = now - self._seen, now
+        return elapsed
+
+    def _publish(self, voltage: float) -> None:
+        self._voltages.publish(encoded(voltage))
+        self._published = time.time_ns()
+
+    def _take_commands(self) -> None:
+        """Pass waiting commands to the supervisor."""
+        for command, info in self._commands.take():
+            self._use_command(command, info["source_timestamp"])
+        for point, info in self._trajectories.take():
+            self._use_point(point, point.time or info["source_timestamp"])
+
+    def _use_command(self, command: float, stamp: int = 0) -> None:
+        self._journal.command(command, stamp)
+        self._last_command = time.monotonic()
+
+    def _use_point(self, point: TrajectoryPoint, stamp: int) -> None:
+        counts = len(point.positions), len(point.velocities), len(point.accelerations)
+        if counts == (1, 1, 1):
+            self._journal.trajectory(Motion(*point.positions, *point.velocities, *point.accelerations), stamp)
+            self._last_command = time.monotonic()
+        else:
+            self._journal.trajectory_refused(*counts)
+
+    # Lockstep
+
+    def _next_command(self) -> tuple[Any, dict[str, Any]] | None:
+        """The oldest command or point of a trajectory that waits."""
+        return self._commands.one() or self._trajectories.one()
+
+    def _use_paired(self, command: float | TrajectoryPoint) -> None:
+        """In lockstep times of sending mean nothing."""
+        if isinstance(command, TrajectoryPoint):
+            self._use_point(command, command.time)
+        else:
+            self._use_command(command)
+
+    def _work_in_lockstep(self) -> bool:
+        """Answer the newest reading when its command has come; the simulator waits for no older one."""
+        assert self._readings is not None
+        now = time.monotonic()
+        for taken in self._readings.take():
+            self._waiting, self._waits_since = taken, now
+        if self._waiting is None:
+            return False
+        number = number_of(self._waiting[1])
+        if number == 0:
+            raise Failure(needs_numbers("lockstep"))
+        if not self._complete(number, now):
+            self._look_at = now + LOOK
+            return False
+        taken, self._waiting = self._waiting, None
+        self._look_at = NEVER
+        self._answer(*taken)
+        return True
+
+    def _complete(self, number: int, now: float) -> bool:
+        """Whether the command for reading ``number`` has come, or is no longer waited for."""
+        assert self._pairing is not None
+        waited = now - self._waits_since
+        if self._pairing.anew(number):
+            self._met = False
+        self._met = self._met or waited > MEET or self._acquainted()
+        if not self._met:
+            return False
+        if self._pairing.complete(number):
+            self._uncommanded = False
+            return True
+        if self._uncommanded:
+            return True
+        if waited < LOOK:
+            return False
+        commanded = any(self.count_publishers(topic) > 0 for topic in COMMANDING)
+        if waited < COMMANDED[commanded] and (commanded or not self._pairing.begun):
+            return False
+        self._pairing.give_up()
+        self._uncommanded = True
+        self.get_logger().warning(
+            f"lockstep: no command for reading {number} within {waited:.2g} s; goes on without waiting"
+        )
+        return True
+
+    def _acquainted(self) -> bool:
+        """Whether who gives the readings will hear the voltages."""
+        return acquainted(self, self._voltages, "spool_position")
+
+    # What is around
+
+    def _count_readers(self) -> int:
+        """Number of subscriptions to ``~/journal`` and ``~/memory``."""
+        return int(self._journals.get_subscription_count() + self._memories.get_subscription_count())
+
+    def _watch_graph(self) -> None:
+        if self._readings is None:
+            return
+        readers = self._count_readers()
+        if readers > self._readers:
+            self._greeting = GREETING
+        self._readers = readers
+        if self._greeting > 0:
+            self._greeting -= 1
+            self._accounted = -NEVER
+        self._publish_journal()
+        counts = {topic: self.count_publishers(topic) for topic in OBSERVED}
+        for topic, count in counts.items():
+            self._journal.publishers(topic, count)
+        commanded = any(counts[topic] > 0 for topic in COMMANDING)
+        self._commanded = self._commanded or commanded
+        if self._commanded and not self._lockstep:
+            if not commanded:
+                self._journal.command_gone()
+            elif counts["spool_trajectory"] == 0:
+                self._journal.trajectory_gone()
+
+    def _check_stability(self) -> None:
+        """Warn about unstable gains; after they are in use, since the check takes longer than a period."""
+        if self._unchecked:
+            self._unchecked = False
+            law, values = LAWS[self._supervisor.name], self._supervisor.values
+            text = stability.warning(law, self._params) or stability.coil_warning(law, self._params, values)
+            if text:
+                self.get_logger().warning(text)
+
+    # Services
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        self._journal.reset()
+        response.success = True
+        response.message = "estimates and filters are at their start"
+        self.get_logger().info(response.message)
+        return response
+
+    def _on_save(self, request: Any, response: Any) -> Any:
+        name = word(self._values, "save_file")
+        try:
+            path = Path(name).expanduser().absolute()
+            files.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
+        except (OSError, RuntimeError, ValueError) as error:
+            response.success = False
+            response.message = f"{name} cannot be written: {getattr(error, 'strerror', None) or error}"
+            self.get_logger().warning(response.message)
+            return response
+        response.success = True
+        response.message = f"wrote {path}"
+        self.get_logger().info(response.message)
+        return response
+
+    def _on_load(self, request: Any, response: Any) -> Any:
+        name = word(self._values, "load_file") or word(self._values, "save_file")
+        path = Path(name).expanduser().absolute()
+        try:
+            values = arguments.addressed(str(path), self.get_fully_qualified_name(), self.table)
+            changes = {n: value for n, value in values.items() if value != self._values.get(n)}
+            if changes:
+                wanted = [Parameter(n, value=value) for n, value in changes.items()]
+                result = self.set_parameters_atomically(wanted)
+                if not result.successful:
+                    raise ParameterError(f"{path}: {result.reason}")
+        except ParameterError as error:
+            response.success = False
+            response.message = f"no parameter changed: {error}"
+            self.get_logger().warning(response.message)
+            return response
+        response.success = True
+        response.message = f"{len(values)} parameters from {path}, of which {len(changes)} changed"
+        self.get_logger().info(response.message)
+        return response
+
+    # What is said
+
+    def _announce(self) -> None:
+        """Log a change of mode or reason once, and publish it at once."""
+        supervisor = self._supervisor
+        supervisor.changed = False
+        now = (supervisor.mode, supervisor.reason)
+        if now != self._said:
+            before = self._said[0].name.lower() if self._said else "off"
+            text = f"{before} → {now[0].name.lower()}: {now[1]}"
+            if self._said is None or now[0] is Mode.OK:
+                self.get_logger().info(text)
+            elif now[0] is Mode.SAFE:
+                self.get_logger().error(text)
+            else:
+                self.get_logger().warning(text)
+            self._said = now
+        self._publish_diagnostics()
+
+    def _diagnose(self) -> None:
+        self._check_stability()
+        self._publish_diagnostics()
+
+    def _publish_diagnostics(self) -> None:
+        self._diagnostics.publish(diagnostics(self, *self._status(), self._figures()))
+
+    def _status(self) -> tuple[bytes, str]:
+        """Level and sentence of the diagnostics."""
+        if not self.working:
+            return DiagnosticStatus.OK, "inactive" if self._readings is not None else "unconfigured"
+        return LEVELS[self._supervisor.mode], self._supervisor.reason
+
+    def _figures(self) -> dict[str, Any]:
+        supervisor = self._supervisor
+        values: dict[str, Any] = {
+            "controller": supervisor.name,
+            "mode": supervisor.mode.name.lower(),
+            "conditions": ", ".join(supervisor.conditions),
+            "samples": supervisor.samples,
+            **supervisor.counts,
+            "overruns": self._overruns,
+            "voltage_V": f"{supervisor.voltage:.4f}",
+        }
+        if supervisor.samples:
+            values["saturation_share"] = f"{supervisor.counts['saturated'] / supervisor.samples:.4f}"
+        if math.isfinite(self._last_command):
+            values["command_age_s"] = f"{time.monotonic() - self._last_command:.4f}"
+        if len(self._arrivals) > 1:
+            periods = np.diff(self._arrivals)
+            values["period_ms"] = f"{1e3 * np.mean(periods):.4f}"
+            for name, numbers, scale in (
+                ("jitter_ms", np.abs(periods - self._period), 1e3),
+                ("latency_ms", self._latencies, 1e-6),
+                ("step_ms", self._durations, 1e3),
+            ):
+                # In a third of the time of np.percentile, which the next reading may have to wait for.
+                ordered = np.sort(numbers) * scale
+                p50, p99, most = (ordered[int(share * (len(ordered) - 1))] for share in (0.5, 0.99, 1.0))
+                values |= {
+                    f"{name}_p50": f"{p50:.4f}",
+                    f"{name}_p99": f"{p99:.4f}",
+                    f"{name}_max": f"{most:.4f}",
+                }
+        if supervisor.theta is not None:
+            values["theta"] = ", ".join(f"{v:.6g}" for v in supervisor.theta)
+        values |= {name: f"{v:.6g}" for name, v in supervisor.assumed.items()}
+        return {**values, **realtime.obtained(), "pid": os.getpid()}
