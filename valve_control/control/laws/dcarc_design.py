@@ -127,8 +127,8 @@ def without_fast_zero(model: TransferFunction, period: float) -> TransferFunctio
 
     In the middle of a period the inverse has the ζ̈ of a reference in a straight line, x/sinh(x) of the right
     one with x = z·ΔT/2. The highest derivative is then wrong by z·(1 - x/sinh(x))·ζ̈, which with a fast zero
-    is more than the whole voltage. The lead of the zero, 1/z, is less than a period. A model that has three more
-    poles than zeros already stays.
+    is more than the whole voltage. The lead of the zero, 1/z, is less than a period. A model that has three
+    more poles than zeros already stays.
     """
     zeros = np.roots(np.asarray(model.numerator))
     if excess(model) >= EXCESS[1] or not len(zeros):
