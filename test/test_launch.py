@@ -153,10 +153,7 @@ def test_the_campaign_of_the_arm_starts_its_nodes_with_their_files(tmp_path):
     }
     for valve in ("boom", "arm"):
         for node in campaign.PACED:
-            assert (
-                arguments_of(f"/{valve}/{node}", [ROOT / "config" / "arm.yaml", own])["sample_period"]
-                == 0.004
-            )
+            assert arguments_of(f"/{valve}/{node}", [own])["sample_period"] == 0.004
 
 
 def arguments_of(name, paths):
