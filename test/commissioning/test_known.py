@@ -41,18 +41,29 @@ def loop_poles(values, model, delay):
     return linear_loop.dominant_poles(linear_loop.linear_law(law, params), linear_loop.linear_valves([plant]))
 
 
-def test_zeros_that_cannot_be_inverted_leave_a_model_of_lower_order():
-    """Not that of the D3FXE, with which dcarc came out at 320 mV. The loop is stable on the valve found.
-
-    A third order would have its zero at 8e9 rad/s, on either side.
-    """
+def test_a_zero_beyond_the_samples_is_taken_out():
+    """No lower order is needed. With the model of the D3FXE dcarc came out at 320 mV."""
     found = known(FAST, "dcarc")
+    values = controller_values(found, "dcarc")
+    assert values["dcarc.denominator"] == pytest.approx(FAST.denominator)
+    (zero,) = np.roots(values["dcarc.numerator"])
+    assert zero == pytest.approx(max(np.roots(FAST.numerator), key=lambda z: -abs(z)))
+    assert values["dcarc.numerator"][-1] / values["dcarc.denominator"][-1] == pytest.approx(FAST.static_gain)
+    assert found.notes == ()
+    assert np.max(np.abs(loop_poles(values, FAST, 0.0))) < 1.0
+
+
+def test_a_zero_that_cannot_be_inverted_leaves_a_model_of_lower_order():
+    """The loop is stable on the valve found."""
+    right = TransferFunction((-SLOW.numerator[0] / 200.0, SLOW.numerator[0]), SLOW.denominator)
+    found = known(right, "dcarc")
     values = controller_values(found, "dcarc")
     assert values["dcarc.model"] == "custom" and len(values["dcarc.denominator"]) == 3
     gain = values["dcarc.numerator"][-1] / values["dcarc.denominator"][-1]
-    assert gain == pytest.approx(FAST.static_gain, rel=0.02)
-    assert "dcarc gets a model of order 2 with 1.5 ms of dead time" in found.notes[0]
-    assert np.max(np.abs(loop_poles(values, FAST, 0.0))) < 1.0
+    assert gain == pytest.approx(right.static_gain, rel=0.02)
+    assert "dcarc gets a model of order 2 with 4 ms of dead time" in found.notes[0]
+    assert "a zero at 200 rad/s and cannot be inverted" in found.notes[0]
+    assert np.max(np.abs(loop_poles(values, right, 0.0))) < 1.0
 
 
 @pytest.mark.parametrize(
