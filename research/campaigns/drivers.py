@@ -8,6 +8,7 @@ signal that kills the controller; the output is the voltage that acts on the dev
 """
 
 import math
+import os
 import subprocess
 import sys
 import time
@@ -22,12 +23,11 @@ from std_msgs.msg import Float64
 
 from research.campaigns.joiners import Waits
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, PolledSubscription, encoded
-from valve_control.nodes.harness.processes import process, wait_until
+from valve_control.nodes.harness.processes import process
 
 DEVICES = Path(__file__).parents[2] / "test" / "drivers"
 COMMAND = 2.0  # V, held by a voltage of about as much: open loop
 MOVED = 1.0  # V, of an output that is on
-HOLD = 5  # samples
 ALLOWANCE = 0.015  # s, as in the campaign of the laws
 REPORT = 0.1 + ALLOWANCE  # s
 WATCHDOG = 0.1  # s, of each device
@@ -37,7 +37,7 @@ LOST = 3  # readings
 STAYS = 0.3  # s for which an output that stays on is watched
 BACK = 10.0  # s
 START = 30.0  # s
-LOOK = 0.001  # s between two looks at the output
+LOOK = 0.002  # s between two commands, and two looks at the output
 TRIES = 4  # of a fault during which processes waited for a core
 KILL = "kill"  # the controller, with SIGKILL
 
@@ -48,6 +48,7 @@ class Kind(NamedTuple):
     program: str
     words: tuple[str, ...]
     period: float  # s
+    hold: int  # missing readings that are bridged
     address: str  # parameter of its address
     settings: tuple[str, ...]
 
@@ -64,11 +65,12 @@ class Fault(NamedTuple):
 
 
 KINDS = {
-    "serial": Kind("valve_serial", ("0.001",), 0.001, "serial.port", ()),
+    "serial": Kind("valve_serial", ("0.001",), 0.001, 20, "serial.port", ()),
     "modbus": Kind(
         "valve_modbus",
-        ("0", "0.01", str(WATCHDOG)),
-        0.01,
+        ("0", "0.005", str(WATCHDOG)),
+        0.005,
+        5,
         "modbus.port",
         ("modbus.input:=3", "modbus.output:=5", "modbus.enable_coil:=7", f"modbus.timeout:={TIMEOUT}"),
     ),
@@ -76,6 +78,7 @@ KINDS = {
         "valve_408",
         ("5", "408", "", "0.005"),
         0.005,
+        5,
         "canopen.channel",
         ("canopen.interface:=slcan", "canopen.node:=5", "canopen.adapter_pause:=0.0",
          "canopen.sdo_timeout:=1.0", f"canopen.watchdog:={WATCHDOG}", f"canopen.heartbeat:={HEARTBEAT}"),
@@ -85,7 +88,7 @@ KINDS = {
 
 def silence(driver: str) -> float:
     """Time [s] of missing readings after which the controller gives 0 V, and the device has it."""
-    return (HOLD + 2.5) * KINDS[driver].period + ALLOWANCE
+    return (KINDS[driver].hold + 2.5) * KINDS[driver].period + ALLOWANCE
 
 
 BEATS = 2.5 * HEARTBEAT  # s without a heartbeat
@@ -186,14 +189,17 @@ def run_fault(fault: Fault, folder: Path, tries: int = TRIES) -> dict[str, Any]:
             settings += (
                 "controller:=open_loop",
                 f"sample_period:={kind.period}",
-                f"lvdt.hold_samples:={HOLD}",
+                f"lvdt.hold_samples:={kind.hold}",
             )
             with process("controller", [w for s in settings for w in ("-p", s)], log) as child:
                 found = _measured(fault, there, child, upper)
     finally:
         upper.destroy_node()
     reaction, off, waited = found
-    late = max(reaction - fault.reported, off - (fault.off or math.inf), 0.0)
+    if fault.off is None:  # an output that was off without cause waited for readings
+        late = kind.hold * kind.period if math.isfinite(off) else reaction - fault.reported
+    else:
+        late = max(reaction - fault.reported, off - fault.off)
     if 0.0 < late <= waited and tries > 1:
         return run_fault(fault, folder, tries - 1)
     return {
@@ -215,16 +221,18 @@ def _measured(fault: Fault, there: Device, child: Any, upper: Upper) -> tuple[fl
     """Times [s] to report and to 0 V (inf: never), and the time for which the processes waited for a core."""
 
     def until(condition: Callable[[], bool], what: str, limit: float) -> None:
-        def ready() -> bool:
+        end = time.monotonic() + limit
+        while not condition():
+            if time.monotonic() > end:
+                raise RuntimeError(f"{fault.driver} {fault.name}: no end of {what} within {limit:g} s")
             upper.go_on()
-            return condition()
+            time.sleep(LOOK)
 
-        wait_until(ready, what, [], limit)
-
-    until(lambda: there.order("state") > MOVED, "the output", START)
+    until(lambda: there.order("state") > MOVED, "the wait for the output", START)
     settled = time.monotonic() + 3.0 * WATCHDOG + BEATS
     until(lambda: time.monotonic() > settled, "the motion", START)
-    waits = Waits({"controller": child.pid, "device": there.child.pid})
+    pids = {"device": there.child.pid, "campaign": os.getpid()}
+    waits = Waits(pids if fault.order == KILL else {**pids, "controller": child.pid})
     waits.look()
     start = time.time()
     if fault.order == KILL:
@@ -243,11 +251,9 @@ def _measured(fault: Fault, there: Device, child: Any, upper: Upper) -> tuple[fl
 
     until(over, fault.name, 2.0 * BACK)
     end = time.time()
-    if fault.order != KILL:
-        waits.look()
-    names = ["device"] if fault.order == KILL else ["controller", "device"]
+    waits.look()
     reaction = upper.first(fault.condition, start) - start if fault.condition else 0.0
-    return reaction, off, waits.between(names, start, end)
+    return reaction, off, waits.between(waits.names, start, end)
 
 
 def table(results: list[dict[str, Any]]) -> str:

@@ -201,6 +201,7 @@ class Waits:
     """Time that the threads of processes have waited for a core, as the kernel counts it."""
 
     def __init__(self, pids: Mapping[str, int]) -> None:
+        self.names = tuple(pids)
         self._pids = pids
         self._times: list[float] = []
         self._standstill: list[float] = []

@@ -49,7 +49,7 @@ def simulated(plant):
 def test_the_bits_are_those_of_offline_and_of_the_topics_in_lockstep(ros, tmp_path, law, node, spaces):
     settings = {
         "controller": {"controller": law, "lockstep": True, "lvdt.frozen_samples": 0, "state_decimation": 0},
-        "command_source": {"trigger": "lockstep", "listeners": 1, "duration": 2.0},
+        "command_source": {"trigger": "lockstep", "listeners": 2, "duration": 2.0},
     }
     plant = node_values("valve_simulator", CONFIG, {})
     command = build.commands(node_values("command_source", CONFIG, settings["command_source"]))
@@ -61,13 +61,17 @@ def test_the_bits_are_those_of_offline_and_of_the_topics_in_lockstep(ros, tmp_pa
     listener = Listener("listener", [f"{space}/{topic}" for space in spaces for topic in expected])
     log = tmp_path / "c.log"
     with ExitStack() as stack:
-        for space in spaces:  # before the readings, which wait for commands that are there for longer
+        for space in spaces:
             source = node_arguments("command_source", CONFIG, settings["command_source"])
             named = [*source, "-r", f"__ns:={space}"] if space else source
             stack.enter_context(process("command_source", named, tmp_path / f"s{space[1:]}.log"))
             there = f"{space}/spool_command"
             spin_until(ros, lambda there=there: ros.count_publishers(there) == 1, there)
         stack.enter_context(process(node, words, log))
+        for topic in listener.values:  # the run is short: it begins when all is heard
+            spin_until(ros, lambda topic=topic: ros.count_publishers(topic) == 1, topic)
+        for space in spaces:
+            ros.create_subscription(Float64, f"{space}/spool_command", lambda m: None, 10)
         end = time.monotonic() + 1.0 * LIMIT
         heard = [listener.sequence[f"{space}/valve_voltage"] for space in spaces]
         while not all(numbers and numbers[-1] >= len(command) for numbers in heard):
