@@ -158,6 +158,7 @@ def test_topics_may_have_every_tenth_sample_while_the_journal_has_all(ros, tmp_p
         assert len(at) > 100 and np.median(steps) == 10 and not np.any(steps % 10), (topic, steps)
 
 
+@pytest.mark.alone
 def test_a_silent_card_of_a_manifold_does_not_hold_up_the_other(ros, tmp_path):
     """Two cards on two lines; one falls silent for 1 s, in which the other must not miss a frame."""
     cards = [serial_card.Card(), serial_card.Card()]

@@ -90,6 +90,7 @@ def loop(ros, tmp_path, card, *settings):
         yield law, node, told
 
 
+@pytest.mark.alone
 def test_the_loop_closes_and_a_killed_controller_leaves_zero_volts(ros, tmp_path, card):
     with loop(ros, tmp_path, card) as (law, node, told):
         assert not any(map(math.isnan, told.readings))

@@ -458,9 +458,9 @@ class Recorder(Worker):
         known = self._strangers.get(name, {})
         self._strangers[name] = strangers
         for publisher, text in strangers.items():
-            if publisher not in known:
+            if known.get(publisher) != text:  # the name of a node may become known after its publisher
                 self.get_logger().warning(text)
-        if strangers.keys() != known.keys():
+        if strangers != known:
             self._publish_status()
 
     def _record(self, name: str, type_name: str) -> None:
