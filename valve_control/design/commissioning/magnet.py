@@ -28,7 +28,6 @@ STRIBECK = 0.03  # V/s  which the tests do not show
 PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.15  # V  first guess and bounds
 WIDTH = 0.3  # of the friction, full width of the hysteresis with which a search begins
 FASTEST_COIL, SLOWEST_COIL = 3e-4, 0.03  # s
-LEAST_OVERLAP = 0.05  # V  below which a fit shows none; an underlap doubles the gain around 0 V
 COIL = 0.2  # of the spool's time constant, where a response shows no third pole
 STUCK = 1e-3  # V  least friction
 MOST_RATIO = 2.0  # -  static over Coulomb friction
