@@ -78,7 +78,8 @@ def test_from_first_to_last_step():
     assert found.tuned.chatter == PLAN.chatter
     assert found.verification.punctual == pytest.approx(found.verification.expected, rel=1e-3)
     assert not any("came late" in note for note in found.notes)
-    assert len(steps.asked) == 6 and valve.active
+    again = any(note.startswith("the first gains were not accepted") for note in found.notes)
+    assert len(steps.asked) == (8 if again else 6) and valve.active  # a second search asks twice more
     assert valve.values() == {**before, **found.applied}
     assert found.applied["controller"] == "dcarc" and "u_max" not in found.applied
     assert {name.split(".")[0] for name in found.applied} <= {"controller", "dcarc", "arc", "reshaping"}
