@@ -167,7 +167,7 @@ def begun(seen, tmp_path, child):
 def test_to_its_end_and_undone(ros, tmp_path):
     with running(ros, tmp_path) as seen:
         before = seen.parameters()
-        with commission(tmp_path, "--controller", "dcarc", *QUICK) as child:
+        with commission(tmp_path, "--controller", "dcarc", "--alone", *QUICK) as child:
             status = ended(seen, child, 280.0)
         said = (tmp_path / "said.log").read_text()
         assert status == 0, said
