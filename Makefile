@@ -67,14 +67,15 @@ bench: $(STAMP)  ## benchmarks, as ratios measured in one run (ARGS="--seconds 3
 
 # What needs no clock runs on two cores; the tests of nodes that are marked `alone` have both to themselves. A machine that is
 # shared with others may put a node aside for longer than a loop at 1 kHz bears: such a test is repeated twice if it fails.
-# pytest counts the repetitions, and more than five fail the run (test/conftest.py). No other test is repeated.
+# The other tests of nodes are repeated once, since two of 360 met a machine that was busy (2026-11-27). pytest counts the
+# repetitions, and more than five fail the run (test/conftest.py). No other test is repeated.
 # With a second word, only the tests of nodes. Where PYTEST_ARGS choose tests, a part without any of them (5) has not failed,
 # unless all are without.
 define tests
 status=0; ran=; \
 part() { $(PYTHON) -m pytest "$$@" $(PYTEST_ARGS); code=$$?; [ $$code = 5 ] || ran=1; [ $$code = 0 ] || [ $$code = 5 ] || status=1; }; \
 $(if $(2),,part -n 2 --dist worksteal --ignore=test/nodes -m "$(1)";) \
-part -n 2 --dist loadgroup test/nodes -m "$(1) and not alone"; \
+part -n 2 --dist loadgroup test/nodes --reruns 1 -m "$(1) and not alone"; \
 part test/nodes --reruns 2 -m "$(1) and alone"
 endef
 
