@@ -265,6 +265,7 @@ class _Steps:
                 ascii=not terminal,
                 mininterval=0.2 if terminal else 5.0,
             )
+        total = max(total, done)  # a search may end a little after the sets that were planned
         self._bar.total = total
         self._bar.update(done - self._bar.n)
         event(done=done, total=total)
