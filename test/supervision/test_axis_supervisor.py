@@ -46,6 +46,20 @@ def test_without_a_goal_it_holds_the_first_position_and_follows_a_path_to_the_la
     assert supervisor.mode(s) == (Mode.OK, "holds its position")
 
 
+def test_a_load_that_pushes_the_piston_away_meets_the_command_back_to_the_position_that_is_held():
+    p, able = designed()
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    first = s.goal
+    for k in range(2, 102):  # 0.1 mm per sample, before any goal
+        s = sample(p, s, 0.2 + 1e-4 * (k - 1), k)
+    assert s.goal == first and s.command < 0.0
+    s = supervisor.begin(s, path.towards(0.25, s.goal, LIMITS, able), None)
+    for k in range(102, 2000):  # longer than the path; the piston stays behind
+        s = sample(p, s, min(0.24, 0.21 + 1e-4 * (k - 101)), k)
+    assert s.path is None and s.goal is not None
+    assert s.goal.position == pytest.approx(0.25, abs=1e-9) and s.command > 0.0
+
+
 @given(st.lists(st.sampled_from(["sound", "jump", "nan", "beyond"]), max_size=60))
 def test_wrong_readings_never_reach_the_upper_level_and_too_many_in_a_row_stop_it(kinds):
     p, _ = designed(sensor__hold_samples=2)

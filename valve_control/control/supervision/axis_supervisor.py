@@ -168,7 +168,8 @@ def sample(p: Params, s: State, reading: Reading, time: int) -> State:
     if not elapsed > 0.0:
         elapsed = p.period
     both = (reading.pressure_a, reading.pressure_b) if needs_pressures(p) else None
-    s = found(p, s, reading.position)
+    if s.goal is None:
+        s = found(p, s, reading.position)
     fault, watch = axis_watch.step(p.watch, s.watch, reading.position, both, elapsed)
     s = s._replace(watch=watch, time=time, samples=s.samples + 1)
     if s.stopped:
