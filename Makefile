@@ -18,7 +18,7 @@ ifndef ROS_DISTRO
 export AMENT_PREFIX_PATH := $(abspath $(VENV))
 endif
 
-.PHONY: help setup demo faults lockstep joiners paper theorems axis delta tuned bench test campaign nodes kilted browser lint quality docs clean
+.PHONY: help setup demo faults lockstep joiners paper theorems axis delta tuned bench test campaign coverage nodes kilted browser lint quality docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
@@ -95,6 +95,9 @@ campaign: $(STAMP)  ## the longer tests: faults, damaged bags, joiners, the dash
 	@$(call tests,campaign); \
 	part test/nodes/test_dashboard_browser.py -m browser; \
 	$(verdict)
+
+coverage: $(STAMP)  ## lines and branches of the safety core that its tests run, with their history
+	@$(PYTHON) .ci/covered.py
 
 nodes: $(STAMP)  ## the tests of nodes, without those of the campaign
 	@$(call tests,not campaign and not browser,nodes); \

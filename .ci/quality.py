@@ -6,6 +6,7 @@ The exit status is 1 if an item that is declared met is not, or one declared ope
 only these are printed. With ``--add`` it puts the two SPDX lines into source files that have none.
 """
 
+import json
 import re
 import subprocess
 import sys
@@ -82,16 +83,39 @@ def justified() -> bool:
     return bool(names) and all(name in table for name in names if name != "setuptools")
 
 
+def policy(*words: str) -> bool:
+    """Whether the version policy speaks of all ``words``."""
+    part = text("QUALITY_DECLARATION.md").partition("\n## Version policy\n")[2].partition("\n## ")[0]
+    return all(word in part for word in words)
+
+
+def covered() -> bool:
+    """Whether coverage is measured in each run, has a history, and has a reason for each file below 95 %."""
+    history = json.loads(text(".ci/coverage.json") or "[]")
+    reasons = json.loads(text(".ci/uncovered.json") or "{}")
+    return (
+        "make coverage" in text(".ci/run")
+        and ".ci/covered.py" in text("Makefile")
+        and bool(history)
+        and history[-1]["below"] <= len(reasons)
+        and all(reasons.values())
+    )
+
+
 CHECKS: dict[str, Callable[[], bool]] = {
     "1.1": lambda: section("Version policy"),
     "1.2": lambda: int(version().split(".")[0]) >= 1,
     "1.3": lambda: section("Public interface") and bool(text("test/interface.json")),
+    "1.4": lambda: policy("deprecate", "major version"),
+    "1.5": lambda: policy("ABI"),
+    "1.6": lambda: policy("distribution"),
     "2.1": lambda: "pull request" in text("CONTRIBUTING.md"),
     "2.2": lambda: runs("make lint", "make test", "make campaign"),
     "3.2": licences,
     "3.3": lambda: not unmarked(),
     "3.4": lambda: "QUALITY_DECLARATION.md" in text("README.md"),
-    "4.2": lambda: runs("coverage"),
+    "4.1": lambda: all(text(f"test/{name}.py") for name in ("test_docs", "nodes/test_cascade")),
+    "4.2": covered,
     "4.3": lambda: runs("ruff check", "ruff format --check"),
     "4.4": lambda: runs("mypy", "lint-imports"),
     "5.2": justified,
