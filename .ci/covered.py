@@ -1,17 +1,19 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Measures lines and branches of the safety core that its tests run, node processes included.
+"""Measures which lines and branches the tests of the safety core run, node processes included.
 
-Prints each file, with the history that .ci/coverage.json keeps, and adds this measurement to it. The exit
+Prints each file of the core and the history, and adds this measurement to .ci/coverage.json. The exit
 status is 1 if a test failed, or if a file of the core has less than 95 % of its branches and no reason in
-.ci/uncovered.json. Compiled functions are measured where a node or a supervisor runs them in plain Python.
+.ci/uncovered.json. The compiled twins of numba are not measured: supervisors and nodes run the same functions
+in plain Python. With the names of parts only these run, beside what was measured before; ``report`` ends it.
 """
 
 import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -24,136 +26,133 @@ LEAST = 95.0  # % of the branches of each file
 SHOWN = 10  # measurements of the history
 # What computes, judges and sends the voltage: supervision, laws and drivers, and the node around them.
 CORE = (
-    "valve_control/control/supervision/*.py",
-    "valve_control/control/laws/*.py",
-    "valve_control/control/drivers/*.py",
-    *(
-        f"valve_control/nodes/{name}.py"
-        for name in (
-            *(
-                "adapter",
-                "controller",
-                "device_controller",
-                "lifecycle",
-                "loop",
-                "pairing",
-                "rclpy_internals",
-            ),
-            *("realtime", "services", "transport", "valve_driver"),
-        )
-    ),
-    "valve_control/parameter.py",
+    *(f"valve_control/control/{room}/*.py" for room in ("supervision", "laws", "drivers")),
+    *("valve_control/nodes/controller*.py", "valve_control/nodes/device_controller.py"),
+    *(f"valve_control/nodes/{name}.py" for name in ("adapter", "lifecycle", "loop", "pairing", "services")),
+    *(f"valve_control/nodes/{name}.py" for name in ("rclpy_internals", "realtime", "transport")),
+    *("valve_control/nodes/valve_driver.py", "valve_control/parameter.py"),
 )
-ALL = "not campaign and not browser and not alone"
-# Long statistics over many valves run nothing that others do not.
-LONG = "not study_s_box and not beyond_the_spread and not weights_were_made_for and not jitter_is_the_speed"
-CORE_TESTS = (
-    "test/supervision",
-    "test/laws",
-    "test/drivers",
-    "test/test_plugins.py",
-    "test/test_arguments.py",
+NODES = (
+    *("adapter", "axis", "cascade", "device_controller", "disagreement", "exit", "fieldbus", "lifecycle"),
+    *("lockstep", "pairing", "rclpy_internals", "reception", "restart", "services", "terms", "trajectory"),
+    *("transport", "unnumbered", "valve_driver"),
 )
-NODE_TESTS = tuple(
-    f"test/nodes/test_{name}.py"
-    for name in (
-        *("adapter", "device_controller", "disagreement", "exit", "fieldbus", "lifecycle", "pairing"),
-        *("rclpy_internals", "reception", "restart", "services", "trajectory", "transport", "unnumbered"),
-        *("valve_driver", "terms", "axis", "cascade", "lockstep"),
-    )
-)
+# Statistics over many valves take minutes and run nothing that other tests do not.
+LONG = "study_s_box or beyond_the_spread or weights_were_made_for or jitter_is_the_speed or drifts_by_3"
+PARTS = {
+    "supervision": ["test/supervision", "-k", f"not ({LONG})"],
+    "laws": ["test/laws", "test/drivers", "test/test_plugins.py", "test/test_arguments.py"]
+    + ["test/recordings/test_shadow.py", "-k", f"not ({LONG})"],
+    "nodes": [*(f"test/nodes/test_{name}.py" for name in NODES), "--dist", "loadgroup", "--reruns", "1"],
+}
 
 
-def measured(*words: str) -> int:
-    """Run pytest under coverage; returns its exit status."""
-    command = [sys.executable, "-m", "coverage", "run", "-m", "pytest", "-q", "-n", "2", *words]
-    return subprocess.run(command, cwd=ROOT, check=False).returncode
+def coverage(*words: str) -> int:
+    """Run coverage; returns its exit status."""
+    return subprocess.run([sys.executable, "-m", "coverage", *words], cwd=ROOT, check=False).returncode
 
 
-def tool(*words: str) -> None:
-    """Run coverage. Raises CalledProcessError."""
-    subprocess.run([sys.executable, "-m", "coverage", *words], cwd=ROOT, check=True)
+def measured(part: str) -> int:
+    """Run the tests of ``part`` under coverage; returns their exit status."""
+    chosen = ["-m", "not campaign and not browser and not alone", *PARTS[part]]
+    return coverage("run", "-m", "pytest", "-q", "-n", "2", *chosen)
 
 
-def share(part: int, whole: int) -> float:
-    """Percentage; 100 of nothing."""
-    return 100.0 * part / whole if whole else 100.0
+def share(summaries: Iterable[dict[str, int]], what: str, whole: str) -> float:
+    """Percentage of ``whole`` that was run; 100 of nothing."""
+    summaries = list(summaries)
+    number = sum(one[whole] for one in summaries)
+    return 100.0 * sum(one[what] for one in summaries) / number if number else 100.0
 
 
-def core() -> Iterator[str]:
-    """Files of the safety core."""
-    for pattern in CORE:
-        yield from sorted(str(path.relative_to(ROOT)) for path in ROOT.glob(pattern))
+def lines_of(*summaries: dict[str, int]) -> float:
+    """Percentage of the lines."""
+    return share(summaries, "covered_lines", "num_statements")
+
+
+def branches_of(*summaries: dict[str, int]) -> float:
+    """Percentage of the branches."""
+    return share(summaries, "covered_branches", "num_branches")
 
 
 def missing(file: dict[str, Any]) -> str:
     """Lines and branches that no test ran."""
-    lines = [str(line) for line in file["missing_lines"]]
-    branches = [f"{a}→{'end' if b < 0 else b}" for a, b in file["missing_branches"]]
-    return ", ".join(lines + branches)
+    lines = set(file["missing_lines"])
+    branches = [
+        f"{a}→{'end' if b < 0 else b}" for a, b in file["missing_branches"] if not lines & {abs(a), abs(b)}
+    ]
+    return ", ".join([*map(str, sorted(lines)), *branches])
 
 
-def table(files: dict[str, Any], reasons: dict[str, str]) -> tuple[list[str], list[str]]:
-    """Lines of the table, and files that have too little and no reason."""
-    lines = [f"{'':56}{'lines %':>9}{'branches %':>12}  not run (line, or line→line)"]
-    poor = []
-    for name in core():
-        if name not in files:
-            poor.append(name)
-            continue
-        one = files[name]["summary"]
-        branches = share(one["covered_branches"], one["num_branches"])
-        lines.append(
-            f"{name:56}{share(one['covered_lines'], one['num_statements']):9.1f}{branches:12.1f}  "
-            f"{missing(files[name])}"
-        )
+def table(core: dict[str, Any], reasons: dict[str, str]) -> list[str]:
+    """Lines of the table of files."""
+    lines = [f"{'':52}{'lines %':>9}{'branches %':>12}  not run (line, or line→line)"]
+    for name, file in core.items():
+        one = file["summary"]
+        figures = f"{lines_of(one):9.1f}{branches_of(one):12.1f}"
+        lines.append(f"{name.removeprefix('valve_control/'):52}{figures}  {missing(file)}".rstrip())
         if name in reasons:
-            lines.append(f"{'':56}  because {reasons[name]}")
-        if branches < LEAST and name not in reasons:
-            poor.append(name)
-    return lines, poor
+            lines.append(f"{'':52}  because {reasons[name]}")
+    return lines
 
 
-def summary(sums: list[dict[str, int]]) -> dict[str, Any]:
-    """Entry of the history."""
+def entry(core: dict[str, Any], files: dict[str, Any]) -> dict[str, Any]:
+    """Entry of the history; ``below``: files of the core with too few branches."""
+    inner, all_files = ([file["summary"] for file in some.values()] for some in (core, files))
+    return {
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "version": ElementTree.parse(ROOT / "package.xml").findtext("version", ""),
+        "core": {"lines": round(lines_of(*inner), 2), "branches": round(branches_of(*inner), 2)},
+        "package": {"lines": round(lines_of(*all_files), 2), "branches": round(branches_of(*all_files), 2)},
+        "below": [name for name, file in core.items() if branches_of(file["summary"]) < LEAST],
+    }
 
-    def percent(what: str) -> float:
-        covered, number = f"covered_{what}", {"lines": "num_statements", "branches": "num_branches"}[what]
-        return round(share(sum(one[covered] for one in sums), sum(one[number] for one in sums)), 2)
 
-    date = datetime.now(UTC).strftime("%Y-%m-%d")
-    return {"date": date, "files": len(sums), "lines": percent("lines"), "branches": percent("branches")}
-
-
-def main() -> int:
-    """Measure, print, and add to the history; returns the exit status."""
-    shutil.rmtree(DATA, ignore_errors=True)
-    DATA.mkdir(parents=True)
-    failed = measured(*CORE_TESTS, "-m", ALL, "-k", LONG) or measured(
-        *NODE_TESTS, "-m", ALL, "--dist", "loadgroup", "--reruns", "2"
-    )
-    tool("combine", "-q")
-    tool("json", "-q", "-i", "-o", str(DATA / "coverage.json"))
+def report(store: bool) -> int:
+    """Print what was measured, ``store``: into the history too; returns the exit status."""
+    if coverage("combine", "-q", "--append") > 1 or coverage(
+        "json", "-q", "-i", "-o", str(DATA / "coverage.json")
+    ):
+        return 1
     files = json.loads((DATA / "coverage.json").read_text(encoding="utf-8"))["files"]
+    names = [str(path.relative_to(ROOT)) for pattern in CORE for path in sorted(ROOT.glob(pattern))]
+    core = {name: files[name] for name in names}
     reasons = json.loads(REASONS.read_text(encoding="utf-8"))
-    lines, poor = table(files, reasons)
-    entry = summary([files[name]["summary"] for name in core() if name in files])
-    entry["below"] = len(poor) + len(reasons)
+    new = entry(core, files)
     history = json.loads(HISTORY.read_text(encoding="utf-8")) if HISTORY.exists() else []
-    history = [old for old in history if old["date"] != entry["date"]] + [entry]
-    print("\n".join(lines))
-    print(f"\n{'':12}{'files':>8}{'lines %':>10}{'branches %':>12}{'below':>8} {LEAST:g} %")
+    history = [old for old in history if (old["date"], old["version"]) != (new["date"], new["version"])] + [
+        new
+    ]
+    print("\n".join(table(core, reasons)))
+    print(f"\n{'':20}{'safety core':^24}{'whole package, these tests':^28}\n{'':20}", end="")
+    print(f"{'lines %':>10}{'branches %':>12}{'lines %':>12}{'branches %':>12}{'below':>8} {LEAST:g} %")
     for old in history[-SHOWN:]:
-        print(f"{old['date']:12}{old['files']:8}{old['lines']:10.2f}{old['branches']:12.2f}{old['below']:8}")
-    for name in poor:
+        figures = [old[part][kind] for part in ("core", "package") for kind in ("lines", "branches")]
+        shown = "".join(
+            f"{figure:{width}.2f}" for figure, width in zip(figures, (10, 12, 12, 12), strict=True)
+        )
+        print(f"{old['date']:12}{old['version']:8}{shown}{len(old['below']):8}")
+    wrong = [name for name in new["below"] if name not in reasons]
+    for name in wrong:
         print(
             f"{name} has less than {LEAST:g} % of its branches and no reason in {REASONS.relative_to(ROOT)}"
         )
-    if not failed:
+    if store:
         rows = ",\n".join(json.dumps(old) for old in history)
         HISTORY.write_text(f"[\n{rows}\n]\n", encoding="utf-8")
-    return 1 if failed or poor else 0
+    return 1 if wrong else 0
+
+
+def main(words: list[str]) -> int:
+    """Measure all parts, or those named in ``words``; returns the exit status."""
+    if not words:
+        shutil.rmtree(DATA, ignore_errors=True)
+    DATA.mkdir(parents=True, exist_ok=True)
+    failed = [part for part in words or PARTS if part != "report" and measured(part)]
+    if words and "report" not in words:
+        return 1 if failed else 0
+    return report(store=not failed) or (1 if failed else 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))
