@@ -30,16 +30,17 @@ from valve_control.cli.common import Parser, check_processes
 from valve_control.control.compiling import sources_digest
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
-from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
 from valve_control.control.plant import registry
 from valve_control.control.plant.models import scale_of
 from valve_control.control.simulation import batch, comparison
+from valve_control.control.simulation.robustness import Quantity
 from valve_control.design import evolution
-from valve_control.design.commissioning import sequence
+from valve_control.design.commissioning import model, sequence
 from valve_control.design.commissioning.bench import Fault, SafetyLimits
 from valve_control.design.commissioning.plan import Plan, check
 from valve_control.design.commissioning.plant import EXPLAINED
-from valve_control.design.tuning import limit_cycles, margins, search, trial
+from valve_control.design.tuning import box, limit_cycles, margins, search, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
 from valve_control.parameter import ParameterError, Value, Values, defaults, number, updated, word
 
@@ -76,6 +77,12 @@ SEARCHED = (2.0, 2.5, 2.0, 3.0)  # s
 POPULATION, STEP, AGAIN = 20, 0.25, 0.08
 NOISE_SEED = comparison.NOISE_SEED
 LAWS_COMMISSIONED = ("dcarc", "pid")
+ROBUST = {
+    "stable": "are stable on their valve without friction",
+    "margins": "keep the margins of commissioning there",
+    "stable_around": "are stable on valves with 10 % more or less gain and speed",
+    "margins_around": "keep the margins on those",
+}
 
 
 class Options(NamedTuple):
@@ -126,7 +133,9 @@ def on_the_valve(plant: Any, values: Mapping[str, Value], ahead: float, previewe
     return {"e_rms": comparison.geometric(found.rms), "c_u": float(np.mean(found.chatter))}
 
 
-def searched(plant: Any, model: Any, form: str, previewed: bool, options: Options, seed: int) -> GainSet:
+def searched(
+    plant: Any, valve_model: Any, form: str, previewed: bool, options: Options, seed: int
+) -> GainSet:
     """Gains of the PID in this ``form`` that CMA-ES finds on the valve itself."""
     law = LAWS["pid"]
     own = {**comparison.NO_LIMITS, "controller": "pid", **FORMS[form]}
@@ -143,7 +152,7 @@ def searched(plant: Any, model: Any, form: str, previewed: bool, options: Option
         preview=previewed,
         largest=False,
         seed=seed,
-        scale=scale_of(model),
+        scale=scale_of(valve_model),
     )
     free = trial.free_numbers(law, problem.values, previewed, problem.scale)
     best, least, tried = np.full(len(free), 0.5), math.inf, 0
@@ -191,12 +200,12 @@ def reference(values: Values, options: Options, kept: Mapping[str, Any] | None) 
         _measured_again(plant, kept[mode], previewed) for mode, previewed in MODES.items()
     ):
         return dict(kept)
-    model = registry.chosen(values).model(values)
+    valve_model = registry.chosen(values).model(values)
     found: dict[str, Any] = {}
     began = time.process_time()
     for mode, previewed in MODES.items():
         for form in FORMS:
-            gains = searched(plant, model, form, previewed, options, int(number(values, "seed")))
+            gains = searched(plant, valve_model, form, previewed, options, int(number(values, "seed")))
             own = {**comparison.NO_LIMITS, "controller": "pid", **FORMS[form], **gains.changes}
             one = {"form": form, "values": own, "ahead": gains.ahead}
             one.update(on_the_valve(plant, own, gains.ahead, previewed))
@@ -206,15 +215,40 @@ def reference(values: Values, options: Options, kept: Mapping[str, Any] | None) 
     return found
 
 
-def stable(plant: Any, found: Mapping[str, Any]) -> dict[str, bool]:
-    """Whether each of the best PIDs ``found`` is stable on the valve without friction, by mode."""
-    law, box = LAWS["pid"], margins.prepared([plant])
-    params = {
-        mode: law.build(updated(CONTROLLER, defaults(CONTROLLER), found[mode]["values"])) for mode in MODES
-    }
-    return {
-        mode: bool(margins.margins(law, p, box).radius[0] < 1.0 + margins.EDGE) for mode, p in params.items()
-    }
+def surroundings(values: Values) -> list[Any]:
+    """Valves around that with ``values``, as far from it as those that commissioning has in its box."""
+    coulomb, offset = number(values, "friction.coulomb"), number(values, "disturbance.offset")
+    late = number(values, "lvdt.delay")
+    quantities = [
+        Quantity("gain", 1.0 - model.SPREAD, 1.0 + model.SPREAD, "-"),
+        Quantity("speed", 1.0 - model.SPREAD, 1.0 + model.SPREAD, "-"),
+        Quantity("disturbance.offset", offset - model.OFFSET, offset + model.OFFSET, "V"),
+        Quantity("lvdt.delay", late, late + model.LATER * comparison.PERIOD, "s"),
+        Quantity("friction.coulomb", (1.0 - model.RUBBING) * coulomb, (1.0 + model.RUBBING) * coulomb, "V"),
+    ]
+    settings = {name: defaults(NODES[name]) for name in ("controller", "command_source")}
+    settings["valve_simulator"] = values
+    return box.bounding(box.study_of(settings, quantities, 1, DEVELOPMENT))
+
+
+def robustness(values: Values, found: Mapping[str, Any]) -> dict[str, dict[str, bool]]:
+    """Of each of the best PIDs ``found``, by mode, what it keeps on the valve without friction and around it.
+
+    Whether it is ``stable`` there, keeps the ``margins`` of commissioning, is stable on all the surroundings
+    (``stable_around``), and keeps the margins on all of them (``margins_around``).
+    """
+    law = LAWS["pid"]
+    valves = {"": margins.prepared([build.valve_params(values)])}
+    valves["_around"] = margins.prepared(surroundings(values))
+    kept: dict[str, dict[str, bool]] = {}
+    for mode in MODES:
+        params = law.build(updated(CONTROLLER, defaults(CONTROLLER), found[mode]["values"]))
+        kept[mode] = {}
+        for where, prepared in valves.items():
+            there = margins.margins(law, params, prepared)
+            kept[mode][f"stable{where}"] = bool(np.max(there.radius) < 1.0 + margins.EDGE)
+            kept[mode][f"margins{where}"] = trial.violation(trial.USUAL, there) == 0.0
+    return kept
 
 
 def _better(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
@@ -248,22 +282,28 @@ class _Steps:
         self.refusals.append(reason)
 
 
-def commissioned(values: Values, law: str, options: Options) -> dict[str, Any]:
-    """What commissioning of ``law`` leaves on the valve with ``values``, and what that does there."""
+def commissioned(
+    values: Values, law: str, options: Options, tests: sequence.Tests | None = None
+) -> tuple[dict[str, Any], sequence.Tests | None]:
+    """What commissioning of ``law`` alone leaves on the valve with ``values``, and what that does there.
+
+    ``tests`` of the valve that another law has made are not made again; they are returned.
+    """
     fastest = max(500.0, 2.0 * math.pi * number(values, "solenoid.natural_frequency") * SWING)
     bench = SupervisedValve(values, {**BEFORE, "lvdt.max_rate": fastest})
     plan = Plan(
-        LIMITS, law, CHATTER, options.budget, VALVES_SIMULATED, VALVES_UNSEEN, seed=1, threads=1, firm=False
+        LIMITS, law, CHATTER, options.budget, VALVES_SIMULATED, VALVES_UNSEEN, seed=1, threads=1, firm=False,
+        alone=True,
     )  # fmt: skip
     before, steps, said = bench.values(), _Steps(), list[str]()
     check(plan, before)
     began = time.process_time()
     try:
         with sequence.reversible(bench, before, said.append):
-            result = sequence.run(bench, plan, before, steps)
+            result = sequence.run(bench, plan, before, steps, tests)
     except (ParameterError, Fault) as error:
         cpu = time.process_time() - began
-        return {"accepted": False, "reason": str(error), "step": steps.step, "cpu_s": cpu}
+        return {"accepted": False, "reason": str(error), "step": steps.step, "cpu_s": cpu}, tests
     told = sequence.as_dict(result)
     after = bench.values()
     plant = bench.params
@@ -273,7 +313,7 @@ def commissioned(values: Values, law: str, options: Options) -> dict[str, Any]:
         mode: on_the_valve(plant, after, number(after, "reshaping.lead"), previewed)
         for mode, previewed in MODES.items()
     }
-    return {
+    made = {
         "accepted": True,
         "cpu_s": cpu,
         "seconds": told["seconds"],
@@ -287,6 +327,7 @@ def commissioned(values: Values, law: str, options: Options) -> dict[str, Any]:
         "refusals": steps.refusals,
         "notes": told["notes"],
     }
+    return made, result.tests
 
 
 def cycles(plant: Any, values: Values) -> bool:
@@ -311,12 +352,13 @@ def gone_through(folder: Path, seed: int, options: Options) -> dict[str, Any]:
         outputs.write(str(path), outputs.as_json(row))
 
     row["reference"] = reference(values, options, kept.get("reference"))
-    row["stable"] = stable(build.valve_params(values), row["reference"])
+    row["robustness"] = robustness(values, row["reference"])
     row["laws"] = {} if kept.get("sources") != row["sources"] else dict(kept["laws"])
+    tests: sequence.Tests | None = None
     for law in LAWS_COMMISSIONED:
         keep()
         if law not in row["laws"]:
-            row["laws"][law] = commissioned(values, law, options)
+            row["laws"][law], tests = commissioned(values, law, options, tests)
     keep()
     return row
 
@@ -409,12 +451,7 @@ def told(row: Mapping[str, Any]) -> list[str]:
         for law, one in row["laws"].items()
         if not one["accepted"]
     ]
-    replaced = [
-        f"       {one['law']} was better than {law} on the running valve and is in force"
-        for law, one in row["laws"].items()
-        if one["accepted"] and one["law"] != law
-    ]
-    return [line, *refused, *replaced]
+    return [line, *refused]
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -424,8 +461,11 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         sign = "≥" if target.least else "≤"
         verdict = "reached" if target.reached else "NOT reached"
         lines.append(f"{target.name:56}{target.value:10.3f}{f'{sign} {target.bound:g}':>12}  {verdict}")
-    whole = [one for row in rows for one in row["stable"].values()]
-    lines.append(f"best PIDs that are stable on their valve without friction: {sum(whole)} of {len(whole)}")
+    whole = [one for row in rows for one in row["robustness"].values()]
+    lines += [
+        f"best PIDs that {text}: {sum(one[name] for one in whole)} of {len(whole)}"
+        for name, text in ROBUST.items()
+    ]
     return lines
 
 

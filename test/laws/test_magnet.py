@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from valve_control.control.laws import command_lead, dcarc, dcarc_design, magnet, reshaping
 from valve_control.control.laws.signals import Start
 from valve_control.control.parameters import stability
+from valve_control.control.plant.models import D3FXE
 from valve_control.control.simulation import comparison
+from valve_control.design.tuning import trial
 
 PERIOD, SUBSTEPS = 0.001, 10
 COIL, GAIN, A1, A0 = 0.004, 0.9, 90.5, 3198.0  # 9 Hz
@@ -187,10 +189,30 @@ def test_the_lead_that_the_docs_name_leaves_no_lag_behind_a_ramp():
     delay, rate = 0.0013, 5.0
     changes = {**MODEL, **WIDE, **ALONE, "dcarc.actuator_delay": delay}
     p = dcarc.build(controller(**changes))
-    lead = reshaping.lag(controller(**changes)) + 1.0 / p.reshaping.smoothing + delay
+    lead = dcarc.lag(controller(**changes))
+    assert lead == pytest.approx(
+        reshaping.lag(controller(**changes)) + 1.0 / p.reshaping.smoothing + delay, rel=1e-12
+    )
     ramp = np.arange(400) * PERIOD * rate
     led = command_lead.applied(command_lead.build(controller(**changes, reshaping__lead=lead), True), ramp)
     s = dcarc.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     for command in led:
         _, s, terms = dcarc.step(p, s, float(command), 0.0, 0.0)
     assert terms.reference == pytest.approx(ramp[-1] + rate * delay, abs=1e-6)
+
+
+def test_a_tuner_keeps_the_lead_near_the_lag_that_the_law_knows():
+    """The middle of its range is that lag, at any frequency of the reshaping; other models keep theirs."""
+    values = controller(**MODEL, **{"dcarc.actuator_delay": 0.0013})
+    free = trial.free_numbers(dcarc.LAW, values, False, D3FXE)
+    middle = trial.gains_at(free, values, [0.5] * len(free)).changes
+    lead = middle["reshaping.lead"]
+    assert lead == pytest.approx(dcarc.lag({**values, **middle}), rel=1e-3)
+    (own,) = (one for one in free if one.name == "reshaping.lead")
+    assert (own.low, own.high) == (1.0 / reshaping.AROUND, reshaping.AROUND)
+    usual = controller()
+    assert dcarc.lag(usual) == reshaping.lag(usual)
+    (own,) = (
+        one for one in trial.free_numbers(dcarc.LAW, usual, False, D3FXE) if one == reshaping.lead(usual)
+    )
+    assert own.unit is reshaping.lag

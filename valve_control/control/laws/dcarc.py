@@ -810,12 +810,27 @@ def build(values: Values) -> Params:
         u_max=number(values, "u_max"),
         period=period,
         reshaping=reshaping.build(values)._replace(
-            smoothing=-math.expm1(-period / number(values, "dcarc.smoothing")) / period
-            if dcarc_design.excess(valve_model) > 2
-            else 0.0,
+            smoothing=_smoothing(values),
             dead_time=number(values, "dcarc.actuator_delay"),
         ),
     )
+
+
+def lag(values: Values) -> float:
+    """Time [s] by which the spool is behind a ramp: filter (8), that behind it, dead time of the actuator."""
+    smoothing = _smoothing(values)
+    behind = 1.0 / smoothing if smoothing > 0.0 else 0.0
+    return reshaping.lag(values) + behind + number(values, "dcarc.actuator_delay")
+
+
+def _smoothing(values: Values) -> float:
+    """Speed [1/s] of the filter behind (8), sampled; 0.0: the model needs none."""
+    from valve_control.control.laws import dcarc_design  # scipy.linalg takes a while
+
+    if dcarc_design.excess(models.chosen(values, "dcarc.model", "dcarc.")) <= 2:
+        return 0.0
+    period = number(values, "sample_period")
+    return -math.expm1(-period / number(values, "dcarc.smoothing")) / period
 
 
 def model(p: Params) -> tuple[float, float, float]:
@@ -896,5 +911,6 @@ LAW = Law(
         Free("dcarc.theta_spread[7]", 1e-6, 0.03, powers=(-1, -1)),
         Free("dcarc.theta_spread[8]", 1e-6, 3e-4, powers=(-2, -1)),
     ),
+    lag=lag,
     remedy="shorten sample_period, or raise dcarc.voltage_weight or lower dcarc.disturbance_rate",
 )

@@ -62,6 +62,8 @@ class Law(NamedTuple):
     reshapes: Callable[[Any], bool] = always  # whether a set of Params follows a reshaped reference
     # command under which the law goes on as it is, from which a takeover lets the real one fade in
     steady_command: Callable[[Any, Start], float] = reshaped_steady_command
+    # time [s] by which the spool is behind a ramp of the command by design; see ``reshaping.lead``
+    lag: Callable[[Values], float] = reshaping.lag
     form: tuple[str, ...] = ()  # parameters after whose change the state means something else
     dead_time: str = ""  # parameter of the dead time [s] of LVDT and bus that it knows of; "": none
     linear: Callable[[Any, Any], tuple[Any, Any]] = unchanged  # Params and State with a linear step

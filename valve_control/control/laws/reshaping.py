@@ -8,6 +8,7 @@ the command within (6): a step is never overshot. The derivation is in docs/expl
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 from valve_control.control.laws.free import Free
@@ -145,6 +146,7 @@ def unsmoothed(p: Params, position: float, rate: float) -> float:
 
 
 MOST_LEAD = 0.1  # s
+AROUND = 1.25  # times the lag that a law knows, or once over it, that a tuner may choose as lead
 PARAMETERS: Table = (
     Parameter(
         "reshaping.form",
@@ -252,8 +254,14 @@ def lag(values: Values) -> float:
     return 2.0 * damping / wn
 
 
-def lead(values: Values, scale: Scale = D3FXE) -> Free:
-    """The lead that a tuner may choose for a law that reshapes, in lags of (8)."""
+def lead(values: Values, scale: Scale = D3FXE, whole: Callable[[Values], float] = lag) -> Free:
+    """The lead that a tuner may choose for a law that reshapes, in lags of (8).
+
+    ``whole``: lag [s] of a law that knows more of it than that of (8). The lead is counted in it and stays
+    near it then: another one is an error of the reference, which slow motions do not show to a tuner.
+    """
+    if whole(values) > lag(values):
+        return Free("reshaping.lead", 1.0 / AROUND, AROUND, unit=whole)
     longest = 2.0 * _damping(values) / frequency(values, scale).low
     return Free("reshaping.lead", 0.25, max(0.5, min(6.0, MOST_LEAD / longest)), unit=lag)
 

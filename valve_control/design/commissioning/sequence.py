@@ -45,6 +45,17 @@ NAMED = 3  # parts of the tests that a note names as not explained
 RESPONSE, VALVE, WHOLE = 25.0, 95.0, 100.0
 
 
+class Tests(NamedTuple):
+    """What the tests of a valve told, for any law."""
+
+    rest: Rest
+    slow: Record
+    static: Static
+    sine: Record
+    response: Response
+    plant: Plant
+
+
 class Result(NamedTuple):
     """All that a commissioning found, as far as it came."""
 
@@ -62,6 +73,11 @@ class Result(NamedTuple):
     verification: Verification
     notes: list[str]
     seconds: dict[str, float]  # by step
+
+    @property
+    def tests(self) -> Tests:
+        """What the tests told, with which another law may be commissioned."""
+        return Tests(self.rest, self.slow, self.static, self.sine, self.response, self.plant)
 
 
 class Refused(RuntimeError):
@@ -120,13 +136,15 @@ def _bring_to(bench: Bench, wanted: Values, done: str = "set") -> int:
     return len(changes)
 
 
-def run(bench: Bench, plan: Plan, before: Values, steps: Steps) -> Result:
+def run(bench: Bench, plan: Plan, before: Values, steps: Steps, tests: Tests | None = None) -> Result:
     """Commission the valve of ``bench``, whose controller has the parameters ``before``.
+
+    ``tests`` that were made of this valve within the same limits are not made again.
 
     Raises Fault, ParameterError (one sentence) or Refused; the controller then is as it was left: call it
     within ``reversible``.
     """
-    return _Commissioning(bench, plan, before, steps).run()
+    return _Commissioning(bench, plan, before, steps).run(tests)
 
 
 class _Commissioning:
@@ -137,30 +155,18 @@ class _Commissioning:
         self._limits, self._period = plan.limits, number(before, "sample_period")
         self._seconds: dict[str, float] = {}
 
-    def run(self) -> Result:
-        limits, period, before = self._limits, self._period, self._before
+    def run(self, tests: Tests | None) -> Result:
+        period, before = self._period, self._before
         self._ask(
-            f"0 V; the controller gets its limits (±{limits.voltage:g} V, reading within ±{limits.travel:g} "
-            f"V) and the law open_loop; then {STILL:g} s at 0 V"
+            f"0 V; the controller gets its limits (±{self._limits.voltage:g} V, reading within "
+            f"±{self._limits.travel:g} V) and the law open_loop; then {STILL:g} s at 0 V"
         )
         self._bench.off()
         self._open_loop()
-        rest = statics.at_rest(self._drive("noise at rest", courses.rest(STILL), lambda: STILL))
-        slow = self._triangle()
-        static = statics.slow(slow, rest, limits)
-        planned = small_signal.plan(limits, rest, static, period)
-        sine = self._sine(planned)
+        if tests is None:
+            tests = self._tested()
+        rest, found = tests.rest, tests.plant
         with self._timed("model"):
-            self._modelled(0.0)
-            response, fits, friction = small_signal.linear(
-                sine, planned, static, rest, lambda done, total: self._modelled(RESPONSE * done / total)
-            )
-            found = plant.fitted(
-                [slow, sine], fits, friction, static.offset, rest,
-                lambda done, total: self._modelled(RESPONSE + (VALVE - RESPONSE) * done / total),
-                self._plan.threads, lambda: small_signal.richer(response),
-            )  # fmt: skip
-            self._modelled(VALVE)
             self._steps.found(
                 plant.values(found, rest, period, number(before, "u_max"), self._plan.sensor_delay)
             )
@@ -173,11 +179,11 @@ class _Commissioning:
         final = {**before, **made.chosen}
         _bring_to(self._bench, final)
         self._bench.watch(
-            limits._replace(voltage=number(before, "u_max"), travel=number(before, "lvdt.limit"))
+            self._limits._replace(voltage=number(before, "u_max"), travel=number(before, "lvdt.limit"))
         )
         notes = [
-            *response.notes,
-            *_unexplained(found, slow, sine, planned, rest),
+            *tests.response.notes,
+            *_unexplained(found, tests.slow, tests.sine, self._planned(tests.rest, tests.static), rest),
             *known.notes,
             *notes,
             *_late(verified),
@@ -188,11 +194,11 @@ class _Commissioning:
             plan=self._plan,
             before=before,
             rest=rest,
-            slow=slow,
-            static=static,
+            slow=tests.slow,
+            static=tests.static,
             friction=found.friction,
-            sine=sine,
-            response=response,
+            sine=tests.sine,
+            response=tests.response,
             plant=found,
             tuned=made.tuned,
             applied=backup.differences(before, final),
@@ -200,6 +206,29 @@ class _Commissioning:
             notes=notes,
             seconds=self._seconds,
         )
+
+    def _tested(self) -> Tests:
+        """Noise, friction and response of the valve in open loop, and the plant that is fitted to them."""
+        rest = statics.at_rest(self._drive("noise at rest", courses.rest(STILL), lambda: STILL))
+        slow = self._triangle()
+        static = statics.slow(slow, rest, self._limits)
+        planned = self._planned(rest, static)
+        sine = self._sine(planned)
+        with self._timed("model"):
+            self._modelled(0.0)
+            response, fits, friction = small_signal.linear(
+                sine, planned, static, rest, lambda done, total: self._modelled(RESPONSE * done / total)
+            )
+            found = plant.fitted(
+                [slow, sine], fits, friction, static.offset, rest,
+                lambda done, total: self._modelled(RESPONSE + (VALVE - RESPONSE) * done / total),
+                self._plan.threads, lambda: small_signal.richer(response),
+            )  # fmt: skip
+            self._modelled(VALVE)
+        return Tests(rest, slow, static, sine, response, found)
+
+    def _planned(self, rest: Rest, static: Static) -> small_signal.Plan:
+        return small_signal.plan(self._limits, rest, static, self._period)
 
     def _open_loop(self) -> None:
         """From inactive to 0 V: open loop within the limits, the other parameters as before."""

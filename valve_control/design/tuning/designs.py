@@ -33,7 +33,7 @@ from valve_control.parameter import ParameterError, Value, Values, number, updat
 
 Array = npt.NDArray[np.float64]
 LOOPS = ((0.05, 4.0), (0.15, 2.0), (0.5, 4.0), (0.5, 2.0))  # weight at the gain of the D3FXE, V/√s
-SHARES = (0.35, 0.55, 0.85)  # of the highest natural frequency of the reference filter
+SHARES = (0.4, 0.65, 0.95)  # of the highest natural frequency of the reference filter
 INPUT_NOISE, FIT_NOISE, FORGETTING = 0.5, 0.4, 0.05  # V, V, 1/s
 RUBBING, LEAST = 0.3, 0.1  # of the friction that is known, and V: spread of the weights of bristles
 OTHERS = (0.1, 0.1, 0.2, 0.0, 0.0)  # of gain, and of flow force, offset, damping and inertia
@@ -183,15 +183,9 @@ def _dcarcs(law: Law, values: Values, preview: bool, scale: Scale) -> list[Value
         try:
             changed = updated(CONTROLLER, values, loop)
             if not preview:
-                changed = updated(CONTROLLER, changed, {"reshaping.lead": _lag(changed)})
+                changed = updated(CONTROLLER, changed, {"reshaping.lead": law.lag(changed)})
             law.build(changed)
         except ParameterError:
             continue
         made.append(changed)
     return made
-
-
-def _lag(values: Values) -> float:
-    """Time [s] by which the spool is late after a command: filter (8), that behind it, and dead time."""
-    own = dcarc.build(values).reshaping
-    return reshaping.lag(values) + 1.0 / own.smoothing + number(values, "dcarc.actuator_delay")

@@ -130,7 +130,8 @@ def free_numbers(law: Law, values: Values, preview: bool, scale: Scale = D3FXE) 
         return own if reshapes else (*own, AHEAD)
     if not reshapes:
         return (*own, reshaping.LEAD.ranged(scale), reshaping.LEAD_ACCEL)
-    return (*own, reshaping.frequency(values, scale), reshaping.lead(values, scale), reshaping.LEAD_ACCEL)
+    lead = reshaping.lead(values, scale, law.lag)
+    return (*own, reshaping.frequency(values, scale), lead, reshaping.LEAD_ACCEL)
 
 
 def gains_at(free: Sequence[Free], values: Values, shares: Sequence[float]) -> GainSet:
