@@ -76,6 +76,8 @@ FORMS: dict[str, dict[str, Value]] = {
 SEARCHED = (2.0, 2.5, 2.0, 3.0)  # s
 POPULATION, STEP, AGAIN = 20, 0.25, 0.08
 NOISE_SEED = comparison.NOISE_SEED
+WHERE = ("none", "valve", "box")  # margins of commissioning: nowhere, on the valve, on those around it too
+MISSED, MISSING = 0.3, 3.0  # logarithm of the error for margins that are missed, and for each that is
 LAWS_COMMISSIONED = ("dcarc", "pid")
 ROBUST = {
     "stable": "are stable on their valve without friction",
@@ -90,6 +92,7 @@ class Options(NamedTuple):
 
     budget: int  # sets of gains of a commissioning
     sets: int  # of gains, in each search of the reference
+    margins: str = "none"  # that the best PID keeps: of WHERE
 
 
 def drawn(seed: int) -> Values:
@@ -133,11 +136,11 @@ def on_the_valve(plant: Any, values: Mapping[str, Value], ahead: float, previewe
     return {"e_rms": comparison.geometric(found.rms), "c_u": float(np.mean(found.chatter))}
 
 
-def searched(
-    plant: Any, valve_model: Any, form: str, previewed: bool, options: Options, seed: int
-) -> GainSet:
-    """Gains of the PID in this ``form`` that CMA-ES finds on the valve itself."""
-    law = LAWS["pid"]
+def searched(values: Values, form: str, previewed: bool, options: Options) -> GainSet:
+    """Gains of the PID in this ``form`` that CMA-ES finds on the valve itself, which has these ``values``."""
+    law, seed, plant = LAWS["pid"], int(number(values, "seed")), build.valve_params(values)
+    around = {"none": [], "valve": [plant], "box": [plant, *surroundings(values)]}[options.margins]
+    prepared = margins.prepared(around) if around else None
     own = {**comparison.NO_LIMITS, "controller": "pid", **FORMS[form]}
     cut = [round(seconds / comparison.PERIOD) for seconds in SEARCHED]
     problem = Problem(
@@ -147,12 +150,12 @@ def searched(
             for (name, wanted), n in zip(comparison.motions().items(), cut, strict=True)
         ],
         plants=[plant],
-        box=[],
+        box=around,
         limits=trial.USUAL,
         preview=previewed,
         largest=False,
         seed=seed,
-        scale=scale_of(valve_model),
+        scale=scale_of(registry.chosen(values).model(values)),
     )
     free = trial.free_numbers(law, problem.values, previewed, problem.scale)
     best, least, tried = np.full(len(free), 0.5), math.inf, 0
@@ -163,7 +166,7 @@ def searched(
             strategy = evolution.strategy(best, step, seed + tried + 1, POPULATION)
             while tried < options.sets and not strategy.stop():
                 asked = strategy.ask()
-                costs = _costs(law, problem, free, asked)
+                costs = _costs(law, problem, free, asked, prepared)
                 strategy.tell(asked, costs)
                 tried += len(asked)
                 if min(costs) < least:
@@ -172,8 +175,10 @@ def searched(
     return trial.gains_at(free, problem.values, [float(v) for v in best])
 
 
-def _costs(law: Any, problem: Problem, free: Any, asked: Sequence[Array]) -> list[float]:
-    """What the search of the reference makes small."""
+def _costs(
+    law: Any, problem: Problem, free: Any, asked: Sequence[Array], prepared: margins.Box | None
+) -> list[float]:
+    """What the search of the reference makes small; ``prepared``: the valves on which margins hold."""
     inside = [np.clip(shares, 0.0, 1.0) for shares in asked]
     gains = [trial.gains_at(free, problem.values, [float(v) for v in shares]) for shares in inside]
     found = []
@@ -186,6 +191,10 @@ def _costs(law: Any, problem: Problem, free: Any, asked: Sequence[Array]) -> lis
             )
             cost = search.cost(point, CHATTER, 1.0)
         outside = float(np.sum((shares - within) ** 2))
+        if prepared is not None:
+            params = law.build(trial.values_with(problem, one))
+            missing = trial.violation(problem.limits, margins.margins(law, params, prepared))
+            outside += MISSING * missing + (MISSED if missing > 0.0 else 0.0)
         found.append((cost if math.isfinite(cost) else search.NOT_RUN) + outside)
     return found
 
@@ -200,12 +209,11 @@ def reference(values: Values, options: Options, kept: Mapping[str, Any] | None) 
         _measured_again(plant, kept[mode], previewed) for mode, previewed in MODES.items()
     ):
         return dict(kept)
-    valve_model = registry.chosen(values).model(values)
     found: dict[str, Any] = {}
     began = time.process_time()
     for mode, previewed in MODES.items():
         for form in FORMS:
-            gains = searched(plant, valve_model, form, previewed, options, int(number(values, "seed")))
+            gains = searched(values, form, previewed, options)
             own = {**comparison.NO_LIMITS, "controller": "pid", **FORMS[form], **gains.changes}
             one = {"form": form, "values": own, "ahead": gains.ahead}
             one.update(on_the_valve(plant, own, gains.ahead, previewed))
@@ -342,6 +350,8 @@ def gone_through(folder: Path, seed: int, options: Options) -> dict[str, Any]:
     """The valve ``seed``; what ``folder`` has of it is not done again, unless sources have changed."""
     path = folder / f"{seed}.json"
     asked = {**options._asdict(), "seed": seed}
+    if options.margins == WHERE[0]:
+        del asked["margins"]  # as files from before have it
     kept = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     if kept.get("options") != asked:
         kept = {}
@@ -491,6 +501,10 @@ def _options() -> Parser:
     )  # fmt: skip
     parser.add_argument("--budget", type=int, default=200, metavar="N", help="of a commissioning (200)")
     parser.add_argument("--sets", type=int, default=1000, metavar="N", help="of the best PID's gains (1000)")
+    parser.add_argument(
+        "--margins", choices=WHERE, default=WHERE[0],
+        help="of commissioning, that the best PID keeps: none, on its valve, or on a box of valves around it",
+    )  # fmt: skip
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="valves at a time (1)")
     parser.add_argument("--out", default="out/solenoid", metavar="FOLDER", help="(out/solenoid)")
     return parser
@@ -505,7 +519,9 @@ def _solenoid(arguments: argparse.Namespace) -> None:
     folder = Path(arguments.out)
     folder.mkdir(parents=True, exist_ok=True)
     seeds = range(arguments.seed, arguments.seed + arguments.valves)
-    work = functools.partial(gone_through, folder, options=Options(arguments.budget, arguments.sets))
+    work = functools.partial(
+        gone_through, folder, options=Options(arguments.budget, arguments.sets, arguments.margins)
+    )
     rows: list[dict[str, Any]] = []
     began = time.monotonic()
     print(HEAD, flush=True)
