@@ -146,7 +146,7 @@ def unsmoothed(p: Params, position: float, rate: float) -> float:
 
 
 MOST_LEAD = 0.1  # s
-AROUND = 1.25  # times the lag that a law knows, or once over it, that a tuner may choose as lead
+AROUND = 1.1  # times the lag that a law knows, or once over it, that a tuner may choose as lead
 PARAMETERS: Table = (
     Parameter(
         "reshaping.form",
