@@ -165,3 +165,68 @@ def test_the_first_sample_of_axis_arc_is_that_of_an_axis_at_rest_after_each_rese
             commands.append(s.command)
         s = supervisor.reset(p, s)
     assert commands[:50] == commands[50:]
+
+
+def test_a_path_of_a_later_time_begins_then_and_the_axis_holds_its_position_until_then():
+    p, able = designed()
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    held = s.goal
+    s = supervisor.begin(s, path.towards(0.25, s.goal, LIMITS, able), 50 * MS)
+    for k in range(2, 50):
+        s = sample(p, s, 0.2, k)
+        assert s.goal == held and s.command == 0.0
+        assert supervisor.mode(s) == (Mode.OK, "follows its path")
+    for k in range(50, 60):
+        s = sample(p, s, 0.2, k)
+    assert s.goal.position > held.position and s.command > 0.0
+    motion = supervisor.spool_motion(p, s)
+    assert motion.position == s.command and motion.velocity > 0.0
+
+
+def test_a_refusal_is_reported_for_a_second_and_changes_no_command():
+    p, _ = designed()
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    s = supervisor.refused(p, s, "path refused")
+    samples = 0
+    while supervisor.mode(s) == (Mode.DEGRADED, "path refused"):
+        assert s.command == 0.0 and s.goal == (0.2, 0.0, 0.0)
+        samples += 1
+        s = sample(p, s, 0.2, samples + 1)
+    assert samples * p.period == pytest.approx(1.0) and supervisor.mode(s)[0] is Mode.OK
+
+
+def test_silence_stops_an_axis_that_has_been_seen_and_no_other():
+    p, _ = designed()
+    unseen = supervisor.at_rest(p)
+    assert supervisor.mode(supervisor.silent(unseen, 0.5)) == (Mode.OK, "no position reading yet")
+    assert supervisor.spool_motion(p, unseen) == (0.0, 0.0, 0.0)
+    s = supervisor.silent(sample(p, unseen, 0.2, 1), 0.25)
+    assert supervisor.mode(s) == (Mode.SAFE, "stopped, 0 V: no position for 0.25 s")
+    assert supervisor.spool_motion(p, s) == (0.0, 0.0, 0.0)
+    assert supervisor.found(p, s, 0.3).goal == s.goal and sample(p, s, 0.2, 2).command == 0.0
+
+
+def test_readings_with_one_time_stamp_count_as_one_period_apart():
+    p, _ = designed()
+    runs = []
+    for stamps in ([1, 2, 3, 4], [1, 2, 2, 2]):
+        s = sample(p, supervisor.at_rest(p), 0.2, stamps[0])
+        steps = []
+        for k, position in zip(stamps[1:], (0.2001, 0.2002, 0.2003), strict=True):
+            s = sample(p, s, position, k)
+            steps.append((s.command, s.bridged, s.watch))
+        runs.append(steps)
+    assert runs[0] == runs[1]
+
+
+def test_a_pressure_beyond_its_sensor_or_that_jumps_is_named():
+    p, _ = designed(upper_level="axis_arc")
+    s = supervisor.sample(p, supervisor.at_rest(p), Reading(math.nan, 0.2, 50e5, 80e5), MS)
+    for pressure, words in (
+        (2e9, "pressure b is 2e+04 bar, beyond "),
+        (290e5, "pressure b jumps by 210 bar"),
+    ):
+        mode, reason = supervisor.mode(
+            supervisor.sample(p, s, Reading(math.nan, 0.2, 50e5, pressure), 2 * MS)
+        )
+        assert mode is Mode.DEGRADED and reason.startswith(words)
