@@ -121,13 +121,14 @@ def test_lost_actual_values_are_counted(running, valve):
     ("order", "name", "then"),
     [("mute", "heartbeat_lost", "DISABLED 0.0000"), ("emergency 3100", "emergency", "DISABLED 0.0000"),
      ("enable 0", "wrong_state", "DISABLED 0.0000"), ("quiet_fault", "fault", "FAULT 0.0000"),
-     ("reset", "node_reset", "INIT 0.0000"), ("bus_off 1", "bus_silent", "FAULT 0.0000")],
+     ("reset", "node_reset", "INIT 0.0000"), ("bus_off 1", "bus_silent", "FAULT 0.0000"),
+     ("local 1", "local_control", "DISABLED 0.0000")],
 )  # fmt: skip
 def test_faults_are_named_switch_off_and_stay_off_until_enabled_anew(running, valve, order, name, then):
     valve.order(order)
     fault(running, name)
     until(lambda: (running.read(), valve.order("state").startswith(then))[1], then)
-    for back in ("enable 1", "bus_off 0"):
+    for back in ("enable 1", "bus_off 0", "local 0"):
         valve.order(back)
     for _ in range(5):
         running.read()
@@ -170,6 +171,69 @@ def test_a_valve_that_cannot_watch_its_set_point_is_told_all_the_time():
 def test_a_wrong_bus_or_node_is_named(words, changes, said):
     with device("valve_408", *words) as valve, pytest.raises(DriverError, match=said):
         driver(valve, **changes).open()
+
+
+def test_a_valve_without_its_reference_works_with_the_one_of_the_settings():
+    with device("valve_408", "5", "408", "0x6311:1", str(PERIOD)) as valve:
+        made = driver(valve, reference=16384)
+        made.open()
+        activate(made, valve)
+        made.close()
+
+
+def test_a_reference_of_0_counts_is_refused(valve):
+    valve.order("reference 0")
+    with pytest.raises(DriverError, match="node 5 has 0 in 0x6311:01; set canopen.reference"):
+        driver(valve).open()
+
+
+def test_modes_of_0_leave_those_of_the_valve(valve):
+    made = driver(valve, device_mode=0, control_mode=0)
+    made.open()
+    made.enable(True)
+
+    def active():
+        made.write(20.0)
+        made.read()
+        return valve.order("state").startswith("ACTIVE")
+
+    until(active, "ACTIVE")
+    assert valve.order("state") == "ACTIVE 0.0000 OPERATIONAL", "its own device mode takes no set point"
+    made.close()
+
+
+@pytest.mark.parametrize("refused", ["0x1600:1", "0x1A00:2"])
+def test_a_valve_that_takes_no_such_pdo_is_named_with_the_object(refused):
+    index, sub = refused.split(":")
+    with device("valve_408", "5", "408", refused, str(PERIOD)) as valve:
+        made = driver(valve)
+        made.open()
+        with pytest.raises(DriverError, match=rf"node 5 refuses .* in object {index}:0{sub}"):
+            made.enable(True)
+        assert valve.order("state").split()[1] == "0.0000"
+        made.close()
+
+
+def test_a_valve_that_refuses_its_actual_value_is_named():
+    with device("valve_408", "5", "408", "0x6301:1", str(PERIOD)) as valve:
+        made = driver(valve)
+        with pytest.raises(DriverError, match="node 5 refuses object 0x6301:01"):
+            made.open()
+            made.read()
+        made.close()
+
+
+def test_a_valve_that_answers_no_more_before_it_is_enabled_loses_readings_and_then_the_device(valve):
+    made = driver(valve, sdo_timeout=0.1)
+    made.open()
+    assert made.read() is not None
+    valve.order("bus_off 1")
+    with pytest.raises(DriverError, match="node 5 does not answer for object 0x6301:01"):
+        while True:
+            assert made.read() is None
+    valve.order("bus_off 0")
+    made.close()
+    made.close()
 
 
 def test_an_adapter_that_is_pulled_out_is_told():

@@ -93,6 +93,42 @@ def test_refused_requests_are_conditions_and_a_refused_voltage_switches_off(io):
     valve.close()
 
 
+def test_a_device_that_answers_reads_and_no_writes_is_told(io):
+    valve = driver(io, timeout=0.2)
+    valve.open()
+    io.order("silent")
+    with pytest.raises(DriverError, match="does not answer to holding register 5"):
+        valve.enable(True)
+    valve.close()
+    io.order("none")
+    assert io.order("state") == "0.0000 0"
+    silent = driver(io, timeout=0.2)
+    io.order("silent")
+    with pytest.raises(DriverError, match="is connected but does not answer within 0.2 s"):
+        silent.open()
+    silent.close()
+
+
+def test_negative_counts_are_negative_readings_if_they_are_signed(io):
+    valve = driver(io)
+    valve.open()
+    valve.enable(True)
+    valve.write(-2.0)
+    readings = [valve.read().signal for _ in range(100)]
+    assert readings[-1] == pytest.approx(-1.67, abs=0.05)
+    valve.close()
+
+
+def test_samples_that_no_one_had_time_for_are_told_as_left_out(io):
+    valve = driver(io)
+    valve.open()
+    valve.read()
+    time.sleep(4.0 * PERIOD)
+    until(valve.read, "a reading")
+    assert names(valve)["late"] == "degraded"
+    valve.close()
+
+
 def test_without_a_coil_a_refused_voltage_is_followed_by_0_volts(io):
     valve = driver(io, enable_coil=-1)
     valve.open()

@@ -67,7 +67,7 @@ class Valve:
         self.spool = Spool(period)
         self.state, self.control, self.waiting = 0b1000, 0, None
         self.enabled = True  # its enable input
-        self.drop = 0
+        self.drop, self.local = 0, 0
         self.heard = time.monotonic()
         self.node.nmt.state = "INITIALISING"
         self.node.nmt.state = "PRE-OPERATIONAL"
@@ -116,7 +116,7 @@ class Valve:
             return
         if self.waiting is not None:
             self.apply()
-        self.store(0x6041, 0, "<H", self.state)
+        self.store(0x6041, 0, "<H", self.state | self.local)
         self.store(0x6301, 1, "<h", round(self.spool.sample(self.volts()) / 10.0 * REFERENCE))
         if self.drop:
             self.drop -= 1
@@ -145,6 +145,10 @@ class Valve:
             self.fail(int(value, 16))
         elif word == "quiet_fault":
             self.state = 0b0001
+        elif word == "local":
+            self.local = 0x10 * int(value)  # 1: its own control word (0x604F) counts
+        elif word == "reference":
+            self.store(0x6311, 1, "<h", int(value))
         elif word == "drop":
             self.drop = int(value)
         elif word == "mute":
@@ -159,7 +163,7 @@ class Valve:
         elif word == "reset":
             self.node.data_store.clear()
             self.spool = Spool(self.period)
-            self.state, self.control = 0b1000, 0
+            self.state, self.control, self.local = 0b1000, 0, 0
             self.node.nmt.stop_heartbeat()
             self.node.nmt.state = "INITIALISING"
             self.node.nmt.state = "PRE-OPERATIONAL"
