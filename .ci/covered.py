@@ -41,8 +41,13 @@ NODES = (
 LONG = "study_s_box or beyond_the_spread or weights_were_made_for or jitter_is_the_speed or drifts_by_3"
 PARTS = {
     "supervision": ["test/supervision", "-k", f"not ({LONG})"],
-    "laws": ["test/laws", "test/drivers", "test/test_plugins.py", "test/test_arguments.py"]
-    + ["test/recordings/test_shadow.py", "-k", f"not ({LONG})"],
+    "laws": ["test/laws", "-k", f"not ({LONG})"],
+    "drivers": [
+        "test/drivers",
+        "test/test_plugins.py",
+        "test/test_arguments.py",
+        "test/recordings/test_shadow.py",
+    ],
     "nodes": [*(f"test/nodes/test_{name}.py" for name in NODES), "--dist", "loadgroup", "--reruns", "1"],
 }
 

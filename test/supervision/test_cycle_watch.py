@@ -146,3 +146,14 @@ def test_cycles_that_a_quick_command_brings_about_are_not_stopped(config):
         loop = Loop(config, "oarc", "d3fxe").run(2500, command)
         assert np.mean(np.abs(loop.voltages) > 9.0) > 0.1
         assert loop.supervisor.counts["safe_stops"] == 0 and not [t for t in loop.said if "oscillates" in t]
+
+
+def test_a_reading_that_swings_while_the_voltage_stands_is_a_hum_of_that_amplitude():
+    p = lock_in.Model(40.0, 1200.0, 1200.0, PERIOD)
+    s, k = lock_in.begun(50.0, PERIOD), 0
+    while not lock_in.finished(s):
+        s = lock_in.step(s, 1.0, 0.03 * math.sin(2.0 * math.pi * 50.0 * k * PERIOD), PERIOD)
+        k += 1
+    found = lock_in.found(p, s)
+    assert found.hum == pytest.approx(0.03, rel=1e-3) and found.gain == 0.0
+    assert lock_in.step(s, 5.0, 5.0, PERIOD) == s, "a finished measurement stays"

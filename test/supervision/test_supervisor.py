@@ -111,6 +111,19 @@ def test_unbelievable_readings_are_bridged_then_switched_off(law, name):
         assert loop.voltages[-1] == 0.0
 
 
+@pytest.mark.parametrize("wrong", [0.4, -0.4])
+def test_one_reading_beside_the_others_is_bridged_and_the_next_one_is_believed(wrong):
+    """0.4 V are within lvdt.max_rate (0.6 V a sample), but not where the readings before lead."""
+    loop = Loop("dcarc").run(400)
+    held = loop.supervisor.voltage
+    assert loop.step(lambda reading: reading + wrong) == held and loop.supervisor.counts["lvdt_refused"] == 1
+    assert "lvdt_jump_bridged" in loop.supervisor.conditions
+    for _ in range(200):
+        loop.step()
+        assert loop.supervisor.bridged == 0 and loop.supervisor.mode is not Mode.SAFE
+    assert loop.supervisor.counts["lvdt_refused"] == 1
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_return_is_bumpless_and_waits_for_sound_readings(law):
     loop = Loop(law, lvdt__recovery_samples=25).run(700)
