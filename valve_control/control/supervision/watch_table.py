@@ -9,6 +9,18 @@ STOPS    the same, and the voltage is 0 V until enough sound readings have come.
 GUIDES   is called by name in watch.py or supervisor.py, because more than its sentence depends on it: which
          reading or command counts, or when the law starts again.
 
+Why each of the guides stays one (a step that takes and returns one State would not make watch.py shorter):
+
+lvdt, lvdt_watch   decide whether the reading counts at all, before the law steps, and end the time at 0 V
+rate               needs the real time between readings, which exported C does not have
+plausibility       makes the blocks that the other two kinds look at, and its doubt limits the law's voltage
+command_watch,     give the law its command; their states are read at five places of a sample
+late_commands
+cycle_watch        has five slots: four change once in a cycle or never, and one State of all five would cost
+                   0.4 µs at each sample (Python 3.11), a twentieth of the whole sample
+law_watch          one of its conditions is an event, the other has a hysteresis and a counter, and both look
+                   at the terms of a law; a new assumption is one row of ``law_watch.ASSUMPTIONS``
+
 A new watch of the first two kinds is one file and one row of ``WATCHES``. Memory, snapshot, diagnostics, the
 page docs/reference/modes.md and exported C follow from the row. The file has ``Params``, ``State``,
 ``NOTHING`` (the state at the start), ``CONDITIONS`` and these functions, which export/ can translate:
