@@ -425,14 +425,27 @@ def served(told: dict[str, Any]) -> bool:
 
 
 def run_fault(
-    campaign: Campaign,
-    fault: Fault,
-    random: np.random.Generator,
-    usual: float,
-    folder: Path,
-    tries: int = TRIES,
+    campaign: Campaign, fault: Fault, random: np.random.Generator, usual: float, folder: Path
 ) -> dict[str, Any]:
-    """Inject ``fault`` at a random moment of the motion and judge what follows."""
+    """Inject ``fault`` at a random moment of the motion and judge what follows; ``usual`` [V]: largest step.
+
+    It is repeated where others have held up the processes, so that nothing could be seen of it.
+    """
+    for repeated in range(TRIES):
+        found = _injected(campaign, fault, random, folder, repeated == TRIES - 1)
+        if found is not None:
+            head = {"fault": fault.name, "controller": campaign.controller, "repeated": repeated}
+            return {**head, **_judged(campaign, fault, *found, usual)}
+    raise AssertionError("the last trial counts")
+
+
+def _injected(
+    campaign: Campaign, fault: Fault, random: np.random.Generator, folder: Path, last: bool
+) -> tuple[float, dict[str, Any]] | None:
+    """Time [s] of ``fault``, and what it told; None: others held up the processes, and there is another try.
+
+    ``last``: there is none.
+    """
     campaign.go_on(float(random.uniform(0.0, 1.0 / FREQUENCY)))
     if fault.value == "half":
         # Near neutral half the reading is the reading: only from elsewhere it is a jump.
@@ -446,10 +459,10 @@ def run_fault(
         told = campaign.inject(fault, folder)
     except RuntimeError:
         # A fault that falls into lost readings or a standstill of the process is none that anybody can see.
-        if tries == 1 or not campaign.held_up(start - HELD_UP):
+        if last or not campaign.held_up(start - HELD_UP):
             raise
         campaign.until(campaign.in_order, f"order after {fault.name}", 2.0 * BACK)
-        return run_fault(campaign, fault, random, usual, folder, tries - 1)
+        return None
     heard = campaign.reported(fault.word, start) if fault.word else start
     campaign.until(
         lambda: campaign.in_order() and campaign.mark() > max(heard, start + fault.samples * PERIOD),
@@ -458,8 +471,8 @@ def run_fault(
     )
     campaign.go_on(0.3)
     if fault.follows == "centred":
-        if tries > 1 and campaign.simulator_stood_still(start):
-            return run_fault(campaign, fault, random, usual, folder, tries - 1)
+        if not last and campaign.simulator_stood_still(start):
+            return None
         # What the middleware has to send again comes late; its stamp is that of the event.
         late = time.monotonic() + BACK
         campaign.until(
@@ -470,9 +483,14 @@ def run_fault(
             2.0 * BACK,
         )
     stopped = fault.follows == "undisturbed" and campaign.stopped(start)
-    if stopped and tries > 1 and campaign.waited_for_a_core(start):
-        # Others that keep the cores busy stop a valve too; that is not what is tried here.
-        return run_fault(campaign, fault, random, usual, folder, tries - 1)
+    # Others that keep the cores busy stop a valve too; that is not what is tried here.
+    return None if stopped and not last and campaign.waited_for_a_core(start) else (start, told)
+
+
+def _judged(
+    campaign: Campaign, fault: Fault, start: float, told: dict[str, Any], usual: float
+) -> dict[str, Any]:
+    """What followed ``fault``, injected at ``start`` [s], and whether that is as it should be."""
     began = onset(campaign, fault, start)
     took = reaction(campaign, fault, began)
     voltages, sent = campaign.after("valve_voltage", start)
@@ -480,29 +498,20 @@ def run_fault(
     returned = float(sent[min(zero[-1], len(sent) - 1)]) if len(zero) else began
     if fault.follows == "neutral":
         returned = began + fault.samples * PERIOD - 0.1
-    step = (
-        campaign.largest_step(returned, returned + 1.0)
-        if fault.follows in ("safe", "neutral", "centred")
-        else 0.0
-    )
-    finite = bool(np.all(np.isfinite(voltages)))
+    step = 0.0
+    if fault.follows in ("safe", "neutral", "centred"):
+        step = campaign.largest_step(returned, returned + 1.0)
+    allowed = STEP_FACTOR * usual + FADE
+    highest = float(np.max(np.abs(voltages))) if np.all(np.isfinite(voltages)) else None
+    bounded = highest is not None and highest <= U_MAX
     return {
-        "fault": fault.name,
-        "controller": campaign.controller,
-        "repeated": TRIES - tries,
         "reaction_s": round(took, 5) if math.isfinite(took) else None,
         "limit_s": round(fault.limit, 5),
-        "max_abs_voltage": float(np.max(np.abs(voltages))) if finite else None,
+        "max_abs_voltage": highest,
         "largest_step_on_return_V": round(step, 4),
-        "step_allowed_V": round(STEP_FACTOR * usual + FADE, 4),
-        "recovered": bool(step <= STEP_FACTOR * usual + FADE),
-        "passed": bool(
-            finite
-            and np.max(np.abs(voltages)) <= U_MAX
-            and took <= fault.limit
-            and step <= STEP_FACTOR * usual + FADE
-            and served(told)
-        ),
+        "step_allowed_V": round(allowed, 4),
+        "recovered": bool(step <= allowed),
+        "passed": bool(bounded and took <= fault.limit and step <= allowed and served(told)),
         **told,
     }
 

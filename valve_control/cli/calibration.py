@@ -96,9 +96,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     _check_counts(arguments)
     first = int(str(base["valve_simulator"]["seed"]))
     problem = search.Problem(base, table, dimensions, range(first, first + arguments.noise_seeds))
-    start = None
-    if arguments.from_present:
-        start = _present(base, dimensions)
+    start = _present(base, dimensions) if arguments.from_present else None
     progress = Progress(arguments.evaluations, "valves")
     found = search.search(
         problem=problem,

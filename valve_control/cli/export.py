@@ -66,15 +66,8 @@ def add_commands(commands: Any) -> None:
     options.set_defaults(run=_export)
 
 
-def _export(arguments: argparse.Namespace) -> None:
-    from tqdm import tqdm
-
-    from valve_control.control.parameters import files
-    from valve_control.control.parameters.axis_parameters import AXIS_NODES
-    from valve_control.export import folder, settable, unit
-
-    path = folder.refuse_taken(arguments.output)
-    check_outputs(arguments)
+def _refuse_contradictions(arguments: argparse.Namespace) -> None:
+    """Raise ParameterError for options that exclude each other."""
     if arguments.plant is not None and arguments.controller is not None:
         raise ParameterError("--controller and --plant contradict each other; give one of them")
     if arguments.watch and arguments.plant is not None:
@@ -92,6 +85,18 @@ def _export(arguments: argparse.Namespace) -> None:
         )
     if arguments.fmu is not None and arguments.float:
         raise ParameterError("an FMU calculates in double; leave out --float")
+
+
+def _export(arguments: argparse.Namespace) -> None:
+    from tqdm import tqdm
+
+    from valve_control.control.parameters import files
+    from valve_control.control.parameters.axis_parameters import AXIS_NODES
+    from valve_control.export import folder, settable, unit
+
+    path = folder.refuse_taken(arguments.output)
+    check_outputs(arguments)
+    _refuse_contradictions(arguments)
     notes: list[str] = []
     direct = {"controller": {"controller": arguments.controller}}
     nodes = AXIS_NODES if arguments.plant == "axis" else NODES

@@ -140,20 +140,27 @@ def _search_options(group: Any) -> None:
     )
 
 
+def _asked(
+    arguments: argparse.Namespace,
+) -> tuple[list[str], str | None, dict[str, Values], "_Recorded | None"]:
+    """Files of commands and names of laws, the settings without them, and the recording to tune on."""
+    files, arguments.command = arguments.command or [], None
+    names, arguments.controller = arguments.controller, None
+    settings = settings_of(arguments)
+    if arguments.bag is None:
+        return files, names, settings, None
+    arguments.command = files
+    recorded = _recorded(arguments, settings)
+    return files, names, recorded.settings, recorded
+
+
 def _tune(arguments: argparse.Namespace) -> int:
     from valve_control.control.laws.registry import LAWS
     from valve_control.control.simulation.cluster import ClusterError
     from valve_control.design.tuning import tuner
 
     _check(arguments)
-    files, arguments.command = arguments.command or [], None
-    names, arguments.controller = arguments.controller, None
-    settings = settings_of(arguments)
-    recorded: _Recorded | None = None
-    if arguments.bag is not None:
-        arguments.command = files
-        recorded = _recorded(arguments, settings)
-        settings = recorded.settings
+    files, names, settings, recorded = _asked(arguments)
     laws = _laws(names, word(settings["controller"], "controller"))
     _check_free(arguments.set, laws)
     paths = _paths(arguments.output, laws)
@@ -165,10 +172,9 @@ def _tune(arguments: argparse.Namespace) -> int:
     seed, aim = _seed(arguments), _aim(arguments)
     found: dict[str, Tuned] = {}
     missing: dict[str, str] = {}
-    total = arguments.budget * sum(counts)
     with (
         workers(arguments) as cluster,
-        _stoppable(arguments, problem, unseen, asked, cluster, total) as search,
+        _stoppable(arguments, problem, unseen, asked, cluster, arguments.budget * sum(counts)) as search,
     ):
         for name, count in zip(asked, counts, strict=True):
             try:
@@ -567,12 +573,50 @@ class _Recorded(NamedTuple):
     measured: "Indices"
 
 
+def _refuse_beside_bag(arguments: argparse.Namespace) -> None:
+    """Raise ParameterError for options that say what the bag says, and for a part of it without end."""
+    named = ("command", "scenario", "valve", "sample_period", "duration", "command_period", "command_jitter")
+    for name in named:
+        if getattr(arguments, name) not in (None, []):
+            raise ParameterError(f"tune --bag takes no --{name.replace('_', '-')}; the bag has its own")
+    if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
+        raise ParameterError(f"--to {arguments.end:g} lies not after --from {arguments.start:g}")
+
+
+def _tell_learnt(arguments: argparse.Namespace, found: "RecordedValve", notes: Sequence[str]) -> None:
+    """Print what a recording has told of the valve, and the ``notes`` on it."""
+    for one in found.learnt:
+        unit = "" if one.unit == "-" else f" {one.unit}"
+        text = (
+            f"{one.name}: {one.value:.4g} ± {one.bound:.2g}{unit}"
+            if one.determined
+            else f"{one.name}: not determined by this recording; stays {one.value:.4g}{unit}"
+        )
+        say(arguments, text + (" (times the known valve's)" if one.name in ("gain", "speed") else ""))
+    for note in (*found.notes, *notes):
+        print(f"note: {note}", file=sys.stderr)
+
+
+def _controller_of(arguments: argparse.Namespace, valve: "ValveRecording", usual: Values) -> Values:
+    """The controller's parameters as recorded; what the options say wins. ``usual``: where none are."""
+    from valve_control.control.parameters import files
+    from valve_control.control.parameters.table import CONTROLLER
+    from valve_control.parameter import updated
+
+    if valve.controller is None:
+        return usual
+    told = dict(valve.controller.initial)
+    for change in valve.controller.changes:
+        told.update(change.values)
+    values, _ = valve.controller.table_values(told)
+    return updated(CONTROLLER, values, files.given(arguments.params_file, {}, arguments.set)["controller"])
+
+
 def _recorded(arguments: argparse.Namespace, settings: dict[str, Values]) -> _Recorded:
     """Valve, controller and command of a recording. Raises ParameterError and BagError."""
     import numpy as np
 
     from valve_control.control.analysis.indices import indices
-    from valve_control.control.parameters import files
     from valve_control.control.parameters.table import CONTROLLER
     from valve_control.design.commissioning import recorded as learning
     from valve_control.design.identification import recorded as tests
@@ -582,12 +626,7 @@ def _recorded(arguments: argparse.Namespace, settings: dict[str, Values]) -> _Re
     from valve_control.recordings import recording
     from valve_control.recordings.bags.errors import BagError
 
-    named = ("command", "scenario", "valve", "sample_period", "duration", "command_period", "command_jitter")
-    for name in named:
-        if getattr(arguments, name) not in (None, []):
-            raise ParameterError(f"tune --bag takes no --{name.replace('_', '-')}; the bag has its own")
-    if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
-        raise ParameterError(f"--to {arguments.end:g} lies not after --from {arguments.start:g}")
+    _refuse_beside_bag(arguments)
     loaded = recording.load(
         arguments.bag, arguments.map, arguments.start, arguments.end, clock=arguments.clock
     )
@@ -600,18 +639,9 @@ def _recorded(arguments: argparse.Namespace, settings: dict[str, Values]) -> _Re
     usual = box_of(arguments)
     fixed = [form.name for form in learning.FORMS if form.name in arguments.fix]
     found = learning.learnt(tested, settings["valve_simulator"], fixed)
-    controller = settings["controller"]
-    if valve.controller is not None:
-        told = dict(valve.controller.initial)
-        for change in valve.controller.changes:
-            told.update(change.values)
-        controller, _ = valve.controller.table_values(told)
-        # What the options say wins over what was recorded.
-        given = files.given(arguments.params_file, {}, arguments.set)["controller"]
-        controller = updated(CONTROLLER, controller, given)
     controller = updated(
         CONTROLLER,
-        controller,
+        _controller_of(arguments, valve, settings["controller"]),
         {"sample_period": tested.period, "u_max": number(found.values, "u_max")},
     )
     signals = recording.align(valve)
@@ -627,16 +657,7 @@ def _recorded(arguments: argparse.Namespace, settings: dict[str, Values]) -> _Re
         raise ParameterError(f"{arguments.bag} has no excitation: its command does not move")
     name = Path(arguments.bag).name
     box.check_reach(found.values, float(wanted[abs(wanted).argmax()]), f"of {name}")
-    for one in found.learnt:
-        unit = "" if one.unit == "-" else f" {one.unit}"
-        text = (
-            f"{one.name}: {one.value:.4g} ± {one.bound:.2g}{unit}"
-            if one.determined
-            else f"{one.name}: not determined by this recording; stays {one.value:.4g}{unit}"
-        )
-        say(arguments, text + (" (times the known valve's)" if one.name in ("gain", "speed") else ""))
-    for note in (*found.notes, *tested.notes):
-        print(f"note: {note}", file=sys.stderr)
+    _tell_learnt(arguments, found, tested.notes)
     source = {**settings["command_source"], "sample_period": tested.period}
     made = {**settings, "controller": controller, "valve_simulator": found.values, "command_source": source}
     return _Recorded(

@@ -10,10 +10,11 @@ starts at the first step, from the first reading.
 import hashlib
 import io
 import platform
+import string
 import sys
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
@@ -114,71 +115,76 @@ def make(unit: Unit, version: int, found: Settable | None = None) -> bytes:
 
 def _variables(unit: Unit, made: Sources) -> list[Variable]:
     """All of them; value references count them from 1."""
+    ports, fields, texts = (_law_ports if unit.is_law else _plant_ports)(unit)
+    return [
+        *ports,
+        *(_local(name, code, texts.get(name, "")) for name, code in fields),
+        *_parameters(unit, made),
+    ]
+
+
+def _law_ports(unit: Unit) -> tuple[list[Variable], list[tuple[str, str]], Mapping[str, str]]:
+    """Inputs and outputs of a law; its terms with the C that reads them; what the terms are."""
+    ports = [
+        Variable("command", "input", "spool position wanted", "V", "m->in[0]", "m->in[0] = value", 0.0),
+        Variable("measurement", "input", "LVDT reading", "V", "m->in[1]", "m->in[1] = value", 0.0),
+        Variable("voltage", "output", "solenoid voltage", "V", "m->voltage"),
+    ]
+    names = unit.module.Terms._fields
+    fields = [(name, f"m->terms.{kinds.identifier(name)}") for name in names]
+    return ports, fields, kinds.field_texts(unit.module.Terms)
+
+
+def _plant_ports(unit: Unit) -> tuple[list[Variable], list[tuple[str, str]], Mapping[str, str]]:
+    """Inputs and outputs of a plant; its state with the C that reads it; what the states are."""
     several = len(unit.outputs) > 1
-    if unit.is_law:
-        listed = [
-            Variable("command", "input", "spool position wanted", "V", "m->in[0]", "m->in[0] = value", 0.0),
-            Variable("measurement", "input", "LVDT reading", "V", "m->in[1]", "m->in[1] = value", 0.0),
-            Variable("voltage", "output", "solenoid voltage", "V", "m->voltage"),
-        ]
-        texts = kinds.field_texts(unit.module.Terms)
-        fields: list[tuple[str, str]] = [
-            (name, f"m->terms.{kinds.identifier(name)}") for name in unit.module.Terms._fields
-        ]
-    else:
-        noises = "".join(f", m->in[{i}]" for i in range(1, 1 + len(unit.noises)))
-        read = f"{unit.name}_read(&m->p, &m->s{noises})"
-        listed = [
-            Variable("voltage", "input", "solenoid voltage", "V", "m->in[0]", "m->in[0] = value", 0.0),
-            *(
-                Variable(p.name, "input", p.text, p.unit, f"m->in[{i}]", f"m->in[{i}] = value", 0.0)
-                for i, p in enumerate(unit.noises, 1)
-            ),
-            *(
-                Variable(p.name, "output", p.text, p.unit, read + (f".{p.name}" if several else ""))
-                for p in unit.outputs
-            ),
-        ]
-        fields = [(f"state.{path}", f"m->s.{path}") for path, _ in leaves(unit.begin())]
-        texts = {f"state.{path}": text for path, text in _texts(unit.module.State)}
-        for path in texts:  # of the linear states, whose record is also a row of the matrix
-            head, _, last = path.rpartition(".x.x")
-            if head.endswith(("state", "valve")):
-                texts[path] = LINEAR[int(last)]
-    for name, code in fields:
-        text = texts.get(name, "")
-        first = text.split(" ", 1)[0]
-        known = first in UNITS
-        listed.append(
-            Variable(
-                name,
-                "local",
-                text[len(first) :].strip() if known else text,
-                first.strip("-") if known else "",
-                code,
-            )
-        )
+    noises = "".join(f", m->in[{i}]" for i in range(1, 1 + len(unit.noises)))
+    read = f"{unit.name}_read(&m->p, &m->s{noises})"
+    ports = [
+        Variable("voltage", "input", "solenoid voltage", "V", "m->in[0]", "m->in[0] = value", 0.0),
+        *(
+            Variable(p.name, "input", p.text, p.unit, f"m->in[{i}]", f"m->in[{i}] = value", 0.0)
+            for i, p in enumerate(unit.noises, 1)
+        ),
+        *(
+            Variable(p.name, "output", p.text, p.unit, read + (f".{p.name}" if several else ""))
+            for p in unit.outputs
+        ),
+    ]
+    fields = [(f"state.{path}", f"m->s.{path}") for path, _ in leaves(unit.begin())]
+    texts = {f"state.{path}": text for path, text in _texts(unit.module.State)}
+    for path in texts:  # of the linear states, whose record is also a row of the matrix
+        head, _, last = path.rpartition(".x.x")
+        if head.endswith(("state", "valve")):
+            texts[path] = LINEAR[int(last)]
+    return ports, fields, texts
+
+
+def _local(name: str, code: str, text: str) -> Variable:
+    """A term or a state that the C expression ``code`` reads; ``text`` begins with its unit."""
+    first = text.split(" ", 1)[0]
+    if first not in UNITS:
+        return Variable(name, "local", text, "", code)
+    return Variable(name, "local", text[len(first) :].strip(), first.strip("-"), code)
+
+
+def _parameters(unit: Unit, made: Sources) -> Iterator[Variable]:
+    """What can be set, with its value in this export."""
     now = dict(leaves(unit.params))
     for setter in made.setters:
         p = setter.parameter
         entry = "" if setter.entry is None else f"{setter.entry}, "
-        name = p.name if setter.entry is None else f"{p.name}[{setter.entry + 1}]"
-        call = f"{sources.setter_name(unit, setter)}(&m->p, {entry}value)"
-        own = "" if p.unit == "-" else p.unit
-        listed.append(
-            Variable(
-                name=name,
-                causality="parameter",
-                text=p.text,
-                unit=own,
-                get=f"m->p.{setter.path}",
-                set=call,
-                start=now[setter.path],
-                low=p.low,
-                high=p.high,
-            )
+        yield Variable(
+            name=p.name if setter.entry is None else f"{p.name}[{setter.entry + 1}]",
+            causality="parameter",
+            text=p.text,
+            unit="" if p.unit == "-" else p.unit,
+            get=f"m->p.{setter.path}",
+            set=f"{sources.setter_name(unit, setter)}(&m->p, {entry}value)",
+            start=now[setter.path],
+            low=p.low,
+            high=p.high,
         )
-    return listed
 
 
 def _texts(record: Any) -> Iterator[tuple[str, str]]:
@@ -188,6 +194,74 @@ def _texts(record: Any) -> Iterator[tuple[str, str]]:
         inner = dict(_texts(hints[name])) if hasattr(hints[name], "_fields") else {}
         yield from ((f"{name}.{path}", below or text) for path, below in inner.items())
         yield name, text
+
+
+_MODEL = string.Template("""/* Variables and sampled step of ${name} for the wrapper of FMI. */
+#include <math.h>
+#include <stdbool.h>
+#include <string.h>
+
+#include "${name}.h"
+
+#define MODEL_TOKEN "$token"
+#define MODEL_PERIOD $period /* $seconds s */
+
+typedef struct {
+    ${name}_params_t p;
+    ${name}_state_t s;
+    double in[$inputs];
+    double time; /* s */
+    double ahead; /* periods until the next sample */
+$fields
+} model_t;
+
+/* Parameters of the export, inputs zero, at rest. */
+static void model_reset(model_t *m)
+{
+    memset(m, 0, sizeof *m);
+    m->p = ${name}_exported;$begin
+}
+
+static bool model_get(const model_t *m, unsigned reference, double *value)
+{
+    switch (reference) {
+    case 0:
+        *value = m->time;
+        return true;
+$gets
+    default:
+        return false;
+    }
+}
+
+static bool model_set(model_t *m, unsigned reference, double value)
+{
+    if (!isfinite(value))
+        return false;
+    switch (reference) {
+$sets
+    default:
+        return false;
+    }
+}
+
+/* The samples that begin within ``step`` [s]; false if it is not positive, or longer than 1e9 of them. */
+static bool model_advance(model_t *m, double step)
+{
+    double span = step / MODEL_PERIOD;
+    if (!(span > 0.0 && span <= 1e9))
+        return false;
+    double periods = fmax(0.0, ceil(span - m->ahead - 1e-6));
+    m->ahead += periods - span;
+    if (fabs(m->ahead) <= 1e-6 * fmax(1.0, span))
+        m->ahead = 0.0;
+    for (double k = 0.0; k < periods; k += 1.0) {
+$sample
+    }
+    m->time += step;
+    return true;
+}
+""")
 
 
 def _model(unit: Unit, made: Sources, variables: list[Variable], token: str) -> str:
@@ -215,72 +289,18 @@ def _model(unit: Unit, made: Sources, variables: list[Variable], token: str) -> 
         fields = f"    double memory[{name.upper()}_MEMORY];" if made.memory else ""
         begin = f"\n    {name}_init(&m->s{', m->memory' if made.memory else ''});"
         sample = f"        {name}_step(&m->p, &m->s, m->in[0]);"
-    return f"""/* Variables and sampled step of {name} for the wrapper of FMI. */
-#include <math.h>
-#include <stdbool.h>
-#include <string.h>
-
-#include "{name}.h"
-
-#define MODEL_TOKEN "{token}"
-#define MODEL_PERIOD {unit.period.hex()} /* {unit.period!r} s */
-
-typedef struct {{
-    {name}_params_t p;
-    {name}_state_t s;
-    double in[{2 if unit.is_law else 1 + len(unit.noises)}];
-    double time; /* s */
-    double ahead; /* periods until the next sample */
-{fields}
-}} model_t;
-
-/* Parameters of the export, inputs zero, at rest. */
-static void model_reset(model_t *m)
-{{
-    memset(m, 0, sizeof *m);
-    m->p = {name}_exported;{begin}
-}}
-
-static bool model_get(const model_t *m, unsigned reference, double *value)
-{{
-    switch (reference) {{
-    case 0:
-        *value = m->time;
-        return true;
-{chr(10).join(gets)}
-    default:
-        return false;
-    }}
-}}
-
-static bool model_set(model_t *m, unsigned reference, double value)
-{{
-    if (!isfinite(value))
-        return false;
-    switch (reference) {{
-{chr(10).join(sets)}
-    default:
-        return false;
-    }}
-}}
-
-/* The samples that begin within ``step`` [s]; false if it is not positive, or longer than 1e9 of them. */
-static bool model_advance(model_t *m, double step)
-{{
-    double span = step / MODEL_PERIOD;
-    if (!(span > 0.0 && span <= 1e9))
-        return false;
-    double periods = fmax(0.0, ceil(span - m->ahead - 1e-6));
-    m->ahead += periods - span;
-    if (fabs(m->ahead) <= 1e-6 * fmax(1.0, span))
-        m->ahead = 0.0;
-    for (double k = 0.0; k < periods; k += 1.0) {{
-{sample}
-    }}
-    m->time += step;
-    return true;
-}}
-"""
+    return _MODEL.substitute(
+        name=name,
+        token=token,
+        period=unit.period.hex(),
+        seconds=repr(unit.period),
+        inputs=2 if unit.is_law else 1 + len(unit.noises),
+        fields=fields,
+        begin=begin,
+        gets="\n".join(gets),
+        sets="\n".join(sets),
+        sample=sample,
+    )
 
 
 def _xml(root: ElementTree.Element) -> bytes:

@@ -15,6 +15,7 @@ from valve_control.export.settable import Settable, Setter
 from valve_control.export.subset import Program, SubsetError
 from valve_control.export.unit import Unit, begun, leaves, places
 
+LAW_TYPES = 4  # records of a law that the header shows
 FLAGS = "-std=c99 -O2 -ffp-contract=off"  # no fast-math, no fused operations: the bits of Python
 
 # These two are in the header, for the program that includes it, too; the first before the headers of C.
@@ -66,47 +67,72 @@ def make(unit: Unit, single: bool = False, found: Settable | None = None) -> Sou
     own = unit if unit.inner is None else unit.inner
     program = Program(unit.name, own.module, single)
     try:
-        public = [Kind("record", getattr(own.module, part)) for part in ("Params", "State")]
-        if len(unit.outputs) > 1:
-            public.append(Kind("record", unit.module.Reading))
-        if unit.is_law:
-            public += [Kind("record", own.module.Terms), Kind("record", Start)]
-        if unit.inner is not None:
-            public += [Kind("record", getattr(unit.module, part)) for part in ("Params", "State")]
+        public = _public(unit, own)
         names = [program.type_name(kind) for kind in public]
         shown = list(program.types.values())
+        at = 0 if unit.inner is None else LAW_TYPES  # the parameters of the whole
         memory = 0
         if unit.is_law:
-            whole = (public[4], names[4]) if unit.inner is not None else (public[0], names[0])
-            prototypes, definitions = _exported(unit, program, *whole)
-            for part in (
-                _law(own, program, public[:4], names[:4]),
-                _watch(unit, program, public[4:], names[4:]),
-            ):
-                prototypes += part[0]
-                definitions += part[1]
+            parts = [
+                _exported(unit, program, public[at], names[at]),
+                _law(own, program, public[:LAW_TYPES], names[:LAW_TYPES]),
+                _watch(unit, program, public[LAW_TYPES:], names[LAW_TYPES:]),
+            ]
         else:
             prototypes, definitions, memory = _plant(unit, program, public, names)
+            parts = [(prototypes, definitions)]
     except TypeError as error:
         raise SubsetError(f"{unit.name} cannot be exported to C: {error}") from error
     found = found or settable.find(unit)
-    for prototype, definition in _setters(unit, program, found, names[0 if unit.inner is None else 4]):
-        prototypes.append(prototype)
-        definitions.append(definition)
+    setting = _setters(unit, program, found, names[at])
     if unit.is_law:
-        prototype, definition = _design(unit, program, found, names[0 if unit.inner is None else 4])
-        prototypes.append(prototype)
-        definitions.append(definition)
-    guard = f"{unit.name.upper()}_H"
+        setting.append(_design(unit, program, found, names[at]))
+    prototypes, definitions = (
+        [text for part in parts for text in part[i]] + [one[i] for one in setting] for i in range(2)
+    )
     words = [f"    {name} = {i}" for i, name in enumerate(program.words.values())]
     enumeration = ["enum {\n" + ",\n".join(words) + "\n};"] if words else []
+    private = [*enumeration, *(text for text in program.types.values() if text not in shown)]
     if unit.inner is not None:
+        about = "/* What is wrong with a reading, and why there is no voltage. */\n"
+        shown = [about + private.pop(0), *shown]
+    if memory:
         shown = [
-            "/* What is wrong with a reading, and why there is no voltage. */\n" + enumeration.pop(),
+            f"#define {unit.name.upper()}_MEMORY {memory} /* numbers that {unit.name}_init wants */",
             *shown,
         ]
     head = _head(unit, program)
-    header = "\n\n".join(
+    source = [
+        head,
+        f'#include "{unit.name}.h"\n\n#include <float.h>\n#include <math.h>',
+        _CALCULATION,
+        *private,
+        *program.constants,
+        *program.helpers(),
+        *program.functions,
+        *definitions,
+    ]
+    numbered = {word: i for i, word in enumerate(program.words)}
+    header = _header(unit, head, single, [*shown, *prototypes])
+    return Sources(header, "\n\n".join(source) + "\n", found.setters, found.others, memory, numbered)
+
+
+def _public(unit: Unit, own: Unit) -> list[Kind]:
+    """Records that the header shows: those of a plant or a law, and then those of the watch over the law."""
+    public = [Kind("record", getattr(own.module, part)) for part in ("Params", "State")]
+    if len(unit.outputs) > 1:
+        public.append(Kind("record", unit.module.Reading))
+    if unit.is_law:
+        public += [Kind("record", own.module.Terms), Kind("record", Start)]
+    if unit.inner is not None:
+        public += [Kind("record", getattr(unit.module, part)) for part in ("Params", "State")]
+    return public
+
+
+def _header(unit: Unit, head: str, single: bool, content: list[str]) -> str:
+    """The header file with ``content`` between its guards."""
+    guard = f"{unit.name.upper()}_H"
+    return "\n\n".join(
         [
             head,
             f"#ifndef {guard}\n#define {guard}",
@@ -114,33 +140,11 @@ def make(unit: Unit, single: bool = False, found: Settable | None = None) -> Sou
             "#include <float.h>\n#include <limits.h>\n#include <stdbool.h>\n#include <stdint.h>",
             _target(single),
             '#ifdef __cplusplus\nextern "C" {\n#endif',
-            *(
-                [f"#define {unit.name.upper()}_MEMORY {memory} /* numbers that {unit.name}_init wants */"]
-                if memory
-                else []
-            ),
-            *shown,
-            *prototypes,
+            *content,
             "#ifdef __cplusplus\n}\n#endif",
             f"#endif /* {guard} */\n",
         ]
     )
-    private = [text for text in program.types.values() if text not in shown]
-    source = "\n\n".join(
-        [
-            head,
-            f'#include "{unit.name}.h"\n\n#include <float.h>\n#include <math.h>',
-            _CALCULATION,
-            *enumeration,
-            *private,
-            *program.constants,
-            *program.helpers(),
-            *program.functions,
-            *definitions,
-        ]
-    )
-    numbered = {word: i for i, word in enumerate(program.words)}
-    return Sources(header, source + "\n", found.setters, found.others, memory, numbered)
 
 
 def _head(unit: Unit, program: Program) -> str:
@@ -274,80 +278,114 @@ def _folded(head: str, arguments: list[str]) -> str:
     return together if len(together) <= WIDTH else f"{head},\n    {', '.join(arguments)})"
 
 
+class _WatchFunction(NamedTuple):
+    """A function of the watch in the header; texts for ``format`` with what ``_watch`` knows."""
+
+    name: str
+    about: str
+    returns: str
+    arguments: str
+    body: str
+
+
+_WATCH = (
+    _WatchFunction(
+        "init", "After switching on: 0 V, until the first reading.", "void", "{state_t} *s", "{begin}"
+    ),
+    _WatchFunction(
+        "command",
+        "A command [V] for the next sample, limited; one that is not finite is refused.",
+        "void",
+        "{both}, {real} value",
+        "    {command}(p, s, value, {zero});",
+    ),
+    _WatchFunction(
+        "command_after",
+        "As before, sent ``interval`` [s] after the command before: commands that are joined need it.",
+        "void",
+        "{both}, {real} value, {real} interval",
+        "    {command}(p, s, value, interval);",
+    ),
+    _WatchFunction(
+        "command_gone",
+        "The upper level has left: its command counts as silent at once.",
+        "void",
+        "{state_t} *s",
+        "    {command_gone}(s);",
+    ),
+    _WatchFunction(
+        "trajectory",
+        "A point [V, V/s, V/s^2] of a trajectory, whose time is ``interval`` [s] after that of the one\n"
+        " * before, 0 if that is not known. It has precedence over commands. False: it is refused.",
+        "bool",
+        "{both}, {real} position, {real} velocity,\n    {real} acceleration, {real} interval",
+        "    const {point_t} point = {{position, velocity, acceleration}};\n"
+        "    return {trajectory}(p, s, &point, interval);",
+    ),
+    _WatchFunction(
+        "trajectory_gone",
+        "The sender of the trajectory has left: commands are taken again.",
+        "void",
+        "{state_t} *s",
+        "    {trajectory_gone}(s);",
+    ),
+    _WatchFunction(
+        "silence",
+        "No sample for ``elapsed`` [s], longer than lvdt.hold_samples: 0 V.",
+        "{real}",
+        "{both}, {real} elapsed",
+        "    return {silence}(p, s, elapsed, false);",
+    ),
+    _WatchFunction(
+        "reset",
+        "The law begins again where the spool is, without a bump; doubts about the LVDT are dropped.",
+        "void",
+        "{both}",
+        "    {reset}(p, s);",
+    ),
+    _WatchFunction(
+        "sample",
+        "One sample: takes in a reading [V], NAN where there is none, before which ``lost`` samples\n"
+        " * were left out; returns the voltage [V]. Bridges up to lvdt.hold_samples, then gives 0 V\n"
+        " * until readings can be believed again. s->trust.blocked: why it is off; s->trust.bridged:\n"
+        " * samples that are bridged now.",
+        "{real}",
+        "{both}, {real} reading, int64_t lost",
+        "    return {sample}(p, s, reading, lost, {zero}, false);",
+    ),
+)
+
+
 def _watch(unit: Unit, program: Program, public: list[Kind], names: list[str]) -> tuple[list[str], list[str]]:
     """Prototypes and definitions of the watch over a law's inputs; none of a law alone."""
     if unit.inner is None:
         return [], []
-    module, real = unit.module, program.real
     (params, state), (params_t, state_t) = public, names
-    words = ("init", "command", "command_after", "command_gone", "trajectory", "trajectory_gone")
-    init, command, after, gone, trajectory, trajectory_gone, silence, reset, sample = (
-        program.unique(f"{unit.name}_watch_{word}") for word in (*words, "silence", "reset", "sample")
-    )
-    point = Kind("record", Motion)
+    heads = [program.unique(f"{unit.name}_watch_{one.name}") for one in _WATCH]
     begin: list[str] = []
-    _begun(program, unit.name, state, begun(module), "s->", begin, 0)
-    commanded = program.translate(module.command, [params, state, REAL, REAL])
-    left = program.translate(module.command_gone, [state])
-    pointed = program.translate(module.trajectory, [params, state, point, REAL])
-    ended = program.translate(module.trajectory_gone, [state])
-    silent = program.translate(module.silence, [params, state, REAL, BOOLEAN])
-    again = program.translate(module.reset, [params, state])
-    sampled = program.translate(module.sample, [params, state, REAL, INTEGER, REAL, BOOLEAN])
-    both, zero = f"const {params_t} *p, {state_t} *s", program.number(0.0)
-    pieces = [
-        ("After switching on: 0 V, until the first reading.", f"void {init}({state_t} *s)", "\n".join(begin)),
-        (
-            "A command [V] for the next sample, limited; one that is not finite is refused.",
-            f"void {command}({both}, {real} value)",
-            f"    {commanded.name}(p, s, value, {zero});",
-        ),
-        (
-            "As before, sent ``interval`` [s] after the command before: commands that are joined need it.",
-            f"void {after}({both}, {real} value, {real} interval)",
-            f"    {commanded.name}(p, s, value, interval);",
-        ),
-        (
-            "The upper level has left: its command counts as silent at once.",
-            f"void {gone}({state_t} *s)",
-            f"    {left.name}(s);",
-        ),
-        (
-            "A point [V, V/s, V/s^2] of a trajectory, whose time is ``interval`` [s] after that of the one\n"
-            " * before, 0 if that is not known. It has precedence over commands. False: it is refused.",
-            f"bool {trajectory}({both}, {real} position, {real} velocity,\n"
-            f"    {real} acceleration, {real} interval)",
-            f"    const {program.type_name(point)} point = {{position, velocity, acceleration}};\n"
-            f"    return {pointed.name}(p, s, &point, interval);",
-        ),
-        (
-            "The sender of the trajectory has left: commands are taken again.",
-            f"void {trajectory_gone}({state_t} *s)",
-            f"    {ended.name}(s);",
-        ),
-        (
-            "No sample for ``elapsed`` [s], longer than lvdt.hold_samples: 0 V.",
-            f"{real} {silence}({both}, {real} elapsed)",
-            f"    return {silent.name}(p, s, elapsed, false);",
-        ),
-        (
-            "The law begins again where the spool is, without a bump; doubts about the LVDT are dropped.",
-            f"void {reset}({both})",
-            f"    {again.name}(p, s);",
-        ),
-        (
-            "One sample: takes in a reading [V], NAN where there is none, before which ``lost`` samples\n"
-            " * were left out; returns the voltage [V]. Bridges up to lvdt.hold_samples, then gives 0 V\n"
-            " * until readings can be believed again. s->trust.blocked: why it is off; s->trust.bridged:\n"
-            " * samples that are bridged now.",
-            f"{real} {sample}({both}, {real} reading, int64_t lost)",
-            f"    return {sampled.name}(p, s, reading, lost, {zero}, false);",
-        ),
-    ]
-    return (
-        [f"/* {about} */\n{head};" for about, head, _ in pieces],
-        [f"{head}\n{{\n{body}\n}}" for _, head, body in pieces],
-    )
+    _begun(program, unit.name, state, begun(unit.module), "s->", begin, 0)
+    point = Kind("record", Motion)
+    arguments = {
+        "command": [params, state, REAL, REAL],
+        "command_gone": [state],
+        "trajectory": [params, state, point, REAL],
+        "trajectory_gone": [state],
+        "silence": [params, state, REAL, BOOLEAN],
+        "reset": [params, state],
+        "sample": [params, state, REAL, INTEGER, REAL, BOOLEAN],
+    }
+    known = {
+        name: program.translate(getattr(unit.module, name), kind).name for name, kind in arguments.items()
+    }
+    known |= {"real": program.real, "zero": program.number(0.0), "begin": "\n".join(begin)}
+    known |= {"state_t": state_t, "both": f"const {params_t} *p, {state_t} *s"}
+    known["point_t"] = program.type_name(point)
+    prototypes, definitions = [], []
+    for name, one in zip(heads, _WATCH, strict=True):
+        head = f"{one.returns} {name}({one.arguments})".format(**known)
+        prototypes.append(f"/* {one.about} */\n{head};")
+        definitions.append(f"{head}\n{{\n{one.body.format(**known)}\n}}")
+    return prototypes, definitions
 
 
 def _exported(unit: Unit, program: Program, kind: Kind, params_t: str) -> tuple[list[str], list[str]]:

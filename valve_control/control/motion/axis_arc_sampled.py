@@ -8,6 +8,7 @@ pressure is differentiated. docs/explanation/axis_arc.md derives it.
 """
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from valve_control.control.motion import axis_arc
@@ -242,6 +243,16 @@ def own_frequency(m: Model, bulk: float, mobility: float) -> float:
     return math.sqrt(bulk * mobility * axis_arc.stiffness(m, 0.5 * m.stroke))
 
 
+def _refuse_fast(rates: Mapping[str, float], period: float) -> None:
+    """Raise ParameterError for one of the ``rates`` [1/s], by name, that ``period`` [s] is too long for."""
+    for name, rate in rates.items():
+        if rate * period > FASTEST:
+            raise ParameterError(
+                f"{NAME}.{name} is {rate:.4g} 1/s; with a sample period of {period:g} s it must be at most "
+                f"{FASTEST / period:g} 1/s"
+            )
+
+
 def build(values: Values, plant: axis.Params, supply: float) -> Params:
     """Params from checked values, for the axis that is known as ``plant`` at a ``supply`` pressure [Pa].
 
@@ -269,13 +280,8 @@ def build(values: Values, plant: axis.Params, supply: float) -> Params:
     )
     model = model_of(plant, supply)
     coupling = of("coupling") or own_frequency(model, begin.bulk, begin.mobility)
-    for name in ("k1", "k2", "k3", "coupling", "observer"):
-        rate = coupling if name == "coupling" else of(name)
-        if rate * period > FASTEST:
-            raise ParameterError(
-                f"{NAME}.{name} is {rate:.4g} 1/s; with a sample period of {period:g} s it must be at most "
-                f"{FASTEST / period:g} 1/s"
-            )
+    rates = {"k1": of("k1"), "k2": of("k2"), "k3": of("k3"), "coupling": coupling}
+    _refuse_fast({**rates, "observer": of("observer")}, period)
     share = of("uncertainty")
     force = of("force_range") / mass
     low = Theta(*(value * (1.0 - share) for value in begin))._replace(force=begin.force - force)

@@ -203,8 +203,8 @@ AXIS_NODES: dict[str, Table] = {
 ROS_NODES: dict[str, Table] = {**NODES, **AXIS_NODES, "valve_driver": VALVE_DRIVER}
 
 
-def axis_params(values: Values) -> axis.Params:
-    """Axis from the values of ``axis_simulator``. Raises ParameterError."""
+def _refuse_impossible(values: Values) -> None:
+    """Raise ParameterError for a start beyond the stroke, or for pressures below one that must be less."""
 
     def of(name: str) -> float:
         return number(values, name)
@@ -218,12 +218,21 @@ def axis_params(values: Values) -> axis.Params:
     for name in ("fluid.tank_pressure", "start.pressure_a", "start.pressure_b"):
         if of(name) < vapour:
             raise ParameterError(f"{name} is {of(name):g} Pa, below fluid.vapour_pressure, {vapour:g} Pa")
-    constant = word(values, "supply.kind") == "constant"
     if of("supply.pressure") < of("fluid.tank_pressure"):
         raise ParameterError(
             f"supply.pressure is {of('supply.pressure'):g} Pa, below fluid.tank_pressure, "
             f"{of('fluid.tank_pressure'):g} Pa"
         )
+
+
+def axis_params(values: Values) -> axis.Params:
+    """Axis from the values of ``axis_simulator``. Raises ParameterError."""
+
+    def of(name: str) -> float:
+        return number(values, name)
+
+    _refuse_impossible(values)
+    constant = word(values, "supply.kind") == "constant"
     coulomb, ratio = of("load.coulomb"), of("load.static_ratio")
     weight = of("load.mass") * GRAVITY * math.sin(math.radians(of("load.inclination")))
     nominal = of("spool.flow") / math.sqrt(of("spool.flow_pressure"))
@@ -263,7 +272,7 @@ def axis_params(values: Values) -> axis.Params:
             relief_time=of("relief.time_constant"),
         ),
         bulk_modulus=of("fluid.bulk_modulus"),
-        vapour=vapour,
+        vapour=of("fluid.vapour_pressure"),
         laminar=of("spool.laminar_pressure"),
         period=of("sample_period"),
         steps=of("integration.steps"),

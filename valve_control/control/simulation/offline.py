@@ -57,6 +57,15 @@ class Run(NamedTuple):
         return np.arange(len(self.command), dtype=np.float64) * self.period
 
 
+class _Loop(NamedTuple):
+    """A law around a plant."""
+
+    law: Law
+    params: Any  # of the law
+    behind: Any  # of the law behind the curve of linearisation
+    plant: Any  # Params
+
+
 def check_agreement(controller_values: Values, valve_values: Values) -> None:
     """Raise ParameterError unless controller and valve have the same sample period and voltage limit."""
     for name in ("sample_period", "u_max"):
@@ -99,46 +108,20 @@ def simulate(
     check_memory(noise_start + n, len(labels))
     random = np.random.default_rng(int(number(valve_values, "seed")))
     noise = random.standard_normal(noise_start + n)[noise_start:]
-    signals = np.zeros((n, len(closed_loop.SIGNALS)))
-    terms = np.zeros((n, len(labels)))
-    plant = registry.plant_of(valve_params).module
-    valve_state = plant.initial(valve_params)
-    first = plant.read(valve_params, valve_state, noise[0])
-    loop_params = linearisation.behind(controller_values, law_params)
-    module = linearisation.module_of(law.module, loop_params)
-    law_state = module.initial(loop_params, Start(first, 0.0, first, 0.0, 0.0))
+    loop = _Loop(law, law_params, linearisation.behind(controller_values, law_params), valve_params)
     lead = command_lead.build(controller_values, law.reshapes(law_params))
     if delivered is None:
         led = command_lead.applied(lead, command)
     else:
         led = delivery.led(lead, delivery.received(controller_values, command, delivered))
-    end = closed_loop.parts(law_state, valve_state)
-    with explained(law.title):
-        for start in range(0, n, PIECE):
-            piece = slice(start, start + PIECE)
-            end = closed_loop.run_valve(
-                module,
-                closed_loop.parts(loop_params, valve_params),
-                end,
-                led[piece],
-                noise[piece],
-                signals[piece],
-                terms[piece],
-                compiled,
-            )
-            if told is not None:
-                told(len(led[piece]))
+    terms = np.zeros((n, len(labels)))
+    signals, end = _ran(loop, led, noise, terms, compiled, told)
     position, measurement, voltage = signals.T
     least = number(controller_values, "oscillation_limit")
     warnings_found = [
-        stability.warning(law, law_params),
-        stability.valve_warning(law, law_params, valve_params),
+        *_unstable(loop, None if alone else controller_values, least, compiled),
+        _cut(law, law_params, terms, build.valve_model(valve_values)),
     ]
-    if not any(warnings_found) and not alone:
-        warnings_found.append(stability.coil_warning(law, law_params, controller_values))
-    if not warnings_found[1]:
-        warnings_found.append(_probe(law, loop_params, valve_params, least, compiled))
-    warnings_found.append(_cut(law, law_params, terms, build.valve_model(valve_values)))
     true_error = position - command
     rest = position[:1]  # from which a command may begin with a step
     answer = steps.answer(np.concatenate([rest, command]), np.concatenate([rest, position]), period)
@@ -153,7 +136,7 @@ def simulate(
         theta=list(end.law.theta) if law.adapts else None,
         indices=indices(measurement - command, voltage, period),
         true_error={"e_M": float(np.max(np.abs(true_error))), "e_rms": rms(true_error)},
-        saturated=float(np.mean(_at_limit(voltage, loop_params, valve_params))),
+        saturated=float(np.mean(_at_limit(voltage, loop.behind, valve_params))),
         limit_cycle=limit_cycle(voltage, command, period, least, compiled),
         warning="; ".join(filter(None, warnings_found)),
         steps=None if answer is None else (float(answer.overshoot), float(answer.settling)),
@@ -204,39 +187,67 @@ def check_memory(samples: float, terms: int = 0) -> None:
         )
 
 
-def _probe(law: Law, law_params: Any, plant: Any, least: float, compiled: bool) -> str:
-    """One sentence if a step brings the loop around ``plant`` into a limit cycle, else "".
+def _ran(
+    loop: _Loop, led: Array, noise: Array, terms: Array, compiled: bool, told: Callable[[int], None] | None
+) -> tuple[Array, Any]:
+    """Signals (n×3) of the ``loop`` from rest under the commands ``led`` [V], n, and its last state.
+
+    ``terms``: n rows for those of the law, or none.
+    """
+    n = len(led)
+    signals = np.zeros((n, len(closed_loop.SIGNALS)))
+    plant = registry.plant_of(loop.plant).module
+    rest = plant.initial(loop.plant)
+    first = plant.read(loop.plant, rest, noise[0])
+    module = linearisation.module_of(loop.law.module, loop.behind)
+    end = closed_loop.parts(module.initial(loop.behind, Start(first, 0.0, first, 0.0, 0.0)), rest)
+    params = closed_loop.parts(loop.behind, loop.plant)
+    with explained(loop.law.title):
+        for start in range(0, n, PIECE):
+            piece = slice(start, start + PIECE)
+            end = closed_loop.run_valve(
+                module, params, end, led[piece], noise[piece], signals[piece], terms[piece], compiled
+            )
+            if told is not None:
+                told(len(led[piece]))
+    return signals, end
+
+
+def _unstable(loop: _Loop, values: Values | None, least: float, compiled: bool) -> list[str]:
+    """Sentences about a loop that is unstable, or may swing by more than ``least`` [V]; "" for none.
+
+    ``values``: of the controller, whose dcarc may know of a coil; None: they are not looked at.
+    """
+    law, params, _, plant = loop
+    found = [stability.warning(law, params), stability.valve_warning(law, params, plant)]
+    on_valve = found[1]
+    if not any(found) and values is not None:
+        found.append(stability.coil_warning(law, params, values))
+    if not on_valve:
+        found.append(_probe(loop, least, compiled))
+    return found
+
+
+def _probe(loop: _Loop, least: float, compiled: bool) -> str:
+    """One sentence if a step brings the ``loop`` into a limit cycle, else "".
 
     The poles know nothing of saturation, friction and adaptation, with which a loop that is stable for small
     motions can go on for ever after a larger one. Tried without noise and drift.
     """
-    if not law.feedback or least == 0.0:
+    if not loop.law.feedback or least == 0.0:
         return ""
-    kind = registry.plant_of(plant)
-    quiet = kind.steady(kind.quiet(plant))
-    n = round(PROBE / plant.period)
-    module = linearisation.module_of(law.module, law_params)
+    period, kind = loop.plant.period, registry.plant_of(loop.plant)
+    quiet = loop._replace(plant=kind.steady(kind.quiet(loop.plant)))
+    n = round(PROBE / period)
+    unheard = np.zeros((0, len(loop.law.term_labels)))
     for height in PROBES:
-        signals = np.zeros((n, len(closed_loop.SIGNALS)))
         command = np.full(n, height)
         command[0] = 0.0
-        rest = kind.module.initial(quiet)
-        first = kind.module.read(quiet, rest, 0.0)
-        begun = module.initial(law_params, Start(first, 0.0, first, 0.0, 0.0))
-        closed_loop.run_valve(
-            module,
-            closed_loop.parts(law_params, quiet),
-            closed_loop.parts(begun, rest),
-            command,
-            np.zeros(n),
-            signals,
-            np.zeros((0, len(law.term_labels))),
-            compiled,
-        )
-        cycle = limit_cycle(signals[:, 2], command, plant.period, least, compiled)
+        signals, _ = _ran(quiet, command, np.zeros(n), unheard, compiled, None)
+        cycle = limit_cycle(signals[:, 2], command, period, least, compiled)
         if cycle is not None and cycle.end > PROBE - PROBE_END:
             return (
-                f"on this valve a step of {height:g} V brings {law.name} into a limit cycle at "
+                f"on this valve a step of {height:g} V brings {loop.law.name} into a limit cycle at "
                 f"{cycle.frequency:.3g} Hz with {cycle.amplitude:.2g} V, although its poles at rest are "
                 "stable; lower the gains"
             )

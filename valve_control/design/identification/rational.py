@@ -138,20 +138,10 @@ def fit(
         )
     size = np.abs(measured.value)
     form, x, free_error = _start(measured, order, zeros, delayed, size, latest)
-    relative = 1.0 / size
-    if weighting == "likelihood":
-        x = _minimise(form, x, measured, relative)
-        model_error = 0.0
-        for _ in range(4):
-            model_error = _model_error(measured, _distance(form, x, measured), count)
-            weight = 1.0 / np.hypot(measured.deviation, model_error * size)
-            x = _minimise(form, x, measured, weight)
-    else:
-        weight = relative if weighting == "relative" else np.ones(len(size))
-        x = _minimise(form, x, measured, weight)
-    model_error = _model_error(measured, _distance(form, x, measured), count)
+    x, weight = _weighted(form, x, measured, weighting, count)
     _check(form, x, measured)
     distance = _distance(form, x, measured)
+    model_error = _model_error(measured, distance, count)
     error = float(np.sqrt(np.mean((distance / size) ** 2)))
     if error > UNSTABLE * free_error:
         raise ParameterError(
@@ -162,13 +152,6 @@ def fit(
     free = max(1, 2 * len(size) - count)
     quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, free))
     model, delay = form.model(x)
-
-    def bound(read: Callable[[Floats], Floats]) -> Floats:
-        slope = _jacobian(read, x)
-        variance = np.einsum("ij,jk,ik->i", slope, covariance, slope)
-        width: Floats = quantile * np.sqrt(np.maximum(variance, 0.0))
-        return width
-
     names = [f"b{i}" for i in range(zeros, -1, -1)] + [f"a{i}" for i in range(order - 1, -1, -1)]
     return Fit(
         order=order,
@@ -177,13 +160,38 @@ def fit(
         weighting=weighting,
         names=(*names, *(["delay"] if delayed else [])),
         values=form.coefficients(x),
-        bounds=bound(form.coefficients),
-        gain_bound=float(bound(lambda v: np.array([form.model(v)[0].static_gain]))[0]),
+        bounds=quantile * _deviations(form.coefficients, x, covariance),
+        gain_bound=float(
+            quantile * _deviations(lambda v: np.array([form.model(v)[0].static_gain]), x, covariance)[0]
+        ),
         error=error,
         model_error=model_error,
         corners=model_corners(model, delay),
         bounded=model_error <= EXPLAINED or float(np.median(measured.deviation / size)) <= EXCITED,
     )
+
+
+def _deviations(read: Callable[[Floats], Floats], x: Floats, covariance: Floats) -> Floats:
+    """Standard deviations of what ``read`` makes of the unknowns ``x``."""
+    slope = _jacobian(read, x)
+    variance = np.einsum("ij,jk,ik->i", slope, covariance, slope)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _weighted(
+    form: _Form, x: Floats, measured: Response, weighting: str, count: int
+) -> tuple[Floats, Floats]:
+    """The ``count`` unknowns from ``x`` on under a ``weighting`` as of ``fit``, and the weights used."""
+    size = np.abs(measured.value)
+    if weighting != "likelihood":
+        weight = 1.0 / size if weighting == "relative" else np.ones(len(size))
+        return _minimise(form, x, measured, weight), weight
+    x = _minimise(form, x, measured, 1.0 / size)
+    for _ in range(4):
+        model_error = _model_error(measured, _distance(form, x, measured), count)
+        weight = 1.0 / np.hypot(measured.deviation, model_error * size)
+        x = _minimise(form, x, measured, weight)
+    return x, weight
 
 
 def criterion(measured: Response, order: int, zeros: int, delayed: bool) -> tuple[float, float]:

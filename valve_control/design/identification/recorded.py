@@ -5,6 +5,7 @@
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from valve_control.control.analysis.timing import leaps, numbered_by_time, true_period
 from valve_control.control.commands import scenarios
@@ -16,11 +17,35 @@ from valve_control.design.identification.response import Segment
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import in_order
 from valve_control.recordings.parameters import Node
-from valve_control.recordings.recording import Recording, ValveRecording, align
+from valve_control.recordings.recording import Aligned, Recording, ValveRecording, align
 
+Integers = npt.NDArray[np.int64]
 STILL = 1e-6  # V within which a voltage does not move
 LOOSE = 0.5  # of a sine's amplitude that jitter of a wall clock may leave
 MARGIN = 0.01  # s by which a schedule may be late
+
+
+def _kept_period(aligned: Aligned, sequence: Integers, notes: list[str]) -> float:
+    """Time [s] between two readings, as told unless the readings show another one."""
+    count, period = len(aligned.time), aligned.period
+    measured = true_period(aligned.stamp, sequence) if aligned.wall else np.nan
+    if not np.isfinite(measured):
+        measured = (aligned.time[-1] - aligned.time[0]) / max(1, count - 1) if count > 1 else period
+    if 0.98 * period < measured < 1.02 * period:
+        return period
+    notes.append(f"the readings came every {1e3 * measured:.4g} ms, not every {1e3 * period:.4g} ms as told")
+    return float(measured)
+
+
+def _numbered(aligned: Aligned, sequence: Integers, period: float, notes: list[str]) -> Integers:
+    """Numbers of the readings from 0 on, with gaps where some were lost."""
+    count = len(aligned.time)
+    if in_order(sequence) and sequence[-1] - sequence[0] < 2 * count:
+        return np.asarray(sequence - sequence[0])
+    if count <= 1:
+        return np.arange(count)
+    notes.append("the readings have no numbers, so lost ones are told by time alone")
+    return numbered_by_time(aligned.stamp, period) if aligned.wall else np.arange(count)
 
 
 def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
@@ -34,21 +59,8 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
     notes = [f"times are {recording.clock.name}", *recording.problems, *valve.doubts]
     count = len(aligned.time)
     sequence = valve.signals["spool_position"].sequence[-count:]
-    measured = true_period(aligned.stamp, sequence) if aligned.wall else np.nan
-    period = aligned.period
-    if not np.isfinite(measured):
-        measured = (aligned.time[-1] - aligned.time[0]) / max(1, count - 1) if count > 1 else period
-    if not 0.98 * period < measured < 1.02 * period:
-        notes.append(
-            f"the readings came every {1e3 * measured:.4g} ms, not every {1e3 * period:.4g} ms as told"
-        )
-        period = float(measured)
-    index = np.arange(count)
-    if in_order(sequence) and sequence[-1] - sequence[0] < 2 * count:
-        index = sequence - sequence[0]
-    elif count > 1:
-        notes.append("the readings have no numbers, so lost ones are told by time alone")
-        index = numbered_by_time(aligned.stamp, period) if aligned.wall else index
+    period = _kept_period(aligned, sequence, notes)
+    index = _numbered(aligned, sequence, period, notes)
     length = int(index[-1]) + 1
     voltage, position, time = (np.full(length, np.nan) for _ in range(3))
     voltage[index], position[index], time[index] = aligned.voltage, aligned.measurement, aligned.time

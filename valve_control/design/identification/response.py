@@ -74,8 +74,7 @@ def stepped(
     A sine, a cosine and a constant are fitted to voltage and position; the residual of the position gives the
     uncertainty. Samples that are NaN are left out. Raises ParameterError if too little is left.
     """
-    points = []
-    notes = []
+    points, notes = [], []
     short: list[str] = []
     distorted = (0.0, 0.0)
     for segment in segments:
@@ -98,11 +97,12 @@ def stepped(
             raise ParameterError(
                 f"{segment.frequency:.4g} Hz has only {len(k)} readings; it needs {LEAST_SAMPLES}"
             )
-        u, _ = _phasor(voltage[k], k, segment.frequency * period)
-        y, noise = _phasor(position[k], k, segment.frequency * period)
-        harmonics = _harmonics(position[k], k, segment.frequency * period) / max(abs(y), 1e-300)
-        if harmonics > max(distorted[0], DISTORTED):
-            distorted = (harmonics, segment.frequency)
+        turns = segment.frequency * period
+        u, _ = _phasor(voltage[k], k, turns)
+        y, noise = _phasor(position[k], k, turns)
+        harmonics = _harmonics(position[k], k, turns) / max(abs(y), 1e-300)
+        if harmonics > DISTORTED:
+            distorted = max(distorted, (harmonics, segment.frequency), key=lambda one: one[0])
         if abs(u) < 1e-6:
             raise ParameterError(
                 f"the voltage does not move at {segment.frequency:.4g} Hz; there is no excitation"
@@ -119,9 +119,9 @@ def stepped(
         points.append((segment.frequency, value, max(deviation, CERTAIN * abs(value)), coherence))
     if len(short) == len(segments) and short:
         raise ParameterError(short[0])
-    notes += [f"left out: {reason}" for reason in short[:1]]
-    if len(short) > 1:
-        notes[-1] += f"; so are {len(short) - 1} more"
+    if short:
+        more = f"; so are {len(short) - 1} more" if len(short) > 1 else ""
+        notes.append(f"left out: {short[0]}{more}")
     if distorted[0] > 0.0:
         notes.append(
             f"the position has harmonics of up to {100.0 * distorted[0]:.3g} % (at {distorted[1]:.4g} Hz): "

@@ -308,65 +308,77 @@ def search(
         told(min(trials.tried, budget))
         return found
 
-    n = len(free)
-    begin, *others = (
-        np.array([0.5 if f is AHEAD else f.to_share(present(f, values)) for f in free])
-        for values in (
-            problem.values,
-            *known,
-            *designs.starts(law, problem, trials.box),
-        )
-    )
-    sobol = scipy.stats.qmc.Sobol(n, rng=np.random.default_rng(seed))
+    given = [problem.values, *known, *designs.starts(law, problem, trials.box)]
+    first = [
+        np.array([0.5 if f is AHEAD else f.to_share(present(f, values)) for f in free]) for values in given
+    ]
+    sobol = scipy.stats.qmc.Sobol(len(free), rng=np.random.default_rng(seed))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a number of points that is no power of two
-        scattered = [begin, *others, *sobol.random(min(SCATTERED, max(1, budget // 25)))]
+        scattered = [*first, *sobol.random(min(SCATTERED, max(1, budget // 25)))]
     held = free.index(LEAD_ACCEL) if LEAD_ACCEL in free else None
     if held is not None:
-        for shares in scattered[1 + len(others) :]:
-            shares[held] = begin[held]
-    main = plan[0]
-    first = judge(scattered, main.chatter).costs
-    if n == 1:  # no covariance to adapt
-        judge(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), main.chatter)
-        trials.front_at_rest()
-        return SearchResult(trials.points, trials.tried, trials.missed)
-    moved = n - (held is not None)
-    fitting = budget // max(EACH, EACH_COVARIANCE * moved * moved)
-    late = LATE * budget
-    if fitting >= STARTS:
-        starts = _starts(scattered, first, STARTS)
+        for shares in scattered[len(first) :]:
+            shares[held] = scattered[0][held]
+    costs = judge(scattered, plan[0].chatter).costs
+    if len(free) == 1:  # no covariance to adapt
+        judge(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), plan[0].chatter)
+    else:
+        _Search(trials, judge, plan, budget, seed, held).go(scattered, costs)
+    trials.front_at_rest()
+    return SearchResult(trials.points, trials.tried, trials.missed)
+
+
+class _Search:
+    """Runs of CMA-ES that share a budget."""
+
+    def __init__(
+        self, trials: _Trials, judge: Judge, plan: Sequence[Phase], budget: int, seed: int, held: int | None
+    ) -> None:
+        self._trials, self._judge, self._plan, self._budget = trials, judge, plan, budget
+        self._seed, self._held = seed, held
+
+    def go(self, scattered: Sequence[Array], costs: Sequence[float]) -> None:
+        """Search for all phases of the plan, from the sets of gains ``scattered`` on, of these ``costs``."""
+        winner = self._begun(scattered, costs)
+        self._let(winner, self._plan[0], self._plan[0].share * self._budget)
+        until = 0.0
+        for number, phase in enumerate(self._plan):
+            until += phase.share * self._budget
+            end = min(self._budget, round(until))
+            restart = 0
+            while self._trials.tried < end:
+                self._trials.front_at_rest()
+                best = self._trials.best(phase.chatter)
+                place = winner.best if best is None else np.array(best.shares)
+                again = _Run(place, self._held, LATER_STEP, self._seed + 100 * (number + 1) + restart)
+                self._let(again, phase, end)
+                if again.least < winner.least:
+                    winner = again
+                restart += 1
+
+    def _begun(self, scattered: Sequence[Array], costs: Sequence[float]) -> _Run:
+        """The main run, from the best of a few places if the budget is large enough for these."""
+        moved = len(scattered[0]) - (self._held is not None)
+        fitting = self._budget // max(EACH, EACH_COVARIANCE * moved * moved)
+        if fitting < STARTS:
+            best = scattered[int(np.argmin(costs))]
+            step, population = (LONE_STEP, LONE_POPULATION) if fitting else (FIRST_STEPS[0], POPULATION)
+            return _Run(best, self._held, step, self._seed + 1, population)
         runs = [
-            _Run(start, held, FIRST_STEPS[i % len(FIRST_STEPS)], seed + i + 1)
-            for i, start in enumerate(starts)
+            _Run(start, self._held, FIRST_STEPS[i % len(FIRST_STEPS)], self._seed + i + 1)
+            for i, start in enumerate(_starts(scattered, costs, STARTS))
         ]
         for share in ROUNDS:
             if len(runs) == 1:
                 break
             for run in runs:
-                run.go(judge, main.chatter, trials, trials.tried + share * budget, late)
+                self._let(run, self._plan[0], self._trials.tried + share * self._budget)
             runs = sorted(runs, key=lambda run: run.least)[: len(runs) // 2]
-        winner = _Run(runs[0].best, held, LAST_STEP, seed + STARTS + 1, LAST_POPULATION)
-    elif fitting:
-        winner = _Run(scattered[int(np.argmin(first))], held, LONE_STEP, seed + 1, LONE_POPULATION)
-    else:
-        winner = _Run(scattered[int(np.argmin(first))], held, FIRST_STEPS[0], seed + 1)
-    winner.go(judge, main.chatter, trials, main.share * budget, late)
-    until = 0.0
-    for number, phase in enumerate(plan):
-        until += phase.share * budget
-        restart = 0
-        while trials.tried < min(budget, round(until)):
-            trials.front_at_rest()
-            best = trials.best(phase.chatter)
-            place = winner.best if best is None else np.array(best.shares)
-            again = _Run(place, held, LATER_STEP, seed + 100 * (number + 1) + restart)
-            again.go(judge, phase.chatter, trials, min(budget, round(until)), late)
-            if again.least < winner.least:
-                winner = again
-            restart += 1
-    trials.front_at_rest()
-    return SearchResult(trials.points, trials.tried, trials.missed)
+        return _Run(runs[0].best, self._held, LAST_STEP, self._seed + STARTS + 1, LAST_POPULATION)
+
+    def _let(self, run: _Run, phase: Phase, until: float) -> None:
+        run.go(self._judge, phase.chatter, self._trials, until, LATE * self._budget)
 
 
 def _starts(scattered: Sequence[Array], costs: Sequence[float], count: int) -> list[Array]:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tunes one law: search in each of its variants, choice of one point of the front, verification."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -103,11 +104,9 @@ def tuned(
 ) -> Tuned:
     """Tune ``law`` on ``problem`` with ``budget`` sets of gains in each variant, and verify on ``unseen``.
 
-    The gains of the parameters ``known`` are among the first that are tried.
-
-    ``told`` gets the sets of gains tried so far, ``verifying`` the number of points that were verified before
-    the one that comes next. Raises ParameterError, one sentence, if no gains keep the margins, or none of
-    those that do fits ``aim``.
+    The gains of the parameters ``known`` are among the first that are tried. ``told`` gets the sets of gains
+    tried so far, ``verifying`` the number of points that were verified before the one that comes next. Raises
+    ParameterError, one sentence, if no gains keep the margins, or none of those that do fits ``aim``.
     """
     points: list[tuple[Mapping[str, Value], EvaluatedGains]] = []
     tried = missed = 0
@@ -128,17 +127,16 @@ def tuned(
     owner = {id(point): variant for variant, point in points}
     front = search.front([point for _, point in points])
     chosen: Chosen | None = None
-    verified = 0
+    verified = itertools.count()
     for wanted in _aims(front, aim):
         refused: list[EvaluatedGains] = []
         for point in ranked(front, wanted):
             if any(_near(point, other) for other in refused):
                 continue
-            verifying(verified)
+            verifying(next(verified))
             variant = owner[id(point)]
             there = unseen._replace(values=updated(CONTROLLER, unseen.values, variant))
             judged = verification.verified(law, there, point.gains, wanted.chatter, workers)
-            verified += 1
             if chosen is None or not judged.reasons:
                 chosen, aim = Chosen(variant, point, judged), wanted
             if chosen.holds:

@@ -94,11 +94,6 @@ def verified(
         reasons.append(
             f"steps are overshot by {100.0 * overshot:.2g} %, above {100.0 * problem.limits.overshoot:g} %"
         )
-    uneven = None
-    if not problem.preview and problem.delivery is None:
-        period = number(problem.values, "sample_period")
-        late = problem._replace(delivery=Delivery(period, UNEVEN * period, problem.seed))
-        uneven = trial.run(law, late, [gains], workers)[0].chatter
     return Verified(
         seen=seen,
         unseen=unseen,
@@ -108,8 +103,17 @@ def verified(
         reasons=reasons,
         overshoot=overshot,
         settling=settling,
-        uneven_chatter=uneven,
+        uneven_chatter=_uneven_chatter(law, problem, gains, workers),
     )
+
+
+def _uneven_chatter(law: Law, problem: Problem, gains: GainSet, workers: Workers) -> float | None:
+    """c_u where commands come unevenly; None: the problem has a delivery of its own, or knows them ahead."""
+    if problem.preview or problem.delivery is not None:
+        return None
+    period = number(problem.values, "sample_period")
+    late = problem._replace(delivery=Delivery(period, UNEVEN * period, problem.seed))
+    return trial.run(law, late, [gains], workers)[0].chatter
 
 
 def _margins_missed(limits: trial.TuningLimits, worst: dict[str, float | None]) -> list[str]:

@@ -238,46 +238,45 @@ def disturbed(name: str, run: Measured) -> str:
     )
 
 
-def report(runs: list[tuple[DemoRun, Measured]], folder: Path) -> bool:
-    """Print the tables, write JSON and figure; whether all runs show what the laws do."""
-    result: list[dict[str, Any]] = []
-    print(f"\n{HEADER}")
-    for run, measured in runs:
-        over_dds = indices(measured.measurement - measured.command, measured.voltage, measured.period)
-        twin, warning = offline_twin(run, measured.lead, measured.joined, measured.held)
-        law = values_of(run)["controller"]
-        saturated = float(np.mean(np.abs(measured.voltage) >= float(str(law["u_max"]))))
-        least = float(str(law["oscillation_limit"]))
-        cycle = limit_cycle.limit_cycle(measured.voltage, measured.command, measured.period, least)
-        worst = max(abs(a / b - 1.0) for a, b in zip(over_dds, twin, strict=True) if b != 0.0)
-        print(index_row(run.name, over_dds))
-        print(index_row("  offline", twin))
-        paper = PAPER_TABLE_1.get(run.name)
-        if paper is not None:
-            print(index_row("  paper", paper))
-        said = limit_cycle.in_words(saturated, cycle)
-        if said:
-            print(f"{run.name}: {said}")
-        if warning:
-            print(f"warning: {warning}", file=sys.stderr)
-        p50, p99 = np.percentile(measured.latency, [50, 99])
-        result.append(
-            {
-                "controller": run.name,
-                "scenario": run.group,
-                "indices": over_dds._asdict(),
-                "offline": twin._asdict(),
-                "paper": paper._asdict() if paper is not None else None,
-                "worst_deviation_from_offline": worst,
-                **limit_cycle.as_dict(saturated, cycle),
-                "warning": warning or None,
-                "samples": len(measured.measurement),
-                "lost": measured.lost,
-                "longest_pause_of_commands_s": measured.pause,
-                "rate_hz": measured.rate,
-                "latency_s": {"p50": p50, "p99": p99, "max": float(np.max(measured.latency))},
-            }
-        )
+def _beside_twin(run: DemoRun, measured: Measured) -> dict[str, Any]:
+    """Print the indices of a run, of its offline twin and of the paper; all of it for JSON."""
+    over_dds = indices(measured.measurement - measured.command, measured.voltage, measured.period)
+    twin, warning = offline_twin(run, measured.lead, measured.joined, measured.held)
+    law = values_of(run)["controller"]
+    saturated = float(np.mean(np.abs(measured.voltage) >= float(str(law["u_max"]))))
+    least = float(str(law["oscillation_limit"]))
+    cycle = limit_cycle.limit_cycle(measured.voltage, measured.command, measured.period, least)
+    worst = max(abs(a / b - 1.0) for a, b in zip(over_dds, twin, strict=True) if b != 0.0)
+    print(index_row(run.name, over_dds))
+    print(index_row("  offline", twin))
+    paper = PAPER_TABLE_1.get(run.name)
+    if paper is not None:
+        print(index_row("  paper", paper))
+    said = limit_cycle.in_words(saturated, cycle)
+    if said:
+        print(f"{run.name}: {said}")
+    if warning:
+        print(f"warning: {warning}", file=sys.stderr)
+    p50, p99 = np.percentile(measured.latency, [50, 99])
+    return {
+        "controller": run.name,
+        "scenario": run.group,
+        "indices": over_dds._asdict(),
+        "offline": twin._asdict(),
+        "paper": paper._asdict() if paper is not None else None,
+        "worst_deviation_from_offline": worst,
+        **limit_cycle.as_dict(saturated, cycle),
+        "warning": warning or None,
+        "samples": len(measured.measurement),
+        "lost": measured.lost,
+        "longest_pause_of_commands_s": measured.pause,
+        "rate_hz": measured.rate,
+        "latency_s": {"p50": p50, "p99": p99, "max": float(np.max(measured.latency))},
+    }
+
+
+def _print_timing(result: list[dict[str, Any]]) -> None:
+    """Print rates and latencies, and how far the indices are from those of the offline runs."""
     print(
         f"\n{'':14}{'rate [Hz]':>10}{'samples':>9}{'lost':>6}"
         f"{'LVDT to voltage [ms]: p50':>28}{'p99':>8}{'max':>8}"
@@ -295,6 +294,13 @@ def report(runs: list[tuple[DemoRun, Measured]], folder: Path) -> bool:
             f"{100.0 * entry['worst_deviation_from_offline']:.1f} % "
             f"(longest pause of the upper level {1e3 * entry['longest_pause_of_commands_s']:.1f} ms)"
         )
+
+
+def report(runs: list[tuple[DemoRun, Measured]], folder: Path) -> bool:
+    """Print the tables, write JSON and figure; whether all runs show what the laws do."""
+    print(f"\n{HEADER}")
+    result = [_beside_twin(run, measured) for run, measured in runs]
+    _print_timing(result)
     outputs.write(str(folder / "demo.json"), outputs.as_json(result))
     groups: dict[str, dict[str, Trace]] = {}
     for run, measured in runs:

@@ -29,7 +29,7 @@ from valve_control.nodes.harness.processes import (
     tool_options,
     wait_until,
 )
-from valve_control.parameter import lookup, number
+from valve_control.parameter import lookup
 
 Array = npt.NDArray[np.float64]
 
@@ -41,6 +41,7 @@ FIXED: dict[str, dict[str, Any]] = {
     "command_source": {"trigger": "lockstep", "listeners": 1},
     "valve_simulator": {"clock": "lockstep", "listeners": 3},
 }
+Told = Callable[[Mapping[str, Any], int], None]  # processes by node, and the samples done
 MEET = 1.0  # s in which everyone discovers everyone
 LISTENED = ("spool_position", "valve_voltage")
 STALL = 20.0  # s without a sample after which the run is given up
@@ -67,7 +68,7 @@ def run_lockstep(
     config: Sequence[str],
     settings: Mapping[str, Mapping[str, Any]],
     folder: Path,
-    watch: Callable[[Mapping[str, Any], int], None] = lambda children, done: None,
+    watch: Told = lambda children, done: None,
 ) -> Heard:
     """Run the nodes in lockstep for the command's duration; ``settings`` by node win over ``config``.
 
@@ -77,53 +78,24 @@ def run_lockstep(
     own = {node: {**settings.get(node, {}), **fixed} for node, fixed in FIXED.items()}
     values = {node: node_values(node, config, own[node]) for node in own}
     command = build.commands(values["command_source"])
-    period, wanted = number(values["controller"], "sample_period"), len(command)
     twin = offline.simulate(values["controller"], values["valve_simulator"], command)
     listener = Listener("lockstep", ("valve_voltage",))
-    resident: list[list[int]] = []
     try:
         with ExitStack() as stack:
             processes = {}
             for node in own:
                 log = folder / f"lockstep_{name}_{node}.log"
-                arguments = node_arguments(node, config, own[node])
-                processes[node] = stack.enter_context(process(node, arguments, log))
-            children = list(processes.values())
-            progress = stack.enter_context(bar(name, wanted * period))
-            wait_until(lambda: listener.count_publishers("valve_voltage") == 1, "the controller", children)
-            wait_until(lambda: listener.count_publishers("spool_position") == 1, "the simulator", children)
-            time.sleep(MEET)
-            # The simulator begins when the last of its listeners is there, which is this one.
-            listener.listen("spool_position")
-            voltages = listener.sequence["valve_voltage"]
-            done = 0
-            moved = time.monotonic()
-            look = moved + MEMORY_EVERY / 2.0
-            while done < wanted:
-                listener.fetch()
-                if voltages and voltages[-1] == 0:
-                    raise RuntimeError(needs_numbers("lockstep"))
-                now = time.monotonic()
-                before, done = done, min(voltages[-1] if voltages else 0, wanted)
-                if done > before:
-                    moved = now
-                    progress.update(min((done - before) * period, wanted * period - progress.n))
-                elif now - moved > STALL:
-                    raise RuntimeError(f"{name}: lockstep stands still at sample {done}")
-                if any(child.poll() is not None for child in children):
-                    raise RuntimeError(f"{name}: a node ended at sample {done}")
-                if now >= look:
-                    look = now + MEMORY_EVERY
-                    resident.append([memory(child.pid) for child in children])
-                watch(processes, done)
-                time.sleep(0.05)
+                processes[node] = stack.enter_context(
+                    process(node, node_arguments(node, config, own[node]), log)
+                )
+            resident = _heard_out(name, listener, processes, twin, watch)
     finally:
         listener.destroy_node()
     samples = {}
     for topic in LISTENED:
         numbers = np.array(listener.sequence[topic]) - 1
-        inside = numbers < wanted
-        samples[topic] = np.full(wanted, np.nan)
+        inside = numbers < len(command)
+        samples[topic] = np.full(len(command), np.nan)
         samples[topic][numbers[inside]] = listener.arrays(topic)[0][inside]
     differing: list[int] = []
     for topic, expected in zip(LISTENED, (twin.measurement, twin.voltage), strict=True):
@@ -135,7 +107,7 @@ def run_lockstep(
     result = {
         "name": name,
         "controller": twin.controller,
-        "samples": wanted,
+        "samples": len(command),
         "heard": {topic: int(np.count_nonzero(np.isfinite(got))) for topic, got in samples.items()},
         "equal": not differing,
         "first_difference": min(differing) if differing else None,
@@ -143,10 +115,47 @@ def run_lockstep(
         "offline_voltage_at_end_V": float(twin.voltage[-1]),
         "wall_s": float(took),
         "samples_per_s": float(made / took),
-        "times_real_time": float(made * period / took),
+        "times_real_time": float(made * twin.period / took),
         "resident_kB": {node: [row[i] for row in resident] for i, node in enumerate(own)},
     }
     return Heard(twin, samples, result)
+
+
+def _heard_out(
+    name: str, listener: Listener, processes: Mapping[str, Any], twin: Run, watch: Told
+) -> list[list[int]]:
+    """Listen until all samples of ``twin`` are done; the memory [kB] of the ``processes`` now and then."""
+    children, period, wanted = list(processes.values()), twin.period, len(twin.command)
+    resident: list[list[int]] = []
+    with bar(name, wanted * period) as progress:
+        wait_until(lambda: listener.count_publishers("valve_voltage") == 1, "the controller", children)
+        wait_until(lambda: listener.count_publishers("spool_position") == 1, "the simulator", children)
+        time.sleep(MEET)
+        # The simulator begins when the last of its listeners is there, which is this one.
+        listener.listen("spool_position")
+        voltages = listener.sequence["valve_voltage"]
+        done = 0
+        moved = time.monotonic()
+        look = moved + MEMORY_EVERY / 2.0
+        while done < wanted:
+            listener.fetch()
+            if voltages and voltages[-1] == 0:
+                raise RuntimeError(needs_numbers("lockstep"))
+            now = time.monotonic()
+            before, done = done, min(voltages[-1] if voltages else 0, wanted)
+            if done > before:
+                moved = now
+                progress.update(min((done - before) * period, wanted * period - progress.n))
+            elif now - moved > STALL:
+                raise RuntimeError(f"{name}: lockstep stands still at sample {done}")
+            if any(child.poll() is not None for child in children):
+                raise RuntimeError(f"{name}: a node ended at sample {done}")
+            if now >= look:
+                look = now + MEMORY_EVERY
+                resident.append([memory(child.pid) for child in children])
+            watch(processes, done)
+            time.sleep(0.05)
+    return resident
 
 
 def heard_enough(result: Mapping[str, Any]) -> bool:

@@ -255,17 +255,15 @@ def _recovered(path: Path, storage: str, files: Sequence[Path], keep: bool) -> R
     made = _made(storage, in_order(inventories, [inventory.head for inventory in inventories]))
     order = {name: at for at, name in enumerate(made.relative_file_paths)}
     done.sort(key=lambda entry: order.get(entry.name, len(order)))
-    fits = not path.is_dir() or _fits(told, made)
-    kept = ""
-    if not fits:
-        for file in folds:
-            try:
-                _fold(file)
-            except sqlite3.Error as error:
-                raise BagError(f"{file} cannot be repaired: {reason(error)}") from error
-            done = [entry._replace(repaired=True) if entry.name == file.name else entry for entry in done]
-        kept = _write_metadata(path, told, made, keep)
-    return Recovered(path, tuple(done), not fits or any(file.repaired for file in done), kept)
+    if not path.is_dir() or _fits(told, made):
+        return Recovered(path, tuple(done), any(file.repaired for file in done), "")
+    for file in folds:
+        try:
+            _fold(file)
+        except sqlite3.Error as error:
+            raise BagError(f"{file} cannot be repaired: {reason(error)}") from error
+        done = [entry._replace(repaired=True) if entry.name == file.name else entry for entry in done]
+    return Recovered(path, tuple(done), True, _write_metadata(path, told, made, keep))
 
 
 def _is_copy(one: _Inventory, other: _Inventory, folder: Path) -> bool:

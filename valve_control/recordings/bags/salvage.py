@@ -11,7 +11,7 @@ import re
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -119,6 +119,20 @@ class _Chunk(NamedTuple):
         )
 
 
+def _agree(told: Statistics | None, messages: int, chunks: int, times: Sequence[int]) -> bool:
+    """Whether a file has the ``messages`` and ``chunks`` that it tells, with the log ``times`` [ns]."""
+    if told is None:
+        return not messages
+    # The library of C++ takes a start at 0 for none.
+    first, last = (min(times), max(times)) if times else (0, 0)
+    ends = not times or told.message_end_time == last
+    return (
+        (told.message_count, told.chunk_count) == (messages, chunks)
+        and ends
+        and first in (0, told.message_start_time)
+    )
+
+
 class Salvage:
     """Reads an MCAP file, however damaged. Raises OSError."""
 
@@ -190,15 +204,7 @@ class Salvage:
             footer = footer or piece.opcode == Opcode.FOOTER
         whole = whole and header and footer and told.keys() == places.keys() and repeated >= counts.keys()
         whole = whole and all(place.is_indexed and place.fits(told[at]) for at, place in places.items())
-        if statistics is not None:
-            whole = whole and (statistics.message_count, statistics.chunk_count) == (messages, chunks)
-            # The library of C++ takes a start at 0 for none.
-            first, last = (min(times), max(times)) if times else (0, 0)
-            whole = whole and (not times or statistics.message_end_time == last)
-            whole = whole and first in (0, statistics.message_start_time)
-        whole = whole and (statistics is not None or not messages)
-        if whole:
-            whole = self._summary_is_sound()
+        whole = whole and _agree(statistics, messages, chunks, times) and self._summary_is_sound()
         expected = messages if footer and not (skipped or doubtful) else None
         if statistics is not None:
             expected = statistics.message_count
