@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from valve_control.control.laws.registry import LAWS as REGISTERED
 from valve_control.control.laws.signals import Start
+from valve_control.control.linear.linear_loop import flatten, unflatten
 from valve_control.control.parameters import build
-from valve_control.control.parameters.linear_loop import flatten, unflatten
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant import valve
 from valve_control.control.simulation import batch, offline

@@ -24,10 +24,11 @@ from valve_control import outputs
 from valve_control.control.commands import arrays
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.linear import margins
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.simulation import robustness
-from valve_control.design.tuning import box, limit_cycles, margins, pauses, search, trial, tuner
+from valve_control.design.tuning import box, limit_cycles, pauses, search, trial, tuner
 from valve_control.design.tuning.trial import GainSet
 from valve_control.parameter import ParameterError, Value, defaults, updated
 

@@ -29,6 +29,7 @@ from valve_control.cli.commission import CHATTER
 from valve_control.cli.common import Parser, check_processes
 from valve_control.control.compiling import sources_digest
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.linear import margins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
 from valve_control.control.plant import registry
@@ -40,7 +41,7 @@ from valve_control.design.commissioning import model, sequence
 from valve_control.design.commissioning.bench import Fault, SafetyLimits
 from valve_control.design.commissioning.plan import Plan, check
 from valve_control.design.commissioning.plant import EXPLAINED
-from valve_control.design.tuning import box, limit_cycles, margins, search, trial
+from valve_control.design.tuning import box, limit_cycles, search, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
 from valve_control.parameter import ParameterError, Value, Values, defaults, number, updated, word
 

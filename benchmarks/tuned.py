@@ -20,10 +20,11 @@ import tqdm
 
 from valve_control import outputs
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.linear import margins
 from valve_control.control.parameters import files
-from valve_control.control.parameters.stability import FREE
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
+from valve_control.control.plant.valve import FREE
 from valve_control.control.simulation import batch
 from valve_control.control.simulation.comparison import (
     NOISE_SEED,
@@ -34,7 +35,7 @@ from valve_control.control.simulation.comparison import (
     summary,
     valves,
 )
-from valve_control.design.tuning import limit_cycles, margins, trial, tuner
+from valve_control.design.tuning import limit_cycles, trial, tuner
 from valve_control.parameter import Value, defaults, updated, word
 
 SEEDS = {"tune": 100, "verify": 555, "measure": 999, "check": 20261122}

@@ -12,10 +12,11 @@ import pytest
 from made import Run, write
 
 from valve_control.control.laws.registry import LAWS, REFUSED
+from valve_control.control.linear import margins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.simulation import batch, offline
-from valve_control.design.tuning import margins, search, trial
+from valve_control.design.tuning import search, trial
 from valve_control.export import folder, unit
 from valve_control.parameter import defaults, updated
 from valve_control.recordings import shadow

@@ -7,6 +7,9 @@ system: the observer, and a valve of other gain, speed, dead time and flow force
 scales feedback and feedforward alike, so that gain·(1 + θ1) is the gain of the loop. The boxes of valves are
 those of docs/explanation/laws/dcarc.md; they are drawn larger and smaller, to show where the loop breaks and
 what of the valve breaks it.
+
+Matrices and responses are derived from the law's numbers here, apart from ``control.linear``, which
+differentiates the law's step: test/theorems/test_loop.py compares both.
 """
 
 import math

@@ -13,7 +13,8 @@ import scipy.optimize
 from research.theorems import bench
 from research.theorems.bench import Array, Progress
 from valve_control.control.laws import oarc
-from valve_control.control.parameters import build, stability
+from valve_control.control.linear import stability
+from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES
 from valve_control.control.simulation import offline
 from valve_control.parameter import Values, defaults, number, updated

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import linear_loop
-from valve_control.control.parameters.stability import FREE, IDEAL
+from valve_control.control.linear import linear_loop
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.valve import FREE, IDEAL
 from valve_control.design.commissioning.model import Known, controller_values
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Friction, Rest

@@ -13,6 +13,7 @@ from supervised import Steps, SupervisedValve
 from benchmarks import solenoid
 from research import coil
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.linear import margins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import TransferFunction
@@ -21,7 +22,7 @@ from valve_control.design.commissioning.bench import Fault, SafetyLimits
 from valve_control.design.commissioning.magnet import Magnet
 from valve_control.design.commissioning.plan import Plan
 from valve_control.design.commissioning.statics import Friction, Rest
-from valve_control.design.tuning import designs, margins, trial, tuner
+from valve_control.design.tuning import designs, trial, tuner
 from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001

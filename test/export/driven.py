@@ -13,7 +13,7 @@ import pytest
 
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws.signals import Start
-from valve_control.control.parameters.linear_loop import flatten
+from valve_control.control.linear.linear_loop import flatten
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.export import sources, unit
 from valve_control.parameter import ParameterError, defaults

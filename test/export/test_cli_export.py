@@ -15,7 +15,7 @@ import pytest
 from driven import COMPILERS
 
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters.linear_loop import flatten
+from valve_control.control.linear.linear_loop import flatten
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.export import folder, settable, sources, unit
 from valve_control.export.library import Library

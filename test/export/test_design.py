@@ -13,7 +13,7 @@ import pytest
 from driven import random_value
 
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters.linear_loop import flatten
+from valve_control.control.linear.linear_loop import flatten
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.export import design, samples, settable, unit
 from valve_control.export.library import Library

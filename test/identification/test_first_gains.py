@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import stability
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
@@ -61,7 +60,7 @@ def test_every_law_settles_on_valves_around_it(model, delay, noise):
         numerator = tuple(c * speed ** (i + 2) for i, c in enumerate(model.numerator))
         late = valve.Lvdt(0.0, 0.0, 0.0, delay / PERIOD + random.uniform(0.0, 1.0))
         plants.append(
-            valve.design(TransferFunction(numerator, denominator), PERIOD, U_MAX, gain, stability.FREE, late)
+            valve.design(TransferFunction(numerator, denominator), PERIOD, U_MAX, gain, valve.FREE, late)
         )
     command = np.full(6000, STEP)
     values = updated(CONTROLLER, defaults(CONTROLLER), made.values)

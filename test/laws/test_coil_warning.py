@@ -10,7 +10,7 @@ import pytest
 
 from research import coil
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import stability
+from valve_control.control.linear import stability
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import TransferFunction
@@ -29,7 +29,7 @@ def test_the_warning_has_the_pole_of_the_loop_with_the_coil(name, law):
     params = LAWS[law].build(values)
     said = stability.coil_warning(LAWS[law], params, values)
     model = TransferFunction(tuple(values["dcarc.numerator"]), tuple(values["dcarc.denominator"]))
-    plant = valve.design(model, params.period, params.u_max, 1.25, stability.FREE, stability.IDEAL)
+    plant = valve.design(model, params.period, params.u_max, 1.25, valve.FREE, valve.IDEAL)
     pole = stability.dominant_pole(LAWS[law], params, plant)
     found = re.search(
         r"pole of the sampled loop: ([\d.]+), at ([\d.]+) Hz: dcarc.coil, .* is (\d+)° there", said

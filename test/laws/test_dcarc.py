@@ -19,7 +19,8 @@ from valve_control.control.commands import arrays, scenarios
 from valve_control.control.laws import dcarc, dcarc_design, least_squares, reshaping
 from valve_control.control.laws.least_squares import Weights
 from valve_control.control.laws.signals import Start
-from valve_control.control.parameters import files, stability
+from valve_control.control.linear import stability
+from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
@@ -71,7 +72,7 @@ def params(model=FOURTH_ORDER, **changes):
 
 
 def plant(model=FOURTH_ORDER, period=PERIOD, delay=0.0, **changes):
-    made = valve.design(model, period, 10.0, 1.0, stability.FREE, valve.Lvdt(0.0, 0.0, 0.0, delay / period))
+    made = valve.design(model, period, 10.0, 1.0, valve.FREE, valve.Lvdt(0.0, 0.0, 0.0, delay / period))
     return made._replace(disturbance=made.disturbance._replace(**changes))
 
 

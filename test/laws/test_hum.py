@@ -12,11 +12,11 @@ from valve_control.control.analysis.indices import rms
 from valve_control.control.laws import dcarc, dcarc_design
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
+from valve_control.control.linear import margins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import models
 from valve_control.control.simulation import comparison, offline
-from valve_control.design.tuning import margins
 from valve_control.parameter import ParameterError, updated
 
 PERIOD = 0.001

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from valve_control.control.laws import command_lead, dcarc, dcarc_design, magnet, reshaping
 from valve_control.control.laws.signals import Start
-from valve_control.control.parameters import stability
+from valve_control.control.linear import stability
 from valve_control.control.plant.models import D3FXE
 from valve_control.control.simulation import comparison
 from valve_control.design.tuning import trial

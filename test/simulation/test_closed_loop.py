@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from valve_control.control.laws import registry
-from valve_control.control.parameters import build, stability
+from valve_control.control.linear import stability
+from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND, NODES
 from valve_control.control.simulation import offline
 from valve_control.parameter import ParameterError, defaults, updated

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from valve_control.control.laws import pid
-from valve_control.control.parameters import build, stability
+from valve_control.control.linear import stability
+from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.parameter import defaults, updated
 

@@ -17,7 +17,7 @@ from research.theorems import bench
 from valve_control.control.laws import design, oarc, pid, projection, reshaping, velocity
 from valve_control.control.laws.projection import Theta
 from valve_control.control.laws.signals import Start
-from valve_control.control.parameters import linear_loop
+from valve_control.control.linear import linear_loop
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER
 from valve_control.parameter import defaults, updated

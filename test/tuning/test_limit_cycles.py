@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import linear_loop
-from valve_control.control.parameters.stability import FREE, IDEAL
+from valve_control.control.linear import linear_loop, many_states, margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER
-from valve_control.control.simulation import batch, comparison, many_states
-from valve_control.design.tuning import limit_cycles, margins, trial
+from valve_control.control.plant.valve import FREE, IDEAL
+from valve_control.control.simulation import batch, comparison
+from valve_control.design.tuning import limit_cycles, trial
 from valve_control.design.tuning.trial import GainSet, TuningMotion
 from valve_control.parameter import ParameterError, defaults, updated
 

@@ -14,10 +14,11 @@ from valve_control.control.laws import reshaping
 from valve_control.control.laws.free import DIGITS, Free, one, placed, present
 from valve_control.control.laws.law import LawError, check
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.linear import margins
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.simulation import robustness
-from valve_control.design.tuning import box, limit_cycles, margins, pauses, search, trial, tuner, verification
+from valve_control.design.tuning import box, limit_cycles, pauses, search, trial, tuner, verification
 from valve_control.design.tuning.search import EvaluatedGains
 from valve_control.design.tuning.trial import GainSet
 from valve_control.parameter import ParameterError, defaults, updated

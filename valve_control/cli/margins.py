@@ -13,7 +13,7 @@ from valve_control.cli.study import box_of
 from valve_control.parameter import ParameterError, word
 
 if TYPE_CHECKING:
-    from valve_control.design.tuning.margins import Margins
+    from valve_control.control.linear.margins import Margins
 
 SEED = 1  # of the valves within the box
 
@@ -44,11 +44,11 @@ def add_commands(commands: Any) -> None:
 
 def _margins(arguments: argparse.Namespace) -> None:
     from valve_control.control.laws.registry import LAWS
-    from valve_control.control.parameters import build, stability
+    from valve_control.control.linear import margins, stability
+    from valve_control.control.parameters import build
     from valve_control.control.plant import registry
     from valve_control.control.simulation import offline
     from valve_control.design.tuning import box as boxes
-    from valve_control.design.tuning import margins
 
     check_outputs(arguments)
     if arguments.fix and not arguments.box:

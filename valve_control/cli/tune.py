@@ -749,7 +749,8 @@ def _result(
 
 
 def _print(found: dict[str, "Tuned"]) -> None:
-    from valve_control.design.tuning import margins, verification
+    from valve_control.control.linear import margins
+    from valve_control.design.tuning import verification
 
     if not found:
         return

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from valve_control.control.laws.signals import Start
-from valve_control.control.parameters.linear_loop import flatten, unflatten
+from valve_control.control.linear.linear_loop import flatten, unflatten
 from valve_control.export import compiler, sources
 from valve_control.export.unit import Unit
 

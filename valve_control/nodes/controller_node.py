@@ -21,7 +21,8 @@ from std_srvs.srv import Trigger
 
 from valve_control import parameter
 from valve_control.control.laws.registry import LAWS, REFUSED
-from valve_control.control.parameters import arguments, build, files, stability
+from valve_control.control.linear import stability
+from valve_control.control.parameters import arguments, build, files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.supervision.cache_warming import CacheWarming
 from valve_control.control.supervision.journal import OBSERVED, Journal

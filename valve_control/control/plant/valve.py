@@ -50,6 +50,10 @@ class Lvdt(NamedTuple):
     delay: float  # periods
 
 
+FREE = Disturbance(0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of friction and of everything else
+IDEAL = Lvdt(0.0, 0.0, 0.0, 0.0)
+
+
 class Params(NamedTuple):
     """One valve at one sample period."""
 

@@ -24,7 +24,7 @@ from valve_control.control.compiling import LANES, compile_function, explained
 from valve_control.control.laws import linearisation
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
-from valve_control.control.parameters import linear_loop
+from valve_control.control.linear import linear_loop
 from valve_control.control.plant import registry, valve
 from valve_control.control.plant.plant import Plant
 from valve_control.control.simulation import measures, singly
@@ -225,7 +225,8 @@ def run_block(
 
 @cache
 def _compiled(law: types.ModuleType, chosen: Measures) -> Callable[..., None]:
-    from valve_control.control.simulation import noise, simd_layout
+    from valve_control.control import simd_layout
+    from valve_control.control.simulation import noise
 
     access = {"load": simd_layout.load, "store": simd_layout.store}
     start = compile_function(begin, {**access, "law_initial": compile_function(law.initial)})

@@ -100,7 +100,7 @@ def valves(count: int, seed: int, wide: bool) -> list[valve.Params]:
         static, presliding = random.uniform(1.0, 1.6), random.uniform(0.01, 0.04)
         flow, offset = random.uniform(-0.5, 0.5, 2)
         poles, zeros, delay = random.uniform(0.8, 1.25), random.uniform(0.8, 1.25), random.uniform(0.0, 1e-3)
-        disturbance = valve.Disturbance(
+        disturbance = valve.FREE._replace(
             coulomb=coulomb,
             static_ratio=static,
             stribeck_velocity=STRIBECK,
@@ -108,8 +108,6 @@ def valves(count: int, seed: int, wide: bool) -> list[valve.Params]:
             presliding=presliding,
             flow_force=float(flow),
             offset=float(offset),
-            stiffness_drift=0.0,
-            gain_drift=0.0,
         )
         if not wide:
             poles, zeros, delay = 1.0, 1.0, 0.0
@@ -138,17 +136,7 @@ def undisturbed() -> valve.Params:
         1.0,
         1.0,
         0.0,
-        valve.Disturbance(
-            coulomb=0.0,
-            static_ratio=1.0,
-            stribeck_velocity=STRIBECK,
-            velocity_scale=0.02,
-            presliding=0.0,
-            flow_force=0.0,
-            offset=0.0,
-            stiffness_drift=0.0,
-            gain_drift=0.0,
-        ),
+        valve.FREE._replace(stribeck_velocity=STRIBECK, velocity_scale=0.02),
     )
 
 

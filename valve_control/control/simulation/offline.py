@@ -18,7 +18,8 @@ from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
-from valve_control.control.parameters import build, stability
+from valve_control.control.linear import stability
+from valve_control.control.parameters import build
 from valve_control.control.plant import registry
 from valve_control.control.plant.models import LIKE, TransferFunction
 from valve_control.control.simulation import delivery

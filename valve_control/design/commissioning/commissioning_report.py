@@ -9,12 +9,13 @@ import numpy.typing as npt
 
 from valve_control.control.analysis import page as pages
 from valve_control.control.analysis.figures import Line, Plot
+from valve_control.control.linear import margins
 from valve_control.control.parameters.build import as_text
 from valve_control.design.commissioning import plant
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.sequence import Result
 from valve_control.design.identification import bode, result
-from valve_control.design.tuning import limit_cycles, margins, pauses, verification
+from valve_control.design.tuning import limit_cycles, pauses, verification
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]

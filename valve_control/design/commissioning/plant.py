@@ -205,18 +205,15 @@ def simulated(found: Plant, record: Record) -> Floats:
     """Position [V], n, of the valve under the voltages of ``record``."""
     if found.magnet is not None:
         return positions(magnet.solenoid_params(found.magnet, record.period), record.voltage)
-    disturbance = valve.Disturbance(
+    disturbance = valve.FREE._replace(
         coulomb=found.friction.coulomb,
         static_ratio=found.friction.static_ratio,
         stribeck_velocity=FREE_VELOCITY,
         velocity_scale=SCALE,
         presliding=found.presliding,
-        flow_force=0.0,
         offset=found.offset,
-        stiffness_drift=0.0,
-        gain_drift=0.0,
     )
-    lvdt = valve.Lvdt(0.0, 0.0, 0.0, found.delay / record.period)
+    lvdt = valve.IDEAL._replace(delay=found.delay / record.period)
     plant = valve.design(found.model, record.period, 1e6, 1.0, disturbance, lvdt)
     return positions(plant, record.voltage)
 

@@ -17,7 +17,7 @@ import numpy as np
 from valve_control.control.laws import arc, dcarc, oarc, pid, reshaping
 from valve_control.control.laws.dcarc_design import EXCESS, excess, without_fast_zero
 from valve_control.control.laws.law import Law
-from valve_control.control.parameters import stability
+from valve_control.control.linear import stability
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models, valve
 from valve_control.control.plant.models import TransferFunction
@@ -160,7 +160,7 @@ def _corners(known: KnownValve) -> Iterator[valve.Params]:
         numerator = tuple(c * speed ** (i + surplus) for i, c in enumerate(known.model.numerator))
         lvdt = valve.Lvdt(0.0, 0.0, 0.0, known.delay / known.period + later)
         yield valve.design(
-            TransferFunction(numerator, denominator), known.period, known.u_max, gain, stability.FREE, lvdt
+            TransferFunction(numerator, denominator), known.period, known.u_max, gain, valve.FREE, lvdt
         )
 
 

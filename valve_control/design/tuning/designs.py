@@ -24,10 +24,10 @@ import numpy.typing as npt
 from valve_control.control.laws import dcarc, pid, reshaping
 from valve_control.control.laws.dcarc_design import EXCESS, excess
 from valve_control.control.laws.law import Law
+from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models
 from valve_control.control.plant.models import Scale
-from valve_control.design.tuning import margins
 from valve_control.design.tuning.trial import Problem
 from valve_control.parameter import ParameterError, Value, Values, number, updated, word
 

@@ -35,8 +35,9 @@ from valve_control.control.compiling import CompileError
 from valve_control.control.laws.free import Free, present
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.reshaping import LEAD_ACCEL
+from valve_control.control.linear import margins
 from valve_control.design import evolution
-from valve_control.design.tuning import designs, limit_cycles, margins, overshoot, pauses, trial
+from valve_control.design.tuning import designs, limit_cycles, overshoot, pauses, trial
 from valve_control.design.tuning.trial import AHEAD, GainSet, Problem, TrialResult, Workers
 from valve_control.parameter import ParameterError, Values
 

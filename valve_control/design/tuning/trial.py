@@ -15,12 +15,12 @@ from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.free import Free, placed
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant.models import D3FXE, Scale
 from valve_control.control.simulation import batch, comparison, delivery
 from valve_control.control.simulation.cluster import Cluster
 from valve_control.control.simulation.delivery import Delivery
-from valve_control.design.tuning import margins
 from valve_control.design.tuning.kept import Kept, digest
 from valve_control.parameter import Value, Values, number, updated
 

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.design.tuning import margins, search, verification
+from valve_control.design.tuning import search, verification
 from valve_control.design.tuning.search import EvaluatedGains, Told
 from valve_control.design.tuning.trial import Problem, Workers
 from valve_control.design.tuning.verification import Verified

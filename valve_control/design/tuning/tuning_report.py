@@ -13,9 +13,10 @@ from valve_control.control.analysis import page as pages
 from valve_control.control.analysis.figures import COLOURS, Line, Plot
 from valve_control.control.laws import linearisation
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation import batch
-from valve_control.design.tuning import limit_cycles, margins, pauses, trial, verification
+from valve_control.design.tuning import limit_cycles, pauses, trial, verification
 from valve_control.design.tuning.trial import Problem, TuningMotion
 from valve_control.design.tuning.tuner import Aim, Tuned
 from valve_control.parameter import number, updated

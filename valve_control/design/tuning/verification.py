@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.control.laws.law import Law
+from valve_control.control.linear import margins
 from valve_control.control.simulation.delivery import Delivery
-from valve_control.design.tuning import limit_cycles, margins, overshoot, pauses, trial
+from valve_control.design.tuning import limit_cycles, overshoot, pauses, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TrialResult, TuningMotion, Workers
 from valve_control.parameter import number
 

@@ -16,8 +16,8 @@ import numpy as np
 from valve_control.control.laws import dcarc
 from valve_control.control.laws.law import Law, by_slow_motion
 from valve_control.control.laws.signals import Start
-from valve_control.control.parameters import linear_loop
-from valve_control.control.parameters.linear_loop import LinearValves
+from valve_control.control.linear import linear_loop
+from valve_control.control.linear.linear_loop import LinearValves
 from valve_control.control.plant import registry, valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.parameter import Values
@@ -28,20 +28,6 @@ FARTHEST = 40  # dB  by which a gain is changed to find one with which an unstab
 PROBED, SETTLED = 0.01, 0.5  # V, s  command with which a law without feedback is tried, and how long
 OFF = 0.5  # -  error of its position over the command from which on it is told
 STABLE = 1.0 + 1e-6  # largest modulus of a pole, with room for rounding
-
-
-FREE = valve.Disturbance(
-    coulomb=0,
-    static_ratio=1,
-    stribeck_velocity=1,
-    velocity_scale=1,
-    presliding=0,
-    flow_force=0,
-    offset=0,
-    stiffness_drift=0,
-    gain_drift=0,
-)  # of friction and of everything else
-IDEAL = valve.Lvdt(0.0, 0.0, 0.0, 0.0)
 
 
 def spectral_radius(law: Law, params: Any, theta: tuple[float, ...]) -> float:
@@ -56,7 +42,7 @@ def spectral_radius(law: Law, params: Any, theta: tuple[float, ...]) -> float:
 
 def _simple(params: Any, theta: tuple[float, ...]) -> LinearValves:
     model = TransferFunction((theta[2],), (1.0, theta[0], theta[1]))
-    plant = valve.design(model, params.period, params.u_max, 1.0, FREE, IDEAL)
+    plant = valve.design(model, params.period, params.u_max, 1.0, valve.FREE, valve.IDEAL)
     return linear_loop.linear_valves([plant])
 
 
@@ -165,7 +151,7 @@ def _static_warning(law: Law, params: Any, plant: Any) -> str:
 def stable_gains(law: Law, params: Any, valves: LinearValves) -> tuple[int | None, int | None]:
     """By how many dB the loop's gain has to fall, or to rise, until the unstable loop is stable; None: never.
 
-    ``valves``: one. The loop is cut at the voltage, as for its margins (tuning/margins.py).
+    ``valves``: one. The loop is cut at the voltage, as for its margins (margins.py).
     """
     linear = linear_loop.linear_law(law, params, frozen=True)
     steps = np.arange(1, FARTHEST + 1)

@@ -49,7 +49,7 @@ def step_blocks(p: Any, like: StatePoint, before: Array, after: Array) -> None:
 
 @cache
 def _compiled(law: types.ModuleType) -> Callable[..., None]:
-    from valve_control.control.simulation import simd_layout
+    from valve_control.control import simd_layout
 
     parts = {
         "load": simd_layout.load,

@@ -3,7 +3,7 @@
 """Computes gain, phase and delay margin and the peaks of the sampled loop, for any law on many valves.
 
 The loop is cut at the voltage. Law and valve are linear for small motions around rest
-(parameters/linear_loop.py), and the response of both at z = exp(iωΔT) is that of the samples, exactly: hold,
+(linear_loop.py), and the response of both at z = exp(iωΔT) is that of the samples, exactly: hold,
 dead time and aliasing included. Friction has no linear form; which swings it sustains tells its describing
 function (friction_swing.py).
 """
@@ -18,10 +18,8 @@ import numpy.typing as npt
 
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws.law import Law
-from valve_control.control.parameters import linear_loop
+from valve_control.control.linear import friction_swing, linear_loop, many_states
 from valve_control.control.plant import registry
-from valve_control.control.simulation import many_states
-from valve_control.design.tuning import friction_swing
 
 Array = npt.NDArray[np.float64]
 LOWEST = 0.05  # Hz  of the frequencies looked at; the highest is half the sampling rate

@@ -10,13 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import linear_loop
-from valve_control.control.parameters.stability import FREE, IDEAL
+from valve_control.control.linear import linear_loop, margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
+from valve_control.control.plant.valve import FREE, IDEAL
 from valve_control.control.simulation import batch
-from valve_control.design.tuning import margins
 from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001

@@ -10,12 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import files, linear_loop
-from valve_control.control.parameters.stability import FREE
+from valve_control.control.linear import friction_swing, linear_loop, margins
+from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
+from valve_control.control.plant.valve import FREE
 from valve_control.control.simulation import batch, comparison
-from valve_control.design.tuning import friction_swing, limit_cycles, margins, trial
+from valve_control.design.tuning import limit_cycles, trial
 from valve_control.design.tuning.trial import GainSet
 from valve_control.parameter import defaults, updated
 
