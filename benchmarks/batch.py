@@ -21,7 +21,7 @@ from valve_control.control.laws.signals import Start
 from valve_control.control.linear.linear_loop import flatten, unflatten
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES
-from valve_control.control.plant import valve
+from valve_control.control.plant import sensor, valve
 from valve_control.control.simulation import batch, offline
 from valve_control.export import sources, unit
 from valve_control.parameter import Values, defaults, updated
@@ -182,7 +182,7 @@ def run_in_python_control(controller: str, commands: Array, noise: Array) -> Arr
     controller_values, valve_values = settings(controller)
     law = REGISTERED[controller].module
     p, plant = build.law_params(controller_values), build.valve_params(valve_values)
-    first = valve.reading(plant.lvdt, 0.0, noise[0])
+    first = sensor.reading(plant.lvdt, 0.0, noise[0])
     start = law.initial(p, Start(first, 0.0, first, 0.0, 0.0))
     still = batch.SpoolState(valve.Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
     none = np.zeros(1)
@@ -200,7 +200,7 @@ def run_in_python_control(controller: str, commands: Array, noise: Array) -> Arr
         return [*after.x, after.bristle, after.time]
 
     def valve_output(t: float, x: Array, u: Array, _: Any) -> float:
-        return valve.reading(plant.lvdt, float(x[0]), float(u[1]))
+        return sensor.reading(plant.lvdt, float(x[0]), float(u[1]))
 
     period = plant.period
     names = [f"s{i}" for i in range(len(flatten(start)))]

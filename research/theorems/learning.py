@@ -20,6 +20,7 @@ from valve_control.control import closed_loop
 from valve_control.control.laws import dcarc, least_squares, reshaping
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant import valve
+from valve_control.control.plant.sensor import IDEAL
 
 DURATION = 8.0  # s
 WINDOW = 0.5  # s; the motion repeats itself in it
@@ -80,7 +81,7 @@ def plants(kind: str, seed: int, count: int) -> list[valve.Params]:
         offset, coulomb = random.uniform(-0.5, 0.5), random.uniform(0.0, 1.6)
         static, presliding = random.uniform(1.0, 1.6), random.uniform(0.01, 0.04)
         rough = kind == "friction"
-        disturbance = valve.Disturbance(
+        disturbance = valve.FREE._replace(
             coulomb=float(coulomb) if rough else 0.0,
             static_ratio=float(static),
             stribeck_velocity=0.017,
@@ -88,12 +89,10 @@ def plants(kind: str, seed: int, count: int) -> list[valve.Params]:
             presliding=float(presliding),
             flow_force=float(box.flow[i]),
             offset=float(offset),
-            stiffness_drift=0.0,
-            gain_drift=0.0,
         )
-        lvdt = valve.Lvdt(
-            0.0056 if rough else 0.0, 0.0037 if rough else 0.0, 0.0, float(box.delay[i]) / loop.PERIOD
-        )
+        lvdt = IDEAL._replace(delay=float(box.delay[i]) / loop.PERIOD)
+        if rough:
+            lvdt = lvdt._replace(noise=0.0056, resolution=0.0037)
         model = loop.model(float(box.poles[i]), float(box.zeros[i]))
         made.append(valve.design(model, loop.PERIOD, U_MAX, float(box.gain[i]), disturbance, lvdt))
     return made

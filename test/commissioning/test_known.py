@@ -10,7 +10,8 @@ from valve_control.control.linear import linear_loop
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import TransferFunction
-from valve_control.control.plant.valve import FREE, IDEAL
+from valve_control.control.plant.sensor import IDEAL
+from valve_control.control.plant.valve import FREE
 from valve_control.design.commissioning.model import Known, controller_values
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Friction, Rest

@@ -11,6 +11,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
+from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.simulation import batch
 from valve_control.design.identification import bode, first_gains, friction, rational, theta
 from valve_control.design.identification.friction import Friction
@@ -58,7 +59,7 @@ def test_every_law_settles_on_valves_around_it(model, delay, noise):
         gain, speed = random.uniform(0.8, 1.25, 2)
         denominator = tuple(c * speed**i for i, c in enumerate(model.denominator))
         numerator = tuple(c * speed ** (i + 2) for i, c in enumerate(model.numerator))
-        late = valve.Lvdt(0.0, 0.0, 0.0, delay / PERIOD + random.uniform(0.0, 1.0))
+        late = IDEAL._replace(delay=delay / PERIOD + random.uniform(0.0, 1.0))
         plants.append(
             valve.design(TransferFunction(numerator, denominator), PERIOD, U_MAX, gain, valve.FREE, late)
         )

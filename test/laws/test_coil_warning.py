@@ -14,6 +14,7 @@ from valve_control.control.linear import stability
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.sensor import IDEAL
 from valve_control.parameter import defaults, updated
 
 
@@ -29,7 +30,7 @@ def test_the_warning_has_the_pole_of_the_loop_with_the_coil(name, law):
     params = LAWS[law].build(values)
     said = stability.coil_warning(LAWS[law], params, values)
     model = TransferFunction(tuple(values["dcarc.numerator"]), tuple(values["dcarc.denominator"]))
-    plant = valve.design(model, params.period, params.u_max, 1.25, valve.FREE, valve.IDEAL)
+    plant = valve.design(model, params.period, params.u_max, 1.25, valve.FREE, IDEAL)
     pole = stability.dominant_pole(LAWS[law], params, plant)
     found = re.search(
         r"pole of the sampled loop: ([\d.]+), at ([\d.]+) Hz: dcarc.coil, .* is (\d+)° there", said

@@ -24,6 +24,7 @@ from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.simulation import comparison, offline
 from valve_control.control.supervision import bumpless_transfer
 from valve_control.parameter import ParameterError, defaults, updated
@@ -72,7 +73,7 @@ def params(model=FOURTH_ORDER, **changes):
 
 
 def plant(model=FOURTH_ORDER, period=PERIOD, delay=0.0, **changes):
-    made = valve.design(model, period, 10.0, 1.0, valve.FREE, valve.Lvdt(0.0, 0.0, 0.0, delay / period))
+    made = valve.design(model, period, 10.0, 1.0, valve.FREE, IDEAL._replace(delay=delay / period))
     return made._replace(disturbance=made.disturbance._replace(**changes))
 
 

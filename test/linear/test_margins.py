@@ -14,7 +14,8 @@ from valve_control.control.linear import linear_loop, margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
-from valve_control.control.plant.valve import FREE, IDEAL
+from valve_control.control.plant.sensor import IDEAL
+from valve_control.control.plant.valve import FREE
 from valve_control.control.simulation import batch
 from valve_control.parameter import defaults, updated
 

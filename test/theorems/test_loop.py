@@ -12,6 +12,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import stability
 from valve_control.control.plant import valve
+from valve_control.control.plant.sensor import IDEAL
 
 VALVES = 150
 NOMINAL = loop.Valves(*(np.array([v]) for v in (1.0, 1.0, 1.0, 0.0, 0.0)))
@@ -35,7 +36,7 @@ def test_poles_are_those_of_the_law_s_own_step(gains):
             10.0,
             float(valves.gain[i]),
             valve.FREE._replace(flow_force=float(valves.flow[i])),
-            valve.IDEAL._replace(delay=valves.delay[i] / loop.PERIOD),
+            IDEAL._replace(delay=valves.delay[i] / loop.PERIOD),
         )
         assert radius == pytest.approx(abs(stability.dominant_pole(LAWS["dcarc"], p, plant)), abs=1e-9)
 
@@ -43,7 +44,7 @@ def test_poles_are_those_of_the_law_s_own_step(gains):
 def test_the_weight_of_the_gain_is_a_factor_of_the_loop():
     """A law whose θ1 rests at 0.4 on a valve has the poles of the same law on one of 1.4 times the gain."""
     p = loop.params({})
-    plant = valve.design(loop.model(1.1, 0.9), loop.PERIOD, 10.0, 0.8, valve.FREE, valve.IDEAL)
+    plant = valve.design(loop.model(1.1, 0.9), loop.PERIOD, 10.0, 0.8, valve.FREE, IDEAL)
     shifted = p._replace(theta_initial=p.theta_initial._replace(gain=0.4))
     valves = loop.Valves(*(np.array([v]) for v in (0.8, 1.1, 0.9, 0.0, 0.0)))
     found = loop.radii(loop.feedback(p), loop.sampled(valves), valves.gain * 1.4)[0]

@@ -15,7 +15,8 @@ from valve_control.control.linear import linear_loop, many_states, margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER
-from valve_control.control.plant.valve import FREE, IDEAL
+from valve_control.control.plant.sensor import IDEAL
+from valve_control.control.plant.valve import FREE
 from valve_control.control.simulation import batch, comparison
 from valve_control.design.tuning import limit_cycles, trial
 from valve_control.design.tuning.trial import GainSet, TuningMotion

@@ -20,6 +20,7 @@ from valve_control.control.linear import linear_loop
 from valve_control.control.linear.linear_loop import LinearValves
 from valve_control.control.plant import registry, valve
 from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.sensor import IDEAL
 from valve_control.parameter import Values
 
 GAIN_MARGIN = 1.25  # of b0; the real valve's b0 lies that far from θ(0), and so does (2)
@@ -42,7 +43,7 @@ def spectral_radius(law: Law, params: Any, theta: tuple[float, ...]) -> float:
 
 def _simple(params: Any, theta: tuple[float, ...]) -> LinearValves:
     model = TransferFunction((theta[2],), (1.0, theta[0], theta[1]))
-    plant = valve.design(model, params.period, params.u_max, 1.0, valve.FREE, valve.IDEAL)
+    plant = valve.design(model, params.period, params.u_max, 1.0, valve.FREE, IDEAL)
     return linear_loop.linear_valves([plant])
 
 

@@ -14,7 +14,7 @@ from valve_control.control.motion import axis_arc_sampled, axis_pid, upper
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.drivers import VALVE_DRIVER
 from valve_control.control.parameters.table import AUTOSTART, NODES
-from valve_control.control.plant import axis, machine, registry, valve
+from valve_control.control.plant import axis, machine, registry, sensor, valve
 from valve_control.parameter import (
     Parameter,
     ParameterError,
@@ -347,16 +347,7 @@ def known_machine(name: str) -> Values:
 
 def sensors(values: Values) -> machine.Sensors:
     """Sensors from the values of ``axis_simulator``."""
-
-    def sensor(name: str) -> valve.Lvdt:
-        return valve.Lvdt(
-            noise=number(values, f"{name}.noise"),
-            resolution=number(values, f"{name}.resolution"),
-            bias=0.0,
-            delay=number(values, f"{name}.delay") / number(values, "sample_period"),
-        )
-
-    return machine.Sensors(sensor("position"), sensor("pressure"))
+    return machine.Sensors(sensor.build(values, "position"), sensor.build(values, "pressure"))
 
 
 def machine_params(axis_values: Values, valve_values: Values) -> machine.Params:

@@ -5,7 +5,7 @@
 from valve_control.control.laws import linearisation, reshaping
 from valve_control.control.laws.common import SAMPLE_PERIOD, U_MAX
 from valve_control.control.laws.registry import LAWS, LEFT_OUT
-from valve_control.control.plant import common, models, registry
+from valve_control.control.plant import common, models, registry, sensor
 from valve_control.parameter import Parameter, Table
 
 AUTOSTART = Parameter(
@@ -225,7 +225,7 @@ VALVE: Table = (
     ),
     *common.DISTURBANCES,
     Parameter("listeners", 1, "", "lockstep: subscriptions to wait for before the first reading", 1, 100),
-    *common.LVDT,
+    *sensor.PARAMETERS,
     Parameter(
         "clock",
         "wall",

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lists the parameters that all plants share: gain, friction, other disturbances and LVDT."""
 
+from valve_control.control.plant import sensor
 from valve_control.parameter import Parameter, Table
 
 GAIN_SCALE = Parameter("gain_scale", 1.0, "-", "multiplies the gain of the model", 0.01, 100.0)
@@ -32,10 +33,4 @@ DISTURBANCES: Table = (
     Parameter("drift.gain", 0.0, "1/s", "relative growth of the gain per second", -0.01, 10.0),
     Parameter("drift.stiffness", 0.0, "V/V/s", "growth of the flow force per second", -10.0, 10.0),
 )
-LVDT: Table = (
-    Parameter("lvdt.noise", 0.0, "V", "standard deviation of the reading", 0.0, 10.0),
-    Parameter("lvdt.resolution", 0.0, "V", "quantisation step; 0: none", 0.0, 10.0),
-    Parameter("lvdt.bias", 0.0, "V", "constant error of the reading", -10.0, 10.0),
-    Parameter("lvdt.delay", 0.0, "s", "dead time of the reading", 0.0, 1.0),
-)
-PARAMETERS: Table = (GAIN_SCALE, *DISTURBANCES, *LVDT)
+PARAMETERS: Table = (GAIN_SCALE, *DISTURBANCES, *sensor.PARAMETERS)

@@ -5,7 +5,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from valve_control.control.plant import models, valve
+from valve_control.control.plant import models, sensor, valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.plant import Plant
 from valve_control.parameter import ParameterError, Value, Values, number
@@ -28,19 +28,9 @@ def build(values: Values) -> valve.Params:
     period = number(values, "sample_period")
     model = models.chosen(values, "valve", "")
     try:
-        return valve.design(model, period, u_max, gain_scale, disturbance, lvdt(values))
+        return valve.design(model, period, u_max, gain_scale, disturbance, sensor.build(values))
     except valve.ModelError as error:
         raise ParameterError(str(error)) from error
-
-
-def lvdt(values: Values) -> valve.Lvdt:
-    """LVDT from the simulator's values."""
-    return valve.Lvdt(
-        noise=number(values, "lvdt.noise"),
-        resolution=number(values, "lvdt.resolution"),
-        bias=number(values, "lvdt.bias"),
-        delay=number(values, "lvdt.delay") / number(values, "sample_period"),
-    )
 
 
 def model(values: Values) -> TransferFunction:

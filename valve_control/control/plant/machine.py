@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.control.plant import axis, valve
+from valve_control.control.plant.sensor import Lvdt, reading
 
 Array = npt.NDArray[np.float64]
 NOISES = 4  # numbers of noise a sample: LVDT, position, two pressures
@@ -20,8 +21,8 @@ NOISES = 4  # numbers of noise a sample: LVDT, position, two pressures
 class Sensors(NamedTuple):
     """Sensors of the axis, each like an LVDT in its own unit."""
 
-    position: valve.Lvdt  # m
-    pressure: valve.Lvdt  # Pa, both
+    position: Lvdt  # m
+    pressure: Lvdt  # Pa, both
 
 
 class Params(NamedTuple):
@@ -93,9 +94,9 @@ def sensed(
     x = valve.delayed(p.sensors.position.delay, s.history, s.newest)
     return Reading(
         valve.read(p.valve, s.valve, spool),
-        valve.reading(p.sensors.position, x, position),
-        valve.reading(pressure, _delayed(pressure.delay, s.history, s.newest, 2), pressure_a),
-        valve.reading(pressure, _delayed(pressure.delay, s.history, s.newest, 3), pressure_b),
+        reading(p.sensors.position, x, position),
+        reading(pressure, _delayed(pressure.delay, s.history, s.newest, 2), pressure_a),
+        reading(pressure, _delayed(pressure.delay, s.history, s.newest, 3), pressure_b),
     )
 
 

@@ -18,7 +18,8 @@ import numpy.typing as npt
 import scipy.linalg
 
 from valve_control.control.plant import valve
-from valve_control.control.plant.valve import Lvdt, Row
+from valve_control.control.plant.sensor import Lvdt, reading
+from valve_control.control.plant.valve import Row
 
 LONGEST = 1e-4  # s  of a substep
 COIL = 0.2  # of the coil's lag that a substep lasts at most
@@ -341,4 +342,4 @@ def read(p: Params, s: State, noise: float) -> float:
         position += e.hum * math.sin(e.hum_rate * s.time)
     if e.null_drift != 0.0:
         position += e.null_drift * (1.0 - math.exp(-s.time / e.warming_time))
-    return limited(valve.reading(e.lvdt, position, noise), e.low, e.high)
+    return limited(reading(e.lvdt, position, noise), e.low, e.high)

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from valve_control.control.plant import solenoid, valve
-from valve_control.control.plant.linear_valve import lvdt
+from valve_control.control.plant import sensor, solenoid, valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.plant import Plant
 from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, number
@@ -144,7 +143,7 @@ def _friction(values: Values) -> solenoid.Friction:
 
 
 def _sensor(values: Values) -> solenoid.Sensor:
-    own, bits = lvdt(values), int(number(values, "solenoid.bits"))
+    own, bits = sensor.build(values), int(number(values, "solenoid.bits"))
     low, high = -NEVER, NEVER
     if bits > 0:
         own = own._replace(resolution=2.0 * CONVERTER / 2**bits)

@@ -16,6 +16,7 @@ import scipy.linalg
 
 from valve_control.control.plant.amplifier import saturate
 from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.sensor import Lvdt, reading
 
 
 class Row(NamedTuple):
@@ -41,17 +42,7 @@ class Disturbance(NamedTuple):
     gain_drift: float  # 1/s    relative growth of the gain
 
 
-class Lvdt(NamedTuple):
-    """The position sensor."""
-
-    noise: float  # V  standard deviation
-    resolution: float  # V  quantisation step, 0: none
-    bias: float  # V
-    delay: float  # periods
-
-
 FREE = Disturbance(0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of friction and of everything else
-IDEAL = Lvdt(0.0, 0.0, 0.0, 0.0)
 
 
 class Params(NamedTuple):
@@ -185,14 +176,6 @@ def delayed(delay: float, history: npt.NDArray[np.float64], newest: int) -> floa
     p2 = 2.0 * p3 - float(history[later, 1])
     t = 1.0 - part
     return part * part * (part * p0 + 3.0 * t * p1) + t * t * (3.0 * part * p2 + t * p3)
-
-
-def reading(lvdt: Lvdt, position: float, noise: float) -> float:
-    """Reading [V] of the LVDT at ``position`` [V]; ``noise`` is a standard normal number."""
-    shown = position + lvdt.bias + lvdt.noise * noise
-    if lvdt.resolution > 0.0:
-        shown = lvdt.resolution * math.floor(shown / lvdt.resolution + 0.5)
-    return shown
 
 
 def read(p: Params, s: State, noise: float) -> float:

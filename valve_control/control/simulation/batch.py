@@ -25,7 +25,7 @@ from valve_control.control.laws import linearisation
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import linear_loop
-from valve_control.control.plant import registry, valve
+from valve_control.control.plant import registry, sensor, valve
 from valve_control.control.plant.plant import Plant
 from valve_control.control.simulation import measures, singly
 from valve_control.control.simulation.measures import INDICES, Measures
@@ -123,7 +123,7 @@ def one_sample(p: Any, source: Any, law: Any, plant: Any, measure: Any, given: f
 
 def read_delayed(p: valve.Params, position: float, noise: float) -> float:
     """LVDT reading [V] of a ``position`` [V] for which the LVDT's delay is known."""
-    return valve.reading(p.lvdt, position, noise)
+    return sensor.reading(p.lvdt, position, noise)
 
 
 def counted(p: measures.Now, tally: Any, now: closed_loop.Sample, position: float) -> tuple[Any, bool]:
@@ -138,7 +138,7 @@ def begin(like: Lane, block: Array, noise: Array) -> None:
     """Put the valves of ``block`` at rest and start their laws from the first readings."""
     for j in range(LANES):
         lane = load(like, block, j)
-        first = valve.reading(lane.valve.lvdt, 0.0, noise[j, 0])
+        first = sensor.reading(lane.valve.lvdt, 0.0, noise[j, 0])
         law = law_initial(lane.law, Start(first, 0.0, first, 0.0, 0.0))
         motion = SpoolState(valve.Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
         store(Work(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, like.work.tally, motion, law), block, j)

@@ -24,6 +24,7 @@ from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
+from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.simulation import batch
 from valve_control.parameter import ParameterError, Value, Values, defaults, numbers, updated, word
 
@@ -125,7 +126,7 @@ def made_of(
         numerator = [c * zeros**i for i, c in enumerate(model.numerator)]
         scale = model.static_gain * denominator[-1] / numerator[-1]
         model = TransferFunction(tuple(scale * c for c in numerator), denominator)
-    lvdt = valve.Lvdt(NOISE, RESOLUTION, 0.0, delay / PERIOD)
+    lvdt = IDEAL._replace(noise=NOISE, resolution=RESOLUTION, delay=delay / PERIOD)
     return valve.design(model, PERIOD, U_MAX, gain, disturbance, lvdt)
 
 

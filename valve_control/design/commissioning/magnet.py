@@ -17,8 +17,8 @@ import scipy.optimize
 
 from valve_control.control.plant import solenoid
 from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.plant.solenoid_valve import transfer
-from valve_control.control.plant.valve import Lvdt
 from valve_control.design.commissioning.statics import Friction
 from valve_control.design.identification.characteristic import TOLD_OVERLAP
 from valve_control.parameter import Values
@@ -90,7 +90,7 @@ def solenoid_params(found: Magnet, period: float) -> solenoid.Params:
             found.coulomb / found.presliding,
             0.0,
         ),
-        solenoid.Sensor(Lvdt(0.0, 0.0, 0.0, 0.0), -without_end, without_end, 0.0, 0.0, 0.0, 1.0),
+        solenoid.Sensor(IDEAL, -without_end, without_end, 0.0, 0.0, 0.0, 1.0),
         without_end,
         period,
     )

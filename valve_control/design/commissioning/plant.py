@@ -26,6 +26,7 @@ from valve_control.control.laws import biquads, design
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant import registry, valve
 from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.sensor import IDEAL
 from valve_control.design.commissioning import magnet
 from valve_control.design.commissioning.bench import Progress, Record
 from valve_control.design.commissioning.magnet import Magnet
@@ -213,7 +214,7 @@ def simulated(found: Plant, record: Record) -> Floats:
         presliding=found.presliding,
         offset=found.offset,
     )
-    lvdt = valve.IDEAL._replace(delay=found.delay / record.period)
+    lvdt = IDEAL._replace(delay=found.delay / record.period)
     plant = valve.design(found.model, record.period, 1e6, 1.0, disturbance, lvdt)
     return positions(plant, record.voltage)
 

@@ -21,6 +21,7 @@ from valve_control.control.linear import stability
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models, valve
 from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.sensor import IDEAL
 from valve_control.design.identification import dead_time
 from valve_control.design.identification.characteristic import Characteristic
 from valve_control.design.identification.friction import Friction
@@ -158,7 +159,7 @@ def _corners(known: KnownValve) -> Iterator[valve.Params]:
         denominator = tuple(c * speed**i for i, c in enumerate(known.model.denominator))
         surplus = len(known.model.denominator) - len(known.model.numerator)
         numerator = tuple(c * speed ** (i + surplus) for i, c in enumerate(known.model.numerator))
-        lvdt = valve.Lvdt(0.0, 0.0, 0.0, known.delay / known.period + later)
+        lvdt = IDEAL._replace(delay=known.delay / known.period + later)
         yield valve.design(
             TransferFunction(numerator, denominator), known.period, known.u_max, gain, valve.FREE, lvdt
         )
