@@ -91,7 +91,10 @@ def row(seed, **laws):
         "options": {**QUICK._asdict(), "seed": seed},
         "valve": solenoid.drawn(seed),
         "reference": {**best, "cpu_s": 1.0},
-        "stable": {"with preview": True, "command alone": False},
+        "robustness": {
+            "with preview": dict.fromkeys(solenoid.ROBUST, True),
+            "command alone": dict.fromkeys(solenoid.ROBUST, False),
+        },
         "laws": laws,
     }
 
@@ -127,13 +130,32 @@ def test_targets_are_judged_by_what_was_measured():
     assert found["dcarc: limit cycles"].value == 1.0
     assert not found["dcarc: share of valves accepted"].reached
     lines = "\n".join(line for one in rows for line in solenoid.told(one))
-    assert solenoid.summary(rows)[-1].endswith("without friction: 3 of 6")
+    assert all(line.endswith(": 3 of 6") for line in solenoid.summary(rows)[-len(solenoid.ROBUST) :])
     assert "0.40/0.40" in lines and "dcarc refused in step 'model': friction takes up the sine" in lines
 
 
-def test_a_pid_that_takes_the_place_of_the_law_is_named():
-    lines = solenoid.told(row(1, dcarc=accepted(0.02, law="pid"), pid=accepted(0.02, law="pid")))
-    assert sum("pid was better than dcarc" in line for line in lines) == len(lines) - 1 == 1
+@pytest.mark.parametrize(("kp", "kept"), [(0.05, True), (50.0, False)])
+def test_a_slow_pid_is_robust_and_a_fast_one_is_not(kp, kept):
+    """The loop of ki/s and a valve has a gain margin without end as kp goes to 0."""
+    values = {"pid.form": "plain", "pid.break_frequency": 0.0, "pid.kp": kp, "pid.ki": kp, "pid.kd": 0.0}
+    found = dict.fromkeys(solenoid.MODES, {"values": values})
+    for one in solenoid.robustness(solenoid.drawn(1), found).values():
+        assert one == dict.fromkeys(solenoid.ROBUST, kept)
+
+
+def test_the_surroundings_of_a_valve_are_those_of_its_commissioning():
+    """A tenth of its gain to either side, and later readings."""
+    values = {**solenoid.drawn(1), "lvdt.noise": 0.0}
+    gains = [p.spool.gain for p in solenoid.surroundings(values)]
+    assert min(gains) == pytest.approx(0.9 * 0.9) and max(gains) == pytest.approx(1.1 * 0.9)
+
+
+def test_the_best_pid_keeps_the_margins_that_are_asked_for():
+    values = solenoid.drawn(5)  # on which the best PID without margins is unstable without friction
+    gains = solenoid.searched(values, "plain", False, solenoid.Options(20, 160, "valve"))
+    own = {**solenoid.FORMS["plain"], **gains.changes}
+    kept = solenoid.robustness(values, dict.fromkeys(solenoid.MODES, {"values": own}))["command alone"]
+    assert kept["stable"] and kept["margins"]
 
 
 def test_nothing_accepted_reaches_nothing():
