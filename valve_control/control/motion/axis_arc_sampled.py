@@ -243,6 +243,13 @@ def own_frequency(m: Model, bulk: float, mobility: float) -> float:
     return math.sqrt(bulk * mobility * axis_arc.stiffness(m, 0.5 * m.stroke))
 
 
+def _known(plant: axis.Params, mass: float, bulk: float) -> Theta:
+    """Estimates of the axis ``plant`` with another ``mass`` [kg] and ``bulk`` modulus [Pa]."""
+    c, load = plant.cylinder, plant.load
+    resting = load.force - plant.supply.tank * (c.area_a - c.area_b)
+    return Theta(1.0 / mass, load.damping / mass, load.coulomb / mass, resting / mass, bulk)
+
+
 def _refuse_fast(rates: Mapping[str, float], period: float) -> None:
     """Raise ParameterError for one of the ``rates`` [1/s], by name, that ``period`` [s] is too long for."""
     for name, rate in rates.items():
@@ -268,16 +275,8 @@ def build(values: Values, plant: axis.Params, supply: float) -> Params:
         raise ParameterError(
             f"overlap is {overlap:g} V, no less than spool.full_scale, {plant.full_scale:g} V"
         )
-    c, load = plant.cylinder, plant.load
-    mass = of("mass") or load.mass
-    resting = load.force - plant.supply.tank * (c.area_a - c.area_b)
-    begin = Theta(
-        1.0 / mass,
-        load.damping / mass,
-        load.coulomb / mass,
-        resting / mass,
-        of("bulk_modulus") or plant.bulk_modulus,
-    )
+    mass = of("mass") or plant.load.mass
+    begin = _known(plant, mass, of("bulk_modulus") or plant.bulk_modulus)
     model = model_of(plant, supply)
     coupling = of("coupling") or own_frequency(model, begin.bulk, begin.mobility)
     rates = {"k1": of("k1"), "k2": of("k2"), "k3": of("k3"), "coupling": coupling}

@@ -97,8 +97,7 @@ def simulate(
     check_agreement(controller_values, valve_values)
     if noise_start < 0:
         raise ParameterError(f"noise_start is {noise_start}; it must be 0 or more")
-    name = word(controller_values, "controller")
-    law = LAWS[name]
+    law = LAWS[word(controller_values, "controller")]
     law_params = law.build(controller_values) if alone else build.law_params(controller_values)
     valve_params = build.valve_params(valve_values)
     limit = number(controller_values, "command_limit")
@@ -107,15 +106,11 @@ def simulate(
     n = len(command)
     labels = law.term_labels
     check_memory(noise_start + n, len(labels))
-    random = np.random.default_rng(int(number(valve_values, "seed")))
-    noise = random.standard_normal(noise_start + n)[noise_start:]
+    seed = int(number(valve_values, "seed"))
+    noise = np.random.default_rng(seed).standard_normal(noise_start + n)[noise_start:]
     loop = _Loop(law, law_params, linearisation.behind(controller_values, law_params), valve_params)
-    lead = command_lead.build(controller_values, law.reshapes(law_params))
-    if delivered is None:
-        led = command_lead.applied(lead, command)
-    else:
-        led = delivery.led(lead, delivery.received(controller_values, command, delivered))
     terms = np.zeros((n, len(labels)))
+    led = _led(loop, controller_values, command, delivered)
     signals, end = _ran(loop, led, noise, terms, compiled, told)
     position, measurement, voltage = signals.T
     least = number(controller_values, "oscillation_limit")
@@ -127,7 +122,7 @@ def simulate(
     rest = position[:1]  # from which a command may begin with a step
     answer = steps.answer(np.concatenate([rest, command]), np.concatenate([rest, position]), period)
     return Run(
-        controller=name,
+        controller=law.name,
         period=period,
         command=command,
         position=position,
@@ -186,6 +181,14 @@ def check_memory(samples: float, terms: int = 0) -> None:
             f"a run of {samples:.0f} samples takes {need / 1e9:.0f} GB of memory and this machine has "
             f"{have / 1e9:.0f} GB; shorten the duration or lengthen sample_period"
         )
+
+
+def _led(loop: _Loop, values: Values, command: Array, delivered: Delivery | None) -> Array:
+    """Commands [V] as the law gets them, with the lead of the controller's ``values``."""
+    lead = command_lead.build(values, loop.law.reshapes(loop.params))
+    if delivered is None:
+        return command_lead.applied(lead, command)
+    return delivery.led(lead, delivery.received(values, command, delivered))
 
 
 def _ran(

@@ -126,25 +126,20 @@ def fitted(
     ``threads``, with the same result. ``told`` gets the simulations that are over and about how many there
     will be; what it raises ends the search.
     """
-    weights = [_weight(record, rest) for record in records]
     ordered = sorted(fits, key=lambda f: f.order)
     most = [EVALUATIONS * (1 + len(_parameters(fit, friction, offset, records[0].period))) for fit in ordered]
     total, over, beside = float(sum(most) + magnet.EVALUATIONS * (2 + magnet.UNKNOWNS)), 0, 0
-    best: Plant | None = None
 
     def counted() -> None:
         nonlocal beside
         beside += 1
         told(min(over + beside, total), total)
 
-    def near(fit: Fit) -> Plant:
-        begin = _parameters(fit, friction, offset, records[0].period)
-        form = _Form(fit.order, len(fit.model.numerator), friction.static_ratio, False, records[0].period)
-        return _refined(records, weights, form, begin, counted)
-
+    tests = _Tests(records, [_weight(record, rest) for record in records], counted, threads)
+    best: Plant | None = None
     for fit, share in zip(ordered, most, strict=True):
         beside = 0
-        made = near(fit)
+        made = _near(tests, fit, friction, offset)
         over += share
         if best is None or made.error < BETTER * best.error:
             best = made
@@ -152,13 +147,12 @@ def fitted(
     if best.error > EXPLAINED:
         for fit in richer():
             beside = 0
-            made = near(fit)
+            made = _near(tests, fit, friction, offset)
             if made.error < BETTER * best.error:
                 best = made
-        beside = 0
     if best.error > SUSPECT and friction.coulomb > 0.0:
         beside = 0
-        made = _with_solenoids(records, weights, _third(fits, best), friction, offset, counted, threads)
+        made = _with_solenoids(tests, _third(fits, best), friction, offset)
         over += magnet.EVALUATIONS * (2 + magnet.UNKNOWNS)
         if made.error < SIMPLER * best.error:
             best = made
@@ -170,7 +164,7 @@ def fitted(
         each = TRIALS + EVALUATIONS * BRISTLE_UNKNOWNS
         total = float(over + each)
         speed = factor * abs(ordered[0].model.denominator[-1]) ** (1.0 / ordered[0].order)
-        made = _with_bristles(records, weights, bare, speed, HIDDEN * shown, SEED + number, counted, threads)
+        made = _with_bristles(tests, bare, speed, HIDDEN * shown, SEED + number)
         over += each
         if made.error < min(NEARER * bare.error, best.error):
             best = made
@@ -310,36 +304,52 @@ class _Form(NamedTuple):
         return begin
 
 
-def _residual(records: Sequence[Record], weights: Sequence[Floats], plant: Plant) -> Floats:
-    """Errors of ``plant`` over what is allowed, all samples of all ``records``; at most 1000."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        parts = [
-            np.where(w > 0.0, w * (simulated(plant, r) - np.nan_to_num(r.reading)), 0.0)
-            for r, w in zip(records, weights, strict=True)
-        ]
-    found: Floats = np.clip(np.nan_to_num(np.concatenate(parts), nan=1e3), -1e3, 1e3)
-    return found
+class _Tests(NamedTuple):
+    """Tests that a valve is fitted to."""
+
+    records: Sequence[Record]
+    weights: Sequence[Floats]  # of their samples
+    counted: Callable[[], None]  # called after each simulation of a search
+    threads: int
+
+    @property
+    def period(self) -> float:
+        """Sample period [s]."""
+        return self.records[0].period
+
+    def errors(self, plant: Plant) -> Floats:
+        """Errors of ``plant`` over what is allowed, all samples of all tests; at most 1000."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            parts = [
+                np.where(w > 0.0, w * (simulated(plant, r) - np.nan_to_num(r.reading)), 0.0)
+                for r, w in zip(self.records, self.weights, strict=True)
+            ]
+        found: Floats = np.clip(np.nan_to_num(np.concatenate(parts), nan=1e3), -1e3, 1e3)
+        return found
+
+    def judged(self, plant: Plant) -> Plant:
+        """``plant`` with its error."""
+        return plant._replace(error=float(np.sqrt(np.mean(self.errors(plant) ** 2))))
 
 
-def _refined(
-    records: Sequence[Record],
-    weights: Sequence[Floats],
-    form: _Form,
-    begin: Floats,
-    counted: Callable[[], None],
-) -> Plant:
-    """The valve near ``begin`` whose error is least; ``counted`` is called after each simulation."""
+def _near(tests: _Tests, fit: Fit, friction: Friction, offset: float) -> Plant:
+    """The valve of the form of ``fit`` near it, with this ``friction`` and ``offset`` [V] at first."""
+    form = _Form(fit.order, len(fit.model.numerator), friction.static_ratio, False, tests.period)
+    return _refined(tests, form, _parameters(fit, friction, offset, tests.period))
+
+
+def _refined(tests: _Tests, form: _Form, begin: Floats) -> Plant:
+    """The valve near ``begin`` whose error is least."""
 
     def residual(x: Floats) -> Floats:
-        counted()
-        return _residual(records, weights, form.plant(x))
+        tests.counted()
+        return tests.errors(form.plant(x))
 
     done = scipy.optimize.least_squares(
         residual, form.inside(begin), bounds=form.bounds(), diff_step=STEP, x_scale="jac", loss="soft_l1",
         max_nfev=EVALUATIONS,
     )  # fmt: skip
-    plant = form.plant(done.x)
-    return plant._replace(error=float(np.sqrt(np.mean(_residual(records, weights, plant) ** 2))))
+    return tests.judged(form.plant(done.x))
 
 
 def _third(fits: Sequence[Fit], best: Plant) -> Fit:
@@ -351,49 +361,28 @@ def _third(fits: Sequence[Fit], best: Plant) -> Fit:
     )
 
 
-def _with_solenoids(
-    records: Sequence[Record],
-    weights: Sequence[Floats],
-    begin: Fit,
-    friction: Friction,
-    offset: float,
-    counted: Callable[[], None],
-    threads: int,
-) -> Plant:
+def _with_solenoids(tests: _Tests, begin: Fit, friction: Friction, offset: float) -> Plant:
     """The valve with solenoids near the fit ``begin`` whose error is least."""
-    period = records[0].period
 
-    def plant(found: Magnet, error: float = math.inf) -> Plant:
+    def plant(found: Magnet) -> Plant:
         level = Friction(found.coulomb, found.static_ratio)
-        return Plant(found.model, level, found.offset, found.delay, error, found.presliding, found)
-
-    def errors(found: Magnet) -> Floats:
-        return _residual(records, weights, plant(found))
+        return Plant(found.model, level, found.offset, found.delay, math.inf, found.presliding, found)
 
     made = magnet.refined(
-        magnet.begun(begin.model, friction, -offset, begin.delay), period, errors, counted, threads
-    )
-    return plant(made, float(np.sqrt(np.mean(errors(made) ** 2))))
+        magnet.begun(begin.model, friction, -offset, begin.delay), tests.period,
+        lambda found: tests.errors(plant(found)), tests.counted, tests.threads,
+    )  # fmt: skip
+    return tests.judged(plant(made))
 
 
-def _with_bristles(
-    records: Sequence[Record],
-    weights: Sequence[Floats],
-    best: Plant,
-    speed: float,
-    friction: float,
-    seed: int,
-    counted: Callable[[], None],
-    threads: int,
-) -> Plant:
+def _with_bristles(tests: _Tests, best: Plant, speed: float, friction: float, seed: int) -> Plant:
     """A valve of third order with bristles, searched from the ``speed`` [rad/s] and ``friction`` [V] on.
 
     Friction at rest is taken as large as in motion: of a spool that swings the tests do not show it.
     """
     import cma
 
-    period = records[0].period
-    form = _Form(3, 1, 1.0, True, period)
+    form = _Form(3, 1, 1.0, True, tests.period)
     gain = best.model.static_gain
     begin = np.array(
         [
@@ -412,7 +401,7 @@ def _with_bristles(
 
     def cost(x: Floats) -> float:
         inside = np.clip(x, lower, upper)
-        size = _residual(records, weights, form.plant(inside)) ** 2
+        size = tests.errors(form.plant(inside)) ** 2
         return float(2.0 * np.mean(np.sqrt(1.0 + size) - 1.0) * (1.0 + np.sum((x - inside) ** 2)))
 
     options = {
@@ -422,17 +411,17 @@ def _with_bristles(
         "CMA_stds": spread,
         "maxfevals": TRIALS,
     }
-    with warnings.catch_warnings(), ThreadPoolExecutor(threads) as pool:
+    with warnings.catch_warnings(), ThreadPoolExecutor(tests.threads) as pool:
         warnings.simplefilter("ignore")
         strategy = cma.CMAEvolutionStrategy(begin, FIRST_STEP, options)
         while not strategy.stop():
             asked = strategy.ask()
             costs = []
             for found in pool.map(cost, asked):
-                counted()
+                tests.counted()
                 costs.append(found)
             strategy.tell(asked, costs)
-    return _refined(records, weights, form, np.clip(strategy.result.xbest, lower, upper), counted)
+    return _refined(tests, form, np.clip(strategy.result.xbest, lower, upper))
 
 
 def _fastest(period: float) -> float:

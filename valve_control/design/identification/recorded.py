@@ -48,6 +48,13 @@ def _numbered(aligned: Aligned, sequence: Integers, period: float, notes: list[s
     return numbered_by_time(aligned.stamp, period) if aligned.wall else np.arange(count)
 
 
+def _leaping(time: Floats, cuts: list[int], period: float) -> str:
+    """That ``time`` [s] leaps before the samples ``cuts``."""
+    told = ", ".join(f"{time[cut] - time[cut - 1] - period:+.3f} s" for cut in cuts[:5])
+    more = f" and {len(cuts) - 5} more" if len(cuts) > 5 else ""
+    return f"time leaps by {told}{more} beside the readings: the clock was set, or readings are missing"
+
+
 def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
     """Voltages and readings of a recorded test of ``valve``. Raises BagError."""
     for part in ("spool_position", "valve_voltage"):
@@ -83,21 +90,15 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
             whole = slice(bounds[longest], bounds[longest + 1])
             voltage, position = voltage[whole], position[whole]
             which = f"only {(whole.stop - whole.start) * period:.4g} s between two leaps are used"
-        told = ", ".join(f"{time[cut] - time[cut - 1] - period:+.3f} s" for cut in cuts[:5].tolist())
-        more = f" and {len(cuts) - 5} more" if len(cuts) > 5 else ""
-        notes.append(
-            f"time leaps by {told}{more} beside the readings: the clock was set, or readings are missing; "
-            f"{which}"
-        )
+        notes.append(f"{_leaping(time, cuts.tolist(), period)}; {which}")
     else:
         segments = _scheduled(_source(recording, valve), voltage_held, time, period)
         if not segments:
             segments = response.find_segments(voltage_held, period)
-    controller = valve.controller
-    initial = {} if controller is None else controller.initial
-    u_max = float(initial.get("u_max", 10.0))
+    initial = {} if valve.controller is None else valve.controller.initial
     law = str(initial.get("controller", "open_loop"))
-    if law in LAWS and LAWS[law].feedback:
+    feedback = law if law in LAWS and LAWS[law].feedback else ""
+    if feedback:
         notes.append(
             f"the voltage came from {law}, which feeds noise of the reading back: the response is biased"
         )
@@ -107,9 +108,9 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
         voltage=voltage,
         position=position,
         segments=tuple(segments),
-        u_max=u_max,
+        u_max=float(initial.get("u_max", 10.0)),
         notes=tuple(notes),
-        feedback=law if law in LAWS and LAWS[law].feedback else "",
+        feedback=feedback,
     )
 
 

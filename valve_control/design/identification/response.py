@@ -66,6 +66,15 @@ def check_saturation(voltage: Floats, u_max: float) -> None:
         )
 
 
+def _refuse_aliased(frequency: float, period: float) -> None:
+    """Raise ParameterError for a ``frequency`` [Hz] of half the sampling rate or more."""
+    if frequency >= 0.5 / period:
+        raise ParameterError(
+            f"{frequency:g} Hz is not below Nyquist's frequency, {0.5 / period:g} Hz at a sample "
+            f"period of {period:g} s"
+        )
+
+
 def stepped(
     voltage: Floats, position: Floats, segments: Sequence[Segment], period: float, settle: float
 ) -> Response:
@@ -76,13 +85,9 @@ def stepped(
     """
     points, notes = [], []
     short: list[str] = []
-    distorted = (0.0, 0.0)
+    distorted = [(DISTORTED, 0.0)]
     for segment in segments:
-        if segment.frequency >= 0.5 / period:
-            raise ParameterError(
-                f"{segment.frequency:g} Hz is not below Nyquist's frequency, {0.5 / period:g} Hz at a sample "
-                f"period of {period:g} s"
-            )
+        _refuse_aliased(segment.frequency, period)
         cycle = 1.0 / (segment.frequency * period)
         count = math.floor((segment.end - segment.first - settle / period) / cycle + 1e-6)
         if count < LEAST_CYCLES:
@@ -101,8 +106,7 @@ def stepped(
         u, _ = _phasor(voltage[k], k, turns)
         y, noise = _phasor(position[k], k, turns)
         harmonics = _harmonics(position[k], k, turns) / max(abs(y), 1e-300)
-        if harmonics > DISTORTED:
-            distorted = max(distorted, (harmonics, segment.frequency), key=lambda one: one[0])
+        distorted.append((harmonics, segment.frequency))
         if abs(u) < 1e-6:
             raise ParameterError(
                 f"the voltage does not move at {segment.frequency:.4g} Hz; there is no excitation"
@@ -122,10 +126,11 @@ def stepped(
     if short:
         more = f"; so are {len(short) - 1} more" if len(short) > 1 else ""
         notes.append(f"left out: {short[0]}{more}")
-    if distorted[0] > 0.0:
+    most, at = max(distorted, key=lambda one: one[0])
+    if at > 0.0:
         notes.append(
-            f"the position has harmonics of up to {100.0 * distorted[0]:.3g} % (at {distorted[1]:.4g} Hz): "
-            "friction or another nonlinearity, so the response holds for this amplitude alone"
+            f"the position has harmonics of up to {100.0 * most:.3g} % (at {at:.4g} Hz): friction or another "
+            "nonlinearity, so the response holds for this amplitude alone"
         )
     return _response(points, period, "stepped sine", notes)
 
