@@ -36,7 +36,6 @@ LONGEST_DELAY = 0.005  # s
 SIDES = 0.5  # logarithm of the ratio of both gains
 EVALUATIONS, STEP = 20, 2e-3  # of a search, each with a Jacobian; of an unknown, for it
 INSIDE = 1e-3  # of the bounds, within which a search begins
-UNKNOWNS = 12
 
 
 class Magnet(NamedTuple):
@@ -152,74 +151,55 @@ def begun(model: TransferFunction, friction: Friction, offset: float, delay: flo
     )
 
 
+class _Unknown(NamedTuple):
+    """How a number of a valve becomes an unknown of the size of 1, and between which bounds."""
+
+    low: float
+    high: float
+    shift: float  # added to the number, or to its logarithm
+    logarithmic: bool = False
+    unit: float = 1.0  # of the number; A_PERIOD: the sample period
+    relative: bool = False  # whether the bounds are factors of the number that the search begins with
+
+
+A_PERIOD = 0.0
+_UNKNOWNS = {  # in the order of ``Magnet``
+    "speed": _Unknown(0.3, 5.0, 1.0, logarithmic=True, relative=True),
+    "damping": _Unknown(0.05, 4.0, 2.0, logarithmic=True),
+    "coil": _Unknown(FASTEST_COIL, SLOWEST_COIL, 0.0, logarithmic=True, unit=1e-3),
+    "gain": _Unknown(0.3, 3.0, 0.0, relative=True),
+    "sides": _Unknown(-SIDES, SIDES, 1.0),
+    "hysteresis": _Unknown(0.0, WIDEST, 1.0),
+    "overlap": _Unknown(-WIDEST, WIDEST, 1.0),
+    "coulomb": _Unknown(STUCK, 9.0, 1.0),
+    "presliding": _Unknown(SHORTEST, LONGEST, 2.0, logarithmic=True, unit=PRESLIDING),
+    "static_ratio": _Unknown(1.0, MOST_RATIO, 0.0),
+    "offset": _Unknown(-9.0, 9.0, 1.0),
+    "delay": _Unknown(0.0, LONGEST_DELAY, 1.0, unit=A_PERIOD),
+}
+UNKNOWNS = len(_UNKNOWNS)
+
+
 def unknowns(found: Magnet, period: float) -> Floats:
     """``found`` as unknowns of a search, all of the size of 1."""
-    return np.array(
-        [
-            1.0 + math.log(found.speed),
-            2.0 + math.log(found.damping),
-            math.log(1e3 * found.coil),
-            found.gain,
-            1.0 + found.sides,
-            1.0 + found.hysteresis,
-            1.0 + found.overlap,
-            1.0 + found.coulomb,
-            2.0 + math.log(found.presliding / PRESLIDING),
-            found.static_ratio,
-            1.0 + found.offset,
-            1.0 + found.delay / period,
-        ]
-    )
+    scaled = [(u, value / (u.unit or period)) for u, value in zip(_UNKNOWNS.values(), found, strict=True)]
+    return np.array([u.shift + (math.log(value) if u.logarithmic else value) for u, value in scaled])
 
 
 def of_unknowns(x: Floats, period: float) -> Magnet:
     """The valve of ``unknowns``."""
-    return Magnet(
-        speed=math.exp(x[0] - 1.0),
-        damping=math.exp(x[1] - 2.0),
-        coil=1e-3 * math.exp(x[2]),
-        gain=float(x[3]),
-        sides=float(x[4]) - 1.0,
-        hysteresis=float(x[5]) - 1.0,
-        overlap=float(x[6]) - 1.0,
-        coulomb=float(x[7]) - 1.0,
-        presliding=PRESLIDING * math.exp(x[8] - 2.0),
-        static_ratio=float(x[9]),
-        offset=float(x[10]) - 1.0,
-        delay=(float(x[11]) - 1.0) * period,
-    )
+    made = {}
+    for (name, u), value in zip(_UNKNOWNS.items(), x.tolist(), strict=True):
+        moved = value - u.shift
+        made[name] = (u.unit or period) * (math.exp(moved) if u.logarithmic else moved)
+    return Magnet(**made)
 
 
 def bounds(begin: Magnet, period: float) -> tuple[Floats, Floats]:
     """Lower and upper bounds of the unknowns of a search from ``begin`` on."""
-    low = Magnet(
-        speed=0.3 * begin.speed,
-        damping=0.05,
-        coil=FASTEST_COIL,
-        gain=0.3 * begin.gain,
-        sides=-SIDES,
-        hysteresis=0.0,
-        overlap=-WIDEST,
-        coulomb=STUCK,
-        presliding=SHORTEST,
-        static_ratio=1.0,
-        offset=-9.0,
-        delay=0.0,
-    )
-    high = Magnet(
-        speed=5.0 * begin.speed,
-        damping=4.0,
-        coil=SLOWEST_COIL,
-        gain=3.0 * begin.gain,
-        sides=SIDES,
-        hysteresis=WIDEST,
-        overlap=WIDEST,
-        coulomb=9.0,
-        presliding=LONGEST,
-        static_ratio=MOST_RATIO,
-        offset=9.0,
-        delay=LONGEST_DELAY,
-    )
+    factors = [(u, value if u.relative else 1.0) for u, value in zip(_UNKNOWNS.values(), begin, strict=True)]
+    low = Magnet(*(u.low * factor for u, factor in factors))
+    high = Magnet(*(u.high * factor for u, factor in factors))
     return unknowns(low, period), unknowns(high, period)
 
 
