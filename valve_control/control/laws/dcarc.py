@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.control.laws import least_squares, magnet, reshaping
+from valve_control.control.laws import dcarc_valve, least_squares, magnet, reshaping
 from valve_control.control.laws.dcarc_parts import (
     Combination,
     Course,
@@ -912,5 +912,8 @@ LAW = Law(
         Free("dcarc.theta_spread[8]", 1e-6, 3e-4, powers=(-2, -1)),
     ),
     lag=lag,
+    of_model=dcarc_valve.of_model,
+    of_plant=dcarc_valve.of_plant,
+    starts=dcarc_valve.starts,
     remedy="shorten sample_period, or raise dcarc.voltage_weight or lower dcarc.disturbance_rate",
 )

@@ -15,6 +15,7 @@ from valve_control.control.laws import reshaping
 from valve_control.control.laws.free import Free, entries_of
 from valve_control.control.laws.projection import Theta
 from valve_control.control.laws.signals import Start
+from valve_control.control.plant.models import Scale, TransferFunction
 from valve_control.parameter import Table, Value, Values, defaults
 
 Array = npt.NDArray[np.float64]
@@ -46,6 +47,21 @@ def reshaped_steady_command(params: Any, start: Start) -> float:
     return reshaping.steady_command(params.reshaping, start.measurement, start.velocity)
 
 
+def as_it_is(model: TransferFunction, period: float) -> TransferFunction:
+    """``model`` itself, for a law that takes any."""
+    return model
+
+
+def nothing_else(values: Values, plant: Values) -> Values:
+    """No parameters, for a law that knows no more of a valve than its model."""
+    return {}
+
+
+def no_starts(values: Values, scale: Scale) -> list[Values]:
+    """No gains, for a law whose search begins with those that there are."""
+    return []
+
+
 class Law(NamedTuple):
     """A control law: where its equations are, its parameters, and what it can do."""
 
@@ -71,6 +87,12 @@ class Law(NamedTuple):
     variants: tuple[Mapping[str, Value], ...] = (
         {},
     )  # settings with each of which it is tuned, the best wins
+    # the model of a valve as the law takes it at a sample period [s], for its parameters of that name
+    of_model: Callable[[TransferFunction, float], TransferFunction] = as_it_is
+    # what else it takes, as its parameters: from the controller's values and those of a simulated valve
+    of_plant: Callable[[Values, Values], Values] = nothing_else
+    # gains with which a search begins: from the controller's values and the scale of the valve
+    starts: Callable[[Values, Scale], list[Values]] = no_starts
     remedy: str = "shorten sample_period or lower the gains"  # of a loop that is unstable
     package: str = PACKAGE  # that brings it
 

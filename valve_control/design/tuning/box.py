@@ -8,20 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from valve_control.control.laws.dcarc_design import without_fast_zero
 from valve_control.control.laws.law import Law
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models
 from valve_control.control.simulation import robustness
 from valve_control.control.simulation.robustness import Quantity, Settings, Study
-from valve_control.parameter import ParameterError, Values, number, numbers, updated
+from valve_control.parameter import ParameterError, Values, number, updated
 
 SCATTERED = 32  # valves within the box for the margins, besides its corners
 LINEAR = ("gain", "speed", "flow_force", "lvdt.delay")  # quantities on which the margins depend
 FRICTION = "friction.coulomb"
-BRISTLE, OFFSET = 2, 6  # numbers of weights of dcarc
-PRESLIDINGS = (0.4, 1.0, 2.5)  # of its three bristles over that of the valve
 
 
 UNSEEN_SEED = 1_000_003  # added to the seed for valves that the search does not see
@@ -92,12 +89,10 @@ def with_model(law: Law, settings: Settings, given: Container[str]) -> tuple[Val
         return values, ""
     changes: dict[str, Any] = {name: plant["valve"]}
     if plant["valve"] not in models.MODELS or number(plant, "gain_scale") != 1.0:
-        model = build.valve_model(plant)
-        if law.name == "dcarc":
-            model = without_fast_zero(model, number(plant, "sample_period"))
+        model = law.of_model(build.valve_model(plant), number(plant, "sample_period"))
         changes = {name: "custom"}
         changes.update({f"{law.name}.{part}": list(c) for part, c in model._asdict().items()})
-        known = _solenoids(law, values, plant)
+        known = law.of_plant(values, plant)
         changes.update({name: value for name, value in known.items() if name not in given})
     try:
         changed = updated(CONTROLLER, values, changes)
@@ -106,30 +101,6 @@ def with_model(law: Law, settings: Settings, given: Container[str]) -> tuple[Val
     except ParameterError as error:
         return values, f"{name} stays {values[name]}, which is another valve than the one given: {error}"
     return changed, f"{name} is that of the valve, {changed[name]}; --set {name}=… says otherwise"
-
-
-def _solenoids(law: Law, values: Values, plant: Values) -> dict[str, Any]:
-    """Coil, play and unequal gains of a ``plant`` with solenoids, for a ``law`` that has terms for them."""
-    if plant["valve"] != "solenoid" or f"{law.name}.coil" not in values:
-        return {}
-    sides = number(plant, "solenoid.positive") / number(plant, "solenoid.negative") - 1.0
-    weights = list(numbers(values, f"{law.name}.theta_initial"))
-    weights[BRISTLE], weights[OFFSET] = number(plant, FRICTION), -number(plant, "disturbance.offset")
-    low, high = (numbers(values, f"{law.name}.theta_{end}") for end in ("min", "max"))
-    weights = [min(max(w, least), most) for w, least, most in zip(weights, low, high, strict=True)]
-    made: dict[str, Any] = {
-        f"{law.name}.coil": number(plant, "solenoid.coil"),
-        f"{law.name}.hysteresis": 0.5 * number(plant, "solenoid.hysteresis"),
-        f"{law.name}.sides": abs(sides),
-        f"{law.name}.actuator_delay": number(plant, "solenoid.dead_time"),
-        f"{law.name}.delay": number(plant, "lvdt.delay"),
-        f"{law.name}.theta_initial": weights,
-    }
-    if number(plant, "friction.presliding") > 0.0:
-        made[f"{law.name}.presliding"] = [
-            share * number(plant, "friction.presliding") for share in PRESLIDINGS
-        ]
-    return made
 
 
 def check_reach(plant: Values, wanted: float, name: str) -> None:

@@ -1,11 +1,8 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Gives gains of dcarc and of the PID with which a search begins, from the valves of the box.
+"""Gives gains with which a search begins: those of the law itself, or a PID for the valves of the box.
 
-On a model with three more poles than zeros hardly any of the gains in the ranges of dcarc keep the margins,
-so that a small search finds none at all. LQR and Kalman filter are designed for a few bandwidths here, from
-loops that are tight on a valve that is known well to loops that bear another gain and speed. The reference
-filter has a lead that makes up for all of its lag.
+The reference filter of a law has a lead that makes up for all of its lag.
 
 The PID is that of internal model control (Rivera, Morari and Skogestad 1986): it is the reciprocal of the
 valve, up to the second power of s, over λ·s. Its loop is an integrator at low frequencies, whatever the poles
@@ -21,22 +18,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.control.laws import dcarc, pid, reshaping
-from valve_control.control.laws.dcarc_design import EXCESS, excess
+from valve_control.control.laws import pid, reshaping
 from valve_control.control.laws.law import Law
 from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant import models
-from valve_control.control.plant.models import Scale
 from valve_control.design.tuning.trial import Problem
 from valve_control.parameter import ParameterError, Value, Values, number, updated, word
 
 Array = npt.NDArray[np.float64]
-LOOPS = ((0.05, 4.0), (0.15, 2.0), (0.5, 4.0), (0.5, 2.0))  # weight at the gain of the D3FXE, V/√s
 SHARES = (0.4, 0.65, 0.95)  # of the highest natural frequency of the reference filter
-INPUT_NOISE, FIT_NOISE, FORGETTING = 0.5, 0.4, 0.05  # V, V, 1/s
-RUBBING, LEAST = 0.3, 0.1  # of the friction that is known, and V: spread of the weights of bristles
-OTHERS = (0.1, 0.1, 0.2, 0.0, 0.0)  # of gain, and of flow force, offset, damping and inertia
 SLOW, QUICK = 0.2, 1.0  # of the frequency at which the valve is 90° late: where 1/G is matched
 # Of a PID: times c0, as viscous friction in c1, and times the gain that the worst valve bears.
 SHAPES = ((1.0, 0.0, 1.9), (2.0, 0.0, 1.9), (1.5, 0.0, 2.8), (1.0, 1.0, 2.2))
@@ -63,7 +53,7 @@ def starts(law: Law, problem: Problem, box: margins.Box) -> list[Values]:
     """
     if law.name == pid.LAW.name:
         return _pids(problem, box)
-    return _dcarcs(law, problem.values, problem.preview, problem.scale)
+    return _shaped(law, problem)
 
 
 def _viscous(box: margins.Box, wanted: Sequence[Array], period: float) -> float:
@@ -158,31 +148,20 @@ def _fed(values: Values, slow: Reciprocal, filtered: float, part: float, problem
     return updated(CONTROLLER, made, {"reshaping.lead": lead, "reshaping.lead_accel": 1.0})
 
 
-def _dcarcs(law: Law, values: Values, preview: bool, scale: Scale) -> list[Values]:
-    """Gains of dcarc; none of a law that has no coil in its model."""
-    if law.name != dcarc.LAW.name or excess(models.chosen(values, "dcarc.model", "dcarc.")) <= EXCESS[0]:
-        return []
-    close = max(LEAST, RUBBING * float(list(values["dcarc.theta_initial"])[2]))  # type: ignore[arg-type]
-    common: Values = {
-        "dcarc.input_noise": INPUT_NOISE,
-        "dcarc.fit_noise": FIT_NOISE,
-        "dcarc.forgetting": FORGETTING,
-        "dcarc.theta_spread": [OTHERS[0], *([close] * 4), *OTHERS[1:]],
-    }
-    highest = reshaping.frequency(values, scale).high
-    made = []
-    for (weight, rate), share in itertools.product(LOOPS, (1.0,) if preview else SHARES):
-        loop: Values = {
-            **common,
-            "dcarc.voltage_weight": weight * scale.gain**2,
-            "dcarc.disturbance_rate": rate,
-        }
-        if not preview:
-            loop["reshaping.natural_frequency"] = share * highest
-            loop["reshaping.lead_accel"] = 1.0
+def _shaped(law: Law, problem: Problem) -> list[Values]:
+    """The starts that ``law`` has itself, each with a few reference filters and a lead for their lag."""
+    values, made = problem.values, []
+    highest = reshaping.frequency(values, problem.scale).high
+    shares = (1.0,) if problem.preview else SHARES
+    for gains, share in itertools.product(law.starts(values, problem.scale), shares):
         try:
-            changed = updated(CONTROLLER, values, loop)
-            if not preview:
+            changed = updated(CONTROLLER, values, gains)
+            if not problem.preview:
+                filtered: Values = {
+                    "reshaping.natural_frequency": share * highest,
+                    "reshaping.lead_accel": 1.0,
+                }
+                changed = updated(CONTROLLER, changed, filtered)
                 changed = updated(CONTROLLER, changed, {"reshaping.lead": law.lag(changed)})
             law.build(changed)
         except ParameterError:
