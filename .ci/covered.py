@@ -32,13 +32,17 @@ CORE = (
     *(f"valve_control/nodes/{name}.py" for name in ("rclpy_internals", "realtime", "transport")),
     *("valve_control/nodes/valve_driver.py", "valve_control/parameter.py"),
 )
-NODES = (
-    *("adapter", "axis", "cascade", "device_controller", "disagreement", "exit", "fieldbus", "lifecycle"),
-    *("lockstep", "pairing", "rclpy_internals", "reception", "restart", "services", "terms", "trajectory"),
-    *("transport", "unnumbered", "valve_driver"),
+CONTROLLER = (
+    *("adapter", "cascade", "disagreement", "lifecycle", "lockstep", "reception", "restart", "terms"),
+    *("trajectory", "unnumbered"),
+)
+DEVICES = (
+    *("axis", "device_controller", "exit", "fieldbus", "pairing", "rclpy_internals", "services"),
+    *("transport", "valve_driver"),
 )
 # Statistics over many valves take minutes and run nothing that other tests do not.
 LONG = "study_s_box or beyond_the_spread or weights_were_made_for or jitter_is_the_speed or drifts_by_3"
+PATIENT = ("--dist", "loadgroup", "--reruns", "1")  # as make test does with nodes
 PARTS = {
     "supervision": ["test/supervision", "-k", f"not ({LONG})"],
     "laws": ["test/laws", "-k", f"not ({LONG})"],
@@ -48,7 +52,8 @@ PARTS = {
         "test/test_arguments.py",
         "test/recordings/test_shadow.py",
     ],
-    "nodes": [*(f"test/nodes/test_{name}.py" for name in NODES), "--dist", "loadgroup", "--reruns", "1"],
+    "controller": [*(f"test/nodes/test_{name}.py" for name in CONTROLLER), *PATIENT],
+    "devices": [*(f"test/nodes/test_{name}.py" for name in DEVICES), *PATIENT],
 }
 
 

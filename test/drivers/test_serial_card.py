@@ -188,6 +188,42 @@ def test_no_frame_is_no_reading_and_a_card_without_voltages_says_so(card):
     driver.close()
 
 
+def test_a_card_that_keeps_its_output_off_although_it_hears_voltages_is_told(card):
+    driver = opened(card)
+    driver.enable(True)
+    driver.write(5.0)
+    card.receive(1.0)
+    card._asked = False  # its own switch
+    card.send(1.0)
+    driver.read()
+    assert names(driver) == []  # it may take GRACE to switch on
+    driver._switched = -math.inf
+    assert names(driver) == ["output_off"]
+    driver.close()
+
+
+def test_frames_from_before_are_no_readings_after_enable(card):
+    """While the output is off nobody reads: what waits is old."""
+    driver = opened(card)
+    for _ in range(30):
+        card.send(0.0)
+    driver.enable(True)
+    assert driver.due() == math.inf and driver.poll() is None
+    card.send(0.0)
+    assert driver.poll() == (pytest.approx(0.0, abs=0.1), 0) and driver.fileno() >= 0
+    driver.close()
+
+
+def test_a_line_that_takes_no_more_is_told(card):
+    """The card does not read: the line's buffer is full after some frames."""
+    driver = opened(card)
+    driver.enable(True)
+    with pytest.raises(DriverError, match="does not take the voltages: it is too slow, or held up"):
+        for _ in range(100_000):
+            driver.write(1.0)
+    driver.close()
+
+
 def test_a_port_that_goes_away_is_told_in_a_sentence():
     card = serial_card.Card()
     driver = opened(card)
