@@ -191,6 +191,24 @@ def test_an_overlap_that_a_fit_leaves_in_doubt_is_none(overlap, simulated):
     assert magnet.values(found, 0.0)["solenoid.overlap"] == simulated
 
 
+class StopsBeforeTheSearch(Steps):
+    def confirm(self, text):
+        return super().confirm(text) and "sets of gains" not in text
+
+
+def test_tests_of_the_valve_are_not_made_again():
+    """With what another law has found the valve stays at 0 V up to the search."""
+    made, _ = known()
+    tests = sequence.Tests(REST, None, None, None, None, made)
+    valve, steps = SupervisedValve({"lvdt.noise": 0.003}), StopsBeforeTheSearch()
+    plan = Plan(LIMITS, "pid", 0.25, 20, 4, 4, 1, 1, alone=True)
+    with pytest.raises(sequence.Refused):
+        sequence.run(valve, plan, valve.values(), steps, tests)
+    assert {step for step, _, _ in steps.told} == {"model"}
+    assert steps.valve["solenoid.coil"] == TRUE.coil
+    assert max(map(abs, valve.voltages)) == 0.0
+
+
 def test_both_forms_of_the_pid_are_tuned():
     made, knows = known(law="pid")
     plan = Plan(LIMITS, "pid", 0.25, 20, 4, 4, 1, 1)
