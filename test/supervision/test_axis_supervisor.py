@@ -16,6 +16,7 @@ from valve_control.control.parameters.axis_parameters import AXIS_CONTROLLER
 from valve_control.control.plant.machine import Reading
 from valve_control.control.supervision import axis_supervisor as supervisor
 from valve_control.control.supervision.record import Mode
+from valve_control.parameter import ParameterError
 
 MS = 1_000_000
 LIMITS = course.MotionLimits(0.25, 2.0, 40.0)
@@ -58,6 +59,63 @@ def test_a_load_that_pushes_the_piston_away_meets_the_command_back_to_the_positi
         s = sample(p, s, min(0.24, 0.21 + 1e-4 * (k - 101)), k)
     assert s.path is None and s.goal is not None
     assert s.goal.position == pytest.approx(0.25, abs=1e-9) and s.command > 0.0
+
+
+def streamed(p, able, every, samples):
+    """Positions of the goal of an axis that is told the same target before each ``every``-th sample."""
+    s, found = sample(p, supervisor.at_rest(p), 0.2, 1), []
+    for k in range(samples):
+        if k % every == 0:
+            s = supervisor.begin(s, path.towards(0.3, supervisor.present(s), LIMITS, able), None)
+        s = sample(p, s, s.goal.position, k + 2)
+        found.append(s.goal.position)
+    return np.array(found)
+
+
+def test_a_goal_that_is_sent_again_and_again_is_reached_as_fast_as_one_that_is_sent_once():
+    p, able = designed()
+    once = streamed(p, able, 10**6, 800)
+    assert once[-1] == pytest.approx(0.3, abs=1e-9)
+    lost = LIMITS.velocity * p.period  # m  by a sample that is lost at full speed
+    for every in (1, 10):
+        assert np.max(np.abs(streamed(p, able, every, 800) - once)) < 0.1 * lost
+
+
+def test_a_trajectory_that_begins_later_leaves_the_motion_before_it_alone_until_then():
+    p, able = designed()
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    s = supervisor.begin(s, path.towards(0.3, s.goal, LIMITS, able), None)
+    for k in range(2, 302):
+        s = sample(p, s, s.goal.position, k)
+    assert s.goal.velocity > 0.1
+    at, before = 401 * MS, s
+    then = supervisor.present(s, at)
+    for k in range(302, 402):
+        before = sample(p, before, before.goal.position, k)
+    assert then == before.goal and then != s.goal
+    points = [path.PathPoint(0.35, 0.0, None, 1000 * MS)]
+    s = supervisor.begin(s, path.through(points, then, able), at)
+    positions, velocities = [], []
+    for k in range(302, 1502):
+        s = sample(p, s, s.goal.position, k)
+        positions.append(s.goal.position)
+        velocities.append(s.goal.velocity)
+    assert positions[99] == before.goal.position
+    assert s.path is None and s.goal == (0.35, 0.0, 0.0)
+    mean = 0.5 * (np.array(velocities)[1:] + np.array(velocities)[:-1])
+    assert np.max(np.abs(np.diff(positions) / p.period - mean)) < 1e-3
+
+
+def test_a_trajectory_of_the_past_whose_present_point_is_far_away_is_refused():
+    p, able = designed(start_tolerance=0.002)
+    s = sample(p, supervisor.at_rest(p), 0.2, 1000)
+    made = path.through([path.PathPoint(0.3, 0.0, None, 1000 * MS)], s.goal, able)
+    assert supervisor.begin(s, supervisor.joining(s, made, 950 * MS, able), 950 * MS).path is made
+    with pytest.raises(ParameterError) as error:
+        supervisor.joining(s, made, 500 * MS, able)
+    assert str(error.value) == (
+        "the trajectory began 0.5 s ago and is 0.05 m from the present goal at 0.2 m by now; 0.002 m are allowed"
+    )
 
 
 @given(st.lists(st.sampled_from(["sound", "jump", "nan", "beyond"]), max_size=60))

@@ -310,8 +310,9 @@ class AxisController(Managed):
             return
         self.get_logger().info(f"{what} taken")
 
-    def _present(self) -> Goal:
-        goal = axis_supervisor.present(self._state)
+    def _present(self, at: int | None = None) -> Goal:
+        """Goal at which a path begins that begins at the time ``at`` [ns], or now. Raises ParameterError."""
+        goal = axis_supervisor.present(self._state, at)
         if goal is None:
             raise ParameterError("the axis is stopped; ~/reset ends that")
         return goal
@@ -331,7 +332,9 @@ class AxisController(Managed):
             for p in message.points
         ]
         points = path.points_of(word(self._values, "joint"), message.joint_names, rows)
-        return path.through(points, self._present(), self._able), stamp or None
+        at = stamp or None
+        made = path.through(points, self._present(at), self._able)
+        return axis_supervisor.joining(self._state, made, at, self._able), at
 
     # Services
 

@@ -44,6 +44,7 @@ class State(NamedTuple):
     watch: axis_watch.State
     path: path.Path | None
     begun: int | None  # ns  time of the path's beginning, None: with the next reading
+    later: tuple[path.Path, int] | None  # path that replaces the one in motion, and its beginning [ns]
     goal: Goal | None  # None before the first reading
     jerk: float  # m/s³  of the goal
     command: float  # V
@@ -105,6 +106,7 @@ def at_rest(p: Params) -> State:
         None,
         None,
         None,
+        None,
         0.0,
         0.0,
         p.level.AT_REST,
@@ -132,7 +134,7 @@ def mode(s: State) -> tuple[Mode, str]:
 
 def stopped(s: State, why: str) -> State:
     """State after a stop; the first reason stays."""
-    return s if s.stopped else s._replace(stopped=why, command=0.0, path=None, bridged="")
+    return s if s.stopped else s._replace(stopped=why, command=0.0, path=None, later=None, bridged="")
 
 
 def reset(p: Params, s: State) -> State:
@@ -145,14 +147,44 @@ def refused(p: Params, s: State, text: str) -> State:
     return s._replace(refused=text, refused_until=s.samples + REPORTED / p.period)
 
 
+def moves(s: State) -> bool:
+    """Whether the axis follows a path that has begun."""
+    return s.path is not None and s.begun is not None and s.begun <= s.time
+
+
 def begin(s: State, new: path.Path, at: int | None) -> State:
-    """State that follows a ``new`` path from the time ``at`` [ns] on, or from the next reading on."""
-    return s._replace(path=new, begun=at)
+    """State that follows a ``new`` path from the time ``at`` [ns] on, or from the next reading on.
+
+    A motion goes on until then. The present goal of an axis in motion is that of the last reading, with which
+    the new path begins.
+    """
+    if moves(s):
+        if at is None:
+            at = s.time
+        elif at > s.time:
+            return s._replace(later=(new, at))
+    return s._replace(path=new, begun=at, later=None)
 
 
-def present(s: State) -> Goal | None:
-    """Goal at which a new path begins; None while there is none to be had."""
-    return None if s.stopped else s.goal
+def present(s: State, at: int | None = None) -> Goal | None:
+    """Goal at which a new path begins, at the time ``at`` [ns] or now; None while there is none to be had."""
+    if s.stopped or at is None or at <= s.time or not moves(s):
+        return None if s.stopped else s.goal
+    assert s.path is not None and s.begun is not None
+    return path.goal_of(s.path, at - s.begun)
+
+
+def joining(s: State, new: path.Path, at: int | None, able: path.Range) -> path.Path:
+    """The ``new`` path if it may begin at the time ``at`` [ns]. Raises ParameterError for one long begun."""
+    if at is None or at >= s.time or s.goal is None:
+        return new
+    leap = abs(path.goal_of(new, s.time - at).position - s.goal.position)
+    if leap > able.start:
+        raise ParameterError(
+            f"the trajectory began {(s.time - at) * NANO:.4g} s ago and is {leap:.4g} m from the present goal "
+            f"at {s.goal.position:.4g} m by now; {able.start:g} m are allowed"
+        )
+    return new
 
 
 def found(p: Params, s: State, position: float) -> State:
@@ -181,6 +213,9 @@ def sample(p: Params, s: State, reading: Reading, time: int) -> State:
     goal, begun, following = s.goal, s.begun, s.path
     assert goal is not None  # a sound reading makes one
     before = goal
+    if s.later is not None and time >= s.later[1]:
+        s = s._replace(later=None, path=s.later[0], begun=s.later[1])
+        following, begun = s.path, s.begun
     if following is not None:
         begun = time if begun is None else begun
         if time >= begun:
