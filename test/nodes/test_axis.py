@@ -12,6 +12,8 @@ import rclpy
 from bench import call, set_parameters, spin_until
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.duration import Duration as Wait
 from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Float64, Header
@@ -287,6 +289,39 @@ def test_axis_arc_without_pressure_sensors_stops_with_one_sentence_and_takes_no_
         refused = set_parameters(ros, "axis_controller", upper_level="axis_pid")
         assert not refused.successful and "does not change; start it again" in refused.reason
         assert child.poll() is None
+
+
+def test_axis_arc_waits_for_its_first_pressures_after_each_start(ros, tmp_path):
+    axis = Played(ros)
+    rooms = [ros.create_publisher(FluidPressure, f"pressure_{room}", SAMPLES) for room in "ab"]
+    given = ("upper_level:=axis_arc", "sensor.timeout:=0.2", "stop.controller:=''")
+
+    def switch(*transitions):
+        for wanted in transitions:
+            request = ChangeState.Request(transition=Transition(id=wanted))
+            assert call(ros, ChangeState, "/axis_controller/change_state", request).success
+
+    with upper_level(tmp_path, *given):
+        switch_off = (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP)
+        switch_on = (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE)
+        end = time.monotonic() + 30.0
+        while not axis.commands:
+            assert time.monotonic() < end
+            for room in rooms:
+                room.publish(FluidPressure(fluid_pressure=50e5))
+            axis.send(0.2)
+            rclpy.spin_once(ros, timeout_sec=0.01)
+        switch(*switch_off)
+        axis.said.clear()
+        end = time.monotonic() + 0.3  # longer than the sensors may be silent
+        spin_until(ros, lambda: time.monotonic() > end, "silence")
+        switch(*switch_on)
+        end = time.monotonic() + 20.0
+        while not any("stopped" in said for said in axis.said):
+            assert time.monotonic() < end
+            axis.send(0.2)
+            rclpy.spin_once(ros, timeout_sec=0.01)
+        axis.told("stopped, 0 V: there is no pressure_a and pressure_b")
 
 
 def test_an_axis_whose_sensor_fails_ends_with_0_v_on_the_valve(ros, tmp_path):

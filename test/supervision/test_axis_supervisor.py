@@ -114,7 +114,8 @@ def test_a_trajectory_of_the_past_whose_present_point_is_far_away_is_refused():
     with pytest.raises(ParameterError) as error:
         supervisor.joining(s, made, 500 * MS, able)
     assert str(error.value) == (
-        "the trajectory began 0.5 s ago and is 0.05 m from the present goal at 0.2 m by now; 0.002 m are allowed"
+        "the trajectory began 0.5 s ago and is now 0.05 m from the present goal at 0.2 m; 0.002 m are "
+        "allowed"
     )
 
 

@@ -136,9 +136,11 @@ class AxisController(Managed):
         """Hold the position of the first reading; what waits is stale and dropped, but not in lockstep."""
         assert self._joints is not None
         if not self._lockstep:
-            for topic in (self._joints, self._wanted, self._trajectories):
+            for topic in (self._joints, self._wanted, self._trajectories, *self._rooms.values()):
                 for _ in topic.take():
                     pass
+            self._heard_rooms = dict.fromkeys(self._rooms, NEVER)
+            self._waits_since = NEVER
         self._state = axis_supervisor.reset(self._params, self._state)
         self._said = None
         self._listened = False

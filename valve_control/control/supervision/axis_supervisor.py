@@ -181,8 +181,8 @@ def joining(s: State, new: path.Path, at: int | None, able: path.Range) -> path.
     leap = abs(path.goal_of(new, s.time - at).position - s.goal.position)
     if leap > able.start:
         raise ParameterError(
-            f"the trajectory began {(s.time - at) * NANO:.4g} s ago and is {leap:.4g} m from the present goal "
-            f"at {s.goal.position:.4g} m by now; {able.start:g} m are allowed"
+            f"the trajectory began {(s.time - at) * NANO:.4g} s ago and is now {leap:.4g} m from the present "
+            f"goal at {s.goal.position:.4g} m; {able.start:g} m are allowed"
         )
     return new
 
