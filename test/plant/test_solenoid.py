@@ -370,6 +370,21 @@ def test_around_zero_both_sides_of_an_underlapped_magnet_act(overlap, factor):
     assert state.x.x0 == pytest.approx(factor * 0.9 * 0.9 * 0.2, rel=1e-6)
 
 
+@pytest.mark.parametrize(("side", "overlap"), [(1.0, 0.0), (0.5, 0.0), (0.9, -9.0)])
+def test_friction_and_offset_of_the_linear_valve_are_voltages_at_its_input_whatever_the_sides_gain(
+    side, overlap
+):
+    p = made(coil=1e-4, positive=side, negative=side, overlap=overlap, friction__coulomb=0.5,
+             friction__presliding=0.01, disturbance__offset=0.2)  # fmt: skip
+    u = 1.5 * np.sin(2.0 * np.pi * 0.25 * np.arange(4000) * PERIOD)
+    like = solenoid_valve.linear(p)
+    linear, positions = valve.initial(like), [0.0]
+    for voltage in u:
+        linear = valve.step(like, linear, float(voltage))
+        positions.append(linear.x.x0)
+    assert np.max(np.abs(run(p, u)[:, 0] - positions)) < 0.01 * np.ptp(positions)
+
+
 # LVDT
 
 

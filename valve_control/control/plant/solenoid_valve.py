@@ -202,17 +202,19 @@ def model(values: Values) -> TransferFunction:
 
 def linear(params: solenoid.Params) -> valve.Params:
     """Linear valve that it is like for small motions, with all dead time in its LVDT."""
-    spool, f = params.spool, params.friction
+    spool, f, magnet = params.spool, params.friction, params.magnet
+    acting = 2.0 if magnet.overlap < 0.0 else 1.0  # underlap: both sides act around 0 V
+    side = 0.5 * acting * (magnet.positive + magnet.negative)  # force per voltage behind the hysteresis
     d = valve.Disturbance(
-        coulomb=f.coulomb,
+        coulomb=f.coulomb / side,
         static_ratio=1.0 + f.static / f.coulomb if f.coulomb > 0.0 else 1.0,
         stribeck_velocity=f.stribeck_velocity,
         velocity_scale=1.0,
         presliding=f.coulomb / f.stiffness if f.coulomb > 0.0 else 0.0,
         flow_force=0.0,
-        offset=spool.offset,
-        stiffness_drift=spool.stiffness_drift,
-        gain_drift=params.magnet.gain_drift,
+        offset=spool.offset / side,
+        stiffness_drift=spool.stiffness_drift / side,
+        gain_drift=magnet.gain_drift,
     )
     delay = params.sensor.lvdt.delay + params.amplifier.dead_time
     # With flow force the spring is stiffer: 1 + K·k_f, in which the gain of the coil's voltage has no part.
@@ -223,9 +225,7 @@ def linear(params: solenoid.Params) -> valve.Params:
         damping=spool.damping / root,
         gain=spool.gain / stiff,
     )
-    made = transfer(params.magnet, with_flow)
-    if params.magnet.overlap < 0.0:
-        made = made.scaled(2.0)  # underlap: both sides act around 0 V
+    made = transfer(magnet, with_flow).scaled(acting)
     own = params.sensor.lvdt._replace(delay=delay)
     return valve.design(made, params.period, params.u_max, 1.0, d, own)
 
