@@ -5,7 +5,8 @@
 import signal
 
 import pytest
-from bench import Motion, call, controller, spin_until
+from bench import Bench, Motion, call, controller, spin_until
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from std_msgs.msg import Float64
@@ -54,6 +55,28 @@ def test_inactive_controller_says_0_v_once_and_then_nothing(ros, tmp_path):
         assert change(ros, "controller", Transition.TRANSITION_ACTIVATE)
         spin_until(ros, lambda: ros.count_publishers("valve_voltage") == 1, "configuration")
         spin_until(ros, lambda: bench.lvdt.get_subscription_count() == 1, "subscription")
+
+
+def test_timing_of_a_controller_that_was_activated_again_is_that_of_the_time_since_then(ros, tmp_path):
+    bench, told = Bench(ros), []
+
+    def hear(message):
+        status = message.status[0]
+        told.append((status.message, {pair.key: pair.value for pair in status.values}))
+
+    ros.create_subscription(DiagnosticArray, "/diagnostics", hear, 50)
+    with controller(tmp_path):
+        bench.connect()
+        for _ in range(5):
+            bench.sample(0.0)
+        spin_until(ros, lambda: told and "period_ms" in told[-1][1], "a period")
+        assert change(ros, "controller", Transition.TRANSITION_DEACTIVATE)
+        spin_until(ros, lambda: told[-1][0] == "inactive", "the end")
+        before = int(told[-1][1]["samples"])
+        assert change(ros, "controller", Transition.TRANSITION_ACTIVATE)
+        bench.sample(0.0)
+        spin_until(ros, lambda: int(told[-1][1]["samples"]) == before + 1, "one sample")
+        assert "period_ms" not in told[-1][1] and "jitter_ms_max" not in told[-1][1]
 
 
 def test_transition_that_does_not_exist_is_refused(ros, tmp_path):

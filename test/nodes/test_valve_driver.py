@@ -103,6 +103,21 @@ def test_the_loop_closes_and_a_killed_controller_leaves_zero_volts(ros, tmp_path
         run(ros, card, lambda: not card._asked, "the card's own watchdog")
 
 
+def test_a_voltage_before_the_first_reading_is_no_answer(ros, tmp_path, card):
+    told, voltage = Told(ros), ros.create_publisher(Float64, "valve_voltage", 10)
+
+    def given():
+        voltage.publish(Float64(data=1.0))
+        rclpy.spin_once(ros, timeout_sec=0.01)
+        card.receive(time.monotonic())
+        return abs(card.voltage - 1.0) < 2 * STEP
+
+    with driver(tmp_path, card, "watchdog:=60.0"):
+        spin_until(ros, given, "voltage at the card")
+        run(ros, card, lambda: "period_ms" in told.values, "readings")
+        assert math.isfinite(float(told.values.get("answer_ms_max", "0.0")))
+
+
 def test_each_reading_is_answered_and_the_law_moves_the_spool(ros, tmp_path, card):
     with loop(ros, tmp_path, card, "watchdog:=5.0") as (_, node, told):
         voltages = []

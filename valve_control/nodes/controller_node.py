@@ -244,6 +244,8 @@ class Controller(Managed):
         if self._warming is not None:
             self._warming.start()
         self._catching_up = False
+        for figures in (self._arrivals, self._latencies, self._durations):  # of the time since then
+            figures.clear()
         rate = 1.0 / self._period
         for sentence in REFUSED:
             self.get_logger().warning(sentence)

@@ -160,6 +160,7 @@ class ValveDriver(Managed):
         self._quiet = 0
         self._said = ()
         self._arrivals.clear()
+        self._answers.clear()
         self._begun = False
         self._next = 0.0
         self.get_logger().info(f"{word(self._values, 'driver')}: waiting for readings and valve_voltage")
@@ -199,7 +200,8 @@ class ValveDriver(Managed):
             self._begun = True
             self._switch(self._values["enable"] is True)
         if self._take_voltage():
-            self._answers.append(time.monotonic() - self._published)
+            if self._arrivals and not self._quiet:  # otherwise it answers no reading
+                self._answers.append(time.monotonic() - self._published)
         else:
             self._repeat()
         reading = self._device.read()
