@@ -10,7 +10,7 @@ from concurrent.futures import Future
 import numpy as np
 import pytest
 
-from valve_control.control.commands.scenarios import command
+from valve_control.control.commands.scenarios import SCENARIOS, command
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND
 from valve_control.dashboard.doing import RUNS
@@ -37,7 +37,7 @@ def test_latencies_are_times_from_the_last_reading():
     assert Latencies().histogram() is None
 
 
-@pytest.mark.parametrize("scenario", ["point_to_point", "sine", "step", "sweep", "stepped_sine", "constant"])
+@pytest.mark.parametrize("scenario", SCENARIOS)
 def test_limits_of_a_command_bound_what_is_sent(scenario):
     changes = {"scenario": scenario, "amplitude": -1.5, "offset": 0.4, "steps": 3, "duration": 60.0}
     values = updated(COMMAND, defaults(COMMAND), changes)

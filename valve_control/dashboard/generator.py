@@ -16,9 +16,9 @@ def largest(shape: Shape) -> float:
     a, offset = shape.amplitude, shape.offset
     if shape.scenario == "constant":
         return abs(offset)
-    if shape.scenario in ("sine", "sweep", "stepped_sine"):
-        return abs(offset) + abs(a)
-    return max(abs(offset), abs(offset + a))
+    if shape.scenario in ("step", "point_to_point"):
+        return max(abs(offset), abs(offset + a))
+    return abs(offset) + abs(a)
 
 
 def fastest(shape: Shape) -> float:
@@ -29,6 +29,8 @@ def fastest(shape: Shape) -> float:
         return math.inf
     if shape.scenario == "point_to_point":
         return stroke_time(abs(shape.amplitude), shape.max_velocity, shape.max_accel)[2]
+    if shape.scenario == "triangle":
+        return 4.0 * shape.frequency * abs(shape.amplitude)
     top = shape.frequency if shape.scenario == "sine" else max(shape.frequency, shape.end_frequency)
     return 2.0 * math.pi * top * abs(shape.amplitude)
 
