@@ -3,6 +3,7 @@
 """Latencies, limits of commands, who writes, frames, programs, and a valve's signals."""
 
 import asyncio
+import json
 import math
 import time
 from concurrent.futures import Future
@@ -20,7 +21,7 @@ from valve_control.dashboard.generator import check, fastest, largest, paced
 from valve_control.dashboard.latency import Latencies
 from valve_control.dashboard.machine import Machine
 from valve_control.dashboard.programs import Program
-from valve_control.dashboard.valve import NodeState, Valve
+from valve_control.dashboard.valve import SIGNALS, NodeState, Valve
 from valve_control.dashboard.writers import GONE, Writer, right
 from valve_control.parameter import ParameterError, defaults, updated
 
@@ -110,6 +111,11 @@ def test_a_frame_has_what_was_asked_for():
     time_, low, high = got["command"]
     assert 290 <= len(time_) <= 302 and np.all(low <= high) and -0.1 < time_[0] < time_[-1] < 5.1
     assert low.min() == pytest.approx(np.sin(t[4000:9000]).min(), abs=1e-3)
+    joints = [f"axis.position of {joint}" for joint in range(6)]  # as many as the node takes
+    terms = [f"term.{number}" for number in range(6)]  # as many as plots.js shows
+    every = [*SIGNALS, *terms, *joints, "axis.goal", "axis.pressure_a", "axis.pressure_b"]
+    whole = text.replace('["command", "voltage", "term.none"]', json.dumps(every))
+    assert list(sample(frame(machine, view(whole), 1010.0))) == every
     for wrong in (
         "",
         "[]",

@@ -15,7 +15,7 @@ from valve_control.dashboard.machine import Machine
 from valve_control.dashboard.valve import Valve
 
 MOST_COLUMNS = 4000
-MOST_SIGNALS = 16
+MOST_SIGNALS = 19  # four of the valve, six terms, six joints, goal and two pressures of the axis
 SHORTEST = 0.01  # s
 RIGHT = 0.03  # s  left of the present, so that the newest samples of all signals are there
 
