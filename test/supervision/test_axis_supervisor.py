@@ -114,8 +114,7 @@ def test_a_trajectory_of_the_past_whose_present_point_is_far_away_is_refused():
     with pytest.raises(ParameterError) as error:
         supervisor.joining(s, made, 500 * MS, able)
     assert str(error.value) == (
-        "the trajectory began 0.5 s ago and is now 0.05 m from the present goal at 0.2 m; 0.002 m are "
-        "allowed"
+        "the trajectory began 0.5 s ago and is now 0.05 m from the present goal at 0.2 m; 0.002 m are allowed"
     )
 
 
@@ -131,6 +130,15 @@ def test_wrong_readings_never_reach_the_upper_level_and_too_many_in_a_row_stop_i
         expected = expected or in_a_row > 2
         assert s.command == 0.0 and bool(s.stopped) == expected
         assert supervisor.mode(s)[0] is (Mode.SAFE if expected else Mode.DEGRADED if in_a_row else Mode.OK)
+
+
+def test_the_velocity_that_axis_arc_observes_goes_on_while_readings_are_bridged():
+    p, _ = designed(upper_level="axis_arc", sensor__hold_samples=3, error_limit=0.0)
+    s = supervisor.at_rest(p)
+    for k in range(1, 500):
+        position = math.nan if 400 <= k < 403 else 0.2 + 0.1 * k * p.period
+        s = supervisor.sample(p, s, Reading(math.nan, position, 50e5, 80e5), k * MS)
+        assert k < 390 or s.upper.velocity == pytest.approx(0.1, rel=1e-3)
 
 
 def test_an_axis_that_does_not_follow_is_stopped_and_reset_holds_where_it_is():

@@ -107,23 +107,38 @@ def observed(p: Params, s: State, reading: Reading) -> State:
             reading.pressure_b,
             s.acceleration,
         )
-    m, t, period = p.law.model, s.arc.theta, p.law.period
+    m = p.law.model
     a = s.pressure_a + p.smoothing * (reading.pressure_a - s.pressure_a)
     b = s.pressure_b + p.smoothing * (reading.pressure_b - s.pressure_b)
     force = 0.5 * (load_force(m, s.pressure_a, s.pressure_b) + load_force(m, a, b))
-    acceleration = explained(p.law, t, s.velocity, force) + s.unexplained
-    position = s.position + period * (s.velocity + 0.5 * period * acceleration)
+    position, velocity = predicted(p, s, force)
     off = reading.position - position
     return State(
         s.arc,
         1.0,
         position + p.by_position * off,
-        s.velocity + period * acceleration + p.by_velocity * off,
+        velocity + p.by_velocity * off,
         s.unexplained + p.by_acceleration * off,
         a,
         b,
         s.acceleration,
     )
+
+
+def predicted(p: Params, s: State, force: float) -> tuple[float, float]:
+    """Position [m] and velocity [m/s] one period after ``s``, under a load ``force`` [N] over it."""
+    period = p.law.period
+    acceleration = explained(p.law, s.arc.theta, s.velocity, force) + s.unexplained
+    position = s.position + period * (s.velocity + 0.5 * period * acceleration)
+    return position, s.velocity + period * acceleration
+
+
+def missed(p: Params, s: State) -> State:
+    """State after a sample without a reading: the observed motion goes on, under the pressures of before."""
+    if s.samples == 0.0:
+        return s
+    position, velocity = predicted(p, s, load_force(p.law.model, s.pressure_a, s.pressure_b))
+    return s._replace(position=position, velocity=velocity)
 
 
 def ahead(lead: float, goal: Goal, jerk: float) -> Goal:

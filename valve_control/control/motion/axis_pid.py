@@ -81,6 +81,11 @@ def step(p: Params, s: State, goal: Goal, reading: Reading) -> tuple[float, Stat
     return command, State(integral, filtered), Terms(error, wanted, command)
 
 
+def missed(p: Params, s: State) -> State:
+    """State after a sample without a reading: that of before."""
+    return s
+
+
 class SpoolReference(NamedTuple):
     """Motion of the spool that is wanted, of one sample."""
 

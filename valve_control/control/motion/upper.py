@@ -4,6 +4,7 @@
 
 ``step`` (params, state, goal, reading) returns the spool command [V], the next state and the terms, of which
 ``error`` [m] and ``spool`` [V] are in all. ``initial`` (params) is the state before, AT_REST the terms.
+``missed`` (params, state) is the state after a sample without a reading.
 ``motion`` is the spool's motion at a sample, ``estimates`` (state) what was learnt of the axis. A level that
 NEEDS_PRESSURES cannot do without them.
 """

@@ -209,7 +209,7 @@ def sample(p: Params, s: State, reading: Reading, time: int) -> State:
     if fault:
         if s.goal is None or watch.wrong > p.watch.hold_samples:
             return stopped(s, fault)
-        return s._replace(bridged=fault)
+        return s._replace(bridged=fault, upper=p.level.missed(p.upper, s.upper))
     goal, begun, following = s.goal, s.begun, s.path
     assert goal is not None  # a sound reading makes one
     before = goal
