@@ -24,7 +24,7 @@ import numpy as np
 import tqdm
 
 from valve_control import outputs
-from valve_control.control.commands.scenarios import Shape, command
+from valve_control.control.commands.scenarios import command, strokes
 from valve_control.control.parameters import files
 from valve_control.parameter import Value, Values
 
@@ -69,18 +69,7 @@ def invented(random: np.random.Generator) -> tuple[float, Values]:
 def motions(frequency: float) -> dict[str, np.ndarray[Any, Any]]:
     """Strokes and sines [V] for a valve of this bandwidth [Hz]."""
     t, fast = np.arange(round(DURATION / PERIOD)) * PERIOD - 0.2, min(frequency, FASTEST) / SLOW
-    shape = Shape(
-        scenario="point_to_point",
-        amplitude=1.2,
-        offset=0.0,
-        start=0.0,
-        frequency=1.0,
-        end_frequency=1.0,
-        max_velocity=25.0 * fast,
-        max_accel=1500.0 * fast * fast,
-        cycle=0.8,
-        sweep_time=1.0,
-    )
+    shape = strokes(1.2, 25.0 * fast, 1500.0 * fast * fast, 0.8)
     swell = 0.5 - 0.5 * np.cos(math.pi * np.clip(t / 0.5, 0.0, 1.0))
     return {
         "strokes": np.array([command(shape, float(time)) for time in t]),

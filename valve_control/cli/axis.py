@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
 from valve_control.cli import moved
-from valve_control.cli.common import check_outputs, deliver, tell_notes, write_json, wrote
+from valve_control.cli.common import check_outputs, deliver, parameter_options, tell_notes, write_json, wrote
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import Values, lookup, updated
 
@@ -33,20 +33,7 @@ def add_commands(commands: Any) -> None:
     )
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (3.0)")
     group.add_argument("--seed", type=int, metavar="N", help="seed of the sensors' noise (1)")
-    group.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="any parameter of axis, upper level, valve or its controller; again for more",
-    )
-    group.add_argument(
-        "--params-file",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="ROS 2 parameter file; again for more, later ones win; --set wins over files",
-    )
+    parameter_options(group, "any parameter of axis, upper level, valve or its controller")
     output = axis.add_argument_group("what comes out")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     output.add_argument("--csv", metavar="FILE", help="signals as CSV")

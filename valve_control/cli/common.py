@@ -58,6 +58,20 @@ class Once(argparse.Action):
 INPUTS = ("params_file", "command", "source", "table", "bag", "bags", "config")  # options that name files
 
 
+def parameter_options(group: Any, parameters: str) -> None:
+    """Add --set for ``parameters``, as its help calls them, and --params-file."""
+    group.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help=f"{parameters}; again for more"
+    )
+    group.add_argument(
+        "--params-file",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="ROS 2 parameter file; again for more, later ones win; --set wins over files",
+    )
+
+
 def check_outputs(
     arguments: argparse.Namespace, files: Sequence[str | None] = (), figures: Sequence[str | None] = ()
 ) -> None:

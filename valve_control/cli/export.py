@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from valve_control.cli.common import check_outputs, tell_notes, write_json, wrote
+from valve_control.cli.common import check_outputs, parameter_options, tell_notes, write_json, wrote
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
 
@@ -35,16 +35,7 @@ def add_commands(commands: Any) -> None:
         action="store_true",
         help="the law with the supervisor's watch over LVDT and command: gaps, 0 V on faults, limits",
     )
-    group.add_argument(
-        "--params-file",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="ROS 2 parameter file; again for more, later ones win; --set wins over files",
-    )
-    group.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="any parameter; again for more"
-    )
+    parameter_options(group, "any parameter")
     output = options.add_argument_group("what comes out")
     output.add_argument(
         "--output", metavar="DIR", required=True, help="folder, or file of an FMU, that is new"

@@ -19,6 +19,7 @@ from valve_control.cli.common import (
     check_outputs,
     clock_option,
     deliver,
+    parameter_options,
     tell_notes,
     write_json,
     wrote,
@@ -71,20 +72,7 @@ def setup_options(several: bool = False) -> Parser:
 def _valve_options(group: Any) -> None:
     group.add_argument("--valve", choices=VALVES, help="linear valve model (default: fourth_order)")
     group.add_argument("--sample-period", type=float, metavar="S", help="sample period [s] (0.001)")
-    group.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="any parameter of controller, valve or command; again for more",
-    )
-    group.add_argument(
-        "--params-file",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="ROS 2 parameter file; again for more, later ones win; --set wins over files",
-    )
+    parameter_options(group, "any parameter of controller, valve or command")
 
 
 def delivery_options() -> Parser:

@@ -196,6 +196,19 @@ def _texts(record: Any) -> Iterator[tuple[str, str]]:
         yield name, text
 
 
+def _attributes(reference: int, v: Variable) -> dict[str, Any]:
+    """Attributes that ``v`` has in either version."""
+    parameter, given = v.causality == "parameter", v.causality == "input"
+    return {
+        "name": v.name,
+        "valueReference": reference,
+        "description": v.text,
+        "causality": v.causality,
+        "variability": "tunable" if parameter else "continuous" if given else "discrete",
+        "initial": "exact" if parameter else None if given else "calculated",
+    }
+
+
 _MODEL = string.Template("""/* Variables and sampled step of ${name} for the wrapper of FMI. */
 #include <math.h>
 #include <stdbool.h>
@@ -340,17 +353,7 @@ def _fmi2(unit: Unit, variables: list[Variable], token: str, compiled: list[str]
     _common(unit, root, variables)
     parent = _add(root, "ModelVariables")
     for i, v in enumerate(variables, 1):
-        parameter = v.causality == "parameter"
-        variable = _add(
-            parent,
-            "ScalarVariable",
-            name=v.name,
-            valueReference=i,
-            description=v.text,
-            causality=v.causality,
-            variability="tunable" if parameter else "continuous" if v.causality == "input" else "discrete",
-            initial="exact" if parameter else None if v.causality == "input" else "calculated",
-        )
+        variable = _add(parent, "ScalarVariable", **_attributes(i, v))
         start = None if v.start is None else repr(v.start)
         _add(variable, "Real", unit=v.unit, min=v.low, max=v.high, start=start)
     structure = _add(root, "ModelStructure")
@@ -390,16 +393,10 @@ def _fmi3(unit: Unit, variables: list[Variable], token: str, compiled: list[str]
         unit="s",
     )
     for i, v in enumerate(variables, 1):
-        parameter = v.causality == "parameter"
         _add(
             parent,
             "Float64",
-            name=v.name,
-            valueReference=i,
-            description=v.text,
-            causality=v.causality,
-            variability="tunable" if parameter else "continuous" if v.causality == "input" else "discrete",
-            initial="exact" if parameter else None if v.causality == "input" else "calculated",
+            **_attributes(i, v),
             unit=v.unit,
             min=v.low,
             max=v.high,

@@ -26,6 +26,11 @@ class Shape(NamedTuple):
     step_time: float = 1.0  # s     least time of each
 
 
+def strokes(amplitude: float, velocity: float, accel: float, cycle: float) -> Shape:
+    """Point to point over ``amplitude`` [V], there and back in each ``cycle`` [s], from the beginning on."""
+    return Shape("point_to_point", amplitude, 0.0, 0.0, 1.0, 1.0, velocity, accel, cycle, 1.0)
+
+
 class Step(NamedTuple):
     """One frequency of a stepped sine, from ``start`` to ``end`` [s] after the motion's beginning."""
 

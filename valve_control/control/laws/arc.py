@@ -193,24 +193,14 @@ def build(values: Values) -> Params:
     )
 
 
-def model(p: Params) -> tuple[float, float, float]:
-    """a1, a0 and b0 of the initial estimates."""
-    return p.theta_initial.a1, p.theta_initial.a0, p.theta_initial.b0
-
-
-def without_adaptation(p: Params, s: State) -> tuple[Params, State]:
-    """Parameters and state of the law with its estimates at rest, for which its step is linear."""
-    return p._replace(gamma=Theta(0.0, 0.0, 0.0, 0.0)), s
-
-
 LAW = Law(
     name="arc",
     text="full state feedback adaptive robust control (17)-(25)",
     module=sys.modules[__name__],
     parameters=PARAMETERS,
     build=build,
-    model=model,
-    linear=without_adaptation,
+    model=estimates.model,
+    linear=estimates.at_rest,
     free=(
         Free("arc.k1", 10.0, 600.0, powers=(1, 0)),
         Free("arc.k2", 10.0, 600.0, powers=(1, 0)),

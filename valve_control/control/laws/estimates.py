@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lists and reads the parameters of laws that estimate the valve: initial estimates, ranges (5), rates."""
 
+from typing import Any
+
 from valve_control.control.laws.free import Free
 from valve_control.control.laws.projection import Theta
 from valve_control.parameter import Parameter, ParameterError, Table, Values, numbers
@@ -93,3 +95,13 @@ def bounds(values: Values, law: str) -> tuple[Theta, Theta, Theta]:
 def robust(values: Values, law: str) -> float:
     """1.0 with the quadratic robust term, 0.0 without."""
     return 1.0 if values[f"{law}.robust_term"] == "quadratic" else 0.0
+
+
+def model(p: Any) -> tuple[float, float, float]:
+    """a1, a0 and b0 of the initial estimates of a law with the Params ``p``."""
+    return p.theta_initial.a1, p.theta_initial.a0, p.theta_initial.b0
+
+
+def at_rest(p: Any, s: Any) -> tuple[Any, Any]:
+    """Params and state of a law with its estimates at rest, for which its step is linear."""
+    return p._replace(gamma=Theta(0.0, 0.0, 0.0, 0.0)), s

@@ -16,6 +16,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple, get_type_hints
 
 from valve_control.control.compiling import bind
+from valve_control.control.laws.places import law_hold, law_initial, law_step
 from valve_control.control.laws.signals import Start
 from valve_control.parameter import Parameter, ParameterError, Table, Values, number, numbers
 
@@ -218,21 +219,6 @@ class Params(NamedTuple):
     forward: Curve
     u_max: float  # V  of the amplifier
     period: float  # s
-
-
-def law_initial(p: Any, start: Start) -> Any:
-    """Place of the law's ``initial``."""
-    raise NotImplementedError
-
-
-def law_step(p: Any, s: Any, command: float, measurement: float, offset: float) -> Any:
-    """Place of the law's ``step``."""
-    raise NotImplementedError
-
-
-def law_hold(p: Any, s: Any, command: float, measurement: float, voltage: float) -> Any:
-    """Place of the law's ``hold``."""
-    raise NotImplementedError
 
 
 def initial(p: Params, start: Start) -> Any:

@@ -372,25 +372,15 @@ def build(values: Values) -> Params:
     )
 
 
-def model(p: Params) -> tuple[float, float, float]:
-    """a1, a0 and b0 of the initial estimates."""
-    return p.theta_initial.a1, p.theta_initial.a0, p.theta_initial.b0
-
-
-def without_adaptation(p: Params, s: State) -> tuple[Params, State]:
-    """Parameters and state of the law with its estimates at rest, for which its step is linear."""
-    return p._replace(gamma=Theta(0.0, 0.0, 0.0, 0.0)), s
-
-
 LAW = Law(
     name="oarc",
     text="output feedback adaptive robust control (26)-(53)",
     module=sys.modules[__name__],
     parameters=PARAMETERS,
     build=build,
-    model=model,
+    model=estimates.model,
     form=("oarc.k1", "oarc.k2"),
-    linear=without_adaptation,
+    linear=estimates.at_rest,
     free=(
         Free("oarc.k1", 50.0, 3000.0, powers=(1, 0)),
         Free("oarc.k2", 1e3, 3e6, powers=(2, 0)),

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from valve_control.control.compiling import LANES, compile_function, explained
 from valve_control.control.laws.law import Law
+from valve_control.control.laws.places import law_step
 
 Array = npt.NDArray[np.float64]
 
@@ -30,11 +31,6 @@ def load(like: Any, block: Array, lane: int) -> Any:
 
 def store(value: Any, block: Array, lane: int) -> None:
     """Placeholder for ``simd_layout.store``."""
-    raise NotImplementedError
-
-
-def law_step(params: Any, state: Any, command: float, reading: float, offset: float) -> Any:
-    """Placeholder for the law's step."""
     raise NotImplementedError
 
 

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from valve_control.control import closed_loop
 from valve_control.control.compiling import LANES, compile_function, explained
 from valve_control.control.laws import linearisation
+from valve_control.control.laws.places import law_initial
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import linear_loop
@@ -89,11 +90,6 @@ class Batch(NamedTuple):
     commands: Array
     measures: Measures = INDICES
     led: Array | None = None  # V, of the same shape: with the lead of ``command_lead``; None: ``commands``
-
-
-def law_initial(p: Any, start: Start) -> Any:
-    """Placeholder for the law's ``initial``."""
-    raise NotImplementedError
 
 
 def load(like: Any, block: Array, lane: int) -> Any:

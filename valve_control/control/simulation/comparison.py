@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.control.commands.scenarios import Shape, command
+from valve_control.control.commands.scenarios import command, strokes
 from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
@@ -69,26 +69,15 @@ def motions() -> dict[str, Array]:
         wave: Array = np.sin(2.0 * math.pi * frequency * t)
         return wave
 
-    def strokes(amplitude: float, velocity: float, accel: float, cycle: float) -> Array:
-        shape = Shape(
-            scenario="point_to_point",
-            amplitude=amplitude,
-            offset=0.0,
-            start=0.0,
-            frequency=1.0,
-            end_frequency=1.0,
-            max_velocity=velocity,
-            max_accel=accel,
-            cycle=cycle,
-            sweep_time=1.0,
-        )
-        return np.array([command(shape, float(time)) for time in t])
+    def stroke(*shape: float) -> Array:
+        wanted = strokes(*shape)
+        return np.array([command(wanted, float(time)) for time in t])
 
     return {
-        "fast point to point": strokes(1.5, 40.0, 2500.0, 0.5),
+        "fast point to point": stroke(1.5, 40.0, 2500.0, 0.5),
         "sines 3, 9, 15 Hz": swell * (0.5 * sine(3.0) + 0.3 * sine(9.0) + 0.15 * sine(15.0)),
         "sine 10 Hz": swell * 0.6 * sine(10.0),
-        "slow point to point": strokes(2.92, 8.0, 64.0, 5.81),
+        "slow point to point": stroke(2.92, 8.0, 64.0, 5.81),
     }
 
 

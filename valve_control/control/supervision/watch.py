@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, get_type_hints
 from valve_control.control.compiling import bind
 from valve_control.control.laws import command_lead, linearisation, reshaping, velocity
 from valve_control.control.laws.law import Law
+from valve_control.control.laws.places import law_hold, law_initial, law_step
 from valve_control.control.laws.projection import Theta, clip
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
@@ -127,21 +128,6 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
 
 
 # Places
-
-
-def law_initial(p: Any, start: Start) -> Any:
-    """Place of the law's ``initial``."""
-    raise NotImplementedError
-
-
-def law_step(p: Any, s: Any, command: float, measurement: float, offset: float) -> Any:
-    """Place of the law's ``step``."""
-    raise NotImplementedError
-
-
-def law_hold(p: Any, s: Any, command: float, measurement: float, voltage: float) -> Any:
-    """Place of the law's ``hold``."""
-    raise NotImplementedError
 
 
 def law_steady_command(p: Any, start: Start) -> float:

@@ -207,18 +207,7 @@ def _strokes(height: float, velocity: float, period: float) -> Floats:
     acceleration = ACCELERATION * velocity
     ramp, cruise, _ = scenarios.stroke_time(height, velocity, acceleration)
     half = 2.0 * ramp + cruise + PAUSE
-    shape = scenarios.Shape(
-        scenario="point_to_point",
-        amplitude=height,
-        offset=0.0,
-        start=0.0,
-        frequency=1.0,
-        end_frequency=1.0,
-        max_velocity=velocity,
-        max_accel=acceleration,
-        cycle=2.0 * half,
-        sweep_time=1.0,
-    )
+    shape = scenarios.strokes(height, velocity, acceleration, 2.0 * half)
     there = sampled(shape, period, max(2, round(2.0 * half / period)))
     return np.concatenate([there, -there])
 
