@@ -127,6 +127,70 @@ def _wanted(
     return wanted, states, raw, diagnostics
 
 
+class _Request(NamedTuple):
+    """What is to be read of a bag."""
+
+    path: Path | str  # as it was given
+    wanted: dict[str, list[str]]  # fields by topic
+    states: set[str]  # topics of laws' states
+    raw: set[str]  # topics of whole messages
+    groups: list[list[str]]  # topics of the signals of each valve
+    start: float | None  # s  after the bag's beginning
+    end: float | None  # s
+    clock: str | None
+
+    def span(self, begin: int) -> tuple[int, int | None]:
+        """Beginning and end [ns] of the part, of a bag that begins at ``begin`` [ns]."""
+        first = begin if self.start is None else begin + nanoseconds(self.start, "--from")
+        return first, None if self.end is None else begin + nanoseconds(self.end, "--to")
+
+
+def _read(
+    bag: Bag, asked: _Request, hears: Callable[[int], None] | None
+) -> tuple[dict[str, Series], Clock, int]:
+    """Series by topic, the clock of all their times, and the beginning of the part [ns]. Raises BagError."""
+    wanted, states, raw = asked.wanted, asked.states, asked.raw
+    first, last = asked.span(bag.begin)
+    signals = [name for group in asked.groups for name in group]
+    stamped = fields(bag, signals, asked.clock) if bag.table is None else {}
+    for name, names in stamped.items():
+        wanted.setdefault(name, []).extend(names)
+    if stamped:
+        series = bag.read(wanted, raw=raw, sparse=states, told=hears)
+    elif asked.start is None:
+        series = bag.read(wanted, raw=raw, sparse=states, end=last, told=hears)
+    else:
+        # What is known of the nodes counts from the bag's beginning, whatever part is asked for.
+        series = bag.read(wanted, sparse=states, start=first, end=last, told=hears)
+        series |= bag.read({}, raw=raw, end=last)
+    found: list[str] = []
+    series = without_strays(series, found)
+    if bag.table is not None:
+        ruling = of_table(bag.table, asked.clock)
+    else:
+        ruling = decide(series, asked.groups, None if stamped else asked.clock, asked.path)
+    if stamped:
+        series, ruling = retimed(series, stamped, ruling, signals)
+        series = without_strays(series, found)
+    apart = ruling.source and ruling.apart
+    if (apart or stamped) and (asked.start is not None or asked.end is not None):
+        if apart:
+            # The part that was read is one of times of recording.
+            found.clear()
+            series = without_strays(bag.read(wanted, raw=raw, sparse=states), found)
+        sent = [series[name].publish_time for name in signals]
+        first, last = asked.span(min(int(time.min()) for time in sent if len(time)))
+        series = {
+            name: one.pick(
+                ((name in raw) | (one.publish_time >= first))
+                & (one.publish_time < (np.inf if last is None else last))
+            )
+            for name, one in series.items()
+        }
+    bag.problems += [*found, *ruling.notes]
+    return ruling.read(series), ruling, first
+
+
 def load(
     path: Path | str,
     maps: Sequence[str] = (),
@@ -148,51 +212,9 @@ def load(
     topics = find_valves(bag, maps)
     wanted, states, raw, diagnostics = _wanted(bag, topics, journals)
     labels = {name: _labels(bag, name) for name in states}
-    begin = bag.begin
-    first = begin if start is None else begin + nanoseconds(start, "--from")
-    last = None if end is None else begin + nanoseconds(end, "--to")
-    hears = told(bag) if told else None
     groups = [[source.topic for source in valve.sources.values()] for valve in topics.values()]
-    signals = [name for group in groups for name in group]
-    stamped = fields(bag, signals, clock) if bag.table is None else {}
-    for name, names in stamped.items():
-        wanted.setdefault(name, []).extend(names)
-    if stamped:
-        series = bag.read(wanted, raw=raw, sparse=states, told=hears)
-    elif start is None:
-        series = bag.read(wanted, raw=raw, sparse=states, end=last, told=hears)
-    else:
-        # What is known of the nodes counts from the bag's beginning, whatever part is asked for.
-        series = bag.read(wanted, sparse=states, start=first, end=last, told=hears)
-        series |= bag.read({}, raw=raw, end=last)
-    found: list[str] = []
-    series = without_strays(series, found)
-    if bag.table is not None:
-        ruling = of_table(bag.table, clock)
-    else:
-        ruling = decide(series, groups, None if stamped else clock, path)
-    if stamped:
-        series, ruling = retimed(series, stamped, ruling, signals)
-        series = without_strays(series, found)
-    apart = ruling.source and ruling.apart
-    if (apart or stamped) and (start is not None or end is not None):
-        if apart:
-            # The part that was read is one of times of recording.
-            found.clear()
-            series = without_strays(bag.read(wanted, raw=raw, sparse=states), found)
-        sent = [series[name].publish_time for group in groups for name in group]
-        begin = min(int(time.min()) for time in sent if len(time))
-        first = begin + nanoseconds(start or 0.0, "--from")
-        last = None if end is None else begin + nanoseconds(end, "--to")
-        series = {
-            name: one.pick(
-                ((name in raw) | (one.publish_time >= first))
-                & (one.publish_time < (np.inf if last is None else last))
-            )
-            for name, one in series.items()
-        }
-    series = ruling.read(series)
-    bag.problems += [*found, *ruling.notes]
+    asked = _Request(path, wanted, states, raw, groups, start, end, clock)
+    series, ruling, first = _read(bag, asked, told(bag) if told else None)
     since = 0 if start is None else first
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
     if start is not None:
