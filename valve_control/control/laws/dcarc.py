@@ -751,6 +751,24 @@ def _magnet(values: Values, period: float) -> magnet.Params:
     )
 
 
+DESIGNED = {
+    **{name: name for name in ("delay", "input_noise", "disturbance_rate", "voltage_weight", "coil", "hum")},
+    "noise": "lvdt_noise",
+    "resolution": "lvdt_resolution",
+    "dead_time": "actuator_delay",
+}  # arguments of the design, and the parameters that give them
+
+
+def _assumed(spread: Weights, noise: float) -> tuple[Weights, float]:
+    """Spreads of the weights and noise [V] that are assumed of the valve: the usual ones at least.
+
+    A search makes both small to calm the adaptation, which says nothing of the valve.
+    """
+    usual, usual_noise = numbers(USUAL, "dcarc.theta_spread"), number(USUAL, "dcarc.fit_noise")
+    assumed = Weights(*(max(s, u) if s > 0.0 else 0.0 for s, u in zip(spread, usual, strict=True)))
+    return assumed, max(noise, usual_noise)
+
+
 def build(values: Values) -> Params:
     """Law from the controller's values. Raises ParameterError."""
     from valve_control.control.laws import dcarc_design  # scipy.linalg takes a while
@@ -758,24 +776,11 @@ def build(values: Values) -> Params:
     period = number(values, "sample_period")
     start, lower, upper, spread = _weights(values)
     noise = number(values, "dcarc.fit_noise")
-    # A search makes spreads and noise small to calm the adaptation, which says nothing of the valve.
-    usual, usual_noise = numbers(USUAL, "dcarc.theta_spread"), number(USUAL, "dcarc.fit_noise")
-    assumed = Weights(*(max(s, u) if s > 0.0 else 0.0 for s, u in zip(spread, usual, strict=True)))
+    assumed, assumed_noise = _assumed(spread, noise)
     valve_model = models.chosen(values, "dcarc.model", "dcarc.")
     try:
-        made = dcarc_design.design(
-            valve_model,
-            period,
-            number(values, "dcarc.delay"),
-            number(values, "dcarc.lvdt_noise"),
-            number(values, "dcarc.lvdt_resolution"),
-            number(values, "dcarc.input_noise"),
-            number(values, "dcarc.disturbance_rate"),
-            number(values, "dcarc.voltage_weight"),
-            number(values, "dcarc.coil"),
-            number(values, "dcarc.actuator_delay"),
-            number(values, "dcarc.hum"),
-        )
+        given = {argument: number(values, f"dcarc.{name}") for argument, name in DESIGNED.items()}
+        made = dcarc_design.design(valve_model, period, **given)
     except dcarc_design.DesignError as error:
         raise ParameterError(str(error)) from error
     return Params(
@@ -804,7 +809,7 @@ def build(values: Values) -> Params:
         fit_variance=noise**2,
         memory=-math.expm1(-period / MEMORY),
         assumed=least_squares.product(assumed, assumed),
-        assumed_variance=max(noise, usual_noise) ** 2,
+        assumed_variance=assumed_noise**2,
         magnet=_magnet(values, period),
         equivalent=made.equivalent,
         u_max=number(values, "u_max"),

@@ -488,26 +488,10 @@ def equivalent(model: TransferFunction) -> Equivalent:
 
 
 @functools.lru_cache(maxsize=32)
-def design(
-    model: TransferFunction,
-    period: float,
-    delay: float,
-    noise: float,
-    resolution: float,
-    input_noise: float,
-    disturbance_rate: float,
-    voltage_weight: float,
-    coil: float,
-    dead_time: float,
-    hum: float = 0.0,
-) -> Design:
-    """The law for ``model`` at ``period`` [s], with a reading ``delay`` [s] late.
-
-    ``noise`` and ``resolution`` [V]: of the LVDT; ``input_noise`` [V], ``disturbance_rate`` [V/√s]: what the
-    Kalman filter assumes of the input; ``voltage_weight``: of LQR; ``coil`` [s]: lag of the force behind the
-    voltage; ``dead_time`` [s]: of the actuator; ``hum`` [Hz]: in the reading, 0.0: none. Raises DesignError.
-    """
-    at = reference(model, period)
+def _refuse(
+    model: TransferFunction, period: float, delay: float, coil: float, dead_time: float, hum: float
+) -> None:
+    """Raise DesignError for numbers that do not fit each other."""
     if coil > 0.0 and excess(model) <= EXCESS[0]:
         raise DesignError(
             f"dcarc.coil is {coil:g} s; the model must then have three more poles than zeros, or dcarc.coil "
@@ -532,6 +516,29 @@ def design(
         raise DesignError(
             f"dcarc.hum is {hum:g} Hz; it must lie below half of the sample rate, {0.5 / period:g} Hz"
         )
+
+
+def design(
+    model: TransferFunction,
+    period: float,
+    delay: float,
+    noise: float,
+    resolution: float,
+    input_noise: float,
+    disturbance_rate: float,
+    voltage_weight: float,
+    coil: float,
+    dead_time: float,
+    hum: float = 0.0,
+) -> Design:
+    """The law for ``model`` at ``period`` [s], with a reading ``delay`` [s] late.
+
+    ``noise`` and ``resolution`` [V]: of the LVDT; ``input_noise`` [V], ``disturbance_rate`` [V/√s]: what the
+    Kalman filter assumes of the input; ``voltage_weight``: of LQR; ``coil`` [s]: lag of the force behind the
+    voltage; ``dead_time`` [s]: of the actuator; ``hum`` [Hz]: in the reading, 0.0: none. Raises DesignError.
+    """
+    at = reference(model, period)
+    _refuse(model, period, delay, coil, dead_time, hum)
     n, zeros = readings(model, period, delay).order, len(at.of.rate)
     reading = math.sqrt(noise**2 + resolution**2 / 12.0)
     o = observed(model, period, delay, reading, input_noise, disturbance_rate * math.sqrt(period), coil)
