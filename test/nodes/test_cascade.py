@@ -306,3 +306,38 @@ def test_a_command_for_each_message_that_paces_it(ros, tmp_path, trigger):
         assert set_parameters(ros, "command_source", trigger=trigger).successful
         spin_until(ros, lambda: senders[other].get_subscription_count() == 0, "the other topic left")
         paced_by(trigger)
+
+
+def test_commands_go_on_when_who_paces_them_begins_anew(ros, tmp_path):
+    got, numbered = [], {}
+    ros.create_subscription(Float64, "spool_command", lambda m: got.append(m.data), 1000)
+
+    def sent(pacing):
+        before = len(got)
+        pacing.publish(Float64(data=0.0))
+        end = time.monotonic() + 0.5
+        while len(got) == before and time.monotonic() < end:
+            rclpy.spin_once(ros, timeout_sec=0.05)
+        return len(got) > before
+
+    given = {
+        "trigger": "spool_position",
+        "scenario": "triangle",
+        "frequency": 0.1,
+        "start": 0.0,
+        "delay": 0.0,
+    }
+    words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
+    with process("command_source", words, tmp_path / "source.log"):
+        for life in range(2):
+            pacing = ros.create_publisher(Float64, "spool_position", 10)
+            spin_until(ros, lambda p=pacing: p.get_subscription_count() == 1, "source")
+            spin_until(ros, lambda p=pacing: sent(p), "a command")
+            assert all(sent(pacing) for _ in range(20))
+            numbered[life] = got[-21:]
+            ros.destroy_publisher(pacing)
+    step = numbered[0][1] - numbered[0][0]  # V  from sample to sample
+    assert step > 0.0
+    for commands in numbered.values():
+        assert commands == pytest.approx([commands[0] + k * step for k in range(21)], abs=1e-9)
+    assert numbered[1][0] == pytest.approx(numbered[0][-1] + step, abs=1e-9)

@@ -111,6 +111,9 @@ def test_a_trajectory_of_the_past_whose_present_point_is_far_away_is_refused():
     s = sample(p, supervisor.at_rest(p), 0.2, 1000)
     made = path.through([path.PathPoint(0.3, 0.0, None, 1000 * MS)], s.goal, able)
     assert supervisor.begin(s, supervisor.joining(s, made, 950 * MS, able), 950 * MS).path is made
+    again = supervisor.found(p, supervisor.reset(p, s), 0.2, 1000 * MS)  # not sampled yet
+    with pytest.raises(ParameterError, match="the trajectory began 0.5 s ago"):
+        supervisor.joining(again, made, 500 * MS, able)
     with pytest.raises(ParameterError) as error:
         supervisor.joining(s, made, 500 * MS, able)
     assert str(error.value) == (

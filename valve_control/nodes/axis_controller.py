@@ -242,7 +242,7 @@ class AxisController(Managed):
         stamp = reading.header.stamp.sec * NANO + reading.header.stamp.nanosec
         position = reading.position[list(reading.name).index(joint)]
         if self._state.goal is None:
-            self._state = axis_supervisor.found(self._params, self._state, position)
+            self._state = axis_supervisor.found(self._params, self._state, position, stamp)
             self._take_goals()  # that came before the first position
         self._state = axis_supervisor.sample(
             self._params,

@@ -27,6 +27,7 @@ from valve_control.nodes.loop import Worker, run
 from valve_control.parameter import ParameterError, Values, number, word
 
 BEYOND = 1000.0  # V, a command out of range
+MOST_LOST = 1000  # messages of the trigger in a row
 SHAPING = [p.name for p in COMMAND if not p.name.startswith("fault.")]
 
 
@@ -55,7 +56,8 @@ class CommandSource(Worker):
         self._epoch = 0.0  # s  of the first command of this motion
         self._last_time = 0.0  # s  of the last command
         self._sent = 0
-        self._arrived = 0  # number of the last message of the trigger, their count where they have none
+        self._arrived = 0  # messages of the trigger, lost ones too
+        self._number = 0  # of the last one, 0 where they have none
         self._ahead = False  # lockstep: whether the command of the next reading is sent
         ParameterSet(self, COMMAND, self._build, self._apply)
 
@@ -151,7 +153,10 @@ class CommandSource(Worker):
             if self._trigger == "lockstep":
                 self._publish(self._sent)
             else:
-                self._arrived = number_of(info) or self._arrived + 1
+                before, self._number = self._number, number_of(info)
+                ahead = self._number - before if before else 1
+                # Numbers that fall or jump far are those of another publisher, or of one that began anew.
+                self._arrived += ahead if 0 < ahead < MOST_LOST else 1
                 self._send(float(self._arrived))
             worked = True
         return worked

@@ -187,11 +187,14 @@ def joining(s: State, new: path.Path, at: int | None, able: path.Range) -> path.
     return new
 
 
-def found(p: Params, s: State, position: float) -> State:
-    """State before the first sample: the axis is at ``position`` [m], which is its goal if it is believed."""
+def found(p: Params, s: State, position: float, time: int = 0) -> State:
+    """State before the first sample: the axis is at ``position`` [m], which is its goal if it is believed.
+
+    ``time`` [ns]: of that reading, 0 if it is not known; a trajectory that has begun before is late.
+    """
     if s.stopped or axis_watch.position_fault(p.watch, s.watch, position, 0.0):
         return s
-    return s._replace(goal=Goal(position, 0.0, 0.0))
+    return s._replace(goal=Goal(position, 0.0, 0.0), time=time or s.time)
 
 
 def sample(p: Params, s: State, reading: Reading, time: int) -> State:
