@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from said import sentences
 
+from benchmarks.supervised import SupervisedValve
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.simulation.robustness import BOX
@@ -84,6 +85,46 @@ def test_what_the_excitation_does_not_determine_is_left_alone():
         assert told[name].value == {"gain": 1.0, "speed": 1.0, "lvdt.delay": 0.0005}.get(name, 0.0)
     usual = {q.name: q for q in BOX}
     assert all(q == usual[q.name] for q in recorded.box(found, BOX) if q.name in left)
+
+
+def test_a_valve_with_solenoids_is_learnt_as_one():
+    """Its coil, play and sides stay as they are known; ten percent more gain and speed are found."""
+    known = {
+        "valve": "solenoid",
+        "u_max": 4.0,
+        "solenoid.u_min": -4.0,
+        "solenoid.gain": 1.0,
+        "solenoid.natural_frequency": 12.0,
+        "solenoid.coil": 0.003,
+        "solenoid.hysteresis": 0.2,
+        "solenoid.positive": 1.05,
+        "solenoid.negative": 0.95,
+        "solenoid.dead_time": 0.0005,
+        "solenoid.bits": 12,
+        "friction.coulomb": 0.3,
+        "friction.presliding": 0.02,
+        "lvdt.noise": 0.003,
+    }
+    limits = {"u_max": 10.0, "solenoid.u_min": -10.0}
+    faster = {"solenoid.gain": 1.1, "solenoid.natural_frequency": 13.2, "solenoid.coil": 0.003 / 1.1}
+    true = {**known, **limits, **faster, "friction.coulomb": 0.5, "disturbance.offset": 0.2}
+    bench = SupervisedValve(true, {"controller": "pid"})
+    for command in moving(8.0):
+        bench.supervisor.command(float(command))
+        bench.sample()
+    made = Experiment(
+        "a bag: valve", 0.001, np.array(bench.voltages), np.array(bench.readings), (), 10.0, (), "pid"
+    )
+    found = recorded.learnt(made, updated(VALVE, defaults(VALVE), known), ["lvdt.delay"])
+    told = {one.name: one for one in found.learnt}
+    wanted = {"gain": 1.1, "speed": 1.1, "friction.coulomb": 0.5, "disturbance.offset": 0.2}
+    for name, value in wanted.items():
+        assert told[name].determined and told[name].value == pytest.approx(value, rel=0.02, abs=0.01), told
+    kept = ("valve", "solenoid.hysteresis", "solenoid.positive", "solenoid.negative", "solenoid.dead_time")
+    assert {name: found.values[name] for name in kept} == {name: known[name] for name in kept}
+    assert found.values["solenoid.coil"] == pytest.approx(0.003 / 1.1, rel=0.02)
+    assert found.values["u_max"] == 10.0 and found.values["solenoid.u_min"] == -10.0
+    assert found.residual == pytest.approx(np.hypot(0.003, 0.0049 / np.sqrt(12.0)), rel=0.2)
 
 
 def test_what_is_fixed_is_not_searched(moved):

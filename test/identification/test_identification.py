@@ -7,7 +7,15 @@ import pytest
 
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
-from valve_control.design.identification import WEIGHTINGS, bode, experiment, rational, response, theta
+from valve_control.design.identification import (
+    WEIGHTINGS,
+    bode,
+    experiment,
+    rational,
+    response,
+    result,
+    theta,
+)
 from valve_control.design.identification.response import Response, Segment
 from valve_control.parameter import ParameterError, defaults, updated
 
@@ -277,3 +285,34 @@ def test_valve_that_moves_against_its_voltage():
     assert fit.model.static_gain < 0.0
     with pytest.raises(ParameterError, match="against the voltage"):
         theta.suggest(made(backwards), fit, fit, 10.0)
+
+
+def test_coherence_is_the_share_of_the_motion_that_is_the_voltages():
+    """Of a sine with amplitude |Y| in noise σ: (|Y|²/2) / (|Y|²/2 + σ²), at each frequency.
+
+    |Y| is known to its own deviation.
+    """
+    noise, amplitude = 0.05, 2.0
+    measured = measure(noise, amplitude=amplitude)
+    size = amplitude * np.abs(bode.held_response(FOURTH_ORDER, measured.frequency, 0.001))
+    for side in (-1.0, 1.0):
+        power = 0.5 * np.maximum(0.0, size + side * 4.0 * amplitude * measured.deviation) ** 2
+        rest = measured.coherence - power / (power + noise**2)
+        assert np.all(-side * rest > -0.002), rest
+    (note,) = experiment.coherence_notes(measured)
+    weakest = measured.frequency[np.argmin(measured.coherence)]
+    assert f"{weakest:.3g} Hz" in note and measured.coherence[0] > 0.99
+    assert f"{measured.frequency[0]:.3g} Hz" not in note
+    assert experiment.coherence_notes(measure()) == []
+
+
+def test_what_the_test_did_not_excite_is_not_claimed():
+    """A test up to 3 Hz of a valve whose -90° lies at 6.4 Hz and its second pair of poles at 32 Hz."""
+    low, whole = made(highest=3.0), made()
+    second = rational.fit(low, 2)
+    assert result.fit_dict(second, low)["minus_90_hz"] is None
+    told = result.fit_text(second, low)
+    assert "-90° above 3 Hz, where the test ends" in told and "(not excited by the test)" in told
+    fourth = rational.fit(whole, 4)
+    assert result.fit_dict(fourth, whole)["minus_90_hz"] == pytest.approx(6.17, rel=0.01)
+    assert "not excited" not in result.fit_text(fourth, whole)

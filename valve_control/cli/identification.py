@@ -425,6 +425,7 @@ def _found(
     notes = [*tested.notes, *measured.notes, *told]
     best = fits[-1]
     notes = [*experiment.excitation_notes(measured, fits), *notes]
+    notes += experiment.coherence_notes(measured)
     notes += experiment.range_notes(measured, second, best, arguments.bag is None)
     if rubbing is not None:
         notes += friction.offset_notes(rubbing)

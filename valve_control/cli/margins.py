@@ -65,16 +65,18 @@ def _margins(arguments: argparse.Namespace) -> None:
             f"the dead time of the LVDT is {delay:g} sample periods; margins are told up to "
             f"{stability.MOST_DELAY:g}"
         )
-    found = {"this valve": margins.margins(law, params, margins.prepared([plant]))}
+    values = settings["controller"]
+    seen = margins.prepared(stability.behind_curve(values, plant))
+    found = {"this valve": margins.worst(margins.margins(law, params, seen))}
     if arguments.box:
         plants = boxes.bounding(boxes.study_of(settings, box_of(arguments), 1, SEED))
         over = margins.margins(law, params, margins.prepared(plants))
         found[f"worst of {len(plants)} valves of the box"] = margins.worst(over)
     if arguments.json != "-":
         _print(law.name, found)
-    warnings = [stability.warning(law, params), stability.valve_warning(law, params, plant)]
+    warnings = [stability.warning(law, params), stability.valve_warning(law, params, plant, values)]
     if not any(warnings):
-        warnings.append(stability.coil_warning(law, params, settings["controller"]))
+        warnings.append(stability.coil_warning(law, params, values))
     for warning in filter(None, warnings):
         print(f"warning: {warning}", file=sys.stderr)
     rows = {name: margins.as_dict(one) for name, one in found.items()}

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from valve_control.control.laws import dcarc
+from valve_control.control.laws import dcarc, linearisation
 from valve_control.control.laws.law import Law, by_slow_motion
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import linear_loop
@@ -21,13 +21,15 @@ from valve_control.control.linear.linear_loop import LinearValves
 from valve_control.control.plant import registry, valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
-from valve_control.parameter import Values
+from valve_control.parameter import Values, number
 
 GAIN_MARGIN = 1.25  # of b0; the real valve's b0 lies that far from θ(0), and so does (2)
 MOST_DELAY = 50.0  # periods of dead time; more is left to the run
 FARTHEST = 40  # dB  by which a gain is changed to find one with which an unstable loop is stable
 PROBED, SETTLED = 0.01, 0.5  # V, s  command with which a law without feedback is tried, and how long
 OFF = 0.5  # -  error of its position over the command from which on it is told
+NARROW = 0.02  # of the law's range, over which the slope behind a curve counts
+GRID = 2000  # parts of that range
 STABLE = 1.0 + 1e-6  # largest modulus of a pole, with room for rounding
 
 
@@ -115,14 +117,38 @@ def coil_warning(law: Law, params: Any, values: Values) -> str:
     )
 
 
-def valve_warning(law: Law, params: Any, plant: Any) -> str:
-    """One sentence if the sampled loop around this very valve is unstable, else ""."""
+def behind_curve(values: Values, plant: Any, part: float = NARROW) -> list[Any]:
+    """Valves that a law sees where the controller's ``values`` put the inverse of a curve before ``plant``.
+
+    The valve with the least and with the largest mean slope of f(f⁻¹(G·v))/G over ``part`` of the law's
+    range: f is the plant's static curve, f⁻¹ the given inverse. In a narrower part a loop may swing, but not
+    out of it. Without a curve: the ``plant``. Raises ParameterError.
+    """
+    if not linearisation.is_on(values):
+        return [plant]
+    kind, limit = registry.plant_of(plant), number(linearisation.seen(values), "u_max")
+    inverse = linearisation.inverse(values)
+    grid = np.linspace(-limit, limit, GRID + 1)
+    force = np.array([linearisation.value(inverse, float(v)) for v in grid])
+    if kind.pull is not None:
+        force = np.array([kind.pull(plant, float(u)) for u in force])
+    steps = max(1, round(part * GRID))
+    slopes = (force[steps:] - force[:-steps]) / (grid[steps:] - grid[:-steps])
+    ends = dict.fromkeys((float(np.min(slopes)), float(np.max(slopes))))
+    return [kind.varied(plant, slope, 0.0, 1.0) for slope in ends]
+
+
+def valve_warning(law: Law, params: Any, plant: Any, values: Values) -> str:
+    """One sentence if the sampled loop around this very valve is unstable, else "".
+
+    ``values``: of the controller, whose curve is a part of the loop. Raises ParameterError.
+    """
     if not law.feedback:
-        return _static_warning(law, params, plant)
+        return _static_warning(law, params, behind_curve(values, plant, 1.0)[0])
     if registry.linear(plant).lvdt.delay > MOST_DELAY:
         return ""
-    valves = linear_loop.linear_valves([plant])
-    pole = _pole(law, params, valves)
+    several = [linear_loop.linear_valves([one]) for one in behind_curve(values, plant)]
+    pole, valves = max(((_pole(law, params, one), one) for one in several), key=lambda found: abs(found[0]))
     if abs(pole) <= STABLE:
         return ""
     frequency = abs(cmath.phase(pole)) / (2.0 * math.pi * params.period)

@@ -43,6 +43,8 @@ class Plant(NamedTuple):
     steady: Callable[[Any], Any]  # Params without drift
     # State that goes on under Params that come after the former ones: former, new, state
     resumed: Callable[[Any, Any, Any], Any]
+    # force [V] at rest of a voltage [V], over that of ``linear`` in its own volts; None: the voltage itself
+    pull: Callable[[Any, float], float] | None = None
     choices: tuple[str, ...] = ()  # values of the parameter `valve`; (): the name
     compiled: bool = True  # whether a node compiles the step, which is too long for plain Python
     package: str = PACKAGE  # that brings it

@@ -230,6 +230,13 @@ def linear(params: solenoid.Params) -> valve.Params:
     return valve.design(made, params.period, params.u_max, 1.0, d, own)
 
 
+def pull(params: solenoid.Params, voltage: float) -> float:
+    """Force [V] at rest of a ``voltage`` [V], where ``linear`` has the voltage itself; without hysteresis."""
+    m = params.magnet
+    sides = 2.0 if m.overlap < 0.0 else 1.0
+    return solenoid.pull(m, voltage) / (0.5 * sides * (m.positive + m.negative))
+
+
 def scaled(values: Values, gain: float, speed: float) -> Mapping[str, Value]:
     """Changed values of a valve with its gain and the speed of its poles multiplied."""
     return {
@@ -295,4 +302,5 @@ PLANT = Plant(
     quiet=quiet,
     steady=steady,
     resumed=resumed,
+    pull=pull,
 )

@@ -115,7 +115,7 @@ def simulate(
     position, measurement, voltage = signals.T
     least = number(controller_values, "oscillation_limit")
     warnings_found = [
-        *_unstable(loop, None if alone else controller_values, least, compiled),
+        *_unstable(loop, controller_values, alone, least, compiled),
         _cut(law, law_params, terms, build.valve_model(valve_values)),
     ]
     true_error = position - command
@@ -217,15 +217,16 @@ def _ran(
     return signals, end
 
 
-def _unstable(loop: _Loop, values: Values | None, least: float, compiled: bool) -> list[str]:
+def _unstable(loop: _Loop, values: Values, alone: bool, least: float, compiled: bool) -> list[str]:
     """Sentences about a loop that is unstable, or may swing by more than ``least`` [V]; "" for none.
 
-    ``values``: of the controller, whose dcarc may know of a coil; None: they are not looked at.
+    ``values``: of the controller, with the curve of its linearisation, and with a dcarc that may know of a
+    coil unless the law is ``alone``.
     """
     law, params, _, plant = loop
-    found = [stability.warning(law, params), stability.valve_warning(law, params, plant)]
+    found = [stability.warning(law, params), stability.valve_warning(law, params, plant, values)]
     on_valve = found[1]
-    if not any(found) and values is not None:
+    if not any(found) and not alone:
         found.append(stability.coil_warning(law, params, values))
     if not on_valve:
         found.append(_probe(loop, least, compiled))

@@ -150,7 +150,8 @@ def _response(found: Result) -> str:
                     ],
                 )
                 for title, turn in (("[dB]", decibel), ("[deg]", degrees))
-            ],
+            ]
+            + [Plot("coherence", [Line("measured", seen.frequency, seen.coherence)])],
             "frequency [Hz]",
             logarithmic_x=True,
         )

@@ -17,8 +17,8 @@ import scipy.optimize
 
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES
+from valve_control.control.plant import registry
 from valve_control.control.plant.amplifier import saturate
-from valve_control.control.plant.models import faster
 from valve_control.control.simulation.robustness import Quantity
 from valve_control.design.commissioning.plant import positions
 from valve_control.design.identification import lvdt
@@ -89,11 +89,7 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedV
             f"{tested.source} has no excitation: the readings move by {moved:.2g} V (standard deviation) and "
             f"have {noise:.2g} V of noise; record the loop while its command moves"
         )
-    base = updated(
-        NODES["valve_simulator"],
-        known,
-        {"sample_period": tested.period, "u_max": max(0.1, tested.u_max)},
-    )
+    base = _of_recording(known, tested)
     begin = {form.name: _present(form.name, base) for form in FORMS}
     free = [form for form in FORMS if form.name not in fixed]
     usable[: round(START / tested.period)] = False
@@ -156,19 +152,26 @@ def _value(form: _Form, begin: Mapping[str, float], x: float) -> float:
 
 def _with(base: Values, quantities: Mapping[str, float]) -> Values:
     """``base`` with the quantities in their places. Raises ParameterError."""
-    model = faster(build.valve_model(base), quantities.get("gain", 1.0), quantities.get("speed", 1.0))
+    gain, speed = quantities.get("gain", 1.0), quantities.get("speed", 1.0)
     others = {name: value for name, value in quantities.items() if name not in ("gain", "speed")}
-    return updated(
-        NODES["valve_simulator"],
-        base,
-        {
-            **others,
-            "valve": "custom",
-            "gain_scale": 1.0,
-            "numerator": list(model.numerator),
-            "denominator": list(model.denominator),
-        },
-    )
+    scaled = registry.chosen(base).scaled(base, gain, speed)
+    return updated(NODES["valve_simulator"], base, {**others, **scaled})
+
+
+def _of_recording(known: Values, tested: Experiment) -> Values:
+    """The ``known`` valve with sample period and limits of the recording, and a reading without steps.
+
+    A lower limit of the amplifier that mirrors the upper one goes with it. Raises ParameterError.
+    """
+    changes = {
+        "sample_period": tested.period,
+        "u_max": max(0.1, tested.u_max),
+        "lvdt.resolution": 0.0,
+        "solenoid.bits": 0,
+    }
+    if number(known, "solenoid.u_min") == -number(known, "u_max"):
+        changes["solenoid.u_min"] = -changes["u_max"]
+    return updated(NODES["valve_simulator"], known, changes)
 
 
 def _search(
@@ -180,7 +183,7 @@ def _search(
     usable: npt.NDArray[np.bool_],
 ) -> tuple[Floats, Floats, float]:
     """Numbers of the search, their 95 % bounds in the quantities' units, and the rms residual [V]."""
-    quiet = {**base, "lvdt.noise": 0.0, "lvdt.resolution": 0.0}
+    quiet = {**base, "lvdt.noise": 0.0}
 
     def residual(x: Floats) -> Floats:
         quantities = {form.name: _value(form, begin, float(v)) for form, v in zip(free, x, strict=True)}

@@ -28,6 +28,8 @@ SPAN = 5.0  # highest over lowest frequency that a model needs at least
 HELD_TRAVEL = 0.1  # V, and
 HELD_GAIN = 0.25  # V/V, below both of which a spool may be held by friction: its bristles give a few 0.01 V
 SAMPLES = 20.0  # in a period of a valve's natural frequency, where holding the voltage costs 9° of phase
+INCOHERENT = 0.9  # coherence below which a frequency is named
+NAMED = 5  # frequencies, at most
 DIVERGED = 1e3  # times u_max, beyond which a position has run away
 
 
@@ -161,6 +163,21 @@ def excitation_notes(measured: Response, fits: Sequence[Fit]) -> list[str]:
         f"no 95 % bounds of order {' and '.join(orders)}: what it leaves of the response is not noise; the "
         f"excitation has {len(measured.frequency)} frequencies, coherence {least:.3f} and more (half of them "
         f"{usual:.3f}), usual uncertainty {100.0 * unsure:.2g} %; a stepped sine or a longer test tells more"
+    ]
+
+
+def coherence_notes(measured: Response) -> list[str]:
+    """Frequencies at which much of the motion is not the voltage's, as a sentence."""
+    weak = np.flatnonzero(measured.coherence < INCOHERENT)
+    if len(weak) == 0:
+        return []
+    worst = sorted(weak, key=lambda i: float(measured.coherence[i]))[:NAMED]
+    named = ", ".join(f"{measured.frequency[i]:.3g} Hz ({measured.coherence[i]:.2f})" for i in sorted(worst))
+    more = f" and {len(weak) - len(worst)} more" if len(weak) > len(worst) else ""
+    return [
+        f"coherence below {INCOHERENT:g} at {named}{more}: noise, friction or another motion makes more than "
+        f"{100.0 * (1.0 - INCOHERENT):.0f} % of the position there; a larger amplitude or a longer test "
+        "tells more"
     ]
 
 

@@ -28,6 +28,7 @@ STABLE = (
     "Gains of pid, arc, oarc, dcarc: for a first run, stable with 0.67 to 1.5 times the gain, 0.8 to",
     "1.25 times the speed and a sample period of dead time more.",
 )
+NEAR = 1.1  # times the highest excited frequency, and over the lowest, up to which a test tells something
 
 
 class Identification(NamedTuple):
@@ -69,8 +70,33 @@ def roots_text(found: list[Root]) -> str:
     return ", ".join(told) or "none"
 
 
-def fit_text(made: Fit) -> str:
-    """One fit as the terminal shows it."""
+def _excited(frequency: float | None, measured: Response) -> bool:
+    """Whether the test tells of this ``frequency`` [Hz]: it lies within those of ``measured``, or near by."""
+    if frequency is None:
+        return True
+    return bool(measured.frequency[0] / NEAR <= frequency <= NEAR * measured.frequency[-1])
+
+
+def _corner_text(frequency: float | None, measured: Response) -> str:
+    """A corner of a fit, which a test does not tell beyond its frequencies."""
+    if frequency is None or _excited(frequency, measured):
+        return f"at {hertz(frequency)}"
+    low, high = measured.frequency[0], measured.frequency[-1]
+    beyond = f"above {high:.4g}" if frequency > high else f"below {low:.4g}"
+    return f"{beyond} Hz, where the test ends"
+
+
+def _poles_text(found: list[Root], measured: Response) -> str:
+    """Poles or zeros in Hz, those that the test did not excite with a word about it."""
+    told = [
+        roots_text([r]) + ("" if _excited(r.frequency, measured) else " (not excited by the test)")
+        for r in found
+    ]
+    return ", ".join(told) or "none"
+
+
+def fit_text(made: Fit, measured: Response) -> str:
+    """One fit to ``measured`` as the terminal shows it."""
     about = (
         f", of which the model {100 * made.model_error:.2g} %" if made.model_error else ", all of it noise"
     )
@@ -87,9 +113,10 @@ def fit_text(made: Fit) -> str:
     lines += [
         f"  static gain {made.model.static_gain:.5f}{width} V/V; "
         f"fit error {100 * made.error:.3g} % rms{about}",
-        f"  poles {roots_text(bode.roots(made.model.denominator))}; "
-        f"zeros {roots_text(bode.roots(made.model.numerator))}",
-        f"  -3 dB at {hertz(made.corners.minus_3db)}, -90° at {hertz(made.corners.minus_90)}",
+        f"  poles {_poles_text(bode.roots(made.model.denominator), measured)}; "
+        f"zeros {_poles_text(bode.roots(made.model.numerator), measured)}",
+        f"  -3 dB {_corner_text(made.corners.minus_3db, measured)}, "
+        f"-90° {_corner_text(made.corners.minus_90, measured)}",
     ]
     return "\n".join(lines)
 
@@ -121,9 +148,9 @@ def text(found: Identification) -> str:
         f"{found.source}",
         f"measured: {m.method}, {len(m.frequency)} frequencies from {m.frequency[0]:.4g} to "
         f"{m.frequency[-1]:.4g} Hz, uncertainty {100 * np.min(relative):.2g} to "
-        f"{100 * np.max(relative):.2g} %; "
+        f"{100 * np.max(relative):.2g} %, coherence {np.min(m.coherence):.3f} to {np.max(m.coherence):.3f}; "
         f"-3 dB at {hertz(corners.minus_3db)}, -90° at {hertz(corners.minus_90)}",
-        *(fit_text(made) for made in found.fits),
+        *(fit_text(made, m) for made in found.fits),
         theta_text(found.theta),
         f"LVDT: noise {1e3 * found.lvdt.noise:.3g} mV, "
         + (f"steps of {1e3 * found.lvdt.resolution:.3g} mV" if found.lvdt.resolution else "no steps"),
@@ -282,8 +309,9 @@ def theta_dict(found: Suggestion) -> dict[str, list[float]]:
     return {"initial": found.initial, "min": found.lower, "max": found.upper}
 
 
-def fit_dict(made: Fit) -> dict[str, Any]:
-    """One fit for JSON."""
+def fit_dict(made: Fit, measured: Response) -> dict[str, Any]:
+    """One fit to ``measured`` for JSON; a corner that the test did not excite is None."""
+    corners = Corners(*(c if _excited(c, measured) else None for c in made.corners))
     return {
         "order": made.order,
         "numerator": list(made.model.numerator),
@@ -302,7 +330,7 @@ def fit_dict(made: Fit) -> dict[str, Any]:
         "weighting": made.weighting,
         "error": made.error,
         "model_error": made.model_error,
-        **corners_dict(made.corners),
+        **corners_dict(corners),
     }
 
 
@@ -322,7 +350,7 @@ def as_dict(found: Identification) -> dict[str, Any]:
             "coherence": m.coherence,
             **corners_dict(rational.measured_corners(m, found.best.model.static_gain)),
         },
-        "fits": [fit_dict(made) for made in found.fits],
+        "fits": [fit_dict(made, m) for made in found.fits],
         "best_order": found.best.order,
         "theta": theta_dict(found.theta),
         "lvdt": found.lvdt._asdict(),
@@ -369,6 +397,9 @@ def bode_figure(found: Identification, path: str) -> bytes:
     }
     top.errorbar(m.frequency, size, yerr=bar, **style)
     bottom.errorbar(m.frequency, turn, yerr=np.degrees(np.minimum(share, np.pi)), **style)
+    share_axis = top.twinx()
+    share_axis.plot(m.frequency, m.coherence, ".--", ms=3, lw=0.8, color="gray")
+    share_axis.set(ylabel="coherence (gray)", ylim=(0.0, 1.05))
     frequency = np.geomspace(m.frequency[0], m.frequency[-1], 500)
     for made, colour in zip(found.fits, COLOURS, strict=False):
         value = bode.held_response(made.model, frequency, m.period, made.delay)

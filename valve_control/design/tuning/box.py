@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from valve_control.control.laws.law import Law
+from valve_control.control.linear import stability
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models
@@ -40,7 +41,9 @@ def drawn(study: Study) -> list[Any]:
 
 
 def bounding(study: Study) -> list[Any]:
-    """Corners of the box, as far as margins depend on it, and SCATTERED within. Raises ParameterError.
+    """Corners of the box, as far as margins depend on it, and SCATTERED within, behind the law's curve.
+
+    Raises ParameterError.
 
     The corners have the most friction of the box: with less of it swings are smaller.
     """
@@ -52,7 +55,9 @@ def bounding(study: Study) -> list[Any]:
         point = middle.copy()
         point[varied] = ends
         corners.append(build.valve_params(robustness.valve_of(study, 0, point, period)))
-    return [*corners, *drawn(study._replace(valves=SCATTERED))]
+    plants = [*corners, *drawn(study._replace(valves=SCATTERED))]
+    controller = study.settings["controller"]
+    return [seen for plant in plants for seen in stability.behind_curve(controller, plant)]
 
 
 def with_dead_time(law: Law, settings: Settings, box: Sequence[Quantity]) -> tuple[Values, float | None]:
