@@ -18,6 +18,7 @@ from valve_control.design.commissioning.bench import Progress, Record
 from valve_control.design.commissioning.plan import Plan
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Rest
+from valve_control.design.identification.first_gains import FRICTION_TERMS
 from valve_control.design.tuning import box, trial, tuner
 from valve_control.design.tuning.trial import Problem, TuningMotion
 from valve_control.design.tuning.tuner import Aim, Tuned
@@ -77,7 +78,8 @@ def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Res
         defaults(NODES["valve_simulator"]),
         plant.values(found, rest, period, limits.voltage, plan.sensor_delay),
     )
-    own = _without_form(model.controller_values(known, plan.law), before, plan.law)
+    own = {**_forgotten(before, plan.law), **model.controller_values(known, plan.law)}
+    own = _without_form(own, before, plan.law)
     values = updated(
         CONTROLLER,
         before,
@@ -112,6 +114,13 @@ def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Res
     )
     starts = [before] if before["controller"] == plan.law else []
     return Task(plan.law, problem, unseen, valve, own, starts)
+
+
+def _forgotten(before: Values, law: str) -> Values:
+    """Usual values of what ``law`` was told of an earlier friction by the parameters ``before``."""
+    usual = defaults(CONTROLLER)
+    names = (name for name in FRICTION_TERMS if name.startswith(f"{law}."))
+    return {name: usual[name] for name in names if before[name] != usual[name]}
 
 
 def _without_form(own: Values, before: Values, law: str) -> Values:

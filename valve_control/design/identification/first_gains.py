@@ -34,6 +34,11 @@ from valve_control.parameter import ParameterError, Value, Values, defaults, num
 LATER = (0.0, 1.0)  # sample periods of dead time beyond what was identified
 HALVINGS = 6
 AHEAD = 1.1  # times the valve's natural frequency, where PID's poles are put
+# What dcarc has for a friction that is known; other friction needs their usual values.
+FRICTION_TERMS = (
+    "dcarc.theta_initial", "dcarc.theta_min", "dcarc.theta_max", "dcarc.theta_spread", "dcarc.presliding",
+    "dcarc.fit_noise", "dcarc.forgetting",
+)  # fmt: skip
 QUIETEST = (
     5e-4  # V  noise that is assumed at least: a model is never so exact that readings could be believed
 )
