@@ -238,6 +238,23 @@ def your_valve(path: Path) -> None:
     valve_control("simulate", *words, "--figure", str(path))
 
 
+SOLENOID = "docs/examples/my_solenoid_valve.yaml"
+
+
+@picture
+def solenoid_identified(path: Path) -> None:
+    """Response and coherence of the tutorial's valve with solenoids, and its fits."""
+    words = ["--order", "3", "--zeros", "0", "--friction", "--output", "solenoid.yaml"]
+    valve_control("identify", "--params-file", SOLENOID, *words, "--figure", str(path))
+
+
+@picture
+def solenoid_curve(path: Path) -> None:
+    """Characteristic curve of the tutorial's valve with solenoids."""
+    words = ["--order", "3", "--zeros", "0", "--friction", "--output", "solenoid.yaml"]
+    valve_control("identify", "--params-file", SOLENOID, *words, "--characteristic", str(path))
+
+
 # Connect
 
 
