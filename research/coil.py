@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from research import running
-from valve_control.cli.common import Parser, write_json
+from valve_control.cli.common import write_json
 
 if TYPE_CHECKING:
     from valve_control.parameter import Values
@@ -154,14 +154,6 @@ def table(found: Sequence[Sequence[Measured]]) -> list[str]:
     return lines
 
 
-def _options() -> Parser:
-    parser = running.options(
-        "coil", "dcarc on three solenoid valves, with more and more of the magnet in the law."
-    )
-    parser.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    return parser
-
-
 def _coil(arguments: argparse.Namespace) -> None:
     found = [[measured(valve, TERMS[:i]) for valve in VALVES.values()] for i in range(len(LAWS))]
     found.append([measured(valve, TERMS, alone=True) for valve in VALVES.values()])
@@ -173,7 +165,10 @@ def _coil(arguments: argparse.Namespace) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the measurement; returns the exit status."""
-    return running.run(_options(), _coil, argv)
+    options = running.options(
+        "coil", "dcarc on three solenoid valves, with more and more of the magnet in the law."
+    )
+    return running.run(options, _coil, argv)
 
 
 if __name__ == "__main__":

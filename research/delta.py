@@ -10,13 +10,7 @@ from tqdm import tqdm
 
 from research import running
 from research.axes import delta, study
-from valve_control.cli.common import Parser, check_outputs, write_json
-
-
-def _options() -> Parser:
-    parser = running.options("delta", "Place the poles of a published axis under five valves.")
-    parser.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    return parser
+from valve_control.cli.common import check_outputs, write_json
 
 
 def _study(arguments: argparse.Namespace) -> None:
@@ -54,7 +48,8 @@ def _mm(error: float) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study; returns the exit status."""
-    return running.run(_options(), _study, argv)
+    options = running.options("delta", "Place the poles of a published axis under five valves.")
+    return running.run(options, _study, argv)
 
 
 if __name__ == "__main__":

@@ -176,7 +176,6 @@ def case(valve: str, law: str, upper: Upper, kind: str) -> tuple[Outcome, Outcom
 def _options() -> Parser:
     parser = running.options("late_commands", "The gains of config/tuned under an upper level that pauses.")
     parser.add_argument("--queued", action="store_true", help="what was held up in a pause comes after it")
-    parser.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     return parser
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from research import coil, running
 from research.coil import CoilValve
-from valve_control.cli.common import Parser, write_json
+from valve_control.cli.common import write_json
 
 if TYPE_CHECKING:
     from valve_control.parameter import Values
@@ -141,14 +141,6 @@ def table(name: str, found: dict[str, dict[str, Error]]) -> list[str]:
     return lines
 
 
-def _options() -> Parser:
-    parser = running.options(
-        "lopsided", "What a dead zone and unequal gains cost, with and without the table."
-    )
-    parser.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    return parser
-
-
 def _lopsided(arguments: argparse.Namespace) -> None:
     found: dict[str, Any] = {name: rows(valve) for name, valve in VALVES.items()}
     if arguments.json != "-":
@@ -162,7 +154,10 @@ def _lopsided(arguments: argparse.Namespace) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the measurement; returns the exit status."""
-    return running.run(_options(), _lopsided, argv)
+    options = running.options(
+        "lopsided", "What a dead zone and unequal gains cost, with and without the table."
+    )
+    return running.run(options, _lopsided, argv)
 
 
 if __name__ == "__main__":

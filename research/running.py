@@ -11,9 +11,12 @@ from valve_control.cli import streams
 from valve_control.cli.common import Parser, ended
 
 
-def options(name: str, description: str) -> Parser:
-    """The parser of ``python -m research.NAME``."""
-    return Parser(prog=f"python -m research.{name}", description=description)
+def options(name: str, description: str, numbers: bool = True) -> Parser:
+    """The parser of ``python -m research.NAME``; ``numbers``: its results can be had as JSON."""
+    parser = Parser(prog=f"python -m research.{name}", description=description)
+    if numbers:
+        parser.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
+    return parser
 
 
 def run(

@@ -115,7 +115,6 @@ def table(found: dict[str, Measured]) -> list[str]:
 def _options() -> Parser:
     parser = running.options("shipped", "The gains of config/tuned on steps, at rest and on three motions.")
     parser.add_argument("--gains", metavar="FOLDER", help="gains in another folder than config/tuned")
-    parser.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     return parser
 
 

@@ -169,7 +169,6 @@ def draw(path: Path, found: dict[str, Measured]) -> None:
 def _options() -> Parser:
     parser = running.options("solenoid", "The valves of config/solenoid: slow loop, step and sines.")
     parser.add_argument("--figure", metavar="FILE", help="figure, .png or .svg")
-    parser.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     return parser
 
 

@@ -41,7 +41,6 @@ def _options() -> Parser:
         "--limit", type=float, default=0.25, metavar="C_U", help="chatter that the gains are tuned for (0.25)"
     )
     parser.add_argument("--gains", metavar="FOLDER", help="gains in another folder than config/tuned")
-    parser.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     parser.add_argument("--figure", metavar="FILE", help="medians and 95th percentiles as PNG or SVG")
     return parser
 

@@ -32,7 +32,6 @@ def _options() -> Parser:
     axes.add_argument(
         "--references", metavar="FOLDER", help="with Hopsan's Position Servo.hvd, to be compared"
     )
-    axes.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     axes.add_argument("--figure", metavar="FILE", help="bandwidths and errors of all axes as PNG or SVG")
     return axes
 

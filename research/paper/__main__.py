@@ -24,6 +24,7 @@ def _options() -> Parser:
         "paper",
         "Run PID, ARC, OARC and the compensators on the calibrated valve, through the real nodes "
         "in lockstep, and write table1.json, the paper's figures as PNG and SVG, and index.html.",
+        numbers=False,
     )
     paper.add_argument("--out", default="out/paper", metavar="FOLDER", help="output folder (out/paper)")
     paper.add_argument(

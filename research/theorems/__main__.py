@@ -43,7 +43,6 @@ def _options() -> Parser:
     theorems.add_argument(
         "--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)"
     )
-    theorems.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     theorems.add_argument("--figure", metavar="FILE", help="the theorems as PNG or SVG")
     theorems.add_argument("--dcarc-figure", metavar="FILE", help="the stability of dcarc as PNG or SVG")
     theorems.add_argument(

@@ -784,22 +784,9 @@ def build(values: Values) -> Params:
     except dcarc_design.DesignError as error:
         raise ParameterError(str(error)) from error
     return Params(
-        model=made.model,
-        kalman=made.kalman,
-        turn=made.turn,
-        feedback=made.feedback,
-        waiting=made.waiting,
-        unexplained=made.unexplained,
-        wanted=made.wanted,
-        full=made.full,
-        half=made.half,
-        model_voltage=made.model_voltage,
-        standing=made.standing,
-        moving=made.moving,
+        **made._asdict(),
         presliding=Bristles(*numbers(values, "dcarc.presliding")),
         standstill_rate=number(values, "dcarc.standstill_rate"),
-        jitter=made.jitter,
-        lag_share=made.lag_share,
         theta_initial=start,
         theta_min=lower,
         theta_max=upper,
@@ -811,7 +798,6 @@ def build(values: Values) -> Params:
         assumed=least_squares.product(assumed, assumed),
         assumed_variance=assumed_noise**2,
         magnet=_magnet(values, period),
-        equivalent=made.equivalent,
         u_max=number(values, "u_max"),
         period=period,
         reshaping=reshaping.build(values)._replace(

@@ -30,7 +30,6 @@ from valve_control.parameter import (
 
 GRAVITY = 9.80665  # m/s²
 CONSTANT_VOLUME = 1e9  # m³; a supply so large that no flow changes its pressure
-EDGES = ("pa", "pb", "at", "bt")
 
 AXIS: Table = (
     SAMPLE_PERIOD,
