@@ -6,13 +6,14 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager, nullcontext
+from itertools import pairwise
 
 import pytest
 from bench import get_double, spin_until
 from std_msgs.msg import Float64
 
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
-from valve_control.nodes.controller_node import Controller
+from valve_control.nodes.controller_node import TURNS, Controller
 from valve_control.nodes.harness.processes import process
 
 PROMPT = 2.0  # s for the end of a process, most of it Python's
@@ -74,6 +75,24 @@ def test_controller_returns_from_readings_that_never_end(ros):
         spin_until(ros, lambda: node.work() and node.answered >= SAMPLES.depth, "readings")
     finally:
         node.destroy_node()
+
+
+def test_of_valves_that_fail_at_once_each_is_told_in_its_turn(ros):
+    """A manifold of twelve would be held up by 12 ms or more, and lose readings for that."""
+    valves = [Controller(alone=False, cli_args=["--ros-args", "-r", f"__ns:=/v{i}"]) for i in range(3)]
+    try:
+        told = {}
+        while len(told) < 3:
+            for i, valve in enumerate(valves):
+                if i not in told and valve._may_tell(True):
+                    told[i] = time.monotonic()
+        assert list(told) == [0, 1, 2]
+        assert all(later - sooner > 0.9 * TURNS[True] for sooner, later in pairwise(told.values()))
+        assert valves[2]._may_tell(True), "who spoke last tells of safe mode at once"
+        assert not valves[2]._may_tell(False)
+    finally:
+        for valve in valves:
+            valve.destroy_node()
 
 
 @pytest.mark.alone

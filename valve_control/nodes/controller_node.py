@@ -48,6 +48,7 @@ from valve_control.nodes.adapter import (
 from valve_control.nodes.lifecycle import Managed
 from valve_control.nodes.loop import Failure
 from valve_control.nodes.pairing import Pairing
+from valve_control.nodes.rclpy_internals import sender
 from valve_control.parameter import ParameterError, Values, word
 
 LEVELS = {
@@ -69,6 +70,8 @@ WINDOW = 1000  # samples of the timing statistics
 NEVER = math.inf
 WARMING = 0.65  # of a period after a reading
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
+# s between those of two valves of a process, by whether it is safe mode: all at once would hold up all.
+TURNS = {False: 0.01, True: 0.002}
 
 
 class Built(NamedTuple):
@@ -87,6 +90,7 @@ class Controller(Managed):
     """
 
     table = CONTROLLER
+    told = -NEVER  # s, when one of the process's controllers last told a change
 
     def __init__(self, warms: bool = True, alone: bool = True, **options: Any) -> None:
         super().__init__("controller", **options)
@@ -178,6 +182,7 @@ class Controller(Managed):
     def open(self) -> None:
         """Create publishers and subscriptions."""
         self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
+        self._send_voltage = sender(self._voltages)
         self._states = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
         self._memories = self.create_publisher(String, "~/memory", SAMPLES)
         self._journals = self.create_publisher(Float64MultiArray, "~/journal", SAMPLES)
@@ -313,11 +318,17 @@ class Controller(Managed):
         self._telemetry.clear()
         if len(self._journal) >= MOST_ROWS:
             self._publish_journal()
-        if self.working and self._supervisor.changed:
-            now = time.monotonic()
-            if self._supervisor.mode is Mode.SAFE or now >= self._announced + QUIET:
-                self._announced = now
-                self._announce()
+        if self.working and self._supervisor.changed and self._may_tell(self._supervisor.mode is Mode.SAFE):
+            self._announce()
+
+    def _may_tell(self, safe: bool) -> bool:
+        """Whether it is time to tell a change; if it is, it counts as told."""
+        now = time.monotonic()
+        others = Controller.told if Controller.told != self._announced else -NEVER
+        if now < others + TURNS[safe] or (now < self._announced + QUIET and not safe):
+            return False
+        self._announced = Controller.told = now
+        return True
 
     def _answer(self, reading: float, info: dict[str, Any]) -> None:
         began = time.monotonic()
@@ -378,7 +389,7 @@ class Controller(Managed):
         return elapsed
 
     def _publish(self, voltage: float) -> None:
-        self._voltages.publish(encoded(voltage))
+        self._send_voltage(encoded(voltage))
         self._published = time.time_ns()
 
     def _take_commands(self) -> None:

@@ -19,6 +19,7 @@ from valve_control.control.parameters.drivers import DEVICE, LIVE
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.adapter import SAMPLES, PolledSubscription, acquainted, encoded
 from valve_control.nodes.controller_node import COMMANDING, WARMING, Built, Controller
+from valve_control.nodes.rclpy_internals import sender
 from valve_control.parameter import ParameterError, Values, number, word
 
 LEVELS = {"degraded": DiagnosticStatus.WARN, "safe": DiagnosticStatus.ERROR}
@@ -118,6 +119,7 @@ class DeviceController(Controller):
         """Create publishers and subscriptions."""
         super().open()
         self._positions = self.create_publisher(Float64, "spool_position", SAMPLES)
+        self._send_position = sender(self._positions)
 
     def _source(self, qos: QoSProfile) -> Any:
         assert self._device is not None
@@ -198,13 +200,13 @@ class DeviceController(Controller):
         self._unpublished += answered
         if self._every == 1:
             for reading in fresh[:answered]:
-                self._positions.publish(encoded(reading))
+                self._send_position(encoded(reading))
             for voltage in self._given:
-                self._voltages.publish(encoded(voltage))
+                self._send_voltage(encoded(voltage))
         elif answered and self._given and self._unpublished >= self._every:
             self._unpublished = 0
-            self._positions.publish(encoded(fresh[answered - 1]))
-            self._voltages.publish(encoded(self._given[-1]))
+            self._send_position(encoded(fresh[answered - 1]))
+            self._send_voltage(encoded(self._given[-1]))
         del fresh[:answered]
         self._given.clear()
 
@@ -213,7 +215,8 @@ class DeviceController(Controller):
         if self._device is not None:
             self._publish_signals()
             conditions = self._device.conditions() if self.working else ()
-            if [c.name for c in conditions] != [c.name for c in self._told]:
+            changed = [c.name for c in conditions] != [c.name for c in self._told]
+            if changed and self._may_tell(any(condition.level == "safe" for condition in conditions)):
                 self._tell(conditions)
         super().report()
 
