@@ -79,17 +79,17 @@ def test_controller_returns_from_readings_that_never_end(ros):
 
 def test_of_valves_that_fail_at_once_each_is_told_in_its_turn(ros):
     """A manifold of twelve would be held up by 12 ms or more, and lose readings for that."""
-    valves = [Controller(alone=False, cli_args=["--ros-args", "-r", f"__ns:=/v{i}"]) for i in range(3)]
+    valves = [
+        Controller(warms=False, alone=False, cli_args=["--ros-args", "-r", f"__ns:=/v{i}"]) for i in range(3)
+    ]
     try:
         told = {}
         while len(told) < 3:
             for i, valve in enumerate(valves):
                 if i not in told and valve._may_tell(True):
                     told[i] = time.monotonic()
-        assert list(told) == [0, 1, 2]
         assert all(later - sooner > 0.9 * TURNS[True] for sooner, later in pairwise(told.values()))
-        assert valves[2]._may_tell(True), "who spoke last tells of safe mode at once"
-        assert not valves[2]._may_tell(False)
+        assert not any(valve._may_tell(False) for valve in valves)
     finally:
         for valve in valves:
             valve.destroy_node()

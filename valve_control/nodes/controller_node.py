@@ -85,7 +85,7 @@ class Built(NamedTuple):
 class Controller(Managed):
     """Reads `spool_position`, `spool_command`, `spool_trajectory`, publishes `valve_voltage` and `~/state`.
 
-    ``warms``: whether it warms the CPU's caches before each reading; of use to a process with one valve.
+    ``warms``: whether it warms the CPU's caches before each reading; the process has this valve alone.
     ``alone``: whether the process has no other node.
     """
 
@@ -324,8 +324,8 @@ class Controller(Managed):
     def _may_tell(self, safe: bool) -> bool:
         """Whether it is time to tell a change; if it is, it counts as told."""
         now = time.monotonic()
-        others = Controller.told if Controller.told != self._announced else -NEVER
-        if now < others + TURNS[safe] or (now < self._announced + QUIET and not safe):
+        held_up = self._warming is None and now < Controller.told + TURNS[safe]
+        if held_up or (now < self._announced + QUIET and not safe):
             return False
         self._announced = Controller.told = now
         return True
