@@ -3,14 +3,15 @@
 """Numbers as bytes are what rclpy makes of them."""
 
 import math
+from struct import pack
 
 import pytest
 import rcl
 from bench import spin_until
-from rclpy.serialization import serialize_message
-from std_msgs.msg import Float64
+from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
-from valve_control.nodes.adapter import SAMPLES, NumberSubscription, _same, encoded
+from valve_control.nodes.adapter import SAMPLES, NumberSubscription, _same, encoded, head
 
 NUMBERS = [0.0, -0.0, 1.0, -9.87654321, 5e-324, 1.7e308, math.inf, -math.inf]
 
@@ -32,6 +33,15 @@ def test_numbers_arrive_whoever_sends_them(ros):
     spin_until(ros, lambda: found.extend(numbers.take()) or len(found) == 3, "three numbers")
     assert [number for number, _ in found] == [1.5, -3.5, 2.5]
     assert [info["publication_sequence_number"] for _, info in found] == [1, 2, 4]
+
+
+@pytest.mark.parametrize("labels", [("x",), ("sample", "mode"), ("a", "bb", "ccc", "dddd", "eeeee")])
+def test_numbers_after_the_head_of_an_array_are_what_rclpy_reads(labels):
+    dim = [MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
+    numbers = NUMBERS[: len(labels)]
+    message = Float64MultiArray(layout=MultiArrayLayout(dim=dim), data=numbers)
+    begin = head(Float64MultiArray(layout=MultiArrayLayout(dim=dim)), len(labels))
+    assert deserialize_message(begin + pack(f"<{len(labels)}d", *numbers), Float64MultiArray) == message
 
 
 @pytest.mark.parametrize(

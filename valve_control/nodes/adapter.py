@@ -28,8 +28,9 @@ from rclpy.exceptions import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from rclpy.utilities import get_rmw_implementation_identifier
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control.control.parameters import arguments
@@ -356,6 +357,13 @@ def encoded_point(position: float, velocity: float, acceleration: float, time: i
 def encoded(number: float) -> bytes:
     """A Float64 message of ``number`` as serialized bytes, for ``publish``."""
     return pack("<4Bd", 0, 1, 0, 0, number)
+
+
+def head(message: Float64MultiArray, count: int) -> bytes:
+    """What comes before the numbers in a serialized ``message`` that ends with ``count`` of them."""
+    message.data = [0.0] * count
+    serialized: bytes = serialize_message(message)
+    return serialized[: -8 * count]
 
 
 def acquainted(node: Node, publisher: Any, topic: str) -> bool:

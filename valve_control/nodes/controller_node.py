@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
+from struct import pack
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,6 +43,7 @@ from valve_control.nodes.adapter import (
     acquainted,
     diagnostics,
     encoded,
+    head,
     needs_numbers,
     number_of,
 )
@@ -110,7 +112,8 @@ class Controller(Managed):
         self._waits_since = self._look_at = NEVER
         self._met = False  # lockstep: who gives the readings is ready for voltages
         self._uncommanded = False  # lockstep without anybody who commands
-        self._state_message = Float64MultiArray()
+        self._state_labels: tuple[str, ...] = ()
+        self._state_head = b""  # of a serialized ~/state, before its numbers
         self._telemetry: list[list[float]] = []  # of samples, to be published
         self._terms: dict[str, Any] = {}  # publishers of ~/terms, by name
         self._named: list[tuple[int, Any]] = []  # place in the telemetry, publisher
@@ -162,10 +165,10 @@ class Controller(Managed):
         if self._lockstep:
             self._watch_at = self._warm_at = NEVER
         labels = self._supervisor.labels()
-        if [entry.label for entry in self._state_message.layout.dim] != list(labels):
-            self._state_message.layout = MultiArrayLayout(
-                dim=[MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
-            )
+        if self._state_labels != labels:
+            self._state_labels = labels
+            dim = [MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
+            self._state_head = head(Float64MultiArray(layout=MultiArrayLayout(dim=dim)), len(labels))
         self._chosen_terms = terms
         if self._readings is not None:
             self._name_terms()
@@ -310,8 +313,7 @@ class Controller(Managed):
     def report(self) -> None:
         """Publish telemetry, and diagnostics if something has changed."""
         for numbers in self._telemetry:
-            self._state_message.data = numbers
-            self._states.publish(self._state_message)
+            self._states.publish(self._state_head + pack(f"<{len(numbers)}d", *numbers))
             for at, publisher in self._named:
                 if not math.isnan(numbers[at]):
                     publisher.publish(encoded(numbers[at]))
