@@ -129,12 +129,18 @@ def turn(way: str, law: str, period: float, seconds: float, folder: Path) -> dic
         return measure(listener, children, 1, seconds)
 
 
-def many(valves: int, law: str, period: float, seconds: float, folder: Path) -> dict[str, float]:
-    """Figures of a manifold of ``valves`` with devices, alone on the last CPU as far as this process goes."""
+def many(
+    valves: int, law: str, period: float, seconds: float, folder: Path, priority: int = 0
+) -> dict[str, float]:
+    """Figures of a manifold of ``valves`` with devices, alone on the last CPU as far as this process goes.
+
+    ``priority`` of the real-time scheduler, 0: none.
+    """
     names = [f"v{i}" for i in range(valves)]
     cpus = os.sched_getaffinity(0)
     words = [f"valves:=[{','.join(names)}]", "driver:=simulated", f"controller:={law}"]
     words += [f"sample_period:={period!r}", f"realtime.cpus:='{max(cpus)}'"]
+    words += [f"realtime.priority:={priority}"]
     given = [word for text in words for word in ("-p", text)]
     realtime.obtain(realtime.Request(False, 0, tuple(cpus - {max(cpus)}) or tuple(cpus)), print)
     try:
@@ -210,6 +216,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--law", default=LAW, help=f"law ({LAW})")
     parser.add_argument("--period", type=float, default=PERIOD, help=f"sample period [s] ({PERIOD})")
     parser.add_argument("--valves", type=int, help="that many valves in a manifold instead")
+    parser.add_argument(
+        "--priority", type=int, default=0, help="of the real-time scheduler, for --valves; 0: none (0)"
+    )
     parser.add_argument("--json", metavar="FILE", help="results as JSON")
     options = parser.parse_args(arguments)
     rclpy.init()
@@ -218,7 +227,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             folder = Path(name)
             given = options.law, options.period, options.seconds
             if options.valves:
-                results: dict[str, Any] = {"many": many(options.valves, *given, folder)}
+                results: dict[str, Any] = {"many": many(options.valves, *given, folder, options.priority)}
                 print(told(f"{options.valves} valves", results["many"]))
             else:
                 results = compare(*given, options.rounds, folder)
