@@ -1,3 +1,5 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.fieldbus``: the sample periods that the drivers of field buses keep on this machine.
 
 Each run exchanges readings and voltages with a device of test/drivers in another process: CANopen behind an
