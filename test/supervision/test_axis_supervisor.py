@@ -106,6 +106,22 @@ def test_a_trajectory_that_begins_later_leaves_the_motion_before_it_alone_until_
     assert np.max(np.abs(np.diff(positions) / p.period - mean)) < 1e-3
 
 
+@pytest.mark.parametrize("leap", [-5000, 5000])
+def test_a_path_goes_on_where_the_clock_of_the_readings_is_set(leap):
+    p, able = designed()
+    runs = []
+    for by in (0, leap):
+        s = sample(p, supervisor.at_rest(p), 0.2, 10_000)
+        s = supervisor.begin(s, path.towards(0.3, s.goal, LIMITS, able), None)
+        goals = []
+        for k in range(1, 800):
+            s = sample(p, s, s.goal.position, 10_000 + k + (by if k > 300 else 0))
+            goals.append(s.goal)
+        assert s.path is None and s.goal == (0.3, 0.0, 0.0) and not s.stopped
+        runs.append(np.array(goals))
+    assert np.max(np.abs(runs[1] - runs[0])) < 1e-9
+
+
 def test_a_trajectory_of_the_past_whose_present_point_is_far_away_is_refused():
     p, able = designed(start_tolerance=0.002)
     s = sample(p, supervisor.at_rest(p), 0.2, 1000)

@@ -25,6 +25,7 @@ from valve_control.parameter import ParameterError, Values, number, word
 
 NANO = 1e-9
 REPORTED = 1.0  # s for which a refusal stays reported
+LEAP = 1.0  # s by which the stamps of two readings may differ; farther, or backwards, a clock was set
 
 
 class Params(NamedTuple):
@@ -197,6 +198,15 @@ def found(p: Params, s: State, position: float, time: int = 0) -> State:
     return s._replace(goal=Goal(position, 0.0, 0.0), time=time or s.time)
 
 
+def moved_on(p: Params, s: State, time: int) -> State:
+    """State whose paths begin earlier or later, by as much as the clock was set before ``time`` [ns]."""
+    if s.time == 0 or s.time <= time <= s.time + round(LEAP / NANO):
+        return s
+    leap = time - s.time - round(p.period / NANO)
+    begun = None if s.begun is None else s.begun + leap
+    return s._replace(begun=begun, later=None if s.later is None else (s.later[0], s.later[1] + leap))
+
+
 def sample(p: Params, s: State, reading: Reading, time: int) -> State:
     """State after a ``reading`` made at ``time`` [ns]; its ``command`` is that of this sample."""
     elapsed = (time - s.time) * NANO if s.samples > 0 else p.period
@@ -206,7 +216,7 @@ def sample(p: Params, s: State, reading: Reading, time: int) -> State:
     if s.goal is None:
         s = found(p, s, reading.position)
     fault, watch = axis_watch.step(p.watch, s.watch, reading.position, both, elapsed)
-    s = s._replace(watch=watch, time=time, samples=s.samples + 1)
+    s = moved_on(p, s, time)._replace(watch=watch, time=time, samples=s.samples + 1)
     if s.stopped:
         return s
     if fault:
