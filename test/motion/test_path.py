@@ -77,12 +77,37 @@ def test_between_points_the_derivatives_are_derivatives_and_nothing_leaps(rows, 
         ([(0.3, None, None, 1000), (0.2, None, None, 1100)], "inwards; the axis has 0.5 m/s"),
         ([(0.2, 0.0, None, 0), (0.3, 0.1, None, 1000)], "ends with 0.1 m/s; it must end at rest"),
         ([(0.2, 0.0, None, 0), (0.01, -0.4, None, 800), (0.01, 0.0, None, 1600)], "reaches -"),
+        (
+            [(0.2, 0.0, None, 0), (0.2, 1e308, None, 9000), (0.2, 0.0, None, 9999)],
+            "numbers that are too large",
+        ),
     ],
 )
 def test_what_is_no_path_is_refused_in_one_sentence(rows, words):
     with pytest.raises(ParameterError) as error:
         path.through(points(*rows), REST, ABLE)
     assert words in str(error.value), error.value
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["quintic", "cubic"])
+def test_a_course_between_two_points_is_refused_if_and_only_if_it_leaves_stroke_or_speeds(whole):
+    random, wide, outcomes = np.random.default_rng(1), path.Range(-9.0, 9.0, 99.0, 99.0, 0.002), []
+    for _ in range(300):
+        there = random.uniform(0.3, 0.5), random.uniform(-0.5, 0.5), random.uniform(-2.0, 2.0)
+        time = int(random.uniform(300.0, 3000.0))
+        rows = [(0.3, 0.0, 0.0, 0), (*there, time), (0.3, 0.0, 0.0, time + 1500)]
+        course_points = [p if whole else p._replace(acceleration=None) for p in points(*rows)]
+        start = Goal(0.3, 0.0, 0.0)
+        free = path.through(course_points, start, wide)
+        x, v = np.array([path.goal_of(free, int(t))[:2] for t in np.linspace(0, free.end, 400)]).T
+        most = max(x.max() - 0.5, -x.min(), v.max() - ABLE.speed_out, -v.min() - ABLE.speed_in)
+        try:
+            path.through(course_points, start, ABLE)
+            assert most <= 1e-9
+        except ParameterError:
+            assert most > -1e-3  # its extreme lies between these looks
+        outcomes.append(most > 0.0)
+    assert 30 < sum(outcomes) < 270
 
 
 def test_points_are_those_of_the_joint():

@@ -18,7 +18,7 @@ from valve_control.parameter import ParameterError
 
 Array = npt.NDArray[np.float64]
 MOST = 100_000  # points
-LOOKS = 9  # at each piece of a path, for its extremes
+LOOKS = 9  # at each piece of a path, before its extremes
 SLACK = 1e-9  # relative, of a limit
 REST = 1e-6  # m/s  that counts as standstill at the end
 NANO = 1e-9
@@ -167,8 +167,9 @@ def through(points: Sequence[PathPoint], present: Goal, able: Range) -> Path:
         return Path(lambda time: last, 0, last)
     nanoseconds = np.array([p.time for p in all_points], dtype=np.int64)
     times = nanoseconds.astype(np.float64) * NANO
-    pieces = _pieces(all_points, times)
-    _check_extremes(pieces, np.diff(times), able)
+    with np.errstate(over="ignore", invalid="ignore"):
+        pieces = _pieces(all_points, times)
+        _check_extremes(pieces, np.diff(times), able)
 
     def at(time: int) -> Goal:
         i = int(np.searchsorted(nanoseconds, time, side="right")) - 1
@@ -184,9 +185,32 @@ def through(points: Sequence[PathPoint], present: Goal, able: Range) -> Path:
 
 
 def _check_extremes(pieces: Array, lengths: Array, able: Range) -> None:
+    """Check the course on its pieces, at its extremes too where it may leave the limits between two looks."""
     looks = [_evaluated(pieces, share * lengths) for share in np.linspace(0.0, 1.0, LOOKS)]
     x, v = np.array(looks).transpose(1, 0, 2)
+    if not (np.isfinite(x).all() and np.isfinite(v).all()):
+        raise ParameterError("the trajectory has numbers that are too large to calculate with")
     _check(float(x.min()), float(x.max()), float(v.min()), float(v.max()), able, "the trajectory")
+    # Off the line between two looks by an eighth of the largest bend times their distance squared, at most.
+    h, (c2, c3, c4, c5) = lengths, np.abs(pieces[:, 2:].T)
+    eighth = 0.125 * (h / (LOOKS - 1)) ** 2
+    off_x = eighth * (2.0 * c2 + h * (6.0 * c3 + h * (12.0 * c4 + h * 20.0 * c5)))
+    off_v = eighth * (6.0 * c3 + h * (24.0 * c4 + h * 60.0 * c5))
+    beyond = (x.max(0) + off_x > able.high) | (x.min(0) - off_x < able.low)
+    beyond |= (v.max(0) + off_v > able.speed_out) | (v.min(0) - off_v < -able.speed_in)
+    extremes = [
+        _evaluated(pieces[i], times[(times > 0.0) & (times < h[i])])
+        for i in np.flatnonzero(beyond)
+        for slope in (pieces[i, 1:] * np.arange(1, 6),)
+        for times in (np.concatenate([_turns(slope), _turns(slope[1:] * np.arange(1, 5))]),)
+    ]
+    x, v = (np.concatenate([own.ravel(), *more]) for own, *more in zip((x, v), *extremes, strict=True))
+    _check(float(x.min()), float(x.max()), float(v.min()), float(v.max()), able, "the trajectory")
+
+
+def _turns(rate: Array) -> Array:
+    """Real parts of the roots of a polynomial, constant first; any moment more may be looked at."""
+    return np.asarray(np.real(np.roots(rate[::-1])), dtype=np.float64)
 
 
 def _check(low: float, high: float, slowest: float, fastest: float, able: Range, what: str) -> None:
