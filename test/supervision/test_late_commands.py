@@ -146,6 +146,7 @@ def test_the_command_stays_finite_and_within_its_limit(messages):
         (study.Upper(True, 1), "hold"),
         (study.Upper(True, 10), "hold"),
         (study.Upper(False, 10), "bridge"),
+        (study.Upper(True, 10), "bridge"),
     ],
 )
 def test_pauses_cost_little_under_tuned_gains(law, upper, kind):
