@@ -77,6 +77,19 @@ class Worker(Node):
         """Wait briefly until the last messages have arrived."""
 
 
+def _finished(nodes: Sequence[Any]) -> bool:
+    """Let all nodes say their last, and wait until it is delivered; whether none of them raised an error."""
+    whole = True
+    for act in ("finish", "deliver"):
+        for node in nodes:
+            try:
+                getattr(node, act)()
+            except Exception as error:  # the other valves must hear their 0 V whatever this one does
+                print(f"valve_control: {node.get_name()}: {first_line(error)}", file=sys.stderr)
+                whole = False
+    return whole
+
+
 def run(make: Callable[[], Sequence[Any]]) -> int:
     """Run the nodes that ``make`` creates until SIGINT or SIGTERM; returns the exit status."""
 
@@ -123,13 +136,8 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
         print(f"valve_control: {error}", file=sys.stderr)
         status = 1
     finally:
-        for act in ("finish", "deliver"):
-            for node in nodes:
-                try:
-                    getattr(node, act)()
-                except Exception as error:  # the other valves must hear their 0 V whatever this one does
-                    print(f"valve_control: {node.get_name()}: {first_line(error)}", file=sys.stderr)
-                    status = 1
+        if not _finished(nodes):
+            status = 1
         if reception is not None:
             reception.close()
         for chore in chores:
