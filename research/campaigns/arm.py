@@ -22,25 +22,17 @@ from valve_control import outputs
 from valve_control.control.parameters import files
 from valve_control.nodes.adapter import EVERYTHING, PolledSubscription
 from valve_control.nodes.harness.processes import parse_tool, process, run_tool, tool_options, wait_until
-from valve_control.parameter import Values
 
 VALVES = ("boom", "arm")
-PACED = ("axis_simulator", "valve_simulator", "axis_controller", "controller")
 FIGURES = ("samples", "period_ms", "latency_ms_p50", "latency_ms_p99", "overruns")
 START = 120.0  # s, until both valves are controlled; the axes are compiled first
 SETTLING = 2.0  # s after that in which safe stops do not count
 
 
-def commands(period: float | None, folder: Path) -> dict[str, tuple[str, list[str]]]:
-    """Node and arguments of each process by name; ``period`` [s]: instead of the one of config/arm.yaml."""
-    more = []
-    if period is not None:
-        values: dict[str, Values] = {f"/**/{node}": {"sample_period": period} for node in PACED}
-        path = folder / "arm_period.yaml"
-        outputs.write(str(path), files.as_yaml(values, []))
-        more = ["--params-file", str(path)]
+def commands() -> dict[str, tuple[str, list[str]]]:
+    """Node and arguments of each process by name."""
     config = files.config_folder()
-    words = ["--params-file", str(config / "arm.yaml"), *more]
+    words = ["--params-file", str(config / "arm.yaml")]
     found = {"manifold": ("manifold", words)}
     for valve in VALVES:
         machine = ["--params-file", str(config / "axis" / f"crane_{valve}.yaml")]
@@ -82,16 +74,15 @@ def cpu(pid: int) -> float:
     return float(times.user + times.system)
 
 
-def measure(period: float | None, seconds: float, folder: Path) -> dict[str, Any]:
+def measure(seconds: float, folder: Path) -> dict[str, Any]:
     """Run the arm for ``seconds`` from when both valves are controlled on. Raises RuntimeError."""
     node = rclpy.create_node("arm_watch")
     watch = Watch(node)
-    name = "arm" if period is None else f"arm_{1e3 * period:g}_ms"
     try:
         with ExitStack() as stack:
             children = {
-                child: stack.enter_context(process(program, words, folder / f"{name}_{child}.log"))
-                for child, (program, words) in commands(period, folder).items()
+                child: stack.enter_context(process(program, words, folder / f"arm_{child}.log"))
+                for child, (program, words) in commands().items()
             }
             alive = list(children.values())
             wait_until(watch.controlled, "control of both valves", alive, START)
@@ -108,7 +99,6 @@ def measure(period: float | None, seconds: float, folder: Path) -> dict[str, Any
         node.destroy_node()
     stops = [{**stop, "at": stop["at"] - begin} for stop in watch.stops]
     return {
-        "period_s": period,
         "seconds": seconds,
         "safe_stops": sum(stop["at"] > SETTLING for stop in stops),
         "stops": stops,
@@ -119,9 +109,8 @@ def measure(period: float | None, seconds: float, folder: Path) -> dict[str, Any
 
 def text(result: Mapping[str, Any]) -> str:
     """One run in text."""
-    period = "as in config/arm.yaml" if result["period_s"] is None else f"{1e3 * result['period_s']:g} ms"
     lines = [
-        f"sample period {period}: {result['safe_stops']} safe stops in {result['seconds']:g} s, "
+        f"{result['safe_stops']} safe stops in {result['seconds']:g} s, "
         f"{sum(result['cores'].values()):.2f} of a core"
     ]
     lines += [f"  {stop['at']:7.2f} s {stop['valve']}: {stop['reason']}" for stop in result["stops"]]
@@ -133,22 +122,17 @@ def text(result: Mapping[str, Any]) -> str:
 def main() -> int:
     """Entry point of `python -m research.campaigns.arm`."""
     options = tool_options("arm", __doc__, ())
-    options.add_argument("--seconds", type=float, default=14.0, help="length of each run (14)")
-    options.add_argument(
-        "--period", type=float, action="append", help="sample period [s] (of config/arm.yaml); again for more"
-    )
+    options.add_argument("--seconds", type=float, default=14.0, help="length of the run (14)")
     arguments = parse_tool(options)
     if not SETTLING < arguments.seconds <= 3600.0:
         options.error(f"--seconds is {arguments.seconds:g}; it must lie between {SETTLING:g} and 3600")
     folder = Path(arguments.out)
 
     def work() -> int:
-        results = []
-        for period in arguments.period or [None]:
-            results.append(measure(period, arguments.seconds, folder))
-            print(text(results[-1]), flush=True)
-        outputs.write(str(folder / "arm.json"), outputs.as_json(results))
-        return 1 if any(result["safe_stops"] for result in results) else 0
+        result = measure(arguments.seconds, folder)
+        print(text(result), flush=True)
+        outputs.write(str(folder / "arm.json"), outputs.as_json(result))
+        return 1 if result["safe_stops"] else 0
 
     return run_tool("arm", folder, work)
 
