@@ -222,6 +222,16 @@ def test_a_valve_is_identified_whatever_the_clock_did(tmp_path, capsys, case):
     assert told == any("leaps" in note or "goes backwards" in note for note in found["notes"]), found["notes"]
 
 
+@pytest.mark.parametrize("topic", ["/spool_position", "/valve_voltage"])
+def test_a_valve_is_identified_although_each_third_message_of_a_signal_is_lost(tmp_path, capsys, topic):
+    """Before: 28.1 Hz with readings and 35.1 Hz with voltages lost, which stood for those of the next."""
+    kept = [m for m in stepped_sine(numbered=False) if m.topic != topic or (m.time - BEGIN) // PERIOD % 3]
+    assert main(["identify", str(in_file_order(tmp_path / "bag", kept)), "--json", "-", "--order", "2"]) == 0
+    (fit,) = json.loads(capsys.readouterr().out)["fits"]
+    poles = sorted(pole["frequency"] for pole in fit["poles"])
+    assert poles == pytest.approx([FIRST_POLE, SECOND_POLE], rel=0.03)
+
+
 @pytest.mark.parametrize(
     ("by", "numbered"),
     [(by, numbered) for by in (2.0, -3.0, 56 * 365 * 86_400.0) for numbered in (True, False)]

@@ -157,6 +157,8 @@ GAPS = {
     "ten steps of -20 ms": (lambda m: [later(lambda m: -0.02 * (at(m) // 2500))(m)], False),
     "half the rate from the middle on": (lambda m: [m] * (at(m) < 15000 or at(m) % 2 == 0), False),
     "each fifth message": (lambda m: [m] * (zlib.crc32(f"{m.topic} {at(m)}".encode()) % 5 > 0), True),
+    "each third reading": (lambda m: [m] * (m.topic != READING or at(m) % 3 > 0), False),
+    "each third voltage": (lambda m: [m] * (m.topic != VOLTAGE or at(m) % 3 > 0), False),
     "a day later": (lambda m: [later(lambda m: 86400.0 * (at(m) >= 15000))(m)], True),
     "a leap second": (lambda m: [later(lambda m: -1.0 * (at(m) >= 15000))(m)], True),
     "a leap second without numbers": (lambda m: [later(lambda m: -1.0 * (at(m) >= 15000))(m)], False),

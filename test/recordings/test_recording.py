@@ -35,6 +35,23 @@ def test_aligned_signals_are_those_of_the_run(run, tmp_path):
     assert signals.latency.min() >= 120e-6 and signals.latency.max() < 250e-6
 
 
+@pytest.mark.parametrize("numbered", [True, False])
+def test_a_reading_that_nobody_recorded_leaves_its_voltage_to_no_other(run, tmp_path, numbered):
+    """Before, the reading ahead of a lost one got the voltage that answers the lost one."""
+    kept = np.arange(2000) % 3 > 0
+    messages, seen = [], 0
+    for m in run.messages:
+        if m.topic == "/spool_position":
+            seen += 1
+            if not kept[seen - 1]:
+                continue
+        messages.append(m._replace(sequence=m.sequence * numbered))
+    signals = align(load(write(tmp_path / "bag", messages)).valves["valve"])
+    assert np.array_equal(signals.measurement, np.array(run.readings)[kept])
+    assert np.array_equal(signals.voltage, np.array(run.voltages)[kept])
+    assert signals.unanswered == 0
+
+
 def test_analysis_finds_parameters_changes_segments_and_estimates(run, tmp_path):
     about = as_dict(analyze(load(write(tmp_path / "bag", run.messages))))
     valve = about["valves"]["valve"]

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.control.analysis.timing import LATE
 from valve_control.control.supervision.journal import Block, block
 from valve_control.control.supervision.state_snapshot import Account, account
 from valve_control.recordings import modes, parameters
@@ -48,8 +49,13 @@ class Aligned(NamedTuple):
     measurement: Floats  # V
     voltage: Floats  # V, NaN where the bag has none
     latency: Floats  # s from reading to voltage, of the readings that were answered
-    unanswered: int | None  # readings without a voltage before the next one, None where stamps do not tell
+    answered: npt.NDArray[np.bool_] | None  # by a voltage before the next reading; None: stamps do not tell
     wall: bool  # whether time is real time, not lockstep
+
+    @property
+    def unanswered(self) -> int | None:
+        """Readings without a voltage before the next one, None where stamps do not tell."""
+        return None if self.answered is None else int(np.count_nonzero(~self.answered))
 
 
 class State(NamedTuple):
@@ -394,7 +400,8 @@ def align(valve: ValveRecording) -> Aligned:
     """Pair command, measurement and voltage at each LVDT reading from the first command on.
 
     The command is the newest one sent before the voltage that answers the reading; the voltage is the one in
-    force until the next reading. Raises BagError without readings.
+    force until the next reading, or until the next one is due: where that was lost, the voltage in answer to
+    it can still be there. Raises BagError without readings.
     """
     if "spool_position" not in valve.signals or len(valve.signals["spool_position"].time) == 0:
         raise BagError(f"{valve.name} has no spool_position, so no signal can be aligned")
@@ -404,10 +411,11 @@ def align(valve: ValveRecording) -> Aligned:
     if not period > 0.0:
         raise BagError(f"{valve.name}: the readings have no interval, so no sample period is known")
     until = np.append(stamp[1:], stamp[-1] + round(period * 1e9))
+    precise = not (valve.coarse or valve.paired)
     seen: Integers = stamp
     voltage: Floats = np.full(len(stamp), np.nan)
     latency = np.empty(0)
-    missed: npt.NDArray[np.bool_] = np.zeros(len(stamp), dtype=np.bool_)
+    answered: npt.NDArray[np.bool_] = np.ones(len(stamp), dtype=np.bool_)
     voltages = valve.signals.get("valve_voltage")
     if voltages is not None and len(voltages.time):
         # Where answers take longer than a period, others come between a reading and its own.
@@ -416,11 +424,16 @@ def align(valve: ValveRecording) -> Aligned:
         after = np.searchsorted(voltages.time, stamp[later], side="right")
         answer = voltages.time[np.minimum(after, len(voltages.time) - 1)]
         answered = (answer > stamp[later]) & (answer <= until[later]) & (own == later)
-        if not (valve.coarse or valve.paired):
+        if precise:
             latency = seconds(answer[answered], stamp[answered])
-        missed = ~answered
         seen = np.where(answered, answer, stamp)
-        voltage = _held(voltages, np.searchsorted(voltages.time, until[later], side="left") - 1)
+        newest = np.searchsorted(voltages.time, until[later], side="left") - 1
+        if precise:
+            due = stamp[later] + round(period * 1e9)
+            within = np.searchsorted(voltages.time, due, side="left") - 1
+            gap = until[later] - stamp[later] > LATE * period * 1e9
+            newest = np.where(gap, np.where(answered, np.maximum(within, after), within), newest)
+        voltage = _held(voltages, newest)
     command: Floats = np.full(len(stamp), np.nan)
     commands = valve.signals.get("spool_command")
     first = 0
@@ -440,9 +453,15 @@ def align(valve: ValveRecording) -> Aligned:
         measurement=measurement[first:],
         voltage=voltage[first:],
         latency=latency,
-        unanswered=None if valve.coarse or valve.paired else int(np.count_nonzero(missed[first:])),
+        answered=answered[first:] if precise else None,
         wall=not valve.lockstep,
     )
+
+
+def voltages_before(valve: ValveRecording, stamp: Integers) -> Floats:
+    """Newest recorded voltage [V] before each ``stamp`` [ns]; NaN before the first."""
+    voltages = valve.signals["valve_voltage"]
+    return _held(voltages, np.searchsorted(voltages.time, stamp, side="left") - 1)
 
 
 def _lag(valve: ValveRecording, stamp: Integers, voltages: Samples) -> int:

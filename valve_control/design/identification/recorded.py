@@ -17,11 +17,18 @@ from valve_control.design.identification.response import Segment
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import in_order
 from valve_control.recordings.parameters import Node
-from valve_control.recordings.recording import Aligned, Recording, ValveRecording, align
+from valve_control.recordings.recording import (
+    Aligned,
+    Recording,
+    ValveRecording,
+    align,
+    voltages_before,
+)
 
 Integers = npt.NDArray[np.int64]
 STILL = 1e-6  # V within which a voltage does not move
 LOOSE = 0.5  # of a sine's amplitude that jitter of a wall clock may leave
+MOSTLY = 0.5  # share of the readings that a voltage answers, of a controller that answers each
 MARGIN = 0.01  # s by which a schedule may be late
 
 
@@ -48,6 +55,26 @@ def _numbered(aligned: Aligned, sequence: Integers, period: float, notes: list[s
     return numbered_by_time(aligned.stamp, period) if aligned.wall else np.arange(count)
 
 
+def _samples(
+    aligned: Aligned, valve: ValveRecording, index: Integers, period: float
+) -> tuple[Floats, Floats, Floats]:
+    """Voltage [V], position [V] and time [s] by the number of the sample; NaN where they are not known.
+
+    Voltages that were lost are left out: of readings that have no answer while most of them have one.
+    """
+    length = int(index[-1]) + 1
+    voltage, position, time = (np.full(length, np.nan) for _ in range(3))
+    voltage[index], position[index], time[index] = aligned.voltage, aligned.measurement, aligned.time
+    if aligned.answered is not None and np.mean(aligned.answered) > MOSTLY:
+        voltage[index[~aligned.answered]] = np.nan
+    lost = np.isnan(time)
+    time = np.interp(np.arange(length), index, aligned.time)
+    if aligned.answered is not None and aligned.wall and np.any(lost):
+        stamp = aligned.stamp[0] + np.round((time[lost] + period) * 1e9).astype(np.int64)
+        voltage[lost] = voltages_before(valve, stamp)
+    return voltage, position, time
+
+
 def _leaping(time: Floats, cuts: list[int], period: float) -> str:
     """That ``time`` [s] leaps before the samples ``cuts``."""
     told = ", ".join(f"{time[cut] - time[cut - 1] - period:+.3f} s" for cut in cuts[:5])
@@ -68,13 +95,10 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
     sequence = valve.signals["spool_position"].sequence[-count:]
     period = _kept_period(aligned, sequence, notes)
     index = _numbered(aligned, sequence, period, notes)
-    length = int(index[-1]) + 1
-    voltage, position, time = (np.full(length, np.nan) for _ in range(3))
-    voltage[index], position[index], time[index] = aligned.voltage, aligned.measurement, aligned.time
+    voltage, position, time = _samples(aligned, valve, index, period)
+    length = len(time)
     if length > count:
         notes.append(f"{length - count} of {length} readings were lost and are left out")
-        known = np.isfinite(time)
-        time = np.interp(np.arange(length), np.flatnonzero(known), time[known])
     voltage_held = held(voltage)
     cuts = index[leaps(aligned.stamp, index, period)] if aligned.wall and count > 1 else index[:0]
     bounds = [0, *cuts.tolist(), length]
