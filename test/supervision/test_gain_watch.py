@@ -53,7 +53,7 @@ def entries(p, c, ratio, frequency, friction, seconds, s=gain_watch.NOTHING):
         v, a = 2.5 * omega * math.cos(omega * t), -omega * omega * y
         u = (a + a1 * v + a0 * y) / b0 + math.copysign(friction, v) + 0.2
         shown = shown._replace(y3=ratio * y, velocity=ratio * v, u4=u, warm=0.0)
-        s = gain_watch.step(p, s, plausibility.SeenBlock(0.0, 0.0, u, False, shown))
+        s = gain_watch.step(p, s, plausibility.SeenBlock(0.0, 0.0, u, False, shown, 0.0))
     return s
 
 

@@ -59,7 +59,7 @@ def test_white_noise_on_a_motion_is_measured(deviation, speed, seed):
     nothing = plausibility.initial(check, 0.0, 0.0).shown
     readings = speed * PERIOD * np.arange(253) + deviation * np.random.default_rng(seed).standard_normal(253)
     for second in np.diff(readings, 2).tolist():
-        s = noise_watch.step(p, s, plausibility.SeenBlock(second, 0.0, 0.0, False, nothing))
+        s = noise_watch.step(p, s, plausibility.SeenBlock(second, 0.0, 0.0, False, nothing, 0.0))
         if s.windows > 0.0:
             break
     assert s.usual == pytest.approx(deviation, rel=0.35)

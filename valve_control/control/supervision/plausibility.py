@@ -140,6 +140,7 @@ class SeenBlock(NamedTuple):
     voltage: float  # V  applied before its last reading
     doubted: bool  # whether the readings were found wrong, and motion has not shown yet that they are sound
     shown: Shown
+    command: float  # V  as the law got it, 0.0 without one
 
 
 class State(NamedTuple):
@@ -162,9 +163,13 @@ class Doubt(NamedTuple):
 TRUST = Doubt(0.0, 0.0, 0.0)
 
 
-def seen(standing: lvdt.Standing, doubt: Doubt, voltage: float, shown: Shown) -> SeenBlock:
-    """What the watches beside this check see of a block, before whose last reading ``voltage`` [V] was on."""
-    return SeenBlock(standing.second, standing.grain, voltage, doubt.times > 0.0, shown)
+def seen(standing: lvdt.Standing, doubt: Doubt, voltage: float, shown: Shown, command: float) -> SeenBlock:
+    """What the watches beside this check see of a block, before whose last reading ``voltage`` [V] was on.
+
+    ``command`` [V]: as the law got it, NaN without one.
+    """
+    known = command if math.isfinite(command) else 0.0
+    return SeenBlock(standing.second, standing.grain, voltage, doubt.times > 0.0, shown, known)
 
 
 NOTHING = Sums(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -411,9 +411,11 @@ def has_leapt(m: Memory) -> bool:
 
 def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown) -> None:
     """Let the watches of the table look at a block, at whose end ``applied`` [V] is on; it has ``shown``."""
-    reported_of(p.watches, m, plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown))
+    reported_of(
+        p.watches, m, plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown, m.effective)
+    )
     for watch in STOPPING:
-        now = plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown)
+        now = plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown, m.effective)
         setattr(m, watch.slot, watch.module.step(getattr(p.watches, watch.slot), getattr(m, watch.slot), now))
         wrong = watch.module.found(getattr(p.watches, watch.slot), getattr(m, watch.slot))
         if wrong and m.trust.blocked == "" and p.answered:

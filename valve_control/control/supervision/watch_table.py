@@ -41,6 +41,7 @@ from valve_control.control.supervision import (
     command_watch,
     cycle_watch,
     gain_watch,
+    hum_watch,
     late_commands,
     law_watch,
     lvdt,
@@ -95,6 +96,7 @@ WATCHES = (
     ),
     Watch(noise_watch, ("noise",), REPORTS),
     Watch(gain_watch, ("gain",), REPORTS),
+    Watch(hum_watch, ("hum",), REPORTS),
     Watch(
         command_watch,
         ("command",),
