@@ -34,9 +34,9 @@ def test_hum_of_20_mv_is_named_at_rest_and_in_slow_motion(config, law, shipped):
         told, at = (float(x) for x in re.search(r"hum of (\S+) mV at (\S+) Hz", text).groups())
         assert at == pytest.approx(frequency, abs=0.3)
         # The loop adds to the hum what the valve makes of the voltage.
-        k = np.arange(len(loop.readings))[-1000:]
-        wave = np.exp(-2j * math.pi * frequency * PERIOD * k)
-        assert told == pytest.approx(2e3 * abs(np.mean(wave * np.array(loop.readings)[k])), rel=0.15)
+        wave = np.hanning(1000) * np.exp(-2j * math.pi * frequency * PERIOD * np.arange(1000))
+        seen = 4e3 * abs(np.mean(wave * np.array(loop.readings[-1000:])))
+        assert told == pytest.approx(seen, rel=0.1)
         loop.run(1300, command)
         assert "lvdt_mains" not in loop.supervisor.conditions
 
