@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from supervised import Steps, SupervisedValve
+from supervised import Steps, SupervisedValve, driven
 
 from benchmarks import solenoid
 from research import coil
@@ -18,7 +18,7 @@ from valve_control.control.linear import margins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import TransferFunction
-from valve_control.design.commissioning import gains, magnet, model, plant, sequence
+from valve_control.design.commissioning import gains, magnet, model, plant, sequence, small_signal
 from valve_control.design.commissioning.bench import Fault, SafetyLimits
 from valve_control.design.commissioning.magnet import Magnet
 from valve_control.design.commissioning.plan import Plan
@@ -183,6 +183,42 @@ def test_the_reciprocal_is_the_power_series_of_the_valve(speed, damping, lag, ga
     assert found.c1 == pytest.approx((late + rubs) / gain, rel=0.01)
     second = 1.0 / speed**2 + rubs * late + 0.5 * PERIOD * lag + PERIOD**2 / 6.0
     assert found.c2 == pytest.approx(second / gain, rel=0.05)
+
+
+def test_a_linear_valve_on_bristles_is_not_described_as_one_with_solenoids():
+    """Found with its friction, and with the lag of a coil that it has not as dead time."""
+    true = {
+        "valve": "custom",
+        "numerator": [6964.0],
+        "denominator": [1.0, 158.3, 7738.0],
+        "friction.coulomb": 0.6,
+        "friction.static_ratio": 1.2,
+        "friction.presliding": 0.04,
+        "lvdt.noise": 0.002,
+    }
+    rest, slow, static, planned, sine = driven(SupervisedValve(true), LIMITS)
+    seen, fits, friction = small_signal.linear(sine, planned, static, rest, lambda *done: None)
+    found = plant.fitted([slow, sine], fits, friction, static.offset, rest)
+    assert found.magnet is None and found.error < plant.SUSPECT
+    assert found.presliding == pytest.approx(0.04, rel=0.15)
+    assert found.friction.coulomb == pytest.approx(0.6, rel=0.05)
+    assert found.model.static_gain == pytest.approx(0.9, rel=0.01)
+    assert plant.values(found, rest, PERIOD, 10.0)["valve"] == "custom"
+
+
+@pytest.mark.parametrize("coil_lag", [magnet.FASTEST_COIL, 0.001, 0.004])
+def test_a_coil_at_its_bound_is_none(coil_lag):
+    """The linear valve then has the phase of the other one far below the coil's frequency."""
+    found = TRUE._replace(coil=coil_lag)
+    simpler = magnet.without_solenoids(found)
+    if coil_lag > magnet.FASTEST_COIL:
+        assert simpler is None
+        return
+    linear, delay = simpler
+    s = 2j * math.pi * np.array([0.1, 3.0, 30.0])
+    there, other = (np.polyval(m.numerator, s) / np.polyval(m.denominator, s) for m in (linear, found.model))
+    ratio = np.exp(-s * (delay - found.delay)) * there / other
+    assert np.abs(np.angle(ratio)) == pytest.approx(0.0, abs=(30.0 * math.tau * coil_lag) ** 3)
 
 
 def test_what_a_law_was_told_of_an_earlier_friction_is_forgotten():

@@ -28,6 +28,7 @@ STRIBECK = 0.03  # V/s  which the tests do not show
 PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.15  # V  first guess and bounds
 WIDTH = 0.3  # of the friction, full width of the hysteresis with which a search begins
 FASTEST_COIL, SLOWEST_COIL = 3e-4, 0.03  # s
+AT_BOUND = 1.1  # times the fastest coil, up to which there is none
 COIL = 0.2  # of the spool's time constant, where a response shows no third pole
 STUCK = 1e-3  # V  least friction
 MOST_RATIO = 2.0  # -  static over Coulomb friction
@@ -93,6 +94,18 @@ def solenoid_params(found: Magnet, period: float) -> solenoid.Params:
         without_end,
         period,
     )
+
+
+def without_solenoids(found: Magnet) -> tuple[TransferFunction, float] | None:
+    """Model of second order and dead time [s] of a valve whose coil is at its bound; None: it is not.
+
+    A lag that is so short is no coil, and counts as dead time.
+    """
+    if found.coil > AT_BOUND * FASTEST_COIL:
+        return None
+    squared = found.speed**2
+    model = TransferFunction((found.gain * squared,), (1.0, 2.0 * found.damping * found.speed, squared))
+    return model, found.delay + found.coil
 
 
 def values(found: Magnet, sensor_delay: float) -> Values:

@@ -45,6 +45,7 @@ BETTER = 0.97  # times the error of the order below, under which a higher order 
 LATEST, LATEST_TIME = 5.0, 0.01  # sample periods and s, the larger of which bounds the dead time
 EXPLAINED = 3.0  # error up to which a model describes the valve
 SUSPECT = 1.5  # error from which on a valve with solenoids is tried
+AS_GOOD = 1.05  # times the error of the valve with solenoids, up to which a linear one stands for it
 SIMPLER = 0.8  # times the error of the linear valve, under which that with solenoids counts
 PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.1  # V  of the bristles: first guess and bounds
 BRISTLE_UNKNOWNS = 8
@@ -157,7 +158,7 @@ def fitted(
         made = _with_solenoids(tests, _third(fits, best), friction, offset)
         over += magnet.EVALUATIONS * (2 + magnet.UNKNOWNS)
         if made.error < SIMPLER * best.error:
-            best = made
+            best = _linear_if_as_good(tests, made)
     bare, shown = best, max(friction.coulomb, best.friction.coulomb)
     for number, factor in enumerate(SPEEDS):
         if best.error <= EXPLAINED or friction.coulomb == 0.0 or (number >= DOUBTED and best is bare):
@@ -375,6 +376,17 @@ def _with_solenoids(tests: _Tests, begin: Fit, friction: Friction, offset: float
         lambda found: tests.errors(plant(found)), tests.counted, tests.threads,
     )  # fmt: skip
     return tests.judged(plant(made))
+
+
+def _linear_if_as_good(tests: _Tests, made: Plant) -> Plant:
+    """The linear valve with the friction of a valve with solenoids, if it explains the readings as well."""
+    assert made.magnet is not None
+    simpler = magnet.without_solenoids(made.magnet)
+    if simpler is None:
+        return made
+    model, delay = simpler
+    linear = tests.judged(made._replace(model=model, delay=delay, magnet=None))
+    return linear if linear.error <= AS_GOOD * made.error else made
 
 
 def _with_bristles(tests: _Tests, best: Plant, speed: float, friction: float, seed: int) -> Plant:

@@ -473,8 +473,8 @@ def _unexplained(
         )
     elif found.presliding > 0.0:
         notes.append(
-            "the spool swings on the bristles of its friction: without them no model describes the readings; "
-            f"the one that does has a presliding of {1e3 * found.presliding:.2g} mV"
+            "a linear valve whose friction has bristles describes the readings, and none without them: "
+            f"presliding {1e3 * found.presliding:.2g} mV; such a spool may swing on its bristles"
         )
     return notes
 
