@@ -185,6 +185,7 @@ def test_the_reciprocal_is_the_power_series_of_the_valve(speed, damping, lag, ga
     assert found.c2 == pytest.approx(second / gain, rel=0.05)
 
 
+@pytest.mark.campaign
 def test_a_linear_valve_on_bristles_is_not_described_as_one_with_solenoids():
     """Found with its friction, and with the lag of a coil that it has not as dead time."""
     true = {
