@@ -77,9 +77,7 @@ def table(rows: dict[tuple[str, float], list[Outcome]]) -> list[str]:
 
 
 def _options() -> Parser:
-    parser = running.options("interpolation", "Commands at 100 Hz, joined in each way, beside 1 kHz.")
-    parser.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    return parser
+    return running.options("interpolation", "Commands at 100 Hz, joined in each way, beside 1 kHz.")
 
 
 def _compared(arguments: argparse.Namespace) -> None:
