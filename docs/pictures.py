@@ -238,16 +238,7 @@ def your_valve(path: Path) -> None:
     valve_control("simulate", *words, "--figure", str(path))
 
 
-def commission(valve: str, voltage: str) -> None:
-    """Commission a valve over DDS, at the pace of the machine: both nodes wait for each other."""
-    patience = ["lvdt.hold_samples:=5000", "lvdt.period_limit:=1000.0", "lvdt.frozen_samples:=0"]
-    waiting = [word for value in patience for word in ("-p", value)]
-    with nodes(["valve_simulator", "--params-file", valve, "-p", "patience:=1.0"], ["controller", *waiting]):
-        words = ["--controller", "dcarc", "--max-voltage", voltage, "--travel", "2"]
-        valve_control("commission", "--yes", *words, "--folder", "commission")
-
-
-SOLENOID, TUNED = "docs/examples/my_solenoid_valve.yaml", "commission/tuned.yaml"
+SOLENOID = "docs/examples/my_solenoid_valve.yaml"
 
 
 @picture
@@ -262,27 +253,6 @@ def solenoid_curve(path: Path) -> None:
     """Characteristic curve of the tutorial's valve with solenoids."""
     words = ["--order", "3", "--zeros", "0", "--friction", "--output", "solenoid.yaml"]
     valve_control("identify", "--params-file", SOLENOID, *words, "--characteristic", str(path))
-
-
-@picture
-def solenoid_commissioned(path: Path) -> None:
-    """The tutorial's valve with solenoids under the first gains and under the commissioned ones."""
-    words = ["--order", "3", "--zeros", "0", "--friction", "--output", "solenoid.yaml"]
-    valve_control("identify", "--params-file", SOLENOID, *words)
-    commission(SOLENOID, "4")
-    figure, (top, bottom) = axes(2, 5.2)
-    runs = (("first gains of pid", "solenoid.yaml", ["--controller", "pid"]), ("commissioned", TUNED, []))
-    for i, (label, gains, law) in enumerate(runs):
-        files = ["--params-file", gains, "--params-file", SOLENOID]
-        s = simulated(f"run{i}", *law, *files, "--set", "amplitude=1.5")
-        if i == 0:
-            top.plot(s["time"], s["command"], "k", lw=1.2, label="command")
-        top.plot(s["time"], s["position"], color=COLOURS[i], lw=1.0, label=label)
-        bottom.plot(s["time"], 1e3 * (s["position"] - s["command"]), color=COLOURS[i], lw=0.9)
-    top.set(ylabel="spool [V]", title="valve with solenoids, before and after commission")
-    bottom.set(ylabel="error [mV]", xlabel="time [s]")
-    top.legend(fontsize="small", loc="lower right")
-    save(figure, path)
 
 
 # Connect
@@ -511,8 +481,19 @@ def tune_report(path: Path) -> None:
 
 @picture
 def commissioned(path: Path) -> None:
-    """Report of a commissioning over DDS."""
-    commission("config/d3fxe.yaml", "8")
+    """Report of a commissioning over DDS, at the pace of the machine: both nodes wait for each other."""
+    valve = ["--params-file", "config/d3fxe.yaml", "-p", "patience:=1.0"]
+    patience = [
+        "-p",
+        "lvdt.hold_samples:=5000",
+        "-p",
+        "lvdt.period_limit:=1000.0",
+        "-p",
+        "lvdt.frozen_samples:=0",
+    ]
+    with nodes(["valve_simulator", *valve], ["controller", *patience]):
+        words = ["--yes", "--controller", "dcarc", "--max-voltage", "8", "--folder", "commission"]
+        valve_control("commission", *words)
     screenshot("commission/report.html", path, 1500)
 
 
