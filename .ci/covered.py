@@ -63,9 +63,14 @@ def coverage(*words: str) -> int:
 
 
 def measured(part: str) -> int:
-    """Run the tests of ``part`` under coverage; returns their exit status."""
+    """Run the tests of ``part`` under coverage, and mark it if they pass; returns their exit status."""
+    mark = DATA / f"{part}.passed"
+    mark.unlink(missing_ok=True)
     chosen = ["-m", "not campaign and not browser and not alone", *PARTS[part]]
-    return coverage("run", "-m", "pytest", "-q", "-n", "2", *chosen)
+    status = coverage("run", "-m", "pytest", "-q", "-n", "2", *chosen)
+    if status == 0:
+        mark.touch()
+    return status
 
 
 def share(summaries: Iterable[dict[str, int]], what: str, whole: str) -> float:
@@ -155,13 +160,18 @@ def report(store: bool) -> int:
 
 def main(words: list[str]) -> int:
     """Measure all parts, or those named in ``words``; returns the exit status."""
+    unknown = [word for word in words if word != "report" and word not in PARTS]
+    if unknown:
+        print(f"covered.py: no part {unknown[0]!r}; there are {', '.join(PARTS)} and report", file=sys.stderr)
+        return 2
     if not words:
         shutil.rmtree(DATA, ignore_errors=True)
     DATA.mkdir(parents=True, exist_ok=True)
     failed = [part for part in words or PARTS if part != "report" and measured(part)]
     if words and "report" not in words:
         return 1 if failed else 0
-    return report(store=not failed) or (1 if failed else 0)
+    whole = all((DATA / f"{part}.passed").exists() for part in PARTS)
+    return report(store=whole) or (1 if failed else 0)
 
 
 if __name__ == "__main__":

@@ -221,6 +221,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--json", metavar="FILE", help="results as JSON")
     options = parser.parse_args(arguments)
+    if options.priority and not options.valves:
+        parser.error("--priority is for a manifold; give --valves too")
     rclpy.init()
     try:
         with tempfile.TemporaryDirectory() as name:

@@ -326,7 +326,6 @@ def commissioned(
         "accepted": True,
         "cpu_s": cpu,
         "seconds": told["seconds"],
-        "law": word(after, "controller"),
         "applied": told["applied"],
         "valve": told["valve"],
         "verification": told["verification"],
@@ -351,10 +350,8 @@ def gone_through(folder: Path, seed: int, options: Options) -> dict[str, Any]:
     """The valve ``seed``; what ``folder`` has of it is not done again, unless sources have changed."""
     path = folder / f"{seed}.json"
     asked = {**options._asdict(), "seed": seed}
-    if options.margins == WHERE[0]:
-        del asked["margins"]  # as files from before have it
     kept = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    if kept.get("options") != asked:
+    if {"margins": WHERE[0], **kept.get("options", {})} != asked:  # older files have no margins
         kept = {}
     values = drawn(seed)
     row: dict[str, Any] = {"options": asked, "sources": sources_digest(), "valve": values}

@@ -99,10 +99,9 @@ def row(seed, **laws):
     }
 
 
-def accepted(e_rms, c_u=0.2, error=1.0, cycle=False, law="dcarc"):
+def accepted(e_rms, c_u=0.2, error=1.0, cycle=False):
     return {
         "accepted": True,
-        "law": law,
         "cpu_s": 2.0,
         "running_c_u": c_u,
         "modes": {mode: {"e_rms": e_rms, "c_u": c_u} for mode in solenoid.MODES},
@@ -116,8 +115,8 @@ REFUSED = {"accepted": False, "reason": "friction takes up the sine", "step": "m
 
 def test_targets_are_judged_by_what_was_measured():
     rows = [
-        row(1, dcarc=accepted(0.008), pid=accepted(0.03, law="pid")),
-        row(2, dcarc=accepted(0.012, c_u=0.35, error=4.0, cycle=True), pid=accepted(0.022, law="pid")),
+        row(1, dcarc=accepted(0.008), pid=accepted(0.03)),
+        row(2, dcarc=accepted(0.012, c_u=0.35, error=4.0, cycle=True), pid=accepted(0.022)),
         row(3, dcarc=REFUSED, pid=REFUSED),
     ]
     found = {target.name: target for target in solenoid.targets(rows)}

@@ -172,12 +172,12 @@ def coherence_notes(measured: Response) -> list[str]:
     if len(weak) == 0:
         return []
     worst = sorted(weak, key=lambda i: float(measured.coherence[i]))[:NAMED]
-    named = ", ".join(f"{measured.frequency[i]:.3g} Hz ({measured.coherence[i]:.2f})" for i in sorted(worst))
+    named = ", ".join(f"{measured.frequency[i]:.3g} Hz ({measured.coherence[i]:.3f})" for i in sorted(worst))
     more = f" and {len(weak) - len(worst)} more" if len(weak) > len(worst) else ""
     return [
         f"coherence below {INCOHERENT:g} at {named}{more}: noise, friction or another motion makes more than "
-        f"{100.0 * (1.0 - INCOHERENT):.0f} % of the position there; a larger amplitude or a longer test "
-        "tells more"
+        f"{100.0 * (1.0 - INCOHERENT):.0f} % of the power of the position there; a larger amplitude or a "
+        "longer test tells more"
     ]
 
 
