@@ -114,6 +114,23 @@ def test_slopes_behind_a_curve_are_those_of_both_sides(positive, negative):
     assert (min(found), max(found)) == pytest.approx((1.0 / positive, 1.0 / negative), rel=0.01)
 
 
+def test_an_overlap_that_the_curve_leaves_out_has_no_loop(run):
+    """Its slope is 0: the weakest loop that counts is at its edge, the strongest is that beside it."""
+    flat = {**CURVED, "solenoid.overlap": 1.0, "solenoid.positive": 1.0, "solenoid.negative": 1.0}
+    valve = build.valve_params(updated(VALVE, defaults(VALVE), flat))
+    values = updated(CONTROLLER, CONTROL, {"linearisation.enabled": True})
+    weak, strong = (p.spool.gain / valve.spool.gain for p in stability.behind_curve(values, valve))
+    edge = 1.0 / (stability.NARROW * stability.GRID)
+    assert (weak, strong) == pytest.approx((edge, 1.0), rel=1e-6)
+    within = {**values, "u_max": 0.9}
+    assert stability.behind_curve(within, valve) == [valve]
+    words = [word for name, value in flat.items() for word in ("--set", f"{name}={value}")]
+    words += ["--set", "linearisation.enabled=true"]
+    for command in (["margins"], ["simulate", "--duration", "0.2"]):
+        status, _, err = run(*command, "--controller", "arc", *words)
+        assert status == 0 and "Traceback" not in err
+
+
 def test_margins_and_warnings_take_the_curve_into_account(run):
     """A curve of 0.8 times the valve's gain makes the gain of the loop 1.25 times as large."""
 

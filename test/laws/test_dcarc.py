@@ -634,3 +634,12 @@ def test_a_zero_beyond_the_samples_is_taken_out_of_an_identified_model(hertz):
         )
         errors.append(float(np.std((run.position - wanted[:-2])[300:])))
     assert errors[0] < 0.02 and errors[1] > 5.0 * errors[0]
+
+
+def test_a_law_that_is_built_again_is_not_designed_again():
+    """All laws are built at each change of a parameter; the Riccati equations are solved at the first."""
+    dcarc.build(controller())
+    before = dcarc_design.design.cache_info()
+    dcarc.build(controller(**{"dcarc.forgetting": 0.02}))
+    after = dcarc_design.design.cache_info()
+    assert (after.hits, after.misses) == (before.hits + 1, before.misses)

@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 from valve_control.control.laws import command_lead, dcarc, dcarc_design, magnet, reshaping
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import stability
-from valve_control.control.plant.models import D3FXE
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant.models import D3FXE, Scale
 from valve_control.control.simulation import comparison
 from valve_control.design.tuning import trial
+from valve_control.parameter import updated
 
 PERIOD, SUBSTEPS = 0.001, 10
 COIL, GAIN, A1, A0 = 0.004, 0.9, 90.5, 3198.0  # 9 Hz
@@ -216,3 +218,14 @@ def test_a_tuner_keeps_the_lead_near_the_lag_that_the_law_knows():
         one for one in trial.free_numbers(dcarc.LAW, usual, False, D3FXE) if one == reshaping.lead(usual)
     )
     assert own.unit is reshaping.lag
+
+
+def test_a_lead_of_a_slow_valve_that_a_tuner_chooses_can_be_set():
+    """A range that goes beyond the end of ``reshaping.lead`` is around that end instead."""
+    values = controller(**MODEL, **{"dcarc.smoothing": 0.04})
+    free = trial.free_numbers(dcarc.LAW, values, False, Scale(0.2, 1.0))
+    both = [one for one in free if one.name in ("reshaping.natural_frequency", "reshaping.lead")]
+    for share in (0.0, 0.5, 1.0):
+        changes = trial.gains_at(both, values, [0.0, share]).changes
+        assert dcarc.lag({**values, **changes}) > reshaping.MOST_LEAD * reshaping.AROUND
+        assert updated(CONTROLLER, values, changes)["reshaping.lead"] <= reshaping.MOST_LEAD

@@ -35,7 +35,7 @@ def test_numbers_arrive_whoever_sends_them(ros):
     assert [info["publication_sequence_number"] for _, info in found] == [1, 2, 4]
 
 
-@pytest.mark.parametrize("labels", [("x",), ("sample", "mode"), ("a", "bb", "ccc", "dddd", "eeeee")])
+@pytest.mark.parametrize("labels", [(), ("x",), ("sample", "mode"), ("a", "bb", "ccc", "dddd", "eeeee")])
 def test_numbers_after_the_head_of_an_array_are_what_rclpy_reads(labels):
     dim = [MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
     numbers = NUMBERS[: len(labels)]

@@ -9,9 +9,10 @@ from contextlib import contextmanager, nullcontext
 from itertools import pairwise
 
 import pytest
-from bench import get_double, spin_until
+from bench import LIMIT, get_double, spin_until
 from std_msgs.msg import Float64
 
+from valve_control.control.supervision.record import Mode
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
 from valve_control.nodes.controller_node import TURNS, Controller
 from valve_control.nodes.harness.processes import process
@@ -96,6 +97,49 @@ def test_of_valves_that_fail_at_once_each_is_told_in_its_turn(ros):
     finally:
         for valve in valves:
             valve.destroy_node()
+
+
+def test_valves_that_fall_silent_at_once_do_not_wait_for_their_next_reminder(ros):
+    """One that is held up acts again when it is its turn, 2 ms later, and not in 0.1 s."""
+    valves = [
+        Controller(warms=False, alone=False, cli_args=["--ros-args", "-r", f"__ns:=/w{i}"]) for i in range(3)
+    ]
+    try:
+        lvdts = [ros.create_publisher(Float64, f"/w{i}/spool_position", SAMPLES) for i in range(3)]
+
+        for safe in (False, True):  # with readings as fast as they are answered, then without
+            end = time.monotonic() + LIMIT
+            while not all((valve._supervisor.mode is Mode.SAFE) == safe for valve in valves):
+                assert time.monotonic() < end
+                for valve, lvdt in zip(valves, lvdts, strict=True):
+                    if not safe:
+                        lvdt.publish(encoded(0.0))
+                    valve.work()
+        assert all(valve._supervisor.samples for valve in valves)
+        Controller.told = time.monotonic()
+        waiting, held_up = list(valves), 0
+        while waiting:
+            for valve in waiting:
+                valve.report()
+            waiting = [valve for valve in waiting if valve._supervisor.changed]
+            held_up += len(waiting)
+            for valve in waiting:
+                assert valve.due() <= Controller.told + TURNS[True]
+            while waiting and not any(valve.due() <= time.monotonic() and valve.work() for valve in waiting):
+                pass
+        assert held_up > 0 and all(valve._said[0] is Mode.SAFE for valve in valves)
+    finally:
+        for valve in valves:
+            valve.destroy_node()
+
+
+def test_a_change_of_a_device_and_one_of_its_valve_do_not_hold_up_each_other(ros):
+    valve = Controller(cli_args=["--ros-args", "-r", "__ns:=/x"])
+    try:
+        assert valve._may_tell(False, "device") and valve._may_tell(False)
+        assert not valve._may_tell(False, "device") and not valve._may_tell(False)
+    finally:
+        valve.destroy_node()
 
 
 @pytest.mark.alone

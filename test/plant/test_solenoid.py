@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from valve_control.control.compiling import compile_function
+from valve_control.control.laws import dcarc_valve
+from valve_control.control.laws.least_squares import Weights
 from valve_control.control.parameters import build
-from valve_control.control.parameters.table import VALVE
+from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import registry, solenoid, solenoid_valve, valve
 from valve_control.parameter import ParameterError, defaults, updated
 
@@ -496,3 +498,23 @@ def test_a_running_valve_takes_another_dead_time_where_it_stands():
     for _ in range(6):
         on = STEP(p, on, 3.0)
     assert on.x.x0 == pytest.approx(state.x.x0, abs=0.1)
+
+
+def test_dcarc_takes_friction_and_offset_as_voltages_of_its_model():
+    """Where sides of gain 0.5 rest: 2 V overcome a friction of 1 V, and an offset of 0.1 V is 0.2 V."""
+    known = values(
+        positive=0.5,
+        negative=0.5,
+        friction__coulomb=1.0,
+        friction__presliding=0.01,
+        disturbance__offset=0.1,
+    )
+    weights = Weights(*dcarc_valve.of_plant(defaults(CONTROLLER), known)["dcarc.theta_initial"])
+    assert (weights.bristle2, weights.offset) == pytest.approx((2.0, -0.2))
+    valve_params = solenoid_valve.build(known)
+    gain = solenoid_valve.model(known).static_gain
+    for voltage in (3.0, 5.0):
+        rest = run(valve_params, [*np.linspace(0.0, voltage, 500), *[voltage] * 1000])[-1, 0]
+        assert rest == pytest.approx(gain * (voltage - weights.bristle2 - weights.offset), rel=0.01)
+    stuck = run(valve_params, [weights.bristle2 + weights.offset - 0.1] * 1000)[-1, 0]
+    assert 0.0 < stuck < 0.04

@@ -160,6 +160,30 @@ def test_the_velocity_that_axis_arc_observes_goes_on_while_readings_are_bridged(
         assert k < 390 or s.upper.velocity == pytest.approx(0.1, rel=1e-3)
 
 
+@pytest.mark.parametrize("bridged", [0, 1, 3])
+def test_the_jerk_behind_bridged_readings_is_that_of_the_path(bridged):
+    """For the first 50 ms of the path it is 40 m/s³."""
+    p, able = designed(sensor__hold_samples=3)
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    s = supervisor.begin(s, path.towards(0.3, s.goal, LIMITS, able), None)
+    for k in range(2, 30):
+        s = sample(p, s, math.nan if 20 <= k < 20 + bridged else s.goal.position, k)
+        if k > 3 and not s.bridged:
+            assert s.jerk == pytest.approx(LIMITS.jerk, rel=1e-6)
+            assert supervisor.spool_motion(p, s).acceleration != 0.0
+
+
+def test_axis_arc_takes_the_jerk_over_the_readings_that_were_bridged():
+    p, _ = designed(upper_level="axis_arc")
+    level, reading = p.level, Reading(math.nan, 0.2, 50e5, 80e5)
+    s = level.step(p.upper, level.initial(p.upper), Goal(0.2, 0.0, 0.0), reading)[1]
+    s = level.missed(p.upper, level.missed(p.upper, s))
+    goal = Goal(0.2, 0.0, 3.0 * 40.0 * p.period)
+    alike = s._replace(samples=1.0, acceleration=2.0 * 40.0 * p.period)
+    found, expected = (level.step(p.upper, one, goal, reading) for one in (s, alike))
+    assert found[0] == pytest.approx(expected[0], rel=1e-9) and found[1].samples == 1.0
+
+
 def test_an_axis_that_does_not_follow_is_stopped_and_reset_holds_where_it_is():
     p, able = designed(error_limit=0.01)
     s = sample(p, supervisor.at_rest(p), 0.2, 1)

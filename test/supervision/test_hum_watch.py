@@ -49,9 +49,9 @@ def test_no_hum_is_found_on_a_clean_sensor(config, law, shipped, sensor):
         assert said(Loop(config, law, shipped, **sensor).run(2500, command)) == []
 
 
-def watched(readings, commands=None, grain=0.0):
-    """State after ``readings`` [V] and ``commands`` [V], one a sample."""
-    p, s, state = hum_watch.design({}, CHECK), hum_watch.NOTHING, plausibility.initial(CHECK, 0.0, 0.0)
+def watched(readings, commands=None, grain=0.0, at=0.0):
+    """State after ``readings`` [V] and ``commands`` [V], one a sample; the spool was ``at`` [V] before."""
+    p, s, state = hum_watch.design({}, CHECK), hum_watch.NOTHING, plausibility.initial(CHECK, at, 0.0)
     for k, reading in enumerate(readings):
         state = plausibility.step(CHECK, state, float(reading), 0.0, 1.0)
         if state.held == 0.0:
@@ -90,3 +90,18 @@ def test_noise_alone_is_no_hum():
     random = np.random.default_rng(4)
     for _ in range(20):
         assert watched(0.03 * random.standard_normal(10_000)).frequency == 0.0
+
+
+def test_the_first_window_counts_wherever_the_spool_is():
+    """At rest at 3 V; three windows of 0.4 s are enough."""
+    readings = 3.0 + 0.02 * np.sin(2.0 * math.pi * 50.0 * np.arange(1200) * PERIOD)
+    s = watched(readings, at=3.0)
+    assert s.frequency == pytest.approx(50.0, abs=0.02)
+    assert watched(readings[:-4], at=3.0).frequency == 0.0
+
+
+def test_a_large_hum_is_told_in_figures():
+    s = hum_watch.NOTHING._replace(amplitude=0.12, frequency=50.0)
+    assert hum_watch.text(hum_watch.design({}, CHECK), s) == (
+        "LVDT reading has a hum of 120 mV at 50 Hz (mains: 50 Hz)"
+    )

@@ -63,3 +63,10 @@ def test_white_noise_on_a_motion_is_measured(deviation, speed, seed):
         if s.windows > 0.0:
             break
     assert s.usual == pytest.approx(deviation, rel=0.35)
+
+
+def test_a_large_noise_is_told_in_figures():
+    s = noise_watch.NOTHING._replace(usual=0.0021, noise=0.12)
+    check = plausibility.design((20.0, 1200.0, 1200.0), PERIOD, 1.0, 0.1, 5.0)
+    p = noise_watch.design({"sample_period": PERIOD}, check)
+    assert noise_watch.text(p, s) == "LVDT noise is 120 mV rms, 2.1 mV at the start"

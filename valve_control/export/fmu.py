@@ -124,7 +124,7 @@ def _variables(unit: Unit, made: Sources) -> list[Variable]:
 
 
 def _law_ports(unit: Unit) -> tuple[list[Variable], list[tuple[str, str]], Mapping[str, str]]:
-    """Inputs and outputs of a law; its terms with the C that reads them; what the terms are."""
+    """Inputs and outputs of a law; its terms with the C that reads them; descriptions of the terms."""
     ports = [
         Variable("command", "input", "spool position wanted", "V", "m->in[0]", "m->in[0] = value", 0.0),
         Variable("measurement", "input", "LVDT reading", "V", "m->in[1]", "m->in[1] = value", 0.0),
@@ -136,7 +136,7 @@ def _law_ports(unit: Unit) -> tuple[list[Variable], list[tuple[str, str]], Mappi
 
 
 def _plant_ports(unit: Unit) -> tuple[list[Variable], list[tuple[str, str]], Mapping[str, str]]:
-    """Inputs and outputs of a plant; its state with the C that reads it; what the states are."""
+    """Inputs and outputs of a plant; its state with the C that reads it; descriptions of the states."""
     several = len(unit.outputs) > 1
     noises = "".join(f", m->in[{i}]" for i in range(1, 1 + len(unit.noises)))
     read = f"{unit.name}_read(&m->p, &m->s{noises})"
@@ -169,7 +169,7 @@ def _local(name: str, code: str, text: str) -> Variable:
 
 
 def _parameters(unit: Unit, made: Sources) -> Iterator[Variable]:
-    """What can be set, with its value in this export."""
+    """The parameters that can be set, each with its value in this export."""
     now = dict(leaves(unit.params))
     for setter in made.setters:
         p = setter.parameter
@@ -278,7 +278,7 @@ $sample
 
 
 def _model(unit: Unit, made: Sources, variables: list[Variable], token: str) -> str:
-    """model.h: what the wrapper of either version calls."""
+    """model.h: functions for the wrapper of either version."""
     name = unit.name
     gets = [
         f"    case {i}:\n        *value = {v.get};\n        return true;" for i, v in enumerate(variables, 1)

@@ -279,7 +279,7 @@ def _folded(head: str, arguments: list[str]) -> str:
 
 
 class _WatchFunction(NamedTuple):
-    """A function of the watch in the header; texts for ``format`` with what ``_watch`` knows."""
+    """A function of the watch in the header; ``_watch`` formats the texts with its names."""
 
     name: str
     about: str

@@ -360,10 +360,10 @@ def encoded(number: float) -> bytes:
 
 
 def head(message: Float64MultiArray, count: int) -> bytes:
-    """What comes before the numbers in a serialized ``message`` that ends with ``count`` of them."""
+    """Bytes before the numbers in a serialized ``message`` that ends with ``count`` of them."""
     message.data = [0.0] * count
     serialized: bytes = serialize_message(message)
-    return serialized[: -8 * count]
+    return serialized[: len(serialized) - 8 * count]
 
 
 def acquainted(node: Node, publisher: Any, topic: str) -> bool:

@@ -100,7 +100,8 @@ class Controller(Managed):
         self._journal = Journal(self._supervisor)
         self._warming = CacheWarming() if warms else None
         self._said: tuple[Mode, str] | None = None
-        self._announced = -NEVER  # s, when a change was last told
+        self._announced: dict[str, float] = {}  # s, when a change was last told, by source
+        self._tell_at = NEVER  # s, when it is this valve's turn to tell one
         self._readings: NumberSubscription | None = None
         self._lockstep = False
         self._watch_at = NEVER
@@ -248,7 +249,7 @@ class Controller(Managed):
         self._said = None
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._lockstep else self._seen + REMIND
-        self._warm_at = NEVER
+        self._warm_at = self._tell_at = NEVER
         if self._warming is not None:
             self._warming.start()
         self._catching_up = False
@@ -283,15 +284,18 @@ class Controller(Managed):
         return (self._commands, self._trajectories) if self._met else ()
 
     def due(self) -> float:
-        """Next time [s] to act without a message: LVDT silent too long, caches to warm, lockstep check."""
-        return min(self._watch_at, self._warm_at, self._look_at) if self.working else NEVER
+        """Next time [s] to act without a message: LVDT silent, caches, lockstep check, a change to tell."""
+        return min(self._watch_at, self._warm_at, self._look_at, self._tell_at) if self.working else NEVER
 
     def work(self) -> bool:
         """Answer each waiting reading, or warm caches for the next; without a reading in time, switch off."""
         if not self.working or self._readings is None:
             return False
+        tells = time.monotonic() >= self._tell_at  # in ``report``, which follows
+        if tells:
+            self._tell_at = NEVER
         if self._lockstep:
-            return self._work_in_lockstep()
+            return self._work_in_lockstep() or tells
         worked = False
         for reading, info in self._readings.take():
             self._answer(reading, info)
@@ -308,7 +312,7 @@ class Controller(Managed):
                 self._publish(voltage)
             self._watch_at = now + REMIND
             worked = True
-        return worked
+        return worked or tells
 
     def report(self) -> None:
         """Publish telemetry, and diagnostics if something has changed."""
@@ -323,13 +327,15 @@ class Controller(Managed):
         if self.working and self._supervisor.changed and self._may_tell(self._supervisor.mode is Mode.SAFE):
             self._announce()
 
-    def _may_tell(self, safe: bool) -> bool:
-        """Whether it is time to tell a change; if it is, it counts as told."""
+    def _may_tell(self, safe: bool, of: str = "supervisor") -> bool:
+        """Whether it is time to tell a change ``of`` something; if it is, it counts as told."""
         now = time.monotonic()
-        held_up = self._warming is None and now < Controller.told + TURNS[safe]
-        if held_up or (now < self._announced + QUIET and not safe):
+        if self._warming is None and now < Controller.told + TURNS[safe]:
+            self._tell_at = Controller.told + TURNS[safe]
             return False
-        self._announced = Controller.told = now
+        if now < self._announced.get(of, -NEVER) + QUIET and not safe:
+            return False
+        self._announced[of] = Controller.told = now
         return True
 
     def _answer(self, reading: float, info: dict[str, Any]) -> None:

@@ -216,7 +216,8 @@ class DeviceController(Controller):
             self._publish_signals()
             conditions = self._device.conditions() if self.working else ()
             changed = [c.name for c in conditions] != [c.name for c in self._told]
-            if changed and self._may_tell(any(condition.level == "safe" for condition in conditions)):
+            safe = any(condition.level == "safe" for condition in conditions)
+            if changed and self._may_tell(safe, "device"):
                 self._tell(conditions)
         super().report()
 

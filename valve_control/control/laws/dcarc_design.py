@@ -487,7 +487,6 @@ def equivalent(model: TransferFunction) -> Equivalent:
     return Equivalent(a1, a0, a0 * model.static_gain)
 
 
-@functools.lru_cache(maxsize=32)
 def _refuse(
     model: TransferFunction, period: float, delay: float, coil: float, dead_time: float, hum: float
 ) -> None:
@@ -518,6 +517,7 @@ def _refuse(
         )
 
 
+@functools.lru_cache(maxsize=32)
 def design(
     model: TransferFunction,
     period: float,

@@ -29,19 +29,22 @@ def of_model(model: TransferFunction, period: float) -> TransferFunction:
 def of_plant(values: Values, plant: Values) -> Values:
     """Coil, play, friction and unequal gains of a simulated ``plant`` with solenoids; {}: it has none.
 
-    ``values``: of the controller.
+    Friction and offset are those of the law's model: voltages at its input, whose gain is the mean of both
+    sides (``solenoid_valve.transfer``). ``values``: of the controller.
     """
     if plant["valve"] != "solenoid":
         return {}
-    sides = number(plant, "solenoid.positive") / number(plant, "solenoid.negative") - 1.0
+    positive, negative = number(plant, "solenoid.positive"), number(plant, "solenoid.negative")
+    side = 0.5 * (positive + negative)  # force per voltage
     weights = Weights(*numbers(values, "dcarc.theta_initial"))._replace(
-        bristle2=number(plant, "friction.coulomb"), offset=-number(plant, "disturbance.offset")
+        bristle2=number(plant, "friction.coulomb") / side,
+        offset=-number(plant, "disturbance.offset") / side,
     )
     low, high = (numbers(values, f"dcarc.theta_{end}") for end in ("min", "max"))
     made: Values = {
         "dcarc.coil": number(plant, "solenoid.coil"),
         "dcarc.hysteresis": 0.5 * number(plant, "solenoid.hysteresis"),
-        "dcarc.sides": abs(sides),
+        "dcarc.sides": abs(positive / negative - 1.0),
         "dcarc.actuator_delay": number(plant, "solenoid.dead_time"),
         "dcarc.delay": number(plant, "lvdt.delay"),
         "dcarc.theta_initial": [

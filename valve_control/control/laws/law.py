@@ -89,7 +89,7 @@ class Law(NamedTuple):
     )  # settings with each of which it is tuned, the best wins
     # the model of a valve as the law takes it at a sample period [s], for its parameters of that name
     of_model: Callable[[TransferFunction, float], TransferFunction] = as_it_is
-    # what else it takes, as its parameters: from the controller's values and those of a simulated valve
+    # other properties of a valve, as the law's parameters: from the controller's values and the valve's
     of_plant: Callable[[Values, Values], Values] = nothing_else
     # gains with which a search begins: from the controller's values and the scale of the valve
     starts: Callable[[Values, Scale], list[Values]] = no_starts

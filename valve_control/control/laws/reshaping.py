@@ -9,6 +9,7 @@ the command within (6): a step is never overshot. The derivation is in docs/expl
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from valve_control.control.laws.free import Free
@@ -254,6 +255,11 @@ def lag(values: Values) -> float:
     return 2.0 * damping / wn
 
 
+def _within(whole: Callable[[Values], float], values: Values) -> float:
+    """``whole`` lag [s] with these ``values``, as far as a lead around it is within its range."""
+    return min(whole(values), MOST_LEAD / AROUND)
+
+
 def lead(values: Values, scale: Scale = D3FXE, whole: Callable[[Values], float] = lag) -> Free:
     """The lead that a tuner may choose for a law that reshapes, in lags of (8).
 
@@ -261,7 +267,7 @@ def lead(values: Values, scale: Scale = D3FXE, whole: Callable[[Values], float] 
     near it then: another one is an error of the reference, which slow motions do not show to a tuner.
     """
     if whole(values) > lag(values):
-        return Free("reshaping.lead", 1.0 / AROUND, AROUND, unit=whole)
+        return Free("reshaping.lead", 1.0 / AROUND, AROUND, unit=partial(_within, whole))
     longest = 2.0 * _damping(values) / frequency(values, scale).low
     return Free("reshaping.lead", 0.25, max(0.5, min(6.0, MOST_LEAD / longest)), unit=lag)
 

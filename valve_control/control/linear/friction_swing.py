@@ -101,7 +101,7 @@ def _largest(
 
 
 def _between(x: float, places: Array, values: Array) -> float:
-    """What ``values`` are at ``x`` between ascending ``places``; beyond them, the one at the end."""
+    """``values`` at ``x`` between ascending ``places``, interpolated; beyond them, the one at the end."""
     after = np.searchsorted(places, x)
     if after == 0:
         return float(values[0])

@@ -4,8 +4,8 @@
 
 The loop is cut at the voltage. Law and valve are linear for small motions around rest
 (linear_loop.py), and the response of both at z = exp(iωΔT) is that of the samples, exactly: hold,
-dead time and aliasing included. Friction has no linear form; which swings it sustains tells its describing
-function (friction_swing.py).
+dead time and aliasing included. Friction has no linear form; its describing function tells which swings it
+sustains (friction_swing.py).
 """
 
 import math

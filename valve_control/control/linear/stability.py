@@ -30,6 +30,7 @@ PROBED, SETTLED = 0.01, 0.5  # V, s  command with which a law without feedback i
 OFF = 0.5  # -  error of its position over the command from which on it is told
 NARROW = 0.02  # of the law's range, over which the slope behind a curve counts
 GRID = 2000  # parts of that range
+FLAT = 1e-9  # -  slope that is rounding
 STABLE = 1.0 + 1e-6  # largest modulus of a pole, with room for rounding
 
 
@@ -122,7 +123,8 @@ def behind_curve(values: Values, plant: Any, part: float = NARROW) -> list[Any]:
 
     The valve with the least and with the largest mean slope of f(f⁻¹(G·v))/G over ``part`` of the law's
     range: f is the plant's static curve, f⁻¹ the given inverse. In a narrower part a loop may swing, but not
-    out of it. Without a curve: the ``plant``. Raises ParameterError.
+    out of it. A flat part, across an overlap, has no loop and does not count. Without a curve, or if all is
+    flat: the ``plant``. Raises ParameterError.
     """
     if not linearisation.is_on(values):
         return [plant]
@@ -134,6 +136,9 @@ def behind_curve(values: Values, plant: Any, part: float = NARROW) -> list[Any]:
         force = np.array([kind.pull(plant, float(u)) for u in force])
     steps = max(1, round(part * GRID))
     slopes = (force[steps:] - force[:-steps]) / (grid[steps:] - grid[:-steps])
+    slopes = slopes[slopes > FLAT]
+    if not len(slopes):
+        return [plant]
     ends = dict.fromkeys((float(np.min(slopes)), float(np.max(slopes))))
     return [kind.varied(plant, slope, 0.0, 1.0) for slope in ends]
 

@@ -42,13 +42,13 @@ class State(NamedTuple):
     """Estimates, observer, and what was wanted at the sample before."""
 
     arc: axis_arc.State
-    samples: float  # 0.0: none yet
+    samples: float  # periods from the last reading to the next; 0.0: there has been none
     position: float  # m
     velocity: float  # m/s
     unexplained: float  # m/s²  acceleration that the estimates do not explain
     pressure_a: float  # Pa  filtered
     pressure_b: float  # Pa
-    acceleration: float  # m/s²  of the goal at the sample before
+    acceleration: float  # m/s²  of the goal at the last reading
 
 
 class Terms(NamedTuple):
@@ -138,7 +138,7 @@ def missed(p: Params, s: State) -> State:
     if s.samples == 0.0:
         return s
     position, velocity = predicted(p, s, load_force(p.law.model, s.pressure_a, s.pressure_b))
-    return s._replace(position=position, velocity=velocity)
+    return s._replace(samples=s.samples + 1.0, position=position, velocity=velocity)
 
 
 def ahead(lead: float, goal: Goal, jerk: float) -> Goal:
@@ -151,8 +151,9 @@ def ahead(lead: float, goal: Goal, jerk: float) -> Goal:
 
 def step(p: Params, s: State, goal: Goal, reading: Reading) -> tuple[float, State, Terms]:
     """Compute one sample; returns the spool command [V], the next state and the terms."""
+    periods = max(1.0, s.samples)  # since the goal last moved
     s = observed(p, s, reading)
-    jerk = (goal.acceleration - s.acceleration) / p.law.period
+    jerk = (goal.acceleration - s.acceleration) / (periods * p.law.period)
     force = load_force(p.law.model, s.pressure_a, s.pressure_b)
     acceleration = explained(p.law, s.arc.theta, s.velocity, force) + s.unexplained
     velocity = s.velocity + p.lead * acceleration

@@ -20,6 +20,7 @@ Array = npt.NDArray[np.float64]
 MOST = 100_000  # points
 LOOKS = 9  # at each piece of a path, before its extremes
 SLACK = 1e-9  # relative, of a limit
+TINY = 1e-9  # of the largest coefficient of a polynomial
 REST = 1e-6  # m/s  that counts as standstill at the end
 NANO = 1e-9
 
@@ -196,21 +197,30 @@ def _check_extremes(pieces: Array, lengths: Array, able: Range) -> None:
     eighth = 0.125 * (h / (LOOKS - 1)) ** 2
     off_x = eighth * (2.0 * c2 + h * (6.0 * c3 + h * (12.0 * c4 + h * 20.0 * c5)))
     off_v = eighth * (6.0 * c3 + h * (24.0 * c4 + h * 60.0 * c5))
-    beyond = (x.max(0) + off_x > able.high) | (x.min(0) - off_x < able.low)
-    beyond |= (v.max(0) + off_v > able.speed_out) | (v.min(0) - off_v < -able.speed_in)
-    extremes = [
-        _evaluated(pieces[i], times[(times > 0.0) & (times < h[i])])
-        for i in np.flatnonzero(beyond)
-        for slope in (pieces[i, 1:] * np.arange(1, 6),)
-        for times in (np.concatenate([_turns(slope), _turns(slope[1:] * np.arange(1, 5))]),)
-    ]
-    x, v = (np.concatenate([own.ravel(), *more]) for own, *more in zip((x, v), *extremes, strict=True))
+    slack, most = SLACK * (able.high - able.low), 1.0 + SLACK
+    beyond = (x.max(0) + off_x > able.high + slack) | (x.min(0) - off_x < able.low - slack)
+    beyond |= (v.max(0) + off_v > most * able.speed_out) | (v.min(0) - off_v < -most * able.speed_in)
+    c, h = pieces[beyond], h[beyond, None]
+    slope = c[:, 1:] * np.arange(1, 6) * h ** np.arange(5)
+    shares = np.concatenate([_roots(slope), _roots(slope[:, 1:] * np.arange(1, 5))], axis=1)
+    extremes = _evaluated(c[:, None], np.clip(shares, 0.0, 1.0) * h)
+    x, v = (np.append(own, more) for own, more in zip((x, v), extremes, strict=True))
     _check(float(x.min()), float(x.max()), float(v.min()), float(v.max()), able, "the trajectory")
 
 
-def _turns(rate: Array) -> Array:
-    """Real parts of the roots of a polynomial, constant first; any moment more may be looked at."""
-    return np.asarray(np.real(np.roots(rate[::-1])), dtype=np.float64)
+def _roots(rates: Array) -> Array:
+    """Real parts (n, k) of the roots of n polynomials (n, k+1), constant first, as eigenvalues.
+
+    A leading coefficient below TINY of the largest is replaced by that: a root between 0 and 1 moves by about
+    as much, and the extreme there by its square.
+    """
+    tiny = TINY * np.max(np.abs(rates), axis=1) + 1e-200
+    leading = np.where(np.abs(rates[:, -1]) > tiny, rates[:, -1], tiny)
+    k = rates.shape[1] - 1
+    companion = np.zeros((len(rates), k, k))
+    companion[:, 1:, :-1] = np.eye(k - 1)
+    companion[:, :, -1] = -rates[:, :-1] / leading[:, None]
+    return np.asarray(np.linalg.eigvals(companion).real, dtype=np.float64)
 
 
 def _check(low: float, high: float, slowest: float, fastest: float, able: Range, what: str) -> None:

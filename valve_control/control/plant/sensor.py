@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""The position sensor of a simulated valve: its parameters, and its reading of a position.
+"""A sensor of a simulated valve or axis, each in its own unit (V for the LVDT): parameters and reading.
 
 The dead time is that of ``valve.delayed``, which the history of a plant's motion needs.
 """
@@ -19,7 +19,7 @@ PARAMETERS: Table = (
 
 
 class Lvdt(NamedTuple):
-    """The position sensor."""
+    """A sensor; the LVDT's unit is V, that of an axis's sensor is the unit of what it reads."""
 
     noise: float  # V  standard deviation
     resolution: float  # V  quantisation step, 0: none
@@ -41,7 +41,7 @@ def build(values: Values, name: str = "lvdt") -> Lvdt:
 
 
 def reading(lvdt: Lvdt, position: float, noise: float) -> float:
-    """Reading [V] of the LVDT at ``position`` [V]; ``noise`` is a standard normal number."""
+    """Reading of a sensor at ``position``, [V] for the LVDT; ``noise`` is a standard normal number."""
     shown = position + lvdt.bias + lvdt.noise * noise
     if lvdt.resolution > 0.0:
         shown = lvdt.resolution * math.floor(shown / lvdt.resolution + 0.5)

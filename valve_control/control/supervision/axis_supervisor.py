@@ -215,6 +215,7 @@ def sample(p: Params, s: State, reading: Reading, time: int) -> State:
     both = (reading.pressure_a, reading.pressure_b) if needs_pressures(p) else None
     if s.goal is None:
         s = found(p, s, reading.position)
+    periods = s.watch.wrong + 1.0  # since the goal last moved
     fault, watch = axis_watch.step(p.watch, s.watch, reading.position, both, elapsed)
     s = moved_on(p, s, time)._replace(watch=watch, time=time, samples=s.samples + 1)
     if s.stopped:
@@ -247,7 +248,7 @@ def sample(p: Params, s: State, reading: Reading, time: int) -> State:
         path=following,
         begun=begun,
         goal=goal,
-        jerk=(goal.acceleration - before.acceleration) / p.period,
+        jerk=(goal.acceleration - before.acceleration) / (periods * p.period),
         command=command,
         terms=terms,
         bridged="",

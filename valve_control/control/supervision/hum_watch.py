@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finds a hum of the mains in the LVDT reading, also one that is too small for even cycles of the voltage.
 
-The block means of the plausibility check give the complex amplitudes of reading and command at 50 and 60 Hz,
-in windows weighted by Hann's 1 - cos (synchronous detection). A hum of the mains has an exact frequency: its
-phase turns evenly from window to window. It does not come from the command. In fast motion, whose harmonics
-may lie there, the hum is a small part of the differences between the blocks, and nothing is said.
+The block means of the plausibility check give the complex amplitude of the reading at 50 and 60 Hz, in
+windows weighted by Hann's 1 - cos (synchronous detection). A hum of the mains has an exact frequency: its
+phase turns evenly from window to window. The command does not have it: its amplitude is computed alike, from
+its value at the end of each block. A command beyond half the rate of the blocks folds: with blocks of 4 ms
+one at 200 Hz counts as one at 50 Hz, and a hum beside it is not found. In fast motion, whose harmonics may
+lie there, the hum is a small part of the differences between the blocks, and nothing is said.
 """
 
 import math
@@ -31,9 +33,9 @@ CONDITIONS = (
         ("lvdt_mains",),
         "degraded",
         "LVDT reading has a hum of … mV at … Hz (mains: … Hz)",
-        "for 1.2 s the reading has a line of at least 10 mV (amplitude) and of one step of the converter "
-        "within 0.5 Hz of 50 or 60 Hz that the command does not have, at rest or in slow motion; not with "
-        "`lvdt.disturbance: 0.0`",
+        "for 1.2 s the spectrum of the reading has a line within 0.5 Hz of 50 or 60 Hz that the command "
+        "does not have; its amplitude is at least 10 mV and at least one step of the converter; only at rest "
+        "or in slow motion; not with `lvdt.disturbance: 0.0`",
         "shield and earth of the LVDT cable; supply of its converter; `dcarc.hum`",
     ),
 )
@@ -48,7 +50,7 @@ class Params(NamedTuple):
 
 
 class Line(NamedTuple):
-    """Sums at one frequency in the open window, and what the windows before it had."""
+    """Sums at one frequency in the open window, and two results of the windows before it."""
 
     reading: float  # V  in phase
     reading_lag: float  # V  in quadrature
@@ -61,7 +63,7 @@ class Line(NamedTuple):
 class State(NamedTuple):
     """The open window, and the hum that is there."""
 
-    taken: float  # blocks
+    taken: float  # blocks; -1.0: there has been none at all
     filtered: float  # V  block means behind the first filter
     last: float  # V  block mean
     change: float  # V²  sum of the squares of the differences between block means
@@ -72,7 +74,7 @@ class State(NamedTuple):
 
 
 EMPTY = Line(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-NOTHING = State(0.0, 0.0, 0.0, 0.0, EMPTY, EMPTY, 0.0, 0.0)
+NOTHING = State(-1.0, 0.0, 0.0, 0.0, EMPTY, EMPTY, 0.0, 0.0)
 
 
 def design(values: Values, c: plausibility.Params) -> Params:
@@ -86,6 +88,8 @@ def step(p: Params, s: State, seen: plausibility.SeenBlock) -> State:
     if p.blocks == 0.0:
         return s
     y1 = seen.shown.y1
+    if s.taken < 0.0:
+        s = s._replace(taken=0.0, filtered=y1, last=y1)
     reading = s.filtered + (y1 - s.filtered) / p.low_pass
     change = s.change + (reading - s.last) * (reading - s.last)
     low, high = (
@@ -153,7 +157,7 @@ def found(p: Params, s: State) -> bool:
 def text(p: Params, s: State) -> str:
     """One sentence about the hum."""
     mains = min(MAINS, key=lambda one: abs(one - s.frequency))
-    hum = f"{1e3 * s.amplitude:.2g} mV at {s.frequency:.3g} Hz (mains: {mains:.0f} Hz)"
+    hum = f"{1e3 * s.amplitude:.3g} mV at {s.frequency:.3g} Hz (mains: {mains:.0f} Hz)"
     return f"LVDT reading has a hum of {hum}"
 
 

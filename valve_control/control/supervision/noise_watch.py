@@ -107,7 +107,7 @@ def found(p: Params, s: State) -> bool:
 
 def text(p: Params, s: State) -> str:
     """One sentence about the noise of the last window."""
-    return f"LVDT noise is {1e3 * s.noise:.2g} mV rms, {1e3 * s.usual:.2g} mV at the start"
+    return f"LVDT noise is {1e3 * s.noise:.3g} mV rms, {1e3 * s.usual:.3g} mV at the start"
 
 
 def stopped(s: State) -> State:

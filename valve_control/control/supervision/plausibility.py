@@ -133,7 +133,7 @@ class Shown(NamedTuple):
 
 
 class SeenBlock(NamedTuple):
-    """What the watches beside this check see of a block."""
+    """Data of a block for the watches beside this check."""
 
     second: float  # V  second difference of the readings at its end
     grain: float  # V  step of the converter
@@ -164,7 +164,7 @@ TRUST = Doubt(0.0, 0.0, 0.0)
 
 
 def seen(standing: lvdt.Standing, doubt: Doubt, voltage: float, shown: Shown, command: float) -> SeenBlock:
-    """What the watches beside this check see of a block, before whose last reading ``voltage`` [V] was on.
+    """Data of a block for the watches beside this check; ``voltage`` [V] was on before its last reading.
 
     ``command`` [V]: as the law got it, NaN without one.
     """

@@ -162,7 +162,8 @@ def _shaped(law: Law, problem: Problem) -> list[Values]:
                     "reshaping.lead_accel": 1.0,
                 }
                 changed = updated(CONTROLLER, changed, filtered)
-                changed = updated(CONTROLLER, changed, {"reshaping.lead": law.lag(changed)})
+                lead = min(law.lag(changed), reshaping.MOST_LEAD)
+                changed = updated(CONTROLLER, changed, {"reshaping.lead": lead})
             law.build(changed)
         except ParameterError:
             continue
