@@ -17,7 +17,7 @@ from valve_control.control.linear import stability
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant.models import D3FXE, Scale
 from valve_control.control.simulation import comparison
-from valve_control.design.tuning import trial
+from valve_control.design.tuning import designs, trial
 from valve_control.parameter import updated
 
 PERIOD, SUBSTEPS = 0.001, 10
@@ -229,3 +229,11 @@ def test_a_lead_of_a_slow_valve_that_a_tuner_chooses_can_be_set():
         changes = trial.gains_at(both, values, [0.0, share]).changes
         assert dcarc.lag({**values, **changes}) > reshaping.MOST_LEAD * reshaping.AROUND
         assert updated(CONTROLLER, values, changes)["reshaping.lead"] <= reshaping.MOST_LEAD
+
+
+def test_the_starts_of_a_search_on_a_slow_valve_have_leads_that_can_be_set():
+    values = controller(**MODEL, **{"dcarc.smoothing": 0.095})
+    problem = trial.Problem(values, [], [], [], trial.USUAL, False, False, 1, scale=Scale(0.2, 1.0))
+    made = designs.starts(dcarc.LAW, problem, None)
+    assert len(made) == len(dcarc.LAW.starts(values, problem.scale)) * len(designs.SHARES)
+    assert all(one["reshaping.lead"] == reshaping.MOST_LEAD < dcarc.lag(one) for one in made)
