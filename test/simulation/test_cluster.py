@@ -53,7 +53,7 @@ def processes(tmp_path, workers=2):
         )
     ]
     try:
-        until(lambda: told.exists() and told.read_text().endswith("}"), "the scheduler")
+        until(lambda: told.exists() and told.read_text().endswith("\n}"), "the scheduler")
         address = json.loads(told.read_text())["address"]
         for i in range(workers):
             folder = ["--local-directory", str(tmp_path / f"worker{i}"), "--name", str(i)]
