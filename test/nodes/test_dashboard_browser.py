@@ -180,7 +180,7 @@ def test_a_gain_moved_by_its_slider_changes_the_loop_and_the_plot(page, ros):
     page.click("#tab-log")
     page.wait_for("#log", "pid.static_feedforward 1.18 → 0.05")
     page.click("#tab-tune")
-    until(lambda: page.js("return !!document.querySelector('#undo').offsetParent"), "the form")
+    until(lambda: page.js("return !!document.querySelector('#undo')?.offsetParent"), "the form")
     until(lambda: page.figure("e_M") < 2.0, "the end of what the large gain did")
     picture(page, "tune")
     page.press("#undo")
@@ -377,9 +377,7 @@ def test_one_window_writes_and_those_without_token_look(page, page_address, ros)
 
 def choose(page, name):
     """Choose a valve."""
-    until(
-        lambda: page.js("return document.querySelector('.vc-choice').offsetParent !== null"), "several valves"
-    )
+    until(lambda: page.js("return !!document.querySelector('.vc-choice')?.offsetParent"), "several valves")
     page.click(".vc-choice")
 
     def item():
