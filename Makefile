@@ -67,8 +67,8 @@ bench: $(STAMP)  ## benchmarks, as ratios measured in one run (ARGS="--seconds 3
 
 # What needs no clock runs on two cores; the tests of nodes that are marked `alone` have both to themselves. A machine that is
 # shared with others may put a node aside for longer than a loop at 1 kHz bears: such a test is repeated twice if it fails.
-# The other tests of nodes are repeated once, since two of 360 met a machine that was busy (2026-11-27). pytest counts the
-# repetitions, and more than five fail the run (test/conftest.py). No other test is repeated.
+# The other tests of nodes are repeated once, since two of 360 met a machine that was busy (2026-11-27), and those in the
+# browser too. pytest counts the repetitions, and more than five fail the run (test/conftest.py). No other test is repeated.
 # With a second word, only the tests of nodes. Where PYTEST_ARGS choose tests, a part without any of them (5) has not failed,
 # unless all are without.
 define tests
@@ -93,7 +93,7 @@ test: $(STAMP)  ## the tests, without those of the campaign
 
 campaign: $(STAMP)  ## the longer tests: faults, damaged bags, joiners, the dashboard in Chromium (CAMPAIGN=full: more of each)
 	@$(call tests,campaign); \
-	part test/nodes/test_dashboard_browser.py -m browser; \
+	part test/nodes/test_dashboard_browser.py --reruns 1 -m browser; \
 	$(verdict)
 
 coverage: $(STAMP)  ## lines and branches of the safety core that its tests run, with their history

@@ -50,6 +50,21 @@ class Window:
         except AssertionError as error:
             raise AssertionError(f"{error} in: {self.text('body')}") from None
 
+    def act(self, selector, action):
+        """Do something with an element, again with its successor if the page draws it anew meanwhile."""
+        from selenium.common.exceptions import StaleElementReferenceException
+
+        def done():
+            element = self.find(selector)
+            try:
+                self.js("arguments[0].scrollIntoView({block: 'center'})", element)
+                action(element)
+            except StaleElementReferenceException:
+                return False
+            return True
+
+        until(done, f"{selector} that stays")
+
     def text(self, selector):
         return self.js(
             "const e = document.querySelector(arguments[0]); return e ? e.innerText : ''", selector
@@ -60,8 +75,7 @@ class Window:
         until(lambda: word in self.text(selector), f"'{word}' in {selector}: {self.text(selector)}", limit)
 
     def click(self, selector):
-        self.js("arguments[0].scrollIntoView({block: 'center'})", self.find(selector))
-        self.find(selector).click()
+        self.act(selector, lambda element: element.click())
 
     def enabled(self, selector):
         return self.js(
@@ -104,33 +118,33 @@ class Window:
     def blur(self):
         self.js("document.activeElement.blur()")
 
-    def field(self, name):
-        return self.find(f"[data-name='{name}'] input")
+    def write(self, selector, *keys):
+        """Replace all that stands in a field by what ``keys`` type."""
+        from selenium.webdriver import Keys
+
+        def typed(entry):
+            entry.click()
+            entry.send_keys(Keys.CONTROL, "a")
+            entry.send_keys(*keys)
+
+        self.act(selector, typed)
+        self.blur()
 
     def shown(self, name):
-        return self.js("return document.querySelector(arguments[0]).value", f"[data-name='{name}'] input")
+        """Text in a parameter's field, None while the page has no such field."""
+        return self.js(
+            "return document.querySelector(arguments[0])?.value ?? null", f"[data-name='{name}'] input"
+        )
 
     def type(self, name, text):
         """Type a value into a field, and Enter."""
         from selenium.webdriver import Keys
 
-        entry = self.field(name)
-        self.js("arguments[0].scrollIntoView({block: 'center'})", entry)
-        entry.click()
-        entry.send_keys(Keys.CONTROL, "a")
-        entry.send_keys(text, Keys.ENTER)
-        self.blur()
+        self.write(f"[data-name='{name}'] input", text, Keys.ENTER)
 
     def fill(self, name, text):
         """Put a text into the field with the id ``name``."""
-        from selenium.webdriver import Keys
-
-        entry = self.find(f"#{name} input, input#{name}")
-        self.js("arguments[0].scrollIntoView({block: 'center'})", entry)
-        entry.click()
-        entry.send_keys(Keys.CONTROL, "a")
-        entry.send_keys(text)
-        self.blur()
+        self.write(f"#{name} input, input#{name}", text)
 
     def choose(self, selector, word):
         """Choose an entry of a list."""

@@ -241,7 +241,7 @@ def test_two_sets_are_compared_with_a_key(page, ros):
         page.keys("x")
         spin_until(ros, lambda e=expected: (kp(ros), get_double(ros, "pid.kd")) == e, f"{expected}")
     # A key pressed in a field is a letter, not a command.
-    page.field("pid.kp").click()
+    page.click("[data-name='pid.kp'] input")
     page.keys("x", " ")
     page.blur()
     until(lambda: "is no number" in page.refusal("pid.kp"), "the letter in the field")
@@ -554,7 +554,7 @@ def to_commission(page, folder):
 
 def offered(page):
     """The arguments that stand in the field."""
-    return page.js("return document.querySelector('#arguments input').value")
+    return page.js("return document.querySelector('#arguments input')?.value ?? ''")
 
 
 def all_parameters(ros, name):
