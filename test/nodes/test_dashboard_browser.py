@@ -143,8 +143,8 @@ def kp(ros):
 
 
 def usual_error(page):
-    """Highest rms of the error that the page tells over three periods of the sine."""
-    until(lambda: page.figure("e_rms") > 0.0, "indices")
+    """Highest rms of the error that the page tells over three periods of the sine, once the loop is calm."""
+    until(lambda: page.figure("e_M") < 0.5, f"errors of 0.2 to 0.3 V: {page.text('#indices')}")
     begin, highest = time.monotonic(), 0.0
     while time.monotonic() < begin + 6.0:
         highest = max(highest, page.figure("e_rms"))
