@@ -7,6 +7,14 @@ from pathlib import Path
 from valve_control.parameter import ParameterError
 
 
+def expanded(path: str, what: str) -> Path:
+    """``path`` with the home folder for its ``~``. Raises ParameterError, ``what`` it is in the message."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError as error:
+        raise ParameterError(f"{what} {path}: there is no such user, or no home folder") from error
+
+
 def check(path: str, what: str) -> None:
     """Raise ParameterError unless ``path``, named ``what`` in the message, is a file or the end of a pipe."""
     if not path:

@@ -7,7 +7,6 @@ import os
 import time
 from collections import deque
 from collections.abc import Sequence
-from pathlib import Path
 from struct import pack
 from typing import Any, NamedTuple
 
@@ -20,7 +19,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
 from std_srvs.srv import Trigger
 
-from valve_control import parameter
+from valve_control import inputs, parameter
 from valve_control.control.laws.registry import LAWS, REFUSED
 from valve_control.control.linear import stability
 from valve_control.control.parameters import arguments, build, files
@@ -133,7 +132,7 @@ class Controller(Managed):
         self._unnumbered = False  # whether the middleware has numbered no reading
         self._realtime: realtime.Request | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
-        ParameterSet(self, self.table, self._build, self._apply, alone)
+        self._parameters = ParameterSet(self, self.table, self._build, self._apply, alone)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save_parameters", self._on_save)
         self.create_service(Trigger, "~/load_parameters", self._on_load)
@@ -305,7 +304,7 @@ class Controller(Managed):
             self._warm_caches()
         if now >= self._watch_at and not worked:
             self._warm_at = NEVER
-            self._catching_up = now - self._watch_at > STALL
+            self._catching_up = self._stood_still(now)
             self._take_commands()
             voltage = self._journal.silence(self._elapsed(now), self._catching_up)
             if not math.isnan(voltage):
@@ -313,6 +312,10 @@ class Controller(Managed):
             self._watch_at = now + REMIND
             worked = True
         return worked or tells
+
+    def _stood_still(self, now: float) -> bool:
+        """Whether this process stood still until ``now`` [s], so that it did not look in time."""
+        return now - self._watch_at > STALL
 
     def report(self) -> None:
         """Publish telemetry, and diagnostics if something has changed."""
@@ -347,7 +350,7 @@ class Controller(Managed):
         if not self._lockstep:
             self._take_commands()
         # What was sent while this process stood still comes in a burst afterwards and is stale.
-        if began - self._watch_at > STALL:
+        if self._stood_still(began):
             self._catching_up = True
         elif self._catching_up and (not self._arrivals or began - self._arrivals[-1] >= 0.5 * self._period):
             self._catching_up = False
@@ -530,9 +533,9 @@ class Controller(Managed):
     def _on_save(self, request: Any, response: Any) -> Any:
         name = word(self._values, "save_file")
         try:
-            path = Path(name).expanduser().absolute()
+            path = inputs.expanded(name, "save_file").absolute()
             files.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
-        except (OSError, RuntimeError, ValueError) as error:
+        except (OSError, ValueError) as error:
             response.success = False
             response.message = f"{name} cannot be written: {getattr(error, 'strerror', None) or error}"
             self.get_logger().warning(response.message)
@@ -544,10 +547,10 @@ class Controller(Managed):
 
     def _on_load(self, request: Any, response: Any) -> Any:
         name = word(self._values, "load_file") or word(self._values, "save_file")
-        path = Path(name).expanduser().absolute()
         try:
+            path = inputs.expanded(name, "parameter file").absolute()
             values = arguments.addressed(str(path), self.get_fully_qualified_name(), self.table)
-            changes = {n: value for n, value in values.items() if value != self._values.get(n)}
+            changes = {n: value for n, value in values.items() if value != self._parameters.values[n]}
             if changes:
                 wanted = [Parameter(n, value=value) for n, value in changes.items()]
                 result = self.set_parameters_atomically(wanted)

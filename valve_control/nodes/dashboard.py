@@ -9,7 +9,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +28,7 @@ from valve_control.control.parameters.table import DASHBOARD
 from valve_control.dashboard.entry import Field
 from valve_control.dashboard.machine import Answer, Machine
 from valve_control.dashboard.valve import LAW, NodeState, Valve
+from valve_control.inputs import expanded
 from valve_control.nodes.adapter import (
     EVERYTHING,
     SAMPLES,
@@ -413,7 +413,7 @@ class Dashboard(Worker):
                 "pip install 'valve_control[dashboard]'"
             ) from error
         token = word(self._values, "token") or secrets.token_urlsafe(9)
-        folder = Path(word(self._values, "folder")).expanduser().absolute()
+        folder = expanded(word(self._values, "folder"), "folder").absolute()
         try:
             self._server = Server(self.machine, int(number(self._values, "port")), token, folder)
         except PortTaken as error:

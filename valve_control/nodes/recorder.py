@@ -20,6 +20,7 @@ from std_srvs.srv import Trigger
 
 from valve_control import parameter
 from valve_control.control.parameters.table import RECORDER
+from valve_control.inputs import expanded
 from valve_control.nodes.adapter import (
     EVERYTHING,
     SAMPLES,
@@ -100,7 +101,7 @@ def settings(values: Values) -> Settings:
     box = _box(values)
     name = "black_box" if box is not None else unused(time.strftime("valve_bag_%Y%m%d_%H%M%S"))
     return Settings(
-        folder=Path(bag).expanduser() if bag else Path(name),
+        folder=expanded(bag, "bag") if bag else Path(name),
         storage=storage,
         compression=compression,
         patterns=patterns,

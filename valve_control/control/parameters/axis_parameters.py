@@ -6,9 +6,9 @@ The valve that feeds it has the parameters of ``valve_simulator``; they are thos
 """
 
 import math
-from pathlib import Path
 from typing import Any
 
+from valve_control import inputs
 from valve_control.control.laws.common import SAMPLE_PERIOD
 from valve_control.control.motion import axis_arc_sampled, axis_pid, upper
 from valve_control.control.parameters import build, files
@@ -335,7 +335,7 @@ def known_machine(name: str) -> Values:
     folder = files.config_folder() / "axis"
     path = folder / f"{name}.yaml"
     if not path.is_file():
-        path = Path(name).expanduser()
+        path = inputs.expanded(name, "machine")
     if not path.is_file():
         known = one_of(sorted(p.stem for p in folder.glob("*.yaml")))
         raise ParameterError(f"machine is '{name}'; it must be {known}, or the path of a parameter file")

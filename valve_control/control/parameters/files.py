@@ -184,8 +184,9 @@ class Section(NamedTuple):
 def sections(path: str) -> list[Section]:
     """Sections of a ROS 2 parameter file in their order. Raises ParameterError."""
     inputs.check(path, "parameter file")
+    file = inputs.expanded(path, "parameter file")
     try:
-        text = Path(path).expanduser().read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8")
         tree = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     except (OSError, UnicodeDecodeError) as error:
         raise ParameterError(

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 
+from valve_control import inputs
 from valve_control.control.laws.registry import LAWS, REFUSED
 from valve_control.control.parameters import files
 from valve_control.control.parameters.arguments import matches
@@ -56,7 +57,7 @@ def checked(file: str, **values: str) -> str:
         raise ParameterError(
             f"namespace is '{values['namespace']}'; it must be of letters, digits and _, such as crane/boom"
         )
-    if values["record"].strip().lower() in ("true", "1") and Path(values["bag"]).expanduser().exists():
+    if values["record"].strip().lower() in ("true", "1") and inputs.expanded(values["bag"], "bag").exists():
         raise ParameterError(f"bag is '{values['bag']}', which exists already; name a new one with bag:=NAME")
     if driver := values.get("driver", ""):
         lookup(DEVICE, "driver").check(driver)
@@ -183,7 +184,11 @@ def file_value(params_file: str) -> str:
 def _given(params_file: str, nodes: Iterable[str]) -> str:
     """Path of ``params_file``, "" if it has nothing for ``nodes``."""
     values = _load(params_file)
-    return str(Path(params_file).expanduser().absolute()) if any(values.get(node) for node in nodes) else ""
+    return (
+        str(inputs.expanded(params_file, "parameter file").absolute())
+        if any(values.get(node) for node in nodes)
+        else ""
+    )
 
 
 def _device(driver: str, params_file: str) -> str:
