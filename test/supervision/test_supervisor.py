@@ -371,6 +371,18 @@ def test_estimates_survive_deactivation_in_what_is_saved():
     assert before != loop.values["arc.theta_initial"]
 
 
+def test_estimates_of_another_law_are_not_saved_as_those_of_the_law_that_waits():
+    """A law that is chosen at 0 V has no estimates yet; its own have another meaning and number."""
+    loop = Loop("arc").run(300)
+    loop.supervisor.silence(0.1)
+    values = changed.controller(controller="dcarc")
+    loop.supervisor.apply(values, build.law_params(values))
+    assert loop.supervisor.theta is None
+    assert loop.supervisor.present_values() == values
+    loop.supervisor.start()
+    assert loop.supervisor.present_values() == values
+
+
 def test_sound_readings_must_come_in_a_row():
     loop = Loop("arc", lvdt__recovery_samples=10).run(300).run(50, spoil=lambda reading: math.nan)
     for _ in range(15):

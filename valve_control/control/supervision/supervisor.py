@@ -363,9 +363,12 @@ class Supervisor:
         """Present estimates of a law that adapts, else None."""
         m = self.memory
         state: Any = m.law if m.law is not None else m.former
-        if state is None or "theta" not in state._fields or "theta_min" not in self._params.law._fields:
+        estimates = getattr(state, "theta", None)
+        law: Any = self._params.law if estimates is not None else None
+        # While the voltage is off, the last state may be that of another law.
+        if estimates is None or not isinstance(estimates, type(getattr(law, "theta_initial", None))):
             return None
-        return tuple(map(clip, state.theta, self._params.law.theta_min, self._params.law.theta_max))
+        return tuple(map(clip, estimates, law.theta_min, law.theta_max))
 
     @property
     def terms(self) -> tuple[float, ...]:
