@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
@@ -15,18 +15,24 @@ import rclpy
 from bench import LIMIT, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float64, Float64MultiArray
+from std_srvs.srv import Trigger
 
 sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "drivers"))
 from examples import serial_card
 
-from valve_control.control.parameters import build, files
+from valve_control.control.drivers.device import Device, Side
+from valve_control.control.drivers.driver import Reading, patience
+from valve_control.control.drivers.scaling import Scale
+from valve_control.control.parameters import build, drivers, files
 from valve_control.control.parameters.drivers import SIMULATED
 from valve_control.control.simulation import offline
 from valve_control.control.supervision.journal import COLUMNS, HEAD
+from valve_control.nodes.device_controller import DeviceController
 from valve_control.nodes.harness.lockstep import CONFIG
 from valve_control.nodes.harness.processes import Listener, node_arguments, node_values, process
 
 STEP = 10.0 / 32767  # V
+SLOW = 0.005  # s, sample period of a field bus
 
 
 def simulated(plant):
@@ -156,6 +162,94 @@ def test_topics_may_have_every_tenth_sample_while_the_journal_has_all(ros, tmp_p
         at = [places[value] for value in heard[topic] if value in places]
         steps = np.diff(at)
         assert len(at) > 100 and np.median(steps) == 10 and not np.any(steps % 10), (topic, steps)
+
+
+class Bus:
+    """Driver that waits for its device, as those of field buses do."""
+
+    late = 0.0  # s, until it answers
+    mute = False
+
+    def open(self):
+        pass
+
+    def enable(self, on):
+        pass
+
+    def write(self, signal):
+        self.signal = signal
+
+    def read(self):
+        time.sleep(patience(SLOW) if self.mute else self.late)
+        return None if self.mute else Reading(0.5, 0)
+
+    def close(self):
+        pass
+
+    def conditions(self):
+        return ()
+
+
+@contextmanager
+def beside(monkeypatch, bus, *settings):
+    """A controller of this process beside ``bus``; no reading may be missing, after 7.5 ms."""
+    side = Side(Scale(1.0), -10.0, 10.0)
+    monkeypatch.setattr(drivers, "device", lambda values: Device(bus, side, side, SLOW))
+    words = [f"sample_period:={SLOW}", "lvdt.hold_samples:=0", *settings]
+    given = [word for text in words for word in ("-p", text)]
+    valve = DeviceController(cli_args=["--ros-args", *given])
+    try:
+        yield valve
+    finally:
+        valve.finish()
+        valve.destroy_node()
+
+
+def test_a_wait_for_the_device_is_no_standstill_of_the_process(ros, monkeypatch):
+    """Of a bus that falls silent the node hears after its wait of 25 ms, not after the 7.5 ms."""
+    bus = Bus()
+    with beside(monkeypatch, bus) as valve:
+        valve.work()
+        bus.late = 0.03
+        valve.work()
+        assert valve._supervisor.samples == 2, "a reading that comes late is fresh"
+        bus.mute, bus.late = True, 0.0
+        valve.work()
+        assert "lvdt_silent" in valve._supervisor.conditions and bus.signal == 0.0
+        assert "stalled" not in valve._supervisor.conditions
+    with beside(monkeypatch, Bus()) as valve:
+        valve.work()
+        valve._watch_at -= 1.0  # as if it had been put aside after its sample
+        valve.work()
+        assert "stalled" in valve._supervisor.conditions
+
+
+def test_the_voltage_of_a_silence_is_on_the_topic_whatever_the_decimation(ros, monkeypatch):
+    bus, heard = Bus(), []
+    ros.create_subscription(Float64, "valve_voltage", lambda m: heard.append(m.data), 100)
+    with beside(monkeypatch, bus, "signal_decimation:=10") as valve:
+        spin_until(ros, lambda: valve._voltages.get_subscription_count() == 1, "the subscription")
+        for _ in range(10):
+            valve.work()
+            valve.report()
+        spin_until(ros, lambda: heard, "the tenth voltage")
+        assert len(heard) == 1 and heard[0] != 0.0
+        bus.mute = True
+        valve.work()
+        valve.report()
+        spin_until(ros, lambda: len(heard) > 1, "the voltage of the silence")
+        assert heard[1:] == [0.0]
+        valve.trigger_deactivate()
+        spin_until(ros, lambda: len(heard) > 2, "the last voltage")
+        assert heard[2:] == [0.0]
+
+
+def test_of_a_loaded_file_the_unchanged_parameters_of_the_device_are_not_counted(ros, monkeypatch, tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text(files.as_yaml({"/controller": {"driver": "serial", "serial.baud": 460800, "arc.k1": 99.0}}))
+    with beside(monkeypatch, Bus(), f"load_file:={path}") as valve:
+        answer = valve._on_load(Trigger.Request(), Trigger.Response())
+        assert answer.success and answer.message == f"3 parameters from {path}, of which 1 changed"
 
 
 @pytest.mark.alone

@@ -65,6 +65,7 @@ class DeviceController(Controller):
         self._alone = options.get("warms", True)
         self._refusal = ""
         self._ready_at = 0.0  # s, from when on the next reading is waited for
+        self._asked_at = 0.0  # s, when it was last asked for
         self._begun = False
         self._given: list[float] = []  # V, to be published
         self._told: tuple[Condition, ...] = ()
@@ -181,11 +182,17 @@ class DeviceController(Controller):
             self._begun = True
             self._device.enable(True)
         before = self._supervisor.samples
+        self._asked_at = time.monotonic()
         self._from_device.held = self._waiting is not None
         worked = super().work()
         waits = not (self._device.polled or self._lockstep) and self._supervisor.samples != before
         self._ready_at = self._arrivals[-1] + WARMING * self._period if waits else 0.0
         return worked or self._waiting is None
+
+    def _stood_still(self, now: float) -> bool:
+        """Whether this process stood still; a wait for the device, in which time goes by too, is none."""
+        waited = self._device is not None and not self._device.polled
+        return super()._stood_still(self._asked_at if waited else now)
 
     def _publish(self, voltage: float) -> None:
         assert self._device is not None
@@ -194,7 +201,10 @@ class DeviceController(Controller):
         self._given.append(voltage)
 
     def _publish_signals(self) -> None:
-        """Publish readings and voltages that the topics do not have yet; not a reading without its answer."""
+        """Publish readings and voltages that the topics do not have yet; not a reading without its answer.
+
+        With ``signal_decimation`` every n-th of them, and each voltage that no reading has caused.
+        """
         fresh = self._from_device.fresh
         answered = len(fresh) if self._waiting is None else len(fresh) - 1
         self._unpublished += answered
@@ -203,7 +213,9 @@ class DeviceController(Controller):
                 self._send_position(encoded(reading))
             for voltage in self._given:
                 self._send_voltage(encoded(voltage))
-        elif answered and self._given and self._unpublished >= self._every:
+        elif self._given and not answered:
+            self._send_voltage(encoded(self._given[-1]))
+        elif self._given and self._unpublished >= self._every:
             self._unpublished = 0
             self._send_position(encoded(fresh[answered - 1]))
             self._send_voltage(encoded(self._given[-1]))
