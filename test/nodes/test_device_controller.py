@@ -246,7 +246,8 @@ def test_the_voltage_of_a_silence_is_on_the_topic_whatever_the_decimation(ros, m
 
 def test_of_a_loaded_file_the_unchanged_parameters_of_the_device_are_not_counted(ros, monkeypatch, tmp_path):
     path = tmp_path / "p.yaml"
-    path.write_text(files.as_yaml({"/controller": {"driver": "serial", "serial.baud": 460800, "arc.k1": 99.0}}))
+    loaded = {"driver": "serial", "serial.baud": 460800, "arc.k1": 99.0}
+    path.write_text(files.as_yaml({"/controller": loaded}))
     with beside(monkeypatch, Bus(), f"load_file:={path}") as valve:
         answer = valve._on_load(Trigger.Request(), Trigger.Response())
         assert answer.success and answer.message == f"3 parameters from {path}, of which 1 changed"

@@ -132,7 +132,7 @@ class Controller(Managed):
         self._unnumbered = False  # whether the middleware has numbered no reading
         self._realtime: realtime.Request | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
-        self._parameters = ParameterSet(self, self.table, self._build, self._apply, alone)
+        self._settings = ParameterSet(self, self.table, self._build, self._apply, alone)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save_parameters", self._on_save)
         self.create_service(Trigger, "~/load_parameters", self._on_load)
@@ -550,7 +550,7 @@ class Controller(Managed):
         try:
             path = inputs.expanded(name, "parameter file").absolute()
             values = arguments.addressed(str(path), self.get_fully_qualified_name(), self.table)
-            changes = {n: value for n, value in values.items() if value != self._parameters.values[n]}
+            changes = {n: value for n, value in values.items() if value != self._settings.values[n]}
             if changes:
                 wanted = [Parameter(n, value=value) for n, value in changes.items()]
                 result = self.set_parameters_atomically(wanted)
