@@ -155,6 +155,17 @@ def test_a_condition_that_begins_is_a_reason_once(tmp_path):
     assert "lvdt_jump of /controller; saturation of /controller" in told[-1]
 
 
+def test_what_began_before_a_bag_that_waits_is_in_it_with_its_own_seconds(tmp_path):
+    """A controller is missed only 3 s after its last word; meanwhile something else may have happened."""
+    made = box(tmp_path, [], seconds=0.0, after=0.0)
+    silent = time.monotonic()
+    fill(made, 1)
+    folder = made.save("something else")
+    assert made.save("silence", silent) == folder
+    made.close()
+    assert values(folder) == [0.0]
+
+
 def test_the_newest_bags_are_kept_and_nothing_else_is_removed(tmp_path):
     (tmp_path / "box_of_mine").mkdir()
     (tmp_path / "box_20200101_000000").mkdir()  # no bag

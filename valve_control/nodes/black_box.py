@@ -190,12 +190,12 @@ class BlackBox:
         What happens while one waits for its end is in that one, which then ends later by ``after`` at most.
         """
         now = time.monotonic()
+        begin = (now if since is None else since) - self._limits.seconds
         if self._waiting is not None:
             self._waiting.reasons.append(reason)
             due = min(now + self._limits.after, self._waiting.latest)
-            self._waiting = self._waiting._replace(due=due)
+            self._waiting = self._waiting._replace(due=due, begin=min(begin, self._waiting.begin))
             return self._waiting.folder
-        begin = (now if since is None else since) - self._limits.seconds
         due = now + self._limits.after
         self._waiting = _Happened(self._unused(), begin, due, due + self._limits.after, [reason])
         self._tell(f"{reason}: {self._waiting.folder.absolute()} is written", False)
