@@ -363,8 +363,8 @@ class Supervisor:
         """Present estimates of a law that adapts, else None."""
         m = self.memory
         state: Any = m.law if m.law is not None else m.former
-        estimates = getattr(state, "theta", None)
-        law: Any = self._params.law if estimates is not None else None
+        estimates: Any = getattr(state, "theta", None)
+        law: Any = None if estimates is None else self._params.law
         # While the voltage is off, the last state may be that of another law.
         if estimates is None or not isinstance(estimates, type(getattr(law, "theta_initial", None))):
             return None
