@@ -363,10 +363,12 @@ class Supervisor:
         """Present estimates of a law that adapts, else None."""
         m = self.memory
         state: Any = m.law if m.law is not None else m.former
-        estimates: Any = getattr(state, "theta", None)
-        law: Any = None if estimates is None else self._params.law
+        estimates = getattr(state, "theta", None)
+        if estimates is None:
+            return None
+        law: Any = self._params.law
         # While the voltage is off, the last state may be that of another law.
-        if estimates is None or not isinstance(estimates, type(getattr(law, "theta_initial", None))):
+        if not isinstance(estimates, type(getattr(law, "theta_initial", None))):
             return None
         return tuple(map(clip, estimates, law.theta_min, law.theta_max))
 
