@@ -367,8 +367,8 @@ class Supervisor:
         if estimates is None:
             return None
         law: Any = self._params.law
-        # While the voltage is off, the last state may be that of another law.
-        if not isinstance(estimates, type(getattr(law, "theta_initial", None))):
+        kind: Any = type(getattr(law, "theta_initial", None))
+        if not isinstance(estimates, kind):  # while the voltage is off, those of another law
             return None
         return tuple(map(clip, estimates, law.theta_min, law.theta_max))
 
