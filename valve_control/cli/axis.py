@@ -22,19 +22,18 @@ def add_commands(commands: Any) -> None:
     """Add axis to the command's sub-commands."""
     axis = commands.add_parser(
         "axis",
-        help="a hydraulic axis: cylinder and load, fed by the valve under its controller",
+        help="simulate a hydraulic axis: upper level, controlled valve, cylinder and load",
         description="Run one motion of a hydraulic axis: an upper level commands the spool, the valve's "
-        "controller moves it, its edges feed a cylinder. Parameters: valve-control parameters axis_.",
+        "controller moves the spool, and the edges of the spool feed a cylinder. 'valve-control "
+        "parameters axis_' lists the parameters.",
     )
-    group = axis.add_argument_group("what is simulated")
+    group = axis.add_argument_group("simulation")
     group.add_argument("--controller", choices=CONTROLLERS, help="law of the valve (default: arc)")
-    group.add_argument(
-        "--upper", metavar="LEVEL", help="what commands the spool: axis_pid or axis_arc (axis_pid)"
-    )
+    group.add_argument("--upper", metavar="LEVEL", help="upper level: axis_pid or axis_arc (axis_pid)")
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (3.0)")
     group.add_argument("--seed", type=int, metavar="N", help="seed of the sensors' noise (1)")
     parameter_options(group, "any parameter of axis, upper level, valve or its controller")
-    output = axis.add_argument_group("what comes out")
+    output = axis.add_argument_group("output")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     output.add_argument("--csv", metavar="FILE", help="signals as CSV")
     output.add_argument("--figure", metavar="FILE", help="motion, error, spool and pressures as PNG or SVG")

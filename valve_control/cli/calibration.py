@@ -28,55 +28,71 @@ def add_commands(commands: Any) -> None:
     calibrate = commands.add_parser(
         "calibrate",
         parents=[setup_options()],
-        help="find the simulated valve whose controllers give a measured table of indices",
-        description="Search the simulated valve (friction, gain, LVDT, what was not printed) under which the "
-        "controllers give a measured table: CSV, YAML or JSON with a row for each controller and the columns "
+        help="find the simulated valve on which the controllers reproduce a table of indices",
+        description="Search the simulated valve (friction, gain, LVDT and other unknown quantities) on "
+        "which the controllers reproduce a measured table: CSV, YAML or JSON with a row for each "
+        "controller and the columns "
         f"{', '.join(FIELDS)}. 'paper' is Table 1 of the paper.",
     )
     calibrate.add_argument("table", metavar="TABLE", help="file with the measured indices, or: paper")
     group = calibrate.add_argument_group("search")
     group.add_argument("--search-seed", type=int, default=1, metavar="N", help="seed of the search (1)")
-    group.add_argument("--evaluations", type=int, default=40000, metavar="N", help="valves to try (40000)")
+    group.add_argument(
+        "--evaluations", type=int, default=40000, metavar="N", help="number of valves to simulate (40000)"
+    )
     group.add_argument(
         "--population",
         type=int,
         default=40,
         metavar="N",
-        help="of the first CMA-ES; doubled by restarts (40)",
+        help="population of the first CMA-ES; each restart doubles it (40)",
     )
     group.add_argument(
         "--noise-seeds",
         type=int,
         default=4,
         metavar="N",
-        help="fit the mean over N seeds of the noise, from --seed on, and the first of them alone (4)",
+        help="fit the mean over N noise seeds, from --seed on, and the first seed alone (4)",
     )
     group.add_argument(
-        "--fix", action="append", default=[], metavar="NAME", help="quantity that stays as it is"
+        "--fix",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="quantity that stays constant; again for more",
     )
     group.add_argument(
         "--from-present",
         action="store_true",
-        help="begin at the given parameters, not anywhere in the ranges",
+        help="begin at the given parameters instead of random points of the ranges",
     )
     group.add_argument(
         "--step", type=float, default=0.25, metavar="X", help="first step as share of the ranges (0.25)"
     )
-    group.add_argument("--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
-    output = calibrate.add_argument_group("what comes out")
+    group.add_argument(
+        "--processes",
+        type=int,
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="number of processes (all cores)",
+    )
+    output = calibrate.add_argument_group("output")
     output.add_argument(
         "--output", metavar="FILE", help="ROS 2 parameter file of valve, command and controllers"
     )
-    output.add_argument("--json", metavar="FILE", help="everything as JSON; - for standard output alone")
+    output.add_argument("--json", metavar="FILE", help="all results as JSON; - for standard output alone")
     output.add_argument(
         "--profile",
         type=int,
         default=0,
         metavar="N",
-        help="say how identifiable each quantity is and what explains what: N evaluations per point (0: not)",
+        help="report the identifiability of each quantity and the contribution of each effect, with N "
+        "evaluations per point (0: no report)",
     )
-    output.add_argument("--trials", action="store_true", help="check on other noise, motions and drifts")
-    calibrate.add_argument("--ranges", action="store_true", help="list the free quantities and leave")
+    output.add_argument(
+        "--trials", action="store_true", help="simulate the result with other noise, motions and drifts"
+    )
+    calibrate.add_argument("--ranges", action="store_true", help="list the free quantities and exit")
     calibrate.set_defaults(run=_calibrate)
 
 

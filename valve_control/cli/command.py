@@ -59,8 +59,9 @@ class Commands:
         self.top = Parser(
             prog="valve-control",
             usage="valve-control [-h] [--version] COMMAND ...",
-            description="Local control of a proportional directional control valve: identify and simulate "
-            "a valve,\nand analyse recordings. valve-control COMMAND --help tells the options of a command.",
+            description="Local control of a proportional directional control valve: identify, simulate "
+            "and tune a valve,\nand analyse recordings. valve-control COMMAND --help lists the options "
+            "of a command.",
             epilog=EXAMPLES,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )

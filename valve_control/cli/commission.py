@@ -31,48 +31,63 @@ def add_commands(commands: Any) -> None:
     """Add commission to the command's sub-commands."""
     commission = commands.add_parser(
         "commission",
-        help="a running valve over ROS: tests within limits, model, gains, verification",
-        description="Commission a running valve, simulated or real: noise at rest, static gain, friction and "
-        "dead zone, frequency response, model, gains, verification run. Voltage and travel stay within their "
-        "limits, which the controller itself keeps. Ctrl-C, a fault or a failure lead to 0 V at once, and to "
-        "the parameters from before.",
+        help="test, model, tune and verify a running valve over ROS, within limits",
+        description="Commission a running valve, simulated or real: noise at rest, static gain, friction "
+        "and dead zone, frequency response, model, gains, verification run. The controller itself keeps "
+        "voltage and travel within their limits. Ctrl-C, a fault or a failure lead to 0 V at once and "
+        "restore the previous parameters.",
     )
-    commission.add_argument("--node", default="/controller", metavar="NAME", help="full name (/controller)")
+    commission.add_argument(
+        "--node", default="/controller", metavar="NAME", help="full name of the controller node (/controller)"
+    )
     group = commission.add_argument_group("limits")
-    group.add_argument("--max-voltage", type=float, default=4.0, metavar="V", help="to either side (4 V)")
-    group.add_argument("--travel", type=float, default=2.0, metavar="V", help="of the reading (2 V)")
-    group = commission.add_argument_group("what is tuned")
-    group.add_argument("--controller", metavar="LAW", help="law to tune (the one that is in force)")
+    group.add_argument(
+        "--max-voltage", type=float, default=4.0, metavar="V", help="largest voltage in both directions (4 V)"
+    )
+    group.add_argument(
+        "--travel", type=float, default=2.0, metavar="V", help="largest reading in both directions (2 V)"
+    )
+    group = commission.add_argument_group("tuning")
+    group.add_argument("--controller", metavar="LAW", help="law to tune (the present law)")
     group.add_argument(
         "--max-chatter",
         type=float,
         metavar="C_U",
-        help=f"limit of the chatter, kept in any case ({CHATTER:g}, or more where no gains keep it)",
+        help=f"limit of the chatter; a limit that you give is kept (default: {CHATTER:g}, or more if no "
+        f"gains keep it)",
     )
     group.add_argument(
         "--sensor-delay",
         type=float,
         default=0.0,
         metavar="S",
-        help="what of the dead time is the sensor's (0 s); the rest is the actuator's",
+        help="dead time of the sensor (0 s); the rest of the dead time belongs to the actuator",
     )
     group.add_argument(
         "--alone",
         action="store_true",
-        help="tune this law alone: no PID beside it, which may win",
+        help="tune this law only, and no PID that could have a smaller error",
     )
-    group.add_argument("--budget", type=int, default=200, metavar="N", help="sets of gains (200)")
-    group.add_argument("--valves", type=int, default=6, metavar="N", help="that are simulated (6)")
-    group.add_argument("--unseen", type=int, default=32, metavar="N", help="valves to verify on (32)")
-    group.add_argument("--seed", type=int, default=1, metavar="N", help="of the search (1)")
-    group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
-    group = commission.add_argument_group("how it goes on")
-    group.add_argument("--yes", action="store_true", help="no question before each step")
-    group.add_argument("--undo", action="store_true", help="bring the parameters from before back, and leave")
+    group.add_argument("--budget", type=int, default=200, metavar="N", help="number of sets of gains (200)")
+    group.add_argument(
+        "--valves", type=int, default=6, metavar="N", help="number of valves in the search (6)"
+    )
+    group.add_argument(
+        "--unseen", type=int, default=32, metavar="N", help="number of valves in the verification (32)"
+    )
+    group.add_argument("--seed", type=int, default=1, metavar="N", help="seed of the search (1)")
+    group.add_argument(
+        "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="number of threads (all cores)"
+    )
+    group = commission.add_argument_group("course of the commissioning")
+    group.add_argument("--yes", action="store_true", help="do not ask before each step")
+    group.add_argument("--undo", action="store_true", help="restore the previous parameters and exit")
     group.add_argument("--activate", action="store_true", help="with --undo: activate the controller too")
-    output = commission.add_argument_group("what comes out")
+    output = commission.add_argument_group("output")
     output.add_argument(
-        "--folder", default="out/commission", help="parameters from before and report (out/commission)"
+        "--folder",
+        default="out/commission",
+        help="folder of the previous parameters and the report (out/commission)",
     )
     output.add_argument("--json", metavar="FILE", help="result as JSON; - for standard output alone")
     commission.set_defaults(run=_commission)

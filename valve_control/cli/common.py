@@ -123,7 +123,7 @@ def clock_option(group: Any) -> None:
     group.add_argument(
         "--clock",
         choices=("log", "publish", "header", "/clock"),
-        help="whose times count: log_time (of recording), publish_time (of sending; the default where it "
+        help="clock of the times: log_time (of recording), publish_time (of sending; the default where it "
         "is fit for all signals), stamps in the headers of messages, or the simulated time on /clock",
     )
 
@@ -137,11 +137,13 @@ def bag_options(group: Any) -> None:
         metavar="PART=/TOPIC.FIELD",
         help="as for analyze; again for more",
     )
-    group.add_argument("--of", metavar="VALVE", help="which valve, if the bag has several")
+    group.add_argument("--of", metavar="VALVE", help="valve to read, if the bag has several")
     group.add_argument(
-        "--from", dest="start", type=float, metavar="S", help="begin this long after its beginning"
+        "--from", dest="start", type=float, metavar="S", help="begin S seconds after the beginning of the bag"
     )
-    group.add_argument("--to", dest="end", type=float, metavar="S", help="end this long after its beginning")
+    group.add_argument(
+        "--to", dest="end", type=float, metavar="S", help="end S seconds after the beginning of the bag"
+    )
     clock_option(group)
 
 

@@ -35,28 +35,33 @@ def add_commands(commands: Any) -> None:
         "compensator",
         help="pole-zero compensator (section 3.3 of the paper) for any model and bandwidth",
         description="Design the compensator that cancels a valve's poles (and stable zeros) and leaves a "
-        "Bessel low-pass. The model: what identify wrote (--from), (2) or (3) of the paper, or polynomials.",
+        "Bessel low-pass. The model is that of a parameter file of identify (--from), (2) or (3) of the "
+        "paper, or given by its polynomials.",
     )
     group = options.add_argument_group("the valve")
     group.add_argument("--from", dest="source", metavar="FILE", help="parameter file with a valve model")
-    group.add_argument("--model", choices=("second_order", "fourth_order"), help="(2) or (3) (fourth_order)")
+    group.add_argument(
+        "--model",
+        choices=("second_order", "fourth_order"),
+        help="model (2) or (3) of the paper (fourth_order)",
+    )
     for part in ("numerator", "denominator"):
-        group.add_argument(f"--{part}", type=float, nargs="+", metavar="C", help="in s, highest power first")
+        group.add_argument(
+            f"--{part}", type=float, nargs="+", metavar="C", help=f"{part} in s, highest power first"
+        )
     group = options.add_argument_group("the compensator")
-    group.add_argument("--bandwidth", type=float, metavar="HZ", help="wanted -3 dB bandwidth (25)")
-    group.add_argument("--keep-zeros", action="store_true", help="cancel the poles alone, as (13) does")
+    group.add_argument("--bandwidth", type=float, metavar="HZ", help="-3 dB bandwidth [Hz] (25)")
+    group.add_argument("--keep-zeros", action="store_true", help="cancel the poles only, as (13) does")
     group.add_argument(
         "--order", type=int, metavar="N", help="poles of the Bessel filter (one more than needed)"
     )
     group.add_argument("--sample-period", type=float, metavar="S", help="sample period [s] (0.001)")
-    group.add_argument("--u-max", type=float, metavar="V", help="limit of the voltage (10)")
+    group.add_argument("--u-max", type=float, metavar="V", help="limit of the voltage [V] (10)")
     group.add_argument(
-        "--amplitude", type=float, metavar="V", help="of the command, to be judged for saturation"
+        "--amplitude", type=float, metavar="V", help="amplitude of the command, to predict saturation"
     )
-    group.add_argument(
-        "--paper", action="store_true", help="(12) and (13) again, from what they were made from"
-    )
-    output = options.add_argument_group("what comes out")
+    group.add_argument("--paper", action="store_true", help="factorise (12) and (13)")
+    output = options.add_argument_group("output")
     output.add_argument("--output", metavar="FILE", help="ROS 2 parameter file for the controller")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")

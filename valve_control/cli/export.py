@@ -18,41 +18,39 @@ def add_commands(commands: Any) -> None:
     """Add export to the command's sub-commands."""
     options = commands.add_parser(
         "export",
-        help="a law, or the valve, as C99 or as an FMU, with the bits of the Python",
-        description="Write a law with its parameters as C99 that gives the same bits as the Python it is "
-        "made from: DIR/NAME.c, NAME.h, Makefile, check.c with check.csv (make -C DIR check) and README.md. "
-        "Or an FMU for co-simulation (Linux, x86-64), with the C inside.",
+        help="export a law, or the valve, as bit-identical C99 or as an FMU",
+        description="Write a law with its parameters as C99 that is bit-identical to the Python: "
+        "DIR/NAME.c, NAME.h, Makefile, check.c with check.csv (make -C DIR check) and README.md. Or "
+        "write an FMU for co-simulation (Linux, x86-64) that contains the C.",
     )
-    group = options.add_argument_group("what is exported")
+    group = options.add_argument_group("export")
     group.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
     group.add_argument(
         "--plant",
         choices=("valve", "axis"),
-        help="the simulated valve, or the axis that it feeds, instead of a law",
+        help="export the simulated valve, or the axis that it feeds, instead of a law",
     )
     group.add_argument(
         "--watch",
         action="store_true",
-        help="the law with the supervisor's watch over LVDT and command: gaps, 0 V on faults, limits",
+        help="export the law with the supervision of LVDT and command: gaps, 0 V on faults, limits",
     )
     parameter_options(group, "any parameter")
-    output = options.add_argument_group("what comes out")
+    output = options.add_argument_group("output")
+    output.add_argument("--output", metavar="DIR", required=True, help="new folder, or new file of an FMU")
     output.add_argument(
-        "--output", metavar="DIR", required=True, help="folder, or file of an FMU, that is new"
+        "--float", action="store_true", help="use float instead of double; needs a C compiler"
     )
     output.add_argument(
-        "--float", action="store_true", help="C in float in place of double; needs a C compiler"
-    )
-    output.add_argument(
-        "--fmu", type=int, choices=(2, 3), help="an FMU of FMI 2.0 or 3.0; needs a C compiler"
+        "--fmu", type=int, choices=(2, 3), help="write an FMU of FMI 2.0 or 3.0; needs a C compiler"
     )
     output.add_argument(
         "--parameters-only",
         action="store_true",
-        help="the numbers alone, for NAME_set_design of C that is in the machine: retune without a compiler",
+        help="write only the numbers for NAME_set_design, to retune exported C without a compiler",
     )
     output.add_argument(
-        "--json", metavar="FILE", help="what was exported as JSON; - for standard output alone"
+        "--json", metavar="FILE", help="list of the exported items as JSON; - for standard output alone"
     )
     options.set_defaults(run=_export)
 

@@ -48,30 +48,30 @@ def add_commands(commands: Any) -> None:
         "identify",
         parents=[setup_options()],
         conflict_handler="resolve",
-        help="transfer functions of a valve, from a test in simulation or from a bag",
-        description="Measure the frequency response from voltage to LVDT and fit transfer functions like (2) "
-        "and (3) with confidence bounds. Without a bag: a test of the simulated valve without feedback, a "
-        "stepped sine from 0.5 to 100 Hz unless --scenario (sweep, ...), --command or --set (frequency, "
-        "end_frequency, steps, cycles, step_time, sweep_time, amplitude, offset, in V of voltage) say "
-        "otherwise.",
+        help="fit transfer functions of a valve to a simulated or recorded test",
+        description="Measure the frequency response from voltage to LVDT and fit transfer functions like "
+        "(2) and (3) with confidence bounds. Without a bag the test is simulated, without feedback: a "
+        "stepped sine from 0.5 to 100 Hz, or the test of --scenario (sweep, ...), --command or --set "
+        "(frequency, end_frequency, steps, cycles, step_time, sweep_time, amplitude, offset; amplitude "
+        "and offset in V of voltage).",
     )
-    identify.add_argument("--scenario", choices=SCENARIOS[:-1], help="motion (default: stepped_sine)")
-    identify.add_argument("--duration", type=float, metavar="S", help="length [s] (what the motion takes)")
+    identify.add_argument("--scenario", choices=SCENARIOS[:-1], help="test signal (default: stepped_sine)")
+    identify.add_argument("--duration", type=float, metavar="S", help="length [s] (that of the test signal)")
     identify.add_argument(
         "--friction",
         nargs="?",
         const="",
         metavar="BAG",
-        help="friction level and presliding too, from a slow triangle of the voltage: simulated, or with a "
-        "bag from another one (scenario: triangle, amplitude: 4.0, frequency: 0.2, cycles: 9); what friction "
-        "takes of a stepped sine's voltage is then taken off",
+        help="also identify friction level and presliding from a slow triangle of the voltage, which is "
+        "simulated or comes from a second BAG (scenario: triangle, amplitude: 4.0, frequency: 0.2, "
+        "cycles: 9); the response of a stepped sine is then corrected for friction",
     )
     identify.add_argument(
         "bag", nargs="?", metavar="BAG", help="recorded stepped sine, sweep or other motion"
     )
     bag_options(identify.add_argument_group("with a bag"))
-    _fit_options(identify.add_argument_group("how it is measured and fitted"))
-    output = identify.add_argument_group("what comes out")
+    _fit_options(identify.add_argument_group("measurement and fit"))
+    output = identify.add_argument_group("output")
     output.add_argument(
         "--output", metavar="FILE", help="ROS 2 parameter file: valve model, compensator's model, estimates"
     )
@@ -82,8 +82,8 @@ def add_commands(commands: Any) -> None:
         action="append",
         default=[],
         metavar="FILE",
-        help="with --friction: characteristic curve in both directions, 100 points, as CSV, JSON, PNG or "
-        "SVG; as YAML its inverse, the parameters linearisation.*; again for more",
+        help="with --friction: write the characteristic curve in both directions, 100 points, as CSV, "
+        "JSON, PNG or SVG, or as YAML the parameters linearisation.* of its inverse; again for more",
     )
     output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
     identify.set_defaults(run=_identify)
@@ -95,39 +95,41 @@ def _fit_options(group: Any) -> None:
         type=float,
         default=USUAL["settle"],
         metavar="S",
-        help="transient left out of a step (0.4)",
+        help="transient [s] that is left out at the beginning of each step (0.4)",
     )
     group.add_argument(
-        "--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help="only these frequencies [Hz] are fitted"
+        "--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help="fit only these frequencies [Hz]"
     )
     group.add_argument(
         "--second-order",
         type=_second_order,
         metavar="HZ,DAMPING,GAIN",
-        help="no test, a valve with this natural frequency, damping and static gain [V/V], for example of a "
-        "data sheet; takes --set of u_max, lvdt.noise, lvdt.resolution and lvdt.delay",
+        help="use a valve with this natural frequency, damping and static gain [V/V] without a test, for "
+        "example from a data sheet; accepts --set of u_max, lvdt.noise, lvdt.resolution and lvdt.delay",
     )
     group.add_argument(
         "--order",
         type=int,
         choices=(2, 3, 4),
-        help="beside the second order (default: poles, zeros and dead time that the response shows)",
+        help="order of the model that is fitted beside the second order (default: poles, zeros and dead "
+        "time are chosen by the response)",
     )
     group.add_argument("--zeros", type=int, metavar="N", help="zeros of that model (order - 2)")
-    group.add_argument("--delay", action="store_true", help="estimate a dead time too")
+    group.add_argument("--delay", action="store_true", help="also estimate a dead time")
     group.add_argument(
         "--sensor-delay",
         type=float,
         default=0.0,
         metavar="S",
-        help="what of the dead time is the sensor's (0 s); the rest is the actuator's, and readings alone do "
-        "not tell the two apart",
+        help="dead time of the sensor (0 s); the rest of the dead time belongs to the actuator, because "
+        "readings alone cannot distinguish the two",
     )
     group.add_argument(
         "--weighting",
         choices=WEIGHTINGS,
         default=USUAL["weighting"],
-        help="likelihood: by uncertainty; relative: per cent; uniform: volts (default: likelihood)",
+        help="weight of the errors: likelihood: by uncertainty; relative: in per cent; uniform: in volts "
+        "(default: likelihood)",
     )
 
 

@@ -23,20 +23,24 @@ def add_commands(commands: Any) -> None:
     margins = commands.add_parser(
         "margins",
         parents=[valve_options()],
-        help="gain, phase and delay margin of given gains on a given valve or box",
+        help="gain, phase and delay margin of given gains on a valve or a box of valves",
         description="Margins of the sampled loop of one law around one valve, cut at the voltage: by how "
         "much its gain may rise and fall, phase margin, dead time that may be added, peaks of sensitivity "
         "and closed loop, and the largest swing about rest that friction sustains. With --box also the "
         "worst of each over the box of valves that `study` and `tune` take.",
     )
     margins.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
-    margins.add_argument("--box", action="store_true", help="also over the box of valves around this one")
+    margins.add_argument(
+        "--box",
+        action="store_true",
+        help="also find the worst margins over the box of valves around this one",
+    )
     margins.add_argument(
         "--fix",
         action="append",
         default=[],
         metavar="NAME",
-        help="with --box: quantity that stays as it is; again for more",
+        help="with --box: quantity that stays constant; again for more",
     )
     margins.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     margins.set_defaults(run=_margins)

@@ -48,20 +48,20 @@ def _bag_options() -> Parser:
         action="append",
         default=[],
         metavar="PART=/TOPIC.FIELD",
-        help="what plays the part of spool_command, spool_position or valve_voltage: any number of any "
-        "message, such as spool_position=/joint_states.position[0]*250 (volts per unit after *, with an "
+        help="source of spool_command, spool_position or valve_voltage: any number of any message, such "
+        "as spool_position=/joint_states.position[0]*250 (volts per unit after *, with an "
         "offset *1.25-15; or one of the words @%%, @0..10V, @4..20mA); boom/spool_position=... for a valve "
         "named boom; of a table: spool_position=COLUMN*1.25-15, time=COLUMN*0.001 in seconds or "
-        "time=row*0.001 at 1 kHz, and FILE:COLUMN where several are read; again for more",
+        "time=row*0.001 at 1 kHz, and FILE:COLUMN if several are read; again for more",
     )
     group.add_argument(
-        "--from", dest="start", type=float, metavar="S", help="begin this long after the bag's beginning [s]"
+        "--from", dest="start", type=float, metavar="S", help="begin S seconds after the bag's beginning"
     )
     group.add_argument(
-        "--to", dest="end", type=float, metavar="S", help="end this long after the bag's beginning [s]"
+        "--to", dest="end", type=float, metavar="S", help="end S seconds after the bag's beginning"
     )
     clock_option(group)
-    output = options.add_argument_group("what comes out")
+    output = options.add_argument_group("output")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     output.add_argument(
         "--csv", metavar="FILE", help="aligned signals as CSV (of several valves: one file each)"
@@ -76,7 +76,7 @@ def add_commands(commands: Any) -> None:
     analyze = commands.add_parser(
         "analyze",
         parents=[shared],
-        help="what a bag tells: sample rates, indices, estimates, spectra",
+        help="analyse a bag: sample rates, indices, estimates, spectra",
         description="Analyse a rosbag2 recording without ROS. Exit status 1 if an expectation is not met.",
     )
     analyze.add_argument(
@@ -84,22 +84,22 @@ def add_commands(commands: Any) -> None:
         action="append",
         default=[],
         metavar="CONDITION",
-        help="such as 'e_rms<0.02', 'boom.latency_s.p99<0.001', 'timing.spool_position.lost==0'; "
-        "again for more",
+        help="condition that the results must meet, such as 'e_rms<0.02', 'boom.latency_s.p99<0.001', "
+        "'timing.spool_position.lost==0'; again for more",
     )
     analyze.set_defaults(run=_analyze)
     _add_replay(commands, shared)
-    bag = commands.add_parser("bag", help="repair a bag", description="Work on a bag itself.")
+    bag = commands.add_parser("bag", help="repair a bag", description="Repair a bag.")
     tasks = bag.add_subparsers(dest="bag_task", required=True, metavar="TASK")
     recover = tasks.add_parser(
         "recover",
-        help="make an unfinished or damaged bag whole",
-        description="Make a bag whole, in place, whose recorder was killed: end its files, rebuild "
-        "metadata.yaml.",
+        help="repair an unfinished or damaged bag",
+        description="Repair a bag in place, such as that of a killed recorder: complete its files and "
+        "write metadata.yaml again.",
     )
     recover.add_argument("bag", metavar="BAG", help="folder of the bag, or one file")
-    recover.add_argument("--out", metavar="FOLDER", help="repair a copy instead")
-    recover.add_argument("--json", metavar="FILE", help="what was done as JSON; - for standard output alone")
+    recover.add_argument("--out", metavar="FOLDER", help="repair a copy in this folder instead")
+    recover.add_argument("--json", metavar="FILE", help="report as JSON; - for standard output alone")
     recover.set_defaults(run=_recover)
 
 
@@ -107,15 +107,18 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
     replay = commands.add_parser(
         "replay",
         parents=[shared],
-        help="a bag again: in shadow, as what-if, or live",
-        description="shadow: a controller sees the recorded command and LVDT, its voltage is shown beside "
-        "the recorded one. what-if: the closed loop is simulated again from the recorded command. live: the "
-        "bag's topics are published to running nodes (needs ROS).",
+        help="replay a bag: in shadow, as what-if, or live",
+        description="shadow: a controller receives the recorded command and LVDT readings; its voltage "
+        "is compared with the recorded one. what-if: the closed loop is simulated from the recorded "
+        "command. live: the bag's topics are published to running nodes (needs ROS).",
     )
     replay.add_argument(
-        "--mode", choices=("shadow", "what-if", "live"), default="shadow", help="(default: shadow)"
+        "--mode",
+        choices=("shadow", "what-if", "live"),
+        default="shadow",
+        help="mode of the replay (default: shadow)",
     )
-    replay.add_argument("--of", metavar="VALVE", help="which valve, if the bag has several")
+    replay.add_argument("--of", metavar="VALVE", help="valve to replay, if the bag has several")
     group = replay.add_argument_group("shadow and what-if: instead of the recorded parameters")
     group.add_argument("--controller", choices=CONTROLLERS, help="control law")
     group.add_argument(
@@ -129,12 +132,14 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
         help="ROS 2 parameter file; again for more",
     )
     live = replay.add_argument_group("live")
-    live.add_argument("--rate", type=float, default=1.0, metavar="X", help="times the recorded speed (1.0)")
     live.add_argument(
-        "--lockstep", action="store_true", help="each reading waits for the voltage of the one before"
+        "--rate", type=float, default=1.0, metavar="X", help="speed, relative to the recording (1.0)"
     )
     live.add_argument(
-        "--topics", nargs="+", metavar="TOPIC", help="what is published (the valves' command and position)"
+        "--lockstep", action="store_true", help="publish each reading after the voltage of the previous one"
+    )
+    live.add_argument(
+        "--topics", nargs="+", metavar="TOPIC", help="topics to publish (command and position of the valves)"
     )
     replay.set_defaults(run=_replay)
 

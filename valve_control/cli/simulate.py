@@ -47,14 +47,14 @@ def valve_options() -> Parser:
     """Parser with the options that say which valve and gains, for what has no motion and no noise."""
     options = Parser(add_help=False)
     options.set_defaults(scenario=None, command=None, duration=None, seed=None)
-    _valve_options(options.add_argument_group("which valve and gains"))
+    _valve_options(options.add_argument_group("valve and gains"))
     return options
 
 
 def setup_options(several: bool = False) -> Parser:
     """Parser with the options that say what is simulated; ``several``: with any number of commands."""
     options = Parser(add_help=False)
-    group = options.add_argument_group("what is simulated")
+    group = options.add_argument_group("simulation")
     _valve_options(group)
     group.add_argument("--scenario", choices=SCENARIOS[:-1], help="command shape (default: point_to_point)")
     group.add_argument(
@@ -70,7 +70,7 @@ def setup_options(several: bool = False) -> Parser:
 
 
 def _valve_options(group: Any) -> None:
-    group.add_argument("--valve", choices=VALVES, help="linear valve model (default: fourth_order)")
+    group.add_argument("--valve", choices=VALVES, help="valve model (default: fourth_order)")
     group.add_argument("--sample-period", type=float, metavar="S", help="sample period [s] (0.001)")
     parameter_options(group, "any parameter of controller, valve or command")
 
@@ -78,15 +78,18 @@ def _valve_options(group: Any) -> None:
 def delivery_options() -> Parser:
     """Parser with the options that say how the commands come."""
     options = Parser(add_help=False)
-    group = options.add_argument_group("how the commands come")
+    group = options.add_argument_group("delivery of the commands")
     group.add_argument(
         "--command-period",
         type=float,
         metavar="S",
-        help="from one command to the next (a sample); command.interpolation joins them",
+        help="time from one command to the next (one sample period); command.interpolation joins them",
     )
     group.add_argument(
-        "--command-jitter", type=float, metavar="S", help="by which each is early or late at most (0)"
+        "--command-jitter",
+        type=float,
+        metavar="S",
+        help="largest time by which a command is early or late (0)",
     )
     return options
 
@@ -94,7 +97,7 @@ def delivery_options() -> Parser:
 def output_options() -> Parser:
     """Parser with the options that say what is written."""
     options = Parser(add_help=False)
-    output = options.add_argument_group("what comes out")
+    output = options.add_argument_group("output")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     output.add_argument("--figure", metavar="FILE", help="command, position, error and voltage as PNG")
     return options
@@ -106,7 +109,7 @@ def add_commands(commands: Any) -> None:
     simulate = commands.add_parser(
         "simulate",
         parents=[setup, delivery_options(), output_options()],
-        help="one controller on one valve and one command",
+        help="run one controller on one valve with one command",
         description="Run one controller on one simulated valve; print the indices I1-I5 of the paper.",
     )
     simulate.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
@@ -116,7 +119,7 @@ def add_commands(commands: Any) -> None:
     compare = commands.add_parser(
         "compare",
         parents=[setup, delivery_options(), output_options()],
-        help="several bags; or, without a bag, all controllers in simulation beside the paper's Table 1",
+        help="compare several bags, or simulate all controllers beside the paper's Table 1",
         description="Compare the runs in several bags. Without a bag: run every controller on one valve and "
         "one command, beside the paper's Table 1.",
     )

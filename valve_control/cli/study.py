@@ -35,34 +35,37 @@ def add_commands(commands: Any) -> None:
     study = commands.add_parser(
         "study",
         parents=[setup_options()],
-        help="one controller on many valves: distributions, share unstable, worst cases",
-        description="Run one controller on many valves drawn from a box of gains, speeds, frictions, flow "
-        "forces, drifts, noises, delays and sample periods. Ctrl-C stops it; the same command goes on.",
+        help="run one controller on many valves: distributions, unstable share, worst valves",
+        description="Run one controller on many valves drawn from a box of gains, speeds, friction, flow "
+        "forces, drifts, noise, dead times and sample periods. Ctrl-C stops it; the same command resumes "
+        "it.",
     )
     study.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
     group = study.add_argument_group("study")
-    group.add_argument("--valves", type=int, default=100_000, metavar="N", help="how many (100000)")
+    group.add_argument("--valves", type=int, default=100_000, metavar="N", help="number of valves (100000)")
     group.add_argument(
         "--fix",
         action="append",
         default=[],
         metavar="NAME",
-        help="quantity of the box that stays as it is; again for more",
+        help="quantity of the box that stays constant; again for more",
     )
-    group.add_argument("--box", action="store_true", help="list the box and leave")
+    group.add_argument("--box", action="store_true", help="list the box and exit")
     group.add_argument("--study-seed", type=int, default=1, metavar="N", help="seed of the draw (1)")
     group.add_argument(
         "--limit",
         type=float,
         metavar="V",
-        help="a loop with a larger error in the last two seconds counts as unstable (0.15; if the command "
-        "moves then, twice the following error of the valve without variations more)",
+        help="a loop with a larger error [V] in the last two seconds counts as unstable (0.15; if the "
+        "command moves then, plus twice the tracking error of the valve without variations)",
     )
-    group.add_argument("--replay", type=int, metavar="N", help="run valve number N again, alone")
-    group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
+    group.add_argument("--replay", type=int, metavar="N", help="run only valve number N again")
+    group.add_argument(
+        "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="number of threads (all cores)"
+    )
     cluster_option(group)
-    group.add_argument("--folder", help="where results are kept (out/study-…, a folder for each study)")
-    output = study.add_argument_group("what comes out")
+    group.add_argument("--folder", help="folder of the results (out/study-…, one for each study)")
+    output = study.add_argument_group("output")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     output.add_argument("--figure", metavar="FILE", help="distributions as PNG or SVG; with --replay the run")
     output.add_argument("--output", metavar="FILE", help="with --replay: that valve as ROS 2 parameter file")

@@ -59,11 +59,11 @@ def add_commands(commands: Any) -> None:
     tune = commands.add_parser(
         "tune",
         parents=[setup_options(several=True), delivery_options()],
-        help="the best gains of any law for a valve and its spread, verified",
-        description="Search the gains of one or more laws: small error of the true position at limited "
-        "chatter on valves drawn from the study's box around a valve, with margins of the sampled loop that "
-        "hold all over it. What does not hold on valves, noise and commands that the search did not see is "
-        "not written. --seed is that of the search.",
+        help="search and verify the gains of laws for a valve and its spread",
+        description="Search the gains of one or more laws. The objective is a small error of the true "
+        "position at limited chatter, on valves drawn from the study's box around a valve. The sampled "
+        "loop has to keep its margins all over the box. Gains are written only if they pass a "
+        "verification with other valves, noise and commands. --seed is the seed of the search.",
     )
     tune.add_argument(
         "--controller", metavar="LAW,…", help="laws to tune, or all (default: that of the parameter files)"
@@ -72,71 +72,100 @@ def add_commands(commands: Any) -> None:
     group.add_argument(
         "--bag",
         metavar="BAG",
-        help="tune anew for the recorded valve, controller and command; --params-file has what is known of "
-        "the valve, and what the recording does not determine stays",
+        help="tune for the recorded valve, controller and command; --params-file has the known data of "
+        "the valve, and quantities that the recording does not determine keep their values",
     )
     bag_options(group)
-    group = tune.add_argument_group("what is wanted")
+    group = tune.add_argument_group("objective")
     group.add_argument("--max-chatter", type=float, metavar="C_U", help="limit of the mean chatter")
-    group.add_argument("--max-error", type=float, metavar="V", help="limit of the error, at least chatter")
-    group.add_argument("--error", choices=("rms", "max"), default="rms", help="what is made small (rms)")
+    group.add_argument(
+        "--max-error", type=float, metavar="V", help="limit of the error; the chatter is minimised"
+    )
+    group.add_argument("--error", choices=("rms", "max"), default="rms", help="error that is minimised (rms)")
     group.add_argument(
         "--preview", action="store_true", help="commands are known ahead (topic spool_trajectory)"
     )
-    _limit_options(tune.add_argument_group("what has to hold on every valve of the box"))
+    _limit_options(tune.add_argument_group("limits on every valve of the box"))
     _search_options(tune.add_argument_group("search"))
-    output = tune.add_argument_group("what comes out")
+    output = tune.add_argument_group("output")
     output.add_argument(
-        "--output", metavar="FILE", help="ROS 2 parameter file; of several laws NAME_LAW.yaml each"
+        "--output", metavar="FILE", help="ROS 2 parameter file; with several laws NAME_LAW.yaml for each"
     )
-    output.add_argument("--json", metavar="FILE", help="everything as JSON; - for standard output alone")
+    output.add_argument("--json", metavar="FILE", help="all results as JSON; - for standard output alone")
     output.add_argument("--html", metavar="FILE", help="report as one HTML page")
     tune.set_defaults(run=_tune)
 
 
 def _limit_options(limits: Any) -> None:
-    limits.add_argument("--gain-margin", type=float, default=3.0, metavar="DB", help="(3 dB)")
-    limits.add_argument("--phase-margin", type=float, default=20.0, metavar="DEG", help="(20 degrees)")
-    limits.add_argument("--delay-margin", type=float, default=0.0005, metavar="S", help="(0.0005 s)")
-    limits.add_argument("--peak", type=float, default=12.0, metavar="DB", help="of the sensitivity (12 dB)")
+    limits.add_argument(
+        "--gain-margin", type=float, default=3.0, metavar="DB", help="least gain margin, up and down (3 dB)"
+    )
+    limits.add_argument(
+        "--phase-margin", type=float, default=20.0, metavar="DEG", help="least phase margin (20 degrees)"
+    )
+    limits.add_argument(
+        "--delay-margin", type=float, default=0.0005, metavar="S", help="least delay margin (0.0005 s)"
+    )
+    limits.add_argument(
+        "--peak", type=float, default=12.0, metavar="DB", help="largest peak of the sensitivity (12 dB)"
+    )
     limits.add_argument(
         "--swing",
         type=float,
         default=0.04,
         metavar="V",
-        help="of swings about rest that friction sustains in the loop, and not by the valve alone (0.04 V)",
+        help="largest oscillation about rest that friction sustains in the loop, unless the valve alone "
+        "oscillates as much (0.04 V)",
     )
     limits.add_argument(
-        "--saturation", type=float, default=0.02, metavar="X", help="mean share of the samples (0.02)"
+        "--saturation",
+        type=float,
+        default=0.02,
+        metavar="X",
+        help="largest mean share of saturated samples (0.02)",
     )
     limits.add_argument(
         "--overshoot",
         type=float,
         default=5.0,
         metavar="%",
-        help="of steps of the command, on half of the valves (5 percent; 0: not asked for)",
+        help="largest overshoot of steps of the command, median of the valves (5 percent; 0: no limit)",
     )
     limits.add_argument(
         "--pause",
         type=float,
         default=0.01,
         metavar="S",
-        help="of the command, after which the reference has to come back (0.01 s; 0: not asked for)",
+        help="longest pause of the command after which the reference has to return to the motion (0.01 "
+        "s; 0: no requirement)",
     )
 
 
 def _search_options(group: Any) -> None:
-    group.add_argument("--valves", type=int, default=8, metavar="N", help="that are simulated (8)")
-    group.add_argument("--unseen", type=int, default=64, metavar="N", help="valves to verify on (64)")
     group.add_argument(
-        "--fix", action="append", default=[], metavar="NAME", help="quantity of the box that stays as it is"
+        "--valves", type=int, default=8, metavar="N", help="number of valves in the search (8)"
     )
-    group.add_argument("--budget", type=int, default=4000, metavar="N", help="sets of gains of a law (4000)")
-    group.add_argument("--alone", action="store_true", help="no PID beside the laws that are asked for")
-    group.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)")
+    group.add_argument(
+        "--unseen", type=int, default=64, metavar="N", help="number of valves in the verification (64)"
+    )
+    group.add_argument(
+        "--fix",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="quantity of the box that stays constant; again for more",
+    )
+    group.add_argument(
+        "--budget", type=int, default=4000, metavar="N", help="number of sets of gains of each law (4000)"
+    )
+    group.add_argument("--alone", action="store_true", help="tune no PID beside the requested laws")
+    group.add_argument(
+        "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="number of threads (all cores)"
+    )
     cluster_option(group)
     group.add_argument(
-        "--folder", help="where a search that is stopped is kept, to go on (out/tune-…, one for each request)"
+        "--folder",
+        help="folder in which a stopped search is kept, to resume it (out/tune-…, one for each request)",
     )
 
 

@@ -23,14 +23,12 @@ PARAMETERS: Table = (
         "valve model that a designed compensator cancels: (2), (3) or custom",
         choices=("second_order", "fourth_order", "custom"),
     ),
-    Parameter(
-        "compensator.bandwidth", 25.0, "Hz", "wanted -3 dB bandwidth of a designed compensator", 0.1, 1e4
-    ),
+    Parameter("compensator.bandwidth", 25.0, "Hz", "-3 dB bandwidth of a designed compensator", 0.1, 1e4),
     Parameter(
         "compensator.order",
         0,
         "",
-        "poles of the Bessel filter that a designed compensator leaves; 0: one more than it must have",
+        "number of poles of the Bessel filter of a designed compensator; 0: one more than necessary",
         0,
         6,
     ),
@@ -38,7 +36,7 @@ PARAMETERS: Table = (
         "compensator.cancel_zeros",
         True,
         "",
-        "whether a designed compensator cancels the stable zeros of the model too; (13) does not",
+        "whether a designed compensator also cancels the stable zeros of the model; (13) does not",
     ),
     *models.custom_parameters("compensator."),
 )

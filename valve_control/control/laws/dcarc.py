@@ -563,7 +563,7 @@ PARAMETERS: Table = (
         "dcarc.model",
         "fourth_order",
         "",
-        "valve model that is inverted and observed: (2), (3) or custom",
+        "valve model for inverse and observer: (2), (3) or custom",
         choices=("second_order", "fourth_order", "custom"),
     ),
     *models.custom_parameters("dcarc."),
@@ -571,8 +571,8 @@ PARAMETERS: Table = (
         "dcarc.smoothing",
         0.001,
         "s",
-        "time constant of a filter behind (8), for the third derivative of the reference that a model with "
-        "three more poles than zeros needs; without effect on other models",
+        "time constant of a filter behind (8), which gives the third derivative of the reference for a "
+        "model with three more poles than zeros; without effect on other models",
         1e-5,
         0.1,
     ),
@@ -580,8 +580,9 @@ PARAMETERS: Table = (
         "dcarc.coil",
         0.0,
         "s",
-        "lag of the force behind the voltage, a pole of a model with three more poles than zeros: the "
-        "disturbance is then a force, and the compensation leads it by the coil; 0.0: none",
+        "time constant of the lag of the force behind the voltage, a pole of a model with three more "
+        "poles than zeros; the disturbance is then a force, and the compensation leads by this time; "
+        "0.0: none",
         0.0,
         0.1,
     ),
@@ -589,8 +590,7 @@ PARAMETERS: Table = (
         "dcarc.hysteresis",
         0.0,
         "V",
-        "half width of the magnet's hysteresis, initial weight of the direction of the force; 0.0: no such "
-        "term",
+        "half width of the magnet's hysteresis, initial weight of its term; 0.0: no such term",
         0.0,
         10.0,
     ),
@@ -598,8 +598,8 @@ PARAMETERS: Table = (
         "dcarc.sides",
         0.0,
         "-",
-        "relative difference that is expected between the gains of two solenoids, standard deviation of the "
-        "weight of the positive part of the force; 0.0: no such term",
+        "expected relative difference of the gains of two solenoids: standard deviation of the weight of "
+        "the positive part of the force; 0.0: no such term",
         0.0,
         1.0,
     ),
@@ -618,8 +618,8 @@ PARAMETERS: Table = (
         "dcarc.hum",
         0.0,
         "Hz",
-        "frequency of a hum in the reading, 50 or 60 Hz, which the Kalman filter tells from motion; below "
-        "half of the sample rate; 0.0: none",
+        "frequency of a hum in the reading, 50 or 60 Hz, that the Kalman filter separates from motion; "
+        "below half of the sample rate; 0.0: none",
         0.0,
         1000.0,
     ),
@@ -627,7 +627,7 @@ PARAMETERS: Table = (
         "dcarc.input_noise",
         1.2,
         "V",
-        "standard deviation of what disturbs the input from sample to sample, for the Kalman filter",
+        "standard deviation of the input noise per sample, for the Kalman filter",
         0.0,
         1e3,
     ),
@@ -655,7 +655,8 @@ PARAMETERS: Table = (
         "dcarc.standstill_rate",
         0.32,
         "V/s",
-        "rate of the reference at which half of what the standstill weight adds is left; below, weights rest",
+        "rate of the reference at which the standstill term has half of its value; below it the weights "
+        "do not adapt",
         1e-6,
         1e4,
     ),
@@ -663,7 +664,7 @@ PARAMETERS: Table = (
         "dcarc.theta_initial",
         [0.0] * 9,
         "",
-        f"initial weights of the compensation: {WEIGHTS}; setting it starts them anew",
+        f"initial weights of the compensation: {WEIGHTS}; setting it restarts them",
         -1e3,
         1e3,
         length=9,
@@ -690,8 +691,8 @@ PARAMETERS: Table = (
         "dcarc.theta_spread",
         [0.2, 0.46, 0.46, 0.46, 1.1, 1.3, 1.0, 1.8e-5, 3.4e-5],
         "",
-        f"how far the weights may be from the initial ones, standard deviations; 0.0 switches off; the "
-        f"monitor of assumptions counts at least the defaults: {WEIGHTS}",
+        f"standard deviations of the weights around the initial ones; 0.0 switches a term off; the "
+        f"assumption monitor uses at least the defaults: {WEIGHTS}",
         0.0,
         1e3,
         length=9,
@@ -700,7 +701,8 @@ PARAMETERS: Table = (
         "dcarc.fit_noise",
         1.2,
         "V",
-        "how closely the weights follow the estimated disturbance, standard deviation; larger is slower",
+        "assumed noise of the estimated disturbance in the fit of the weights, standard deviation; a "
+        "larger one adapts more slowly",
         1e-4,
         1e3,
     ),
@@ -708,7 +710,7 @@ PARAMETERS: Table = (
         "dcarc.forgetting",
         0.2,
         "1/s",
-        "rate at which what was learned gets uncertain again; 0.0: never",
+        "rate at which the variances of the weights return to their initial values; 0.0: never",
         0.0,
         100.0,
     ),

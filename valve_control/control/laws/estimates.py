@@ -31,7 +31,7 @@ def parameters(law: str, gamma: list[float]) -> Table:
             f"{law}.theta_initial",
             INITIAL,
             "",
-            f"initial estimates θ̂(0): {UNITS}; setting it starts the estimates anew",
+            f"initial estimates θ̂(0): {UNITS}; setting it restarts the estimates",
             -1e9,
             1e9,
             length=4,

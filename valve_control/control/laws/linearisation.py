@@ -54,7 +54,7 @@ PARAMETERS: Table = (
         "linearisation.gain",
         1.0,
         "V/V",
-        "static gain of the law's model: 1 V of the law stands for this position",
+        "static gain of the law's model: steady position for 1 V of the law",
         1e-3,
         1e3,
     ),

@@ -318,7 +318,7 @@ PARAMETERS: Table = (
         "oarc.z2_weight",
         1.44e6,
         "1/s²",
-        "weight ρ of z2² in V2; 1.0 is the paper, θ3(0)² puts z2 on the scale of V/s",
+        "weight ρ of z2² in V2; the paper has 1.0; θ3(0)² scales z2 to V/s",
         1e-3,
         1e12,
     ),

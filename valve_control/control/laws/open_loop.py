@@ -11,7 +11,7 @@ PARAMETERS: Table = (
         "open_loop.static_gain",
         46882988.0 / 56553725.0,
         "V/V",
-        "static gain of the valve that the open loop divides by; that of (3)",
+        "static gain of the valve, by which the open loop divides the command; default: that of (3)",
         1e-6,
         1e6,
     ),

@@ -165,8 +165,8 @@ PARAMETERS: Table = (
         "pid.form",
         "paper",
         "",
-        "paper: (56) as printed; reference: model terms from the reference, as (55) supposes; "
-        "plain: static feedforward, filtered derivative, no reshaping",
+        "paper: (56) as printed; reference: model terms from the reference, as in (55); plain: static "
+        "feedforward, filtered derivative, no reshaping",
         choices=("paper", "reference", "plain"),
     ),
     Parameter("pid.kp", 3.837, "V/V", "proportional gain", 0.0, 1e6),
@@ -176,7 +176,8 @@ PARAMETERS: Table = (
         "pid.break_frequency",
         0.0,
         "Hz",
-        "above 0, kp, ki and kd are computed from (55) with all poles here (7.0 is the paper)",
+        "frequency of all poles of (55), from which kp, ki and kd are computed (the paper has 7.0); 0: "
+        "kp, ki and kd as given",
         0.0,
         1e4,
     ),

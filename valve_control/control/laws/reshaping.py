@@ -153,8 +153,8 @@ PARAMETERS: Table = (
         "reshaping.form",
         "paper",
         "",
-        "paper: (8) to (11) as printed; braking: the reference brakes in time and never overshoots a step, "
-        "with ξ_n of 1 at least and ω_n of 1/(ξ_n·ΔT) at most",
+        "paper: (8) to (11) as printed; braking: the reference brakes in time and never overshoots a "
+        "step from rest; ξ_n is then at least 1 and ω_n at most 1/(ξ_n·ΔT)",
         choices=("paper", "braking"),
     ),
     Parameter("reshaping.natural_frequency", 314.0, "rad/s", "natural frequency ω_n of (8)", 1.0, 1e5),
@@ -165,8 +165,8 @@ PARAMETERS: Table = (
         "reshaping.lead",
         0.0,
         "s",
-        "lead of the command from past commands, for every law: 2·ξ_n/ω_n makes up for the lag of (8), more "
-        "for that of the loop too; 0.0: none",
+        "lead of the command, computed from past commands, for every law: 2·ξ_n/ω_n compensates the lag "
+        "of (8), a larger value also the lag of the loop; 0.0: none",
         0.0,
         MOST_LEAD,
     ),
@@ -174,8 +174,8 @@ PARAMETERS: Table = (
         "reshaping.lead_accel",
         0.0,
         "-",
-        "share of the acceleration's part in reshaping.lead: 1.0 makes up for the error under a steady "
-        "acceleration too; 0.0: lead by the rate alone",
+        "share of the acceleration term in reshaping.lead: 1.0 also compensates the error at constant "
+        "acceleration; 0.0: lead by the rate alone",
         0.0,
         1.0,
     ),

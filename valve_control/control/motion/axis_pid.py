@@ -113,28 +113,40 @@ def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> SpoolR
 
 
 PARAMETERS: Table = (
-    Parameter("kp", 10.0, "1/s", "velocity per position error", 0.0, 1e4),
+    Parameter("kp", 10.0, "1/s", "proportional gain: velocity per position error", 0.0, 1e4),
     Parameter("ki", 0.0, "1/s²", "integral gain", 0.0, 1e6),
-    Parameter("kd", 0.0, "-", "velocity per rate of the position error", 0.0, 100.0),
-    Parameter("velocity_feedforward", 1.0, "-", "share of the course's velocity", 0.0, 10.0),
+    Parameter("kd", 0.0, "-", "derivative gain: velocity per rate of the position error", 0.0, 100.0),
+    Parameter("velocity_feedforward", 1.0, "-", "share of the course's velocity in the command", 0.0, 10.0),
     Parameter(
-        "acceleration_feedforward", 0.0, "s", "velocity per acceleration of the course: a lead", -10.0, 10.0
+        "acceleration_feedforward", 0.0, "s", "lead: velocity per acceleration of the course", -10.0, 10.0
     ),
     Parameter(
         "gain_out",
         0.0,
         "m/s/V",
-        "velocity outwards per spool position beyond the overlap; 0: of the machine",
+        "velocity in extension per spool position beyond the overlap; 0: computed from the machine",
         0.0,
         1e3,
     ),
-    Parameter("gain_in", 0.0, "m/s/V", "the same inwards", 0.0, 1e3),
-    Parameter("overlap", 0.3, "V", "overlap of the spool that is jumped", 0.0, 100.0),
     Parameter(
-        "overlap_zone", 0.05, "V", "command beyond the overlap from which the jump is whole", 1e-6, 100.0
+        "gain_in",
+        0.0,
+        "m/s/V",
+        "velocity in retraction per spool position beyond the overlap; 0: computed from the machine",
+        0.0,
+        1e3,
     ),
-    Parameter("spool_limit", 10.0, "V", "of the spool command", 0.01, 100.0),
-    Parameter("derivative_cutoff", 50.0, "Hz", "of the low-pass of the derivative", 1.0, 1e5),
+    Parameter("overlap", 0.3, "V", "overlap of the spool that is compensated", 0.0, 100.0),
+    Parameter(
+        "overlap_zone",
+        0.05,
+        "V",
+        "command beyond the overlap from which the compensation is complete",
+        1e-6,
+        100.0,
+    ),
+    Parameter("spool_limit", 10.0, "V", "limit of the spool command", 0.01, 100.0),
+    Parameter("derivative_cutoff", 50.0, "Hz", "cut-off of the low-pass of the derivative", 1.0, 1e5),
 )
 
 

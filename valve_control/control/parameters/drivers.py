@@ -27,7 +27,7 @@ SIMULATED: Table = tuple(
         "simulated.paced",
         True,
         "",
-        "one sample per period of real time; false: the next as soon as it is asked for",
+        "one sample per period of real time; false: the next sample as soon as it is requested",
     ),
 )
 
@@ -47,31 +47,31 @@ DRIVER = Parameter(
     "driver",
     "serial",
     "",
-    "kind of the device that has amplifier and LVDT",
+    "kind of the device with amplifier and LVDT",
     choices=tuple(DRIVERS),
     left_out=tuple(LEFT_OUT.items()),
 )
 KINDS_PARAMETERS: Table = tuple(p for kind in DRIVERS.values() for p in kind.parameters)
 SIDES: Table = (
     Parameter("position.scale", "", "", f"signal of the LVDT: {SCALE}"),
-    Parameter("position.reversed", False, "", "other polarity of the LVDT"),
+    Parameter("position.reversed", False, "", "reverse the polarity of the LVDT"),
     Parameter("position.low", -11.0, "V", "readings below count as missing", -1000.0, 1000.0),
     Parameter("position.high", 11.0, "V", "readings above count as missing", -1000.0, 1000.0),
     Parameter("voltage.scale", "", "", f"signal of the amplifier: {SCALE}"),
-    Parameter("voltage.reversed", False, "", "other polarity of the amplifier"),
-    Parameter("voltage.low", -10.0, "V", "lowest voltage that is given", -1000.0, 0.0),
-    Parameter("voltage.high", 10.0, "V", "highest voltage that is given", 0.0, 1000.0),
+    Parameter("voltage.reversed", False, "", "reverse the polarity of the amplifier"),
+    Parameter("voltage.low", -10.0, "V", "lower limit of the voltage", -1000.0, 0.0),
+    Parameter("voltage.high", 10.0, "V", "upper limit of the voltage", 0.0, 1000.0),
 )
 VALVE_DRIVER: Table = (
     DRIVER,
     SAMPLE_PERIOD,
     *SIDES,
-    Parameter("enable", True, "", "output on; false: 0 V and the output stage off, readings go on"),
+    Parameter("enable", True, "", "output on; false: 0 V and the output stage off, while readings continue"),
     Parameter(
         "watchdog",
         0.1,
         "s",
-        "silence of valve_voltage after which the output is 0 V; a voltage brings it back",
+        "silence of valve_voltage after which the output is 0 V, until a voltage arrives",
         0.005,
         60.0,
     ),
@@ -79,8 +79,8 @@ VALVE_DRIVER: Table = (
         "answer_share",
         0.8,
         "-",
-        "part of the sample period for which the voltage that answers a reading is waited for; a later one "
-        "is given after the next reading",
+        "share of the sample period for which the driver waits for the voltage of a reading; it writes a "
+        "later voltage after the next reading",
         0.0,
         0.95,
     ),
@@ -92,7 +92,7 @@ DECIMATION = Parameter(
     "signal_decimation",
     1,
     "",
-    "every n-th reading and voltage goes to spool_position and valve_voltage; the journal has them all",
+    "publish every n-th reading and voltage on spool_position and valve_voltage; the journal has all of them",
     1,
     1000,
 )

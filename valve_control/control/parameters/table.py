@@ -38,17 +38,17 @@ CONTROLLER: Table = (
         "command.interpolation",
         "hold",
         "",
-        "between commands that are slower than the LVDT, by their time stamps: hold; linear: a straight line "
-        "to the newest, which takes a command period; extrapolate: to where the next one will be; bridge: "
-        "along the course of the last ones, see command.bridge",
+        "interpolation of commands that are slower than the LVDT, by their time stamps: hold; linear: a "
+        "straight line to the newest command, in one command period; extrapolate: a straight line to the "
+        "expected next command; bridge: the cubic through the last commands, see command.bridge",
         choices=("hold", "linear", "extrapolate", "bridge"),
     ),
     Parameter(
         "command.bridge",
         0.006,
         "s",
-        "time for which a command or point of a trajectory that is late is bridged by the course of those "
-        "before; then the last one holds; 0.0: it holds at once",
+        "time for which the motion continues with its derivatives if a command or a point of a "
+        "trajectory is late; then the last one holds; 0.0: it holds at once",
         0.0,
         0.1,
     ),
@@ -56,7 +56,7 @@ CONTROLLER: Table = (
         "transfer_time",
         0.05,
         "s",
-        "time constant with which the step between two laws fades after a change of controller",
+        "time constant with which the step between two laws decays after a change of controller",
         0.001,
         10.0,
     ),
@@ -65,15 +65,15 @@ CONTROLLER: Table = (
         "state_topics",
         [""],
         "",
-        "terms of ~/state that are also published one by one under their names, as numbers on ~/terms/NAME, "
-        "for tools that show no labels; those that the law in force does not have are silent; empty: none",
+        "terms of ~/state that are also published as single numbers on ~/terms/NAME, for tools that show "
+        "no labels; terms that the present law does not have are not published; empty: none",
     ),
     Parameter(
         "memory_period",
         1.0,
         "s",
-        "time between two accounts of all that the controller remembers, on ~/memory, with which a recording "
-        "can be replayed from its middle; 0.0: none, and no ~/journal",
+        "time between two snapshots of the state of the controller on ~/memory, from which the replay of "
+        "a recording can start in its middle; 0.0: no snapshots and no ~/journal",
         0.0,
         3600.0,
     ),
@@ -87,13 +87,13 @@ CONTROLLER: Table = (
     ),
     Parameter("neutral_rate", 20.0, "V/s", "largest rate on the return to neutral", 0.01, 1e5),
     Parameter("neutral_accel", 400.0, "V/s²", "largest acceleration on the return to neutral", 0.1, 1e7),
-    Parameter("saturation_limit", 1.0, "s", "saturation that lasts longer is reported", 0.001, 1e6),
+    Parameter("saturation_limit", 1.0, "s", "longest saturation that is not reported", 0.001, 1e6),
     Parameter(
         "oscillation_limit",
         1.0,
         "V",
-        "amplitude from which a sustained oscillation of the voltage that the command does not explain is "
-        "reported; 0.0: none",
+        "least amplitude of a sustained oscillation of the voltage that is reported, unless the command "
+        "explains it; 0.0: no report",
         0.0,
         1000.0,
     ),
@@ -101,7 +101,8 @@ CONTROLLER: Table = (
         "lvdt.hold_samples",
         20,
         "",
-        "missing or unusable LVDT readings in a row that are bridged; after one more the voltage is 0 V",
+        "largest number of missing or unusable LVDT readings in a row that is bridged; after one more "
+        "the voltage is 0 V",
         0,
         10000,
     ),
@@ -118,7 +119,7 @@ CONTROLLER: Table = (
         "lvdt.max_rate",
         500.0,
         "V/s",
-        "fastest motion of a spool; a reading that moved faster is a jump",
+        "highest speed of the spool; a faster change of the reading is a jump",
         0.1,
         1e7,
     ),
@@ -127,7 +128,7 @@ CONTROLLER: Table = (
         "lvdt.frozen_samples",
         20,
         "",
-        "equal readings in a row from which a frozen LVDT is looked for; 0: not watched",
+        "number of equal readings in a row after which the LVDT is checked for freezing; 0: no check",
         0,
         100000,
     ),
@@ -135,8 +136,8 @@ CONTROLLER: Table = (
         "lvdt.frozen_voltage",
         0.5,
         "V",
-        "motion of the voltage that must show in noisy readings unless the LVDT is frozen; a quiet LVDT is "
-        "judged by lvdt.disturbance and by its speed before",
+        "change of the voltage during equal readings from which a noisy LVDT counts as frozen; a quiet "
+        "LVDT is judged by lvdt.disturbance and by its previous speed",
         0.001,
         100.0,
     ),
@@ -144,8 +145,8 @@ CONTROLLER: Table = (
         "lvdt.period_limit",
         0.15,
         "-",
-        "readings whose period is further off sample_period than this share are not controlled; from 2 % on "
-        "it is reported",
+        "largest relative deviation of the period of the readings from sample_period; beyond it the "
+        "voltage is 0 V; from 2 % on it is reported",
         0.02,
         1000.0,
     ),
@@ -153,9 +154,10 @@ CONTROLLER: Table = (
         "lvdt.disturbance",
         5.0,
         "V",
-        "largest friction and offset together; readings that defy a larger voltage, or that run against the "
-        "voltage, have the wrong sign or slope, and readings of a quiet converter that stand against it are "
-        "frozen; 0.0: readings are not compared with the voltage, and 5 V hold for standing ones",
+        "largest sum of friction and offset; readings that oppose a larger voltage, or move against the "
+        "voltage, have the wrong sign or slope, and readings of a quiet converter that stand still "
+        "against it are frozen; 0.0: readings are not compared with the voltage, and the check of "
+        "standing readings uses 5 V",
         0.0,
         100.0,
     ),
@@ -163,28 +165,34 @@ CONTROLLER: Table = (
         "lvdt.excitation",
         0.1,
         "V",
-        "standard deviation of voltage and reading in motion, from which they are compared",
+        "least standard deviation of voltage and reading in motion at which they are compared",
         0.001,
         100.0,
     ),
     Parameter(
-        "lvdt.slow", 1.0, "V/s", "readings that move slower are not compared with the voltage", 0.01, 1e4
+        "lvdt.slow",
+        1.0,
+        "V/s",
+        "least speed of the readings at which they are compared with the voltage",
+        0.01,
+        1e4,
     ),
     Parameter(
         "lvdt.hold_off",
         0.3,
         "s",
-        "0 V after a jump of the readings, or after their disagreement with the voltage; twice as long after "
-        "each further one, until motion has shown that they agree",
+        "time at 0 V after a jump of the readings or their disagreement with the voltage; it doubles "
+        "with each further one, until motion has shown that they agree",
         0.001,
         1e6,
     ),
-    Parameter("lvdt.hold_off_limit", 60.0, "s", "longest of these times", 0.001, 1e6),
+    Parameter("lvdt.hold_off_limit", 60.0, "s", "largest value of this time", 0.001, 1e6),
     Parameter(
         "lockstep",
         False,
         "",
-        "wait at each reading for the command of the same number (for clock: lockstep with a command source)",
+        "wait at each reading for the command of the same number (for a valve_simulator with clock: "
+        "lockstep and a command source)",
     ),
     Parameter(
         "save_file",
@@ -192,7 +200,12 @@ CONTROLLER: Table = (
         "",
         "file of ~/save_parameters, absolute or relative to the folder in which the node was started",
     ),
-    Parameter("load_file", "", "", "file of ~/load_parameters, likewise; empty: that of save_file"),
+    Parameter(
+        "load_file",
+        "",
+        "",
+        "file of ~/load_parameters, absolute or relative to the same folder; empty: save_file",
+    ),
     AUTOSTART,
     *REALTIME,
     *reshaping.PARAMETERS,
@@ -207,7 +220,7 @@ VALVE: Table = (
         "valve",
         "fourth_order",
         "",
-        "linear model of the valve: second_order (2), fourth_order (3) or custom; solenoid: coil, "
+        "model of the valve: second_order (2), fourth_order (3) or custom: linear; solenoid: coil, "
         "hysteresis, two sides, spool with friction and stops",
         choices=tuple(registry.CHOICES),
         left_out=tuple(registry.LEFT_OUT.items()),
@@ -219,12 +232,14 @@ VALVE: Table = (
         "patience",
         0.01,
         "s",
-        "how long the next sample is held back for a voltage that is late; then the last one holds",
+        "longest delay of the next sample while the voltage is late; then the last voltage holds",
         0.0,
         1.0,
     ),
     *common.DISTURBANCES,
-    Parameter("listeners", 1, "", "lockstep: subscriptions to wait for before the first reading", 1, 100),
+    Parameter(
+        "listeners", 1, "", "lockstep: number of subscriptions to wait for before the first reading", 1, 100
+    ),
     *sensor.PARAMETERS,
     Parameter(
         "clock",
@@ -245,8 +260,8 @@ VALVE: Table = (
         "fault.lvdt",
         "none",
         "",
-        "injected fault of the LVDT; a lost reading is sent as a frame that DDS cannot read; flipped and "
-        "half are of sign and gain",
+        "injected fault of the LVDT; lost: the reading is sent as a frame that DDS cannot read; flipped: "
+        "wrong sign; half: half of the gain",
         choices=(
             "none",
             "lost",
@@ -288,37 +303,52 @@ COMMAND: Table = (
         "trigger",
         "timer",
         "",
-        "what paces the commands: a timer of the node's own, spool_position (one command per reading), "
-        "valve_voltage (one per voltage: in time for the next reading, and not too soon), or "
-        "lockstep (the first at once, each further one per reading, none lost)",
+        "trigger of the commands: a timer of the node, spool_position (one command per reading), "
+        "valve_voltage (one command per voltage, before the next reading), or lockstep (the first "
+        "command at once, then one per reading, none lost)",
         choices=("timer", "spool_position", "valve_voltage", "lockstep"),
     ),
     Parameter(
         "message",
         "command",
         "",
-        "what is published: command: numbers on spool_command; trajectory: with their derivatives on "
-        "spool_trajectory",
+        "message: command: numbers on spool_command; trajectory: points with derivatives on spool_trajectory",
         choices=("command", "trajectory"),
     ),
-    Parameter("every", 1, "", "sample periods from one message to the next", 1, 1000),
-    Parameter("listeners", 1, "", "subscriptions to wait for before the command begins", 0, 100),
-    Parameter("delay", 0.5, "s", "pause between their arrival and the beginning", 0.0, 1e6),
-    Parameter("duration", 6.0, "s", "length; afterwards the last command is held", 0.001, 1e6),
+    Parameter("every", 1, "", "number of sample periods from one message to the next", 1, 1000),
+    Parameter("listeners", 1, "", "number of subscriptions to wait for before the command begins", 0, 100),
+    Parameter(
+        "delay", 0.5, "s", "pause between the arrival of these subscriptions and the beginning", 0.0, 1e6
+    ),
+    Parameter("duration", 6.0, "s", "duration of the command; afterwards the last command holds", 0.001, 1e6),
     Parameter("amplitude", 2.92, "V", "height, stroke or amplitude", -10.0, 10.0),
     Parameter("offset", 0.0, "V", "added to the command", -10.0, 10.0),
     Parameter("start", 0.25, "s", "standstill before the motion", 0.0, 1e6),
     Parameter(
-        "frequency", 6.0, "Hz", "of sine, triangle; start of the sweep; first of the stepped sine", 1e-4, 1e4
+        "frequency",
+        6.0,
+        "Hz",
+        "frequency of sine and triangle; start of the sweep; first frequency of the stepped sine",
+        1e-4,
+        1e4,
     ),
-    Parameter("end_frequency", 60.0, "Hz", "end of the sweep; last of the stepped sine", 1e-4, 1e4),
+    Parameter("end_frequency", 60.0, "Hz", "end of the sweep; last frequency of the stepped sine", 1e-4, 1e4),
     Parameter("sweep_time", 5.0, "s", "duration of the sweep", 1e-3, 1e6),
-    Parameter("steps", 30, "", "frequencies of the stepped sine, evenly spaced in logarithm", 1, 1000),
-    Parameter("cycles", 5, "", "of the triangle; least ones of each frequency of the stepped sine", 1, 10000),
+    Parameter(
+        "steps", 30, "", "number of frequencies of the stepped sine, spaced evenly in logarithm", 1, 1000
+    ),
+    Parameter(
+        "cycles",
+        5,
+        "",
+        "number of cycles of the triangle; least number at each frequency of the stepped sine",
+        1,
+        10000,
+    ),
     Parameter("step_time", 1.0, "s", "least time of each frequency of the stepped sine", 0.0, 1e4),
-    Parameter("max_velocity", 8.0, "V/s", "of the point-to-point motion", 1e-3, 1e4),
-    Parameter("max_accel", 64.0, "V/s²", "of the point-to-point motion", 1e-3, 1e6),
-    Parameter("cycle", 5.81, "s", "point to point: there and back again", 1e-2, 1e6),
+    Parameter("max_velocity", 8.0, "V/s", "largest velocity of the point-to-point motion", 1e-3, 1e4),
+    Parameter("max_accel", 64.0, "V/s²", "largest acceleration of the point-to-point motion", 1e-3, 1e6),
+    Parameter("cycle", 5.81, "s", "period of the point-to-point motion, there and back", 1e-2, 1e6),
     Parameter(
         "fault.command",
         "none",
@@ -340,7 +370,7 @@ MANIFOLD: Table = (
         "node",
         "controller",
         "",
-        "what is hosted for each valve",
+        "node that is hosted for each valve",
         choices=("controller", "valve_simulator"),
     ),
 )
@@ -368,31 +398,43 @@ RECORDER: Table = (
         "regular expressions, one of which must match the whole name of a topic; empty: commands, readings, "
         "voltages, states and memories of all valves, /diagnostics and /clock; /parameter_events always",
     ),
-    Parameter("max_size", 0.0, "MB", "size after which the bag's next file begins; 0.0: never", 0.0, 1e6),
-    Parameter("max_duration", 0.0, "s", "time after which the bag's next file begins; 0.0: never", 0.0, 1e6),
-    Parameter("flush_period", 0.25, "s", "at most this much is lost if the recorder is killed", 0.02, 1.0),
-    Parameter("min_free", 64.0, "MB", "room on the disk at which the recording is ended", 0.0, 1e6),
+    Parameter("max_size", 0.0, "MB", "size at which the next file of the bag begins; 0.0: never", 0.0, 1e6),
+    Parameter(
+        "max_duration", 0.0, "s", "time after which the next file of the bag begins; 0.0: never", 0.0, 1e6
+    ),
+    Parameter(
+        "flush_period",
+        0.25,
+        "s",
+        "longest part of the recording that is lost if the recorder is killed",
+        0.02,
+        1.0,
+    ),
+    Parameter("min_free", 64.0, "MB", "free space on the disk at which the recording ends", 0.0, 1e6),
     Parameter("report_period", 5.0, "s", "time between two lines about the progress", 0.1, 1e6),
     Parameter(
         "black_box",
         False,
         "",
-        "keep the last seconds in memory; they become a bag when a controller reports a condition or falls "
-        "silent, or ~/save_box is called; bag is then the beginning of the bags' names (empty: black_box)",
+        "keep the last seconds in memory and write a bag when a controller reports a condition or falls "
+        "silent, or ~/save_box is called; the names of these bags begin with the parameter bag (empty: "
+        "black_box)",
     ),
-    Parameter("box.seconds", 10.0, "s", "black box: time before what happened", 1.0, 600.0),
-    Parameter("box.after", 2.0, "s", "black box: time after what happened", 0.0, 60.0),
-    Parameter("box.keep", 10, "", "black box: number of bags that are kept, the newest", 1, 10_000),
+    Parameter("box.seconds", 10.0, "s", "black box: time before the event", 1.0, 600.0),
+    Parameter("box.after", 2.0, "s", "black box: time after the event", 0.0, 60.0),
+    Parameter(
+        "box.keep", 10, "", "black box: number of bags that are kept; older ones are deleted", 1, 10_000
+    ),
     Parameter("box.max_size", 100.0, "MB", "black box: memory for messages", 1.0, 10_000.0),
 )
 
 DASHBOARD: Table = (
-    Parameter("port", 8080, "", "port of the page on 127.0.0.1; 0: any that is free", 0, 65535),
+    Parameter("port", 8080, "", "port of the page on 127.0.0.1; 0: any free port", 0, 65535),
     Parameter(
         "token",
         "",
         "",
-        "word that the page's address must have (?token=...) to change anything; empty: a new one each time",
+        "token in the address of the page (?token=...) that permits changes; empty: a new one at each start",
     ),
     Parameter("folder", "out/dashboard", "", "folder of recordings, reports and results of runs"),
 )

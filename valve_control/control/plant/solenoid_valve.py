@@ -48,7 +48,7 @@ PARAMETERS: Table = (
         "solenoid.overlap",
         0.0,
         "V",
-        "voltage from which on a side acts (dead zone); below 0: underlap, both act around 0 V",
+        "voltage from which each side acts (dead zone); below 0: underlap, both sides act around 0 V",
         -10.0,
         10.0,
     ),
@@ -60,18 +60,21 @@ PARAMETERS: Table = (
     Parameter(
         "solenoid.pressure", 35.0, "bar", "pressure difference over the edges of the spool", 0.0, 1000.0
     ),
-    Parameter(
-        "solenoid.rated_pressure", 35.0, "bar", "pressure difference at which flow_force holds", 0.1, 1000.0
-    ),
+    Parameter("solenoid.rated_pressure", 35.0, "bar", "pressure difference of flow_force", 0.1, 1000.0),
     Parameter("solenoid.stop_low", -10.5, "V", "position of the lower stop", -1000.0, 0.0),
     Parameter("solenoid.stop_high", 10.5, "V", "position of the upper stop", 0.0, 1000.0),
     Parameter(
-        "solenoid.bits", 0, "", "bits of the reading's converter over ±10 V; 0: lvdt.resolution holds", 0, 24
+        "solenoid.bits",
+        0,
+        "",
+        "bits of the converter of the reading over ±10 V; 0: lvdt.resolution applies",
+        0,
+        24,
     ),
     Parameter("solenoid.hum", 0.0, "V", "amplitude of the mains' hum in the reading", 0.0, 10.0),
     Parameter("solenoid.hum_frequency", 50.0, "Hz", "frequency of the hum", 1.0, 1e4),
     Parameter("solenoid.null_drift", 0.0, "V/K", "drift of the reading with temperature", -1.0, 1.0),
-    Parameter("solenoid.warming", 0.0, "K", "by how much the LVDT warms up", -200.0, 200.0),
+    Parameter("solenoid.warming", 0.0, "K", "temperature rise of the LVDT", -200.0, 200.0),
     Parameter("solenoid.warming_time", 300.0, "s", "time constant of the warming", 0.001, 1e6),
 )
 
