@@ -655,7 +655,7 @@ PARAMETERS: Table = (
         "dcarc.standstill_rate",
         0.32,
         "V/s",
-        "rate of the reference at which the standstill term has half of its value; below it the weights "
+        "rate of the reference at which the standstill term has half of its value; well below it the weights "
         "do not adapt",
         1e-6,
         1e4,
