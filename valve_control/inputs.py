@@ -1,10 +1,17 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Checks files before they are opened: refuses folders, and devices, which might never end."""
+"""Checks files before they are opened: refuses folders, and devices, which might never end. Reads YAML."""
 
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from valve_control.parameter import ParameterError
+
+LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+# What PyYAML raises: also for a date that does not exist, a tag that does not fit its value, deep nesting.
+WRONG = (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError, RecursionError)
 
 
 def expanded(path: str, what: str) -> Path:
@@ -29,3 +36,11 @@ def check(path: str, what: str) -> None:
             raise ParameterError(f"{what} {path} cannot be read: it is a device, not a file")
     except OSError as error:
         raise ParameterError(f"{what} {path} cannot be read: {error.strerror or error}") from error
+
+
+def from_yaml(text: str) -> Any:
+    """What the YAML ``text`` holds. Raises ValueError with the reason in one line."""
+    try:
+        return yaml.load(text, LOADER)
+    except WRONG as error:
+        raise ValueError(" ".join(str(error).split())) from error

@@ -9,12 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.recordings.bags.bag import Bag, Series
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.cleaning import unusable
 from valve_control.recordings.parameters import Node
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 GOAL, JOINTS, ROOMS = "axis_goal", "joint_states", ("pressure_a", "pressure_b")
-MARK = "cylinder.area_a"  # a parameter by which axis_simulator is known
+# Parameters of axis_simulator that the energies need; it is known by the first.
+MACHINE = ("cylinder.area_a", "cylinder.area_b", "supply.kind", "supply.pressure", "relief.pressure")
 NANO = 10**9
 
 
@@ -50,7 +53,14 @@ def axes(
 ) -> dict[str, Axis]:
     """Axes by namespace ("" for none); ``start``, ``end`` [ns]: log times."""
     spaces = [name.removesuffix(GOAL).rstrip("/") for name in bag.topics if name.endswith(f"/{GOAL}")]
-    return {space.lstrip("/"): _axis(bag, nodes, space, start, end) for space in spaces}
+    found = {}
+    for space in spaces:
+        try:
+            axis = _axis(bag, nodes, space, start, end)
+        except BagError as reason:  # the valves are analysed all the same
+            axis = Axis(0, 0.0, *[np.nan] * 4, {}, np.nan, np.nan, [str(reason)])
+        found[space.lstrip("/")] = axis
+    return found
 
 
 def _axis(bag: Bag, nodes: Mapping[str, Node], space: str, start: int | None, end: int | None) -> Axis:
@@ -63,7 +73,10 @@ def _axis(bag: Bag, nodes: Mapping[str, Node], space: str, start: int | None, en
     rooms = [room for room in ROOMS if f"{space}/{room}" in bag.topics]
     wanted.update({f"{space}/{room}": [*stamp, "fluid_pressure"] for room in rooms})
     series = bag.read(wanted, start=start, end=end)
+    fields = {goal_name: point[0], joint_name: "position[0]"}
     left_out: list[str] = []
+    for name, one in series.items():
+        left_out += unusable(name, fields.get(name, "fluid_pressure"), one)
     goals = series[goal_name].values
     times = _stamps(goals["time_from_start.sec"], goals["time_from_start.nanosec"])
     at, first = np.unique(times, return_index=True)
@@ -89,7 +102,7 @@ def _axis(bag: Bag, nodes: Mapping[str, Node], space: str, start: int | None, en
         e_rms=float(np.sqrt(np.mean(error**2))) if len(error) else np.nan,
         e_max=float(np.max(np.abs(error), initial=0.0)) if len(error) else np.nan,
         e_end=float(np.max(np.abs(error[last]))) if len(error) else np.nan,
-        speed_max=float(np.max(np.abs(speed))) if len(speed) else np.nan,
+        speed_max=float(np.nanmax(np.abs(speed))) if np.isfinite(speed).any() else np.nan,
         pressures={
             room: (float(np.nanmin(values)), float(np.nanmax(values)))
             for room, (_, values) in pressures.items()
@@ -103,8 +116,12 @@ def _axis(bag: Bag, nodes: Mapping[str, Node], space: str, start: int | None, en
 
 def _machine(nodes: Mapping[str, Node], space: str, left_out: list[str]) -> dict[str, Any]:
     for node in nodes.values():
-        if node.namespace == space and MARK in node.initial:
-            return node.initial
+        if node.namespace == space and MACHINE[0] in node.initial:
+            missing = [name for name in MACHINE if name not in node.initial]
+            if not missing:
+                return node.initial
+            left_out.append(f"the bag has no {', '.join(missing)} of {node.name}, so no energy")
+            return {}
     left_out.append("the bag has no parameters of axis_simulator, so no energy")
     return {}
 
@@ -122,7 +139,7 @@ def _energies(
     kind = "supply.pressure" if machine["supply.kind"] == "constant" else "relief.pressure"
     areas = [float(machine["cylinder.area_a"]), float(machine["cylinder.area_b"])]
     supplied = float(machine[kind]) * (areas[0] * out + areas[1] * into)
-    if len(pressures) < len(ROOMS):
+    if sum(bool(np.isfinite(values).any()) for _, values in pressures.values()) < len(ROOMS):
         return np.nan, supplied
     force = np.zeros(len(moment))
     for room, area in zip(ROOMS, (areas[0], -areas[1]), strict=True):
@@ -158,7 +175,6 @@ def lines(name: str, axis: Axis) -> list[str]:
     for room, (low, high) in axis.pressures.items():
         told.append(f"    {room}: {1e-5 * low:.4g} to {1e-5 * high:.4g} bar")
     if np.isfinite(axis.supplied):
-        told.append(
-            f"    energy: {axis.supplied:.4g} J from the supply, {axis.work:.4g} J of them on the piston"
-        )
+        work = f", {axis.work:.4g} J of them on the piston" if np.isfinite(axis.work) else ""
+        told.append(f"    energy: {axis.supplied:.4g} J from the supply{work}")
     return told + [f"    note: {note}" for note in axis.left_out]

@@ -126,21 +126,26 @@ def _timed(samples: Samples, problems: list[str]) -> Samples:
     return samples.pick(slice(0, 0))
 
 
-def _samples(source: Source, series: Series, problems: list[str]) -> Samples:
-    absent = series.absent.get(source.field, 0)
+def unusable(topic: str, field: str, series: Series) -> list[str]:
+    """How many messages of ``topic`` have no ``field``, and how many could not be decoded, in words."""
+    absent, said = series.absent.get(field, 0), []
     if absent:
-        problems.append(f"{absent} messages of {source.topic} have no {source.field} and are left out")
+        said.append(f"{absent} messages of {topic} have no {field} and are left out")
+    if series.undecodable:
+        said.append(
+            f"{series.undecodable} messages of {topic} could not be decoded and are left out: {series.error}"
+        )
+    return said
+
+
+def _samples(source: Source, series: Series, problems: list[str]) -> Samples:
+    problems += unusable(source.topic, source.field, series)
     series = series.having(source.field)
     value = series.values[source.field]
     if source.scale.factor != 1.0:
         value = value * source.scale.factor
     if source.scale.offset != 0.0:
         value = value + source.scale.offset
-    if series.undecodable:
-        problems.append(
-            f"{series.undecodable} messages of {source.topic} could not be decoded and are left out: "
-            f"{series.error}"
-        )
     return Samples(source.topic, series.publish_time, series.log_time, series.sequence, series.place, value)
 
 

@@ -30,6 +30,8 @@ def read(path: str) -> Array:
     try:
         if Path(path).suffix == ".npy":
             array: npt.NDArray[Any] = np.load(path, allow_pickle=False)
+            if not isinstance(array, np.ndarray):
+                raise ValueError("it is an archive of arrays (NPZ)")
         else:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # an empty file is refused below

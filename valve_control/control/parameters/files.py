@@ -62,9 +62,10 @@ def from_text(parameter: Parameter, text: str) -> Value:
     if isinstance(parameter.default, str):
         return parameter.check(text)
     try:
-        return from_yaml(parameter, yaml.safe_load(text))
-    except yaml.YAMLError as error:
+        value = inputs.from_yaml(text)
+    except ValueError as error:
         raise ParameterError(f"'{text}' of {parameter.name} is not a value") from error
+    return from_yaml(parameter, value)
 
 
 def save(path: Path, node: str, values: Values) -> None:
@@ -127,8 +128,8 @@ def _turns(value: Value) -> bool:
     word 1e-05, which the nodes take for the number.
     """
     try:
-        again = yaml.safe_load(str(value))
-    except yaml.YAMLError:
+        again = inputs.from_yaml(str(value))
+    except ValueError:
         return True
     again = "" if again is None else again
     if isinstance(value, float):
@@ -186,14 +187,13 @@ def sections(path: str) -> list[Section]:
     inputs.check(path, "parameter file")
     file = inputs.expanded(path, "parameter file")
     try:
-        text = file.read_text(encoding="utf-8")
-        tree = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        tree = inputs.from_yaml(file.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise ParameterError(
             f"parameter file {path} cannot be read: {getattr(error, 'strerror', None) or error}"
         ) from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ParameterError(f"parameter file {path} is not YAML: {' '.join(str(error).split())}") from error
+    except ValueError as error:
+        raise ParameterError(f"parameter file {path} is not YAML: {error}") from error
     if not isinstance(tree, dict) or not tree:
         raise ParameterError(f"parameter file {path} must hold 'node: ros__parameters: …' sections")
     return list(_sections(path, tree, ""))
@@ -364,8 +364,8 @@ def parse_setting(text: str, nodes: Mapping[str, Table] = NODES) -> tuple[str, d
         value = word.strip()
     else:
         try:
-            value = yaml.safe_load(word)
-        except yaml.YAMLError as error:
+            value = inputs.from_yaml(word)
+        except ValueError as error:
             raise ParameterError(f"'{word}' of --set {name} is not a value") from error
         if isinstance(parameter.default, float) and type(value) is int:
             value = float(value)

@@ -8,7 +8,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import yaml
 
 from valve_control import inputs
 from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices
@@ -59,9 +58,9 @@ def _from_csv(text: str) -> dict[str, dict[str, Any]]:
 
 def _from_tree(path: str, text: str) -> dict[str, dict[str, Any]]:
     try:
-        tree = json.loads(text) if Path(path).suffix == ".json" else yaml.safe_load(text)
-    except (json.JSONDecodeError, yaml.YAMLError) as error:
-        raise ValueError(f"is neither YAML nor JSON: {' '.join(str(error).split())}") from error
+        tree = json.loads(text) if Path(path).suffix == ".json" else inputs.from_yaml(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"is neither YAML nor JSON: {error}") from error
     if not isinstance(tree, dict) or not all(isinstance(row, dict) for row in tree.values()):
         raise ValueError(f"must hold {ROWS}, each with {COLUMNS}")
     return {str(name): row for name, row in tree.items()}

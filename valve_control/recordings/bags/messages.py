@@ -6,9 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
-from valve_control.recordings.bags.metadata import LOADER
+from valve_control import inputs
 
 Bytes = npt.NDArray[np.uint8]
 Integers = npt.NDArray[np.int64]
@@ -76,7 +75,7 @@ def full_type(name: str) -> str:
 def qos_profiles(text: str) -> tuple[dict[str, Any], ...]:
     """QoS profiles from their YAML text, () if it cannot be read."""
     try:
-        profiles = yaml.load(text, Loader=LOADER) if text else []
-    except (yaml.YAMLError, ValueError, TypeError):  # ValueError: dates that do not exist; TypeError: no text
+        profiles = inputs.from_yaml(text) if text else []
+    except ValueError:
         return ()
     return tuple(p for p in profiles if isinstance(p, dict)) if isinstance(profiles, list) else ()

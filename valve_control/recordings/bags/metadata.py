@@ -9,14 +9,13 @@ from typing import Any, NamedTuple, TypeVar
 import yaml
 from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability
 
-from valve_control import outputs
+from valve_control import inputs, outputs
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.placeholders import refuse
 
 NAME = "metadata.yaml"
 VERSION = 9
 ROOT = "rosbag2_bagfile_information"
-LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 # Names that version 9 writes, at the numbers that older versions write. rosbags' parse_qos would read them,
@@ -201,9 +200,9 @@ def read(folder: Path) -> Metadata:
 def parse(text: str, source: str) -> Metadata:
     """Metadata from the YAML ``text``, read from ``source``. Raises BagError."""
     try:
-        tree = yaml.load(text, Loader=LOADER)
-    except (yaml.YAMLError, ValueError) as error:  # ValueError: dates that do not exist
-        raise BagError(f"{source} is not YAML: {' '.join(str(error).split())}") from error
+        tree = inputs.from_yaml(text)
+    except ValueError as error:
+        raise BagError(f"{source} is not YAML: {error}") from error
     try:
         return _metadata(tree)
     except _Unknown as error:
@@ -216,9 +215,9 @@ def parse_qos(profiles: object) -> tuple[Qos, ...]:
     """Profiles from a list or its YAML text, policies as names or as numbers. Raises BagError."""
     if isinstance(profiles, str):
         try:
-            profiles = yaml.load(profiles, Loader=LOADER)
-        except (yaml.YAMLError, ValueError) as error:  # ValueError: dates that do not exist
-            raise BagError(f"offered_qos_profiles is not YAML: {' '.join(str(error).split())}") from error
+            profiles = inputs.from_yaml(profiles)
+        except ValueError as error:
+            raise BagError(f"offered_qos_profiles is not YAML: {error}") from error
     if not profiles:
         return ()
     if not isinstance(profiles, list):
