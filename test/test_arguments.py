@@ -4,6 +4,7 @@
 
 import pytest
 
+from valve_control.control.parameters import files
 from valve_control.control.parameters.arguments import (
     addressed,
     check,
@@ -15,7 +16,7 @@ from valve_control.control.parameters.arguments import (
 )
 from valve_control.control.parameters.drivers import VALVE_DRIVER
 from valve_control.control.parameters.table import COMMAND, CONTROLLER, MANIFOLD, VALVE
-from valve_control.parameter import ParameterError, defaults
+from valve_control.parameter import ParameterError, defaults, lookup
 
 ONE = {"/controller": CONTROLLER}
 BOOM = {"/boom/controller": CONTROLLER}
@@ -209,3 +210,19 @@ def test_values_for_a_node_are_those_of_its_sections_the_last_one_counting(tmp_p
 )
 def test_the_text_of_a_value_is_kept_as_it_was_written(setting, text):
     assert written(["--ros-args", "-p", setting], "/controller", "realtime.cpus") == text
+
+
+@pytest.mark.parametrize("word", ["2020-13-45", "0b_", "!!int x", "!!bool x", "!!timestamp x", "[" * 3000])
+def test_words_that_yaml_cannot_make_a_value_of_are_refused(word, tmp_path):
+    """The parser raises ValueError, KeyError, AttributeError or RecursionError for them: a traceback."""
+    with pytest.raises(ParameterError, match=r"of arc.k1 is not a value"):
+        files.from_text(lookup(CONTROLLER, "arc.k1"), word)
+    with pytest.raises(ParameterError, match=r"of --set arc.k1 is not a value"):
+        files.parse_setting(f"arc.k1={word}")
+    path = tmp_path / "p.yaml"
+    path.write_text(f"controller:\n  ros__parameters: {{arc.k1: {word}}}\n")
+    with pytest.raises(ParameterError, match=r"is not YAML|arc.k1"):
+        files.load(str(path))
+    # As the name of a file such a word is one, and is written in quotes.
+    path.write_text(files.as_yaml({"controller": {"save_file": word}}))
+    assert files.load(str(path))["controller"] == {"save_file": word}

@@ -87,9 +87,11 @@ def test_figures_are_png_or_svg(run, bags, tmp_path, command, suffix):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_svg_is_svg(run, tmp_path):
-    assert run("simulate", "--duration", "0.1", "--figure", "x.SVG")[0] == 0
-    assert (tmp_path / "x.SVG").read_text().startswith("<?xml")
+def test_svg_is_svg_and_the_same_figure_is_the_same_file(run, tmp_path):
+    for name in ("x.SVG", "y.svg"):
+        assert run("simulate", "--duration", "0.1", "--figure", name)[0] == 0
+    text = (tmp_path / "x.SVG").read_text()
+    assert text.startswith("<?xml") and text == (tmp_path / "y.svg").read_text()
 
 
 def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
@@ -175,6 +177,10 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
         (["identify", "--set", "fault.lvdt=jump"], ["fault.lvdt", "running nodes alone"]),
         (["export", "--controller", "pid", "--output", "e.fmu"], ["e.fmu", "--fmu 2 or --fmu 3"]),
         (["export", "--plant", "valve", "--output", "E.FMU"], ["E.FMU", "--fmu 2 or --fmu 3"]),
+        (["export", "--output", "e/", "--json", "e"], ["e is given for two outputs"]),
+        (["export", "--output", "e", "--set", "friction.coulomb=1"], ["a law alone", "friction.coulomb"]),
+        (["export", "--output", "e", "--plant", "axis", "--set", "pid.kp=1"], ["the axis alone", "pid.kp"]),
+        (["margins", "--set", "amplitude=1"], ["at rest", "amplitude"]),
         (["commission", "--undo", "--folder", "nosuch"], ["no commissioning in nosuch"]),
         (["analyze", "a" * 300], ["cannot be read", "name too long"]),
         (["bag", "recover", "a" * 300], ["cannot be read", "name too long"]),
@@ -204,6 +210,12 @@ def test_a_file_with_a_model_that_nobody_chooses_is_noted(run, tmp_path):
 def test_commands_that_no_valve_can_have(run, tmp_path, numbers, words):
     np.save(tmp_path / "c.npy", np.array(numbers))
     refused(run("simulate", "--command", "c.npy"), *words)
+
+
+def test_an_archive_of_arrays_is_no_command(run, tmp_path):
+    with (tmp_path / "c.npy").open("wb") as file:
+        np.savez(file, np.zeros(3))
+    refused(run("simulate", "--command", "c.npy"), "c.npy", "archive of arrays (NPZ)")
 
 
 def test_an_output_does_not_take_the_place_of_an_input(run, bags, tmp_path, config):

@@ -112,12 +112,17 @@ def _plain(value: Any) -> Any:
 
 
 def figure_bytes(figure: Any, path: str) -> bytes:
-    """A matplotlib figure as the bytes of the file ``path``, PNG or SVG by its ending; closes the figure."""
+    """A matplotlib figure as the bytes of the file ``path``, PNG or SVG by its ending; closes the figure.
+
+    The same figure gives the same bytes.
+    """
     import matplotlib.pyplot as plt
 
     stream = io.BytesIO()
+    kind = Path(path).suffix[1:].lower()
     try:
-        figure.savefig(stream, format=Path(path).suffix[1:].lower(), dpi=110)
+        with plt.rc_context({"svg.hashsalt": "valve_control"}):
+            figure.savefig(stream, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
     finally:
         plt.close(figure)
     return stream.getvalue()

@@ -40,3 +40,19 @@ def test_spectrum_of_a_sine_stands_at_its_frequency_with_its_power():
     assert abs(peak - 17.0) < 0.25
     power = np.sum(s.density**2) * (s.frequency[1] - s.frequency[0])
     assert abs(power - 0.3**2 / 2) < 1e-4
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1001, 30_000), st.integers(0, 2**32 - 1))
+def test_envelope_of_a_line_with_gaps_keeps_extremes_and_gaps(count, seed):
+    """A reading that is missing counted as 0 V, and hid the extreme of its neighbours."""
+    random = np.random.default_rng(seed)
+    y = 5.0 + random.standard_normal(count)
+    y[random.random(count) < random.uniform(0.0, 0.5)] = np.nan
+    begin = int(random.integers(0, count // 2))
+    y[begin : begin + count // 4] = np.nan
+    ex, ey = envelope(np.arange(float(count)), y, 1000)
+    assert len(ex) <= 1000 and np.all(np.diff(ex) > 0)
+    assert np.nanmax(ey) == np.nanmax(y) and np.nanmin(ey) == np.nanmin(y)
+    inside = ey[(ex >= begin) & (ex < begin + count // 4)]
+    assert np.isnan(inside).all() and len(inside)

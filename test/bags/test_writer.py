@@ -152,6 +152,7 @@ def test_metadata_is_of_version_9_and_comes_back(tmp_path):
         (("message_count: 10", "message_count: ten"), "'message_count' is 'ten'; it must be a whole number"),
         (("history: keep_last", "history: [keep_last"), "is not YAML"),
         (("  version: 9", "  - version: 9"), "is not YAML"),
+        (("  version: 9", "  version: !!bool 9"), "is not YAML"),
         (("rosbag2_bagfile_information", "information"), "'rosbag2_bagfile_information' is missing"),
     ],
 )

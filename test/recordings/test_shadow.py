@@ -16,7 +16,7 @@ from made import ARRAY, BEGIN, STORE, STRING, Run, array, string, write
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.supervision.journal import COLUMNS, HEAD, Journal
 from valve_control.parameter import ParameterError, defaults
-from valve_control.recordings import shadow
+from valve_control.recordings import replay_report, shadow
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.recording import load
 
@@ -419,3 +419,14 @@ def test_a_trajectory_is_replayed_bit_for_bit_with_what_was_refused(tmp_path):
     result = shadowed(write(tmp_path / "bag", run.messages))
     assert result.faithful and result.differing == 0 and len(result.voltage) > 250
     assert not any("remembered something else" in text for text in result.left_out), result.left_out
+
+
+def test_the_chatter_of_a_recording_with_gaps_is_that_of_its_steps():
+    """The way of the voltage over a gap counted as one step."""
+    time = np.arange(6) * 1e-3
+    recorded = np.array([1.0, 2.0, np.nan, np.nan, 9.0, 8.0])
+    voltage = np.array([1.0, 2.0, 1.0, 2.0, 1.0, 2.0])
+    result = shadow.Shadow(time, "arc", voltage, voltage, recorded, voltage, False, [])
+    about = replay_report.shadow_dict(result, "bag", "valve")
+    assert about["recorded"]["c_u"] == pytest.approx(1.0 / about["recorded"]["u_rms"])
+    assert about["recorded"]["max"] == 9.0 and about["compared"] == 4

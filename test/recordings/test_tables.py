@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from made import Run, write
 from scipy.io import savemat
 
-from valve_control.recordings.analysis import analyze
+from valve_control.recordings.analysis import about_bag, analyze
 from valve_control.recordings.bags import columns
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.recording import align, load
@@ -325,3 +325,20 @@ def test_any_table_comes_back_or_is_doubted(tmp_path_factory, table, separator, 
     for column, wanted in zip(found, np.array(table).T, strict=True):
         assert column.flaw or np.array_equal(column.values, wanted)
         assert not column.flaw or (comma and "thousands" in column.flaw)
+
+
+def test_the_length_of_a_table_is_that_of_its_rows(tmp_path):
+    """Beginning and length were those of a command that counts as 0.4 periods before its reading."""
+    path = tmp_path / "a.csv"
+    rows = [f"{k * 1e-3},1,{k % 7}" for k in range(500)]
+    path.write_text("\n".join(["time,spool_command,spool_position", *rows]))
+    about = about_bag(analyze(load(path, [], 0.2)))
+    assert about["start"] == "0.2 s" and about["duration_s"] == pytest.approx(0.299, abs=1e-12)
+
+
+def test_a_figure_of_runs_without_readings_is_refused(tmp_path, run):
+    """It was an empty figure, and a warning of the library that draws."""
+    (tmp_path / "a.csv").write_text("time,spool_command\n" + "".join(f"{k * 1e-3},1\n" for k in range(20)))
+    done = run("compare", "a.csv", "--figure", "x.png")
+    assert done.status == 2 and done.out == "" and "nothing for --figure" in done.err
+    assert not (tmp_path / "x.png").exists()

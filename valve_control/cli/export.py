@@ -84,13 +84,17 @@ def _export(arguments: argparse.Namespace) -> None:
     from valve_control.export import folder, settable, unit
 
     path = folder.refuse_taken(arguments.output)
-    check_outputs(arguments)
+    check_outputs(arguments, [str(path)])
     _refuse_contradictions(arguments)
     notes: list[str] = []
     direct = {"controller": {"controller": arguments.controller}}
     nodes = AXIS_NODES if arguments.plant == "axis" else NODES
     changes = files.given(arguments.params_file, direct, arguments.set, notes, nodes)
     notes += files.without_effect(arguments.set, changes, nodes)
+    used = {None: ["controller"], "valve": ["valve_simulator"], "axis": ["axis_simulator", "valve_simulator"]}
+    exported = {node: nodes[node] for node in used[arguments.plant]}
+    what = f"the {arguments.plant}" if arguments.plant else "a law"
+    files.refuse_others(arguments.set, exported, f"export writes {what} alone")
     tell_notes(notes)
 
     def values(node: str) -> Values:

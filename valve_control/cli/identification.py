@@ -349,10 +349,6 @@ def _simulated(arguments: argparse.Namespace, triangle: bool = False) -> "Experi
     }
     for options in direct.values():
         options["sample_period"] = arguments.sample_period
-    for text in arguments.set:
-        name, by_node = parameter_files.parse_setting(text)
-        if not {"valve_simulator", "command_source"} & set(by_node):
-            raise ParameterError(f"identify tests the valve without feedback, so it takes no --set {name}")
     if arguments.command is not None and arguments.scenario is not None:
         raise ParameterError(
             f"--command {arguments.command} and --scenario {arguments.scenario} contradict each other; "
@@ -361,6 +357,8 @@ def _simulated(arguments: argparse.Namespace, triangle: bool = False) -> "Experi
     told: list[str] = []
     given = parameter_files.given(arguments.params_file, direct, arguments.set, told)
     told += parameter_files.without_effect(arguments.set, given)
+    tested = {node: NODES[node] for node in ("valve_simulator", "command_source")}
+    parameter_files.refuse_others(arguments.set, tested, "identify tests the valve without feedback")
     tell_notes(told)
     settings: dict[str, Values] = {
         node: updated(NODES[node], defaults(NODES[node]), given[node])

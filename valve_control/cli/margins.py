@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from valve_control.cli.common import check_outputs, write_json
 from valve_control.cli.simulate import CONTROLLERS, settings_of, valve_options
 from valve_control.cli.study import box_of
+from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, word
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def add_commands(commands: Any) -> None:
 def _margins(arguments: argparse.Namespace) -> None:
     from valve_control.control.laws.registry import LAWS
     from valve_control.control.linear import margins, stability
-    from valve_control.control.parameters import build
+    from valve_control.control.parameters import build, files
     from valve_control.control.plant import registry
     from valve_control.control.simulation import offline
     from valve_control.design.tuning import box as boxes
@@ -58,6 +59,8 @@ def _margins(arguments: argparse.Namespace) -> None:
     if arguments.fix and not arguments.box:
         raise ParameterError("--fix keeps a quantity of the box; give --box too")
     settings = settings_of(arguments)
+    judged = {node: NODES[node] for node in ("controller", "valve_simulator")}
+    files.refuse_others(arguments.set, judged, "margins judges law and valve at rest")
     offline.check_agreement(settings["controller"], settings["valve_simulator"])
     law = LAWS[word(settings["controller"], "controller")]
     if not law.feedback:

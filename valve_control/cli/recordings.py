@@ -203,6 +203,7 @@ def _analyze(arguments: argparse.Namespace) -> int:
         about["axes"] = {name: axis_analysis.as_dict(one) for name, one in found.items()}
     about["expectations"] = [outcome._asdict() for outcome in outcomes]
     csv_files = _csv_files(arguments.csv, result.valves)
+    check_outputs(arguments, [*(str(path) for path, _ in csv_files), arguments.html])
     if arguments.json != "-":
         print(analysis_report.text(result))
         for name, one in found.items():
@@ -310,11 +311,14 @@ def _replay_shadow(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> 
 
 
 def _replay_what_if(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> int:
+    from valve_control.control.parameters import files
     from valve_control.recordings import replay_report, what_if
 
     if analysis.signals is None:
         raise BagError("; ".join(analysis.left_out))
     changes = _overrides(arguments)
+    simulated = {node: NODES[node] for node in ("controller", "valve_simulator")}
+    files.refuse_others(arguments.set, simulated, "replay --mode what-if simulates the recorded command")
     result = what_if.replay(
         analysis.valve, analysis.signals, changes["controller"], changes["valve_simulator"]
     )
@@ -388,6 +392,8 @@ def compare_bags(arguments: argparse.Namespace) -> None:
     runs = []
     for path in arguments.bags:
         runs += comparison.runs(path, analyze(_load(arguments, path)))
+    if arguments.figure is not None and all(run.signals is None for run in runs):
+        raise BagError("there is nothing for --figure: no run has readings that can be aligned")
     runs = comparison.overlaid(runs)
     names = comparison.labels([run.name for run in runs])
     if arguments.json != "-":

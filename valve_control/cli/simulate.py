@@ -99,7 +99,7 @@ def output_options() -> Parser:
     options = Parser(add_help=False)
     output = options.add_argument_group("output")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    output.add_argument("--figure", metavar="FILE", help="command, position, error and voltage as PNG")
+    output.add_argument("--figure", metavar="FILE", help="command, position, error and voltage as PNG or SVG")
     return options
 
 

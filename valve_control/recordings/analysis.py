@@ -305,7 +305,9 @@ def guarantee_use(state: State | None) -> float | None:
 def about_bag(result: Analysis) -> dict[str, Any]:
     """File, recorder and length of the bag, for JSON."""
     bag = result.recording.bag
-    stamps = [s.time for v in result.recording.valves.values() for s in v.signals.values() if len(s.time)]
+    signals = [s for v in result.recording.valves.values() for s in v.signals.values() if len(s.time)]
+    # Of a table the times of its rows, among which its commands and voltages have places of their own.
+    stamps = [s.time if bag.table is None else s.log_time for s in signals]
     begin, end = min(int(s.min()) for s in stamps), max(int(s.max()) for s in stamps)
     return {
         "path": str(bag.path),
@@ -315,7 +317,7 @@ def about_bag(result: Analysis) -> dict[str, Any]:
         "bytes": bag.size,
         "version": bag.version,
         "distribution": bag.distribution or None,
-        "start": f"{max(begin, bag.begin) * 1e-9:.6g} s"
+        "start": f"{begin * 1e-9:.6g} s"
         if bag.table is not None and begin < EPOCH
         else datetime.datetime.fromtimestamp(begin * 1e-9, datetime.UTC).isoformat(),
         "duration_s": (end - begin) * 1e-9,

@@ -22,11 +22,11 @@ Floats = npt.NDArray[np.float64]
 
 
 def _effort(voltage: Floats) -> dict[str, float]:
-    known = voltage[np.isfinite(voltage)]
-    if len(known) == 0:
+    known = np.isfinite(voltage)
+    if not known.any():
         return {"u_rms": np.nan, "c_u": np.nan, "max": np.nan}
-    got = indices(np.zeros(len(known)), known, 1.0)
-    return {"u_rms": got.u_rms, "c_u": got.c_u, "max": float(np.max(np.abs(known)))}
+    got = indices(np.zeros(len(voltage)), voltage, 1.0, known)
+    return {"u_rms": got.u_rms, "c_u": got.c_u, "max": float(np.max(np.abs(voltage[known])))}
 
 
 def shadow_dict(result: Shadow, bag: str, valve: str) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draws runs over time and other curves with matplotlib, as PNG or SVG files."""
 
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -118,7 +117,6 @@ def draw_plots(
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    matplotlib.rcParams["svg.hashsalt"] = "valve_control"  # the same figure gives the same file
     height = 1.2 + 2.4 * len(plots)
     figure, axes = plt.subplots(len(plots), 1, figsize=(9.0, height), sharex=True, squeeze=False)
     for axis, plot in zip(axes[:, 0], plots, strict=True):
@@ -142,14 +140,8 @@ def draw_plots(
     axes[-1, 0].set_xlabel(x_title)
     figure.suptitle(title)
     figure.tight_layout()
-    try:
-        for path in paths:
-            stream = io.BytesIO()
-            kind = path.suffix[1:]
-            figure.savefig(stream, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
-            outputs.write(str(path), stream.getvalue())
-    finally:
-        plt.close(figure)
+    for path in paths:
+        outputs.write(str(path), outputs.figure_bytes(figure, str(path)))
 
 
 def bode_axes(title: str, gain_title: str) -> tuple[Any, Any, Any]:

@@ -25,19 +25,21 @@ th:first-child, td:first-child { text-align: left } .note { color: #8a4b00 } .sc
 
 
 def envelope(x: Floats, y: Floats, points: int = POINTS) -> tuple[Floats, Floats]:
-    """Reduce the line (x, y) to at most ``points`` points that keep every extreme of it."""
+    """Reduce the line (x, y) to at most ``points`` points that keep its extremes and gaps (NaN)."""
     if len(x) <= points:
         return x, y
-    width = -(-len(x) // (points // 2 - 2))
-    filled = np.nan_to_num(y, nan=0.0)
-    whole = len(x) // width * width
-    rows = filled[:whole].reshape(-1, width)
-    base = np.arange(len(rows)) * width
-    extremes = [base + rows.argmin(axis=1), base + rows.argmax(axis=1), [0, len(x) - 1]]
-    if whole < len(x):
-        extremes.append([whole + filled[whole:].argmin(), whole + filled[whole:].argmax()])
-    index = np.unique(np.concatenate(extremes))
-    return x[index], y[index]
+    gaps = np.isnan(y)
+    kept = 3 if gaps.any() else 2  # of a block
+    width = -(-len(x) // (points // kept - 2))
+    sought = [(y, np.inf, np.argmin), (y, -np.inf, np.argmax), (gaps, 0.0, np.argmax)]
+    base = np.arange(0, len(x), width)
+    index = [np.array([0, len(x) - 1])]
+    for values, beyond, place in sought[:kept]:
+        padded = np.full(len(base) * width, beyond)
+        padded[: len(x)] = np.where(np.isnan(values), beyond, values)
+        index.append(np.minimum(base + place(padded.reshape(-1, width), axis=1), len(x) - 1))
+    chosen = np.unique(np.concatenate(index))
+    return x[chosen], y[chosen]
 
 
 def figure(

@@ -332,6 +332,14 @@ def without_effect(
     return notes
 
 
+def refuse_others(settings: Sequence[str], nodes: Mapping[str, Table], why: str) -> None:
+    """Raise ParameterError if one of the ``settings`` (--set) is of none of ``nodes``; ``why`` it is not."""
+    for text in settings:
+        name = text.partition("=")[0].strip()
+        if not any(p.name == name for table in nodes.values() for p in table):
+            raise ParameterError(f"{why}, so it takes no --set {name}")
+
+
 def of_laws(files: Sequence[Values]) -> list[str]:
     """Law to which each file's values of the controller belong; "": to all laws.
 

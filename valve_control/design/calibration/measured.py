@@ -8,7 +8,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-
 from valve_control import inputs
 from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices
 from valve_control.control.parameters.table import CONTROLLER
