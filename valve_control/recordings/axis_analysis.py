@@ -36,6 +36,9 @@ class Axis(NamedTuple):
     left_out: list[str]
 
 
+NOTHING = Axis(0, 0.0, np.nan, np.nan, np.nan, np.nan, {}, np.nan, np.nan, [])
+
+
 def _stamps(seconds: Floats, nanoseconds: Floats) -> Integers:
     return seconds.astype(np.int64) * NANO + nanoseconds.astype(np.int64)
 
@@ -58,7 +61,7 @@ def axes(
         try:
             axis = _axis(bag, nodes, space, start, end)
         except BagError as reason:  # the valves are analysed all the same
-            axis = Axis(0, 0.0, *[np.nan] * 4, {}, np.nan, np.nan, [str(reason)])
+            axis = NOTHING._replace(left_out=[str(reason)])
         found[space.lstrip("/")] = axis
     return found
 
