@@ -138,6 +138,31 @@ def test_faults_are_named_switch_off_and_stay_off_until_enabled_anew(running, va
     activate(running, valve)
 
 
+def test_the_end_of_an_emergency_is_no_fault(running, valve):
+    valve.order("emergency 0000")
+    for _ in range(20):
+        running.write(20.0)
+        running.read()
+    assert "safe" not in names(running).values() and valve.order("state").startswith("ACTIVE")
+
+
+def test_a_frame_of_actual_values_that_is_too_short_is_no_reading(running):
+    import can
+
+    running.read()
+    status, actual = running._status, running._actual
+    running._node._take(can.Message(arbitration_id=0x185, is_extended_id=False, data=b"\0\0\0"))
+    assert (running._status, running._actual) == (status, actual)
+
+
+def test_a_computer_that_is_bus_off_switches_off_until_enabled_anew(running, valve):
+    running._node.bus_off = True
+    fault(running, "bus_off")
+    until(lambda: (running.read(), valve.order("state").startswith("DISABLED 0.0000"))[1], "off")
+    activate(running, valve)
+    assert not running._node.bus_off
+
+
 def test_a_valve_that_was_stopped_is_told(running, valve):
     end = time.monotonic() + GRACE  # in which the NMT state may be old
     while time.monotonic() < end:
@@ -305,3 +330,41 @@ def test_the_way_to_active_passes_every_state_and_a_fault_is_reset_by_an_edge():
         assert states.fault(status) and states.towards_active(status) == states.DISABLED
         first, second = states.reset(status, False), states.reset(status, True)
         assert not first & states.RESET and second & states.RESET and first & 7 == second & 7 == status & 3
+
+
+def test_remote_frames_and_frames_that_are_too_short_are_passed_over():
+    import can
+
+    node, heard = CanNode(5, 0.1, interface="virtual", channel="odd"), []
+    node.on(0x185, lambda identifier, data, stamp: heard.append(bytes(data)))
+    node.on_heartbeat(heard.append)
+    with can.Bus(interface="virtual", channel="odd") as other:
+        for identifier, words in (
+            (0x185, {"is_remote_frame": True}), (0x705, {"data": b""}), (0x185, {"data": b"\1\2"}),
+            (0x705, {"data": b"\5"}),
+        ):  # fmt: skip
+            other.send(can.Message(arbitration_id=identifier, is_extended_id=False, **words))
+        until(lambda: (node.pump(0.1), len(heard) >= 2)[1], "frames")
+    assert heard == [b"\1\2", 5]
+    node.close()
+
+
+@pytest.mark.parametrize(
+    "act",
+    [lambda node: node.pump(0.1), lambda node: node.send(0x80), lambda node: node.command("OPERATIONAL"),
+     lambda node: node.get(0x6301, 1, "h"), lambda node: node.put(0x6040, 0, "H", 0)],
+)  # fmt: skip
+def test_a_bus_that_is_closed_is_told_whatever_is_asked_of_it(act):
+    node = CanNode(5, 0.1, interface="virtual", channel="closed")
+    node._bus.shutdown()
+    with pytest.raises(DriverError, match="the CAN bus (is gone|does not take frames): "):
+        act(node)
+    node.close()
+
+
+def test_a_node_that_does_not_answer_is_named_with_the_object():
+    node = CanNode(5, 0.02, interface="virtual", channel="nobody")
+    for act in (lambda: node.get(0x6301, 1, "h"), lambda: node.put(0x6301, 1, "h", 0)):
+        with pytest.raises(DriverError, match="node 5 does not answer for object 0x6301:01"):
+            act()
+    node.close()

@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Rows of the journal: what makes one, what makes none, and which numbers are no rows."""
+
+import math
+
+import changed
+import numpy as np
+import pytest
+
+from valve_control.control.parameters import build
+from valve_control.control.supervision.journal import COLUMNS, HEAD, Event, Journal, block
+from valve_control.control.supervision.supervisor import Supervisor
+from valve_control.control.supervision.trajectory import Motion
+
+
+@pytest.fixture
+def journal():
+    """A journal whose clock goes on by 1 µs a row, after its start."""
+    times = iter(range(1_790_000_000_000_000_000, 1_790_000_001_000_000_000, 1000))
+    made = Journal(Supervisor(), lambda: next(times))
+    values = changed.controller()
+    made.apply(values, build.law_params(values))
+    made.start()
+    made.take()
+    return made
+
+
+def events(journal):
+    """Kinds of the rows that wait; they are taken."""
+    rows = journal.take()
+    return [Event(int(event)) for event in block(rows).rows[:, 1]] if rows else []
+
+
+def test_what_is_said_twice_is_one_row(journal):
+    for count in (1, 2, 2, 3, 1, 0):
+        journal.publishers("spool_command", count)
+    rows = block(journal.take()).rows
+    assert [Event(int(row[1])) for row in rows] == 3 * [Event.COMMAND_PUBLISHERS]
+    assert list(rows[:, COLUMNS.index("number")]) == [2.0, 3.0, 0.0]
+    journal.sample(0.0, 1, 0.001)
+    journal.command_gone()
+    journal.command_gone()
+    assert events(journal) == [Event.READING, Event.COMMAND_GONE]
+    journal.trajectory_gone()
+    assert events(journal) == [], "there was no trajectory"
+    journal.trajectory(Motion(0.1, 0.0, 0.0))
+    journal.trajectory_gone()
+    journal.trajectory_gone()
+    assert events(journal) == [Event.TRAJECTORY, Event.TRAJECTORY_GONE]
+
+
+def test_silence_before_the_first_reading_has_no_voltage(journal):
+    assert math.isnan(journal.silence(0.1))
+    journal.sample(0.0, 1, 0.001)
+    assert journal.silence(0.1) == 0.0
+    rows = block(journal.take()).rows
+    assert list(np.isnan(rows[:, COLUMNS.index("voltage")])) == [True, False, False]
+
+
+def test_blocks_follow_one_another_and_tell_a_gap(journal):
+    blocks = []
+    for number in range(1, 4):
+        journal.command(0.1 * number)
+        journal.sample(0.0, number, 0.001)
+        blocks.append(block(journal.take()))
+    assert [len(one.rows) for one in blocks] == [1, 1, 1], "a command stands in the row of its reading"
+    assert blocks[1].follows(blocks[0]) and blocks[2].follows(blocks[1])
+    assert not blocks[2].follows(blocks[0]) and not blocks[0].follows(None)
+    assert np.all(np.diff([one.time[0] for one in blocks]) > 0)
+
+
+def broken(name, value, event=None):
+    """What a journal gives, with ``value`` in column ``name`` of its only row, of kind ``event``."""
+
+    def change(numbers):
+        numbers[HEAD + COLUMNS.index(name)] = value
+        if event is not None:
+            numbers[HEAD + 1] = event
+        return numbers
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [(lambda numbers: numbers[:HEAD], "no rows"),
+     (lambda numbers: numbers[:-1], "no rows"),
+     (lambda numbers: np.concatenate(([np.nan], numbers[1:])), "no rows"),
+     (broken("event", len(Event)), "rows of another"),
+     (broken("time", np.inf), "rows of another"),
+     (broken("elapsed", np.nan), "rows of another"),
+     (broken("number", np.nan), "rows of another"),
+     (broken("number", np.nan, Event.LVDT_PUBLISHERS), "rows of another"),
+     (broken("command", np.nan, Event.TRAJECTORY_REFUSED), "rows of another")],
+)  # fmt: skip
+def test_other_numbers_are_no_rows(journal, change, said):
+    journal.command(1.0)
+    journal.sample(0.0, 1, 0.001)
+    rows = np.array(journal.take())
+    assert len(block(rows).rows) == 1
+    with pytest.raises(ValueError, match=f"{said} .*journal"):
+        block(change(rows))
