@@ -340,3 +340,27 @@ def test_a_pressure_beyond_its_sensor_or_that_jumps_is_named():
             supervisor.sample(p, s, Reading(math.nan, 0.2, 50e5, pressure), 2 * MS)
         )
         assert mode is Mode.DEGRADED and reason.startswith(words)
+
+
+def test_a_path_that_began_a_moment_ago_replaces_the_one_in_motion_and_goes_on_from_there():
+    p, able = designed()
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    s = supervisor.begin(s, path.towards(0.3, s.goal, LIMITS, able), None)
+    for k in range(2, 100):
+        s = sample(p, s, s.goal.position, k)
+    new = path.towards(0.35, s.goal, LIMITS, able)
+    for at in (None, 99 * MS, 150 * MS):  # no reading of the past is asked for
+        assert supervisor.joining(s, new, at, able) is new
+    s = supervisor.begin(s, new, 95 * MS)
+    assert s.path is new and s.begun == 95 * MS and s.later is None
+    s = sample(p, s, s.goal.position, 100)
+    assert s.goal == path.goal_of(new, 5 * MS)
+
+
+def test_a_command_that_is_no_number_stops_the_axis():
+    p, able = designed()
+    p = p._replace(upper=p.upper._replace(kp=math.inf))
+    s = supervisor.begin(supervisor.at_rest(p), path.towards(0.3, Goal(0.2, 0.0, 0.0), LIMITS, able), None)
+    s = sample(p, s, 0.2, 1)
+    assert supervisor.mode(s) == (Mode.SAFE, "stopped, 0 V: the upper level's command is nan")
+    assert s.command == 0.0 and supervisor.spool_motion(p, s) == (0.0, 0.0, 0.0)
