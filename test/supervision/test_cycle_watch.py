@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
-from valve_control.control.supervision import cycle_watch, lock_in
+from valve_control.control.supervision import cycle_watch, lock_in, oscillation
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
 
@@ -157,3 +157,25 @@ def test_a_reading_that_swings_while_the_voltage_stands_is_a_hum_of_that_amplitu
     found = lock_in.found(p, s)
     assert found.hum == pytest.approx(0.03, rel=1e-3) and found.gain == 0.0
     assert lock_in.step(s, 5.0, 5.0, PERIOD) == s, "a finished measurement stays"
+
+
+@pytest.mark.parametrize("mains", [50.0, 60.0, 100.0, 120.0])
+def test_a_frequency_is_one_of_the_mains_or_its_double_within_1_hz(mains):
+    for off, known in ((-0.9, mains), (0.9, mains), (-1.1, 0.0), (1.1, 0.0)):
+        assert cycle_watch.mains(mains + off) == known
+
+
+@pytest.mark.parametrize(
+    ("gain", "frequency", "hum", "height", "source"),
+    [(5.0, 70.0, 0.02, 2.0, cycle_watch.HUM),  # a valve is not five times as strong as its model
+     (5.0, 70.0, 0.02, 20.0, cycle_watch.LIMIT_CYCLE),  # but may be where the voltage saturates
+     (11.0, 70.0, 0.02, 20.0, cycle_watch.LIMIT_CYCLE),
+     (11.0, 100.0, 0.02, 20.0, cycle_watch.HUM),
+     (3.0, 100.0, 0.02, 2.0, cycle_watch.HUM),
+     (3.0, 70.0, 0.02, 2.0, cycle_watch.LIMIT_CYCLE),
+     (5.0, 100.0, 0.004, 2.0, cycle_watch.LIMIT_CYCLE)],  # rounding by 10 mV alone adds as much
+)  # fmt: skip
+def test_the_source_of_cycles_is_the_reading_where_no_such_valve_can_be(gain, frequency, hum, height, source):
+    cycles = oscillation.NOTHING._replace(height=height)
+    found = lock_in.LockInResult(frequency, gain, 0.0, hum)
+    assert cycle_watch.source(cycles, found, 9.0, 0.01) == source
