@@ -395,8 +395,8 @@ RECORDER: Table = (
         "topics",
         [""],
         "",
-        "regular expressions, one of which must match the whole name of a topic; empty: commands, readings, "
-        "voltages, states and memories of all valves, /diagnostics and /clock; /parameter_events always",
+        "regular expressions, one of which must match the whole name of a topic; empty: the topics of "
+        "all valves and axes, /diagnostics and /clock; /parameter_events is always recorded",
     ),
     Parameter("max_size", 0.0, "MB", "size at which the next file of the bag begins; 0.0: never", 0.0, 1e6),
     Parameter(
