@@ -3,6 +3,7 @@
 """The axis over real DDS: axis_simulator, the valve's controller and axis_controller as processes."""
 
 import math
+import signal
 import time
 from contextlib import ExitStack, contextmanager
 
@@ -346,6 +347,29 @@ def test_an_axis_whose_sensor_fails_ends_with_0_v_on_the_valve(ros, tmp_path):
         end = time.monotonic() + 0.5
         spin_until(ros, lambda: time.monotonic() > end, "calm")
         assert axis.volts[-1] == 0.0
+        assert log.read_text().count("waiting for spool_position") == 1
+        for wanted in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
+            request = ChangeState.Request(transition=Transition(id=wanted))
+            assert call(ros, ChangeState, "/axis_controller/change_state", request).success
+        spin_until(ros, lambda: log.read_text().count("waiting for spool_position") == 2, "its new beginning")
+
+
+def test_samples_that_a_held_up_process_makes_good_have_the_times_at_which_they_were_due(ros, tmp_path):
+    heard = []
+    ros.create_subscription(JointState, "joint_states", heard.append, EVERYTHING)
+    words = ["-p", "valve_simulator:voltage_timeout:=0.0"]
+    with process("axis_simulator", ["--params-file", path_of("bench"), *words], tmp_path / "a.log") as child:
+        spin_until(ros, lambda: len(heard) > 100, "readings", 60.0)
+        for _ in range(5):
+            child.send_signal(signal.SIGSTOP)
+            end = time.monotonic() + 0.03
+            spin_until(ros, lambda end=end: time.monotonic() > end, "a pause")
+            child.send_signal(signal.SIGCONT)
+            before = len(heard)
+            spin_until(ros, lambda before=before: len(heard) > before + 50, "readings")
+    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in heard])
+    steps = np.diff(stamps[100:])
+    assert np.mean(steps < 0.5e-3) < 0.05
 
 
 def test_both_axes_of_the_arm_follow_goals_through_one_manifold_and_a_stop_ends_one_alone(ros, tmp_path):

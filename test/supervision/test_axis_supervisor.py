@@ -151,23 +151,44 @@ def test_wrong_readings_never_reach_the_upper_level_and_too_many_in_a_row_stop_i
         assert supervisor.mode(s)[0] is (Mode.SAFE if expected else Mode.DEGRADED if in_a_row else Mode.OK)
 
 
-def test_the_velocity_that_axis_arc_observes_goes_on_while_readings_are_bridged():
+LOST = "lost on the way"
+
+
+@pytest.mark.parametrize("missing", [math.nan, LOST])
+def test_the_velocity_that_axis_arc_observes_goes_on_while_readings_are_missing(missing):
     p, _ = designed(upper_level="axis_arc", sensor__hold_samples=3, error_limit=0.0)
     s = supervisor.at_rest(p)
     for k in range(1, 500):
-        position = math.nan if 400 <= k < 403 else 0.2 + 0.1 * k * p.period
-        s = supervisor.sample(p, s, Reading(math.nan, position, 50e5, 80e5), k * MS)
-        assert k < 390 or s.upper.velocity == pytest.approx(0.1, rel=1e-3)
+        position = missing if 400 <= k < 403 else 0.2 + 0.1 * k * p.period
+        if position != LOST:
+            s = supervisor.sample(p, s, Reading(math.nan, position, 50e5, 80e5), k * MS)
+            assert k < 390 or s.upper.velocity == pytest.approx(0.1, rel=1e-3)
 
 
-@pytest.mark.parametrize("bridged", [0, 1, 3])
-def test_the_jerk_behind_bridged_readings_is_that_of_the_path(bridged):
+@pytest.mark.parametrize("missing", [math.nan, LOST])
+def test_the_rate_of_the_error_that_axis_pid_computes_goes_on_while_readings_are_missing(missing):
+    """The axis runs away from its goal at 0.01 m/s."""
+    p, _ = designed(sensor__hold_samples=3, error_limit=0.0)
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    for k in range(2, 500):
+        position = missing if 400 <= k < 403 else 0.2 + 0.01 * k * p.period
+        if position != LOST:
+            s = sample(p, s, position, k)
+            assert k < 390 or s.upper.error.velocity == pytest.approx(-0.01, rel=1e-6)
+
+
+@pytest.mark.parametrize("missing", [math.nan, LOST])
+@pytest.mark.parametrize("number", [0, 1, 3])
+def test_the_jerk_behind_missing_readings_is_that_of_the_path(number, missing):
     """For the first 50 ms of the path it is 40 m/s³."""
     p, able = designed(sensor__hold_samples=3)
     s = sample(p, supervisor.at_rest(p), 0.2, 1)
     s = supervisor.begin(s, path.towards(0.3, s.goal, LIMITS, able), None)
     for k in range(2, 30):
-        s = sample(p, s, math.nan if 20 <= k < 20 + bridged else s.goal.position, k)
+        position = missing if 20 <= k < 20 + number else s.goal.position
+        if position == LOST:
+            continue
+        s = sample(p, s, position, k)
         if k > 3 and not s.bridged:
             assert s.jerk == pytest.approx(LIMITS.jerk, rel=1e-6)
             assert supervisor.spool_motion(p, s).acceleration != 0.0

@@ -145,6 +145,7 @@ class AxisController(Managed):
         self._said = None
         self._listened = False
         self._watch_at = self._deactivate_at = NEVER
+        self._reactivate()
         self.get_logger().info(
             f"stroke from {self._able.low:g} m to {self._able.high:g} m, {self._able.speed_out:.3g} m/s out "
             f"and {self._able.speed_in:.3g} m/s in at most, waiting for joint_states"
@@ -350,11 +351,15 @@ class AxisController(Managed):
     def _on_reset(self, request: Any, response: Any) -> Any:
         self._state = axis_supervisor.reset(self._params, self._state)
         self._deactivate_at = self._watch_at = NEVER
-        if self._deactivated:
-            self._set_controller(Transition.TRANSITION_ACTIVATE)
+        self._reactivate()
         response.success, response.message = True, "holds the position of the next reading"
         self.get_logger().info(response.message)
         return response
+
+    def _reactivate(self) -> None:
+        """Activate the valve's controller if a stop has deactivated it."""
+        if self._deactivated:
+            self._set_controller(Transition.TRANSITION_ACTIVATE)
 
     def _set_controller(self, transition: int) -> None:
         """Deactivate or activate the valve's controller; nobody waits for its answer."""

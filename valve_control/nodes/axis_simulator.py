@@ -5,6 +5,7 @@
 import math
 import sys
 from collections.abc import Sequence
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -171,13 +172,14 @@ class FeedingValve(ValveSimulator):
         self._fed.move(before, self._state)
 
     def _send(self) -> None:
-        # In lockstep time goes with the samples.
-        time = round(self._samples * self._period * NANO) if self._lockstep else self._clock_now()
+        # In lockstep time goes with the samples; a sample that is made late has the time at which it was due.
+        time = round(self._samples * self._period * NANO) if self._lockstep else self._due_now()
         self._row = self._fed.measure(self._params, self._state, time)
         super()._send()
 
-    def _clock_now(self) -> int:
-        return int(self.get_clock().now().nanoseconds)
+    def _due_now(self) -> int:
+        late = max(0.0, monotonic() - self._next)
+        return int(self.get_clock().now().nanoseconds) - round(late * NANO)
 
     def _noise(self) -> float:
         return float(self._row[0])

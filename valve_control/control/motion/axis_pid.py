@@ -82,8 +82,9 @@ def step(p: Params, s: State, goal: Goal, reading: Reading) -> tuple[float, Stat
 
 
 def missed(p: Params, s: State) -> State:
-    """State after a sample without a reading: that of before."""
-    return s
+    """State after a sample without a reading: the error goes on at its rate."""
+    error = velocity.State(s.error.measurement + p.period * s.error.velocity, s.error.velocity)
+    return State(s.integral, error)
 
 
 class SpoolReference(NamedTuple):

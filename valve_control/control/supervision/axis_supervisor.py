@@ -207,6 +207,11 @@ def moved_on(p: Params, s: State, time: int) -> State:
     return s._replace(begun=begun, later=None if s.later is None else (s.later[0], s.later[1] + leap))
 
 
+def passed(p: Params, time: float) -> int:
+    """Sample periods within ``time`` [s] between two readings, by their stamps; 1 where a clock was set."""
+    return max(1, round(time / p.period)) if time <= LEAP else 1
+
+
 def sample(p: Params, s: State, reading: Reading, time: int) -> State:
     """State after a ``reading`` made at ``time`` [ns]; its ``command`` is that of this sample."""
     elapsed = (time - s.time) * NANO if s.samples > 0 else p.period
@@ -215,11 +220,13 @@ def sample(p: Params, s: State, reading: Reading, time: int) -> State:
     both = (reading.pressure_a, reading.pressure_b) if needs_pressures(p) else None
     if s.goal is None:
         s = found(p, s, reading.position)
-    periods = s.watch.wrong + 1.0  # since the goal last moved
+    periods = passed(p, s.watch.age + elapsed)  # since the goal last moved
     fault, watch = axis_watch.step(p.watch, s.watch, reading.position, both, elapsed)
     s = moved_on(p, s, time)._replace(watch=watch, time=time, samples=s.samples + 1)
     if s.stopped:
         return s
+    for _ in range(passed(p, elapsed) - 1):  # readings that were lost on the way
+        s = s._replace(upper=p.level.missed(p.upper, s.upper))
     if fault:
         if s.goal is None or watch.wrong > p.watch.hold_samples:
             return stopped(s, fault)
