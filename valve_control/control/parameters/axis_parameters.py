@@ -210,7 +210,7 @@ AXIS_CONTROLLER: Table = (
         "message",
         "command",
         "",
-        "node: message: command: on spool_command; trajectory: with derivatives on spool_trajectory",
+        "node: command: numbers on spool_command; trajectory: points with derivatives on spool_trajectory",
         choices=("command", "trajectory"),
     ),
     Parameter("lockstep", False, "", "node: answer each reading when all listeners are there"),

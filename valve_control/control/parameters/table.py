@@ -312,7 +312,7 @@ COMMAND: Table = (
         "message",
         "command",
         "",
-        "message: command: numbers on spool_command; trajectory: points with derivatives on spool_trajectory",
+        "command: numbers on spool_command; trajectory: points with derivatives on spool_trajectory",
         choices=("command", "trajectory"),
     ),
     Parameter("every", 1, "", "number of sample periods from one message to the next", 1, 1000),

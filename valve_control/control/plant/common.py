@@ -8,7 +8,7 @@ from valve_control.parameter import Parameter, Table
 GAIN_SCALE = Parameter("gain_scale", 1.0, "-", "multiplies the gain of the model", 0.01, 100.0)
 DISTURBANCES: Table = (
     Parameter("friction.coulomb", 0.0, "V", "Coulomb friction as input voltage", 0.0, 100.0),
-    Parameter("friction.static_ratio", 1.0, "-", "static over Coulomb friction", 1.0, 10.0),
+    Parameter("friction.static_ratio", 1.0, "-", "static friction over Coulomb friction", 1.0, 10.0),
     Parameter(
         "friction.stribeck_velocity", 0.1, "V/s", "velocity at which the static part decays", 1e-6, 1e3
     ),
@@ -16,7 +16,7 @@ DISTURBANCES: Table = (
         "friction.velocity_scale",
         0.02,
         "V/s",
-        "half-width of friction's linear zone, without presliding",
+        "half width of the linear zone of friction without presliding",
         1e-6,
         1e3,
     ),

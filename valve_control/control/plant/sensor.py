@@ -12,7 +12,7 @@ from valve_control.parameter import Parameter, Table, Values, number
 
 PARAMETERS: Table = (
     Parameter("lvdt.noise", 0.0, "V", "standard deviation of the reading", 0.0, 10.0),
-    Parameter("lvdt.resolution", 0.0, "V", "quantisation step; 0: none", 0.0, 10.0),
+    Parameter("lvdt.resolution", 0.0, "V", "quantisation step of the reading; 0: none", 0.0, 10.0),
     Parameter("lvdt.bias", 0.0, "V", "constant error of the reading", -10.0, 10.0),
     Parameter("lvdt.delay", 0.0, "s", "dead time of the reading", 0.0, 1.0),
 )
