@@ -25,7 +25,7 @@ def add_commands(commands: Any) -> None:
         help="simulate a hydraulic axis: upper level, controlled valve, cylinder and load",
         description="Run one motion of a hydraulic axis: an upper level commands the spool, the valve's "
         "controller moves the spool, and the edges of the spool feed a cylinder. 'valve-control "
-        "parameters axis_' lists the parameters.",
+        "parameters' lists the parameters of axis_simulator and axis_controller.",
     )
     group = axis.add_argument_group("simulation")
     group.add_argument("--controller", choices=CONTROLLERS, help="law of the valve (default: arc)")

@@ -25,10 +25,10 @@ def add_commands(commands: Any) -> None:
         "margins",
         parents=[valve_options()],
         help="gain, phase and delay margin of given gains on a valve or a box of valves",
-        description="Margins of the sampled loop of one law around one valve, cut at the voltage: by how "
-        "much its gain may rise and fall, phase margin, dead time that may be added, peaks of sensitivity "
-        "and closed loop, and the largest swing about rest that friction sustains. With --box also the "
-        "worst of each over the box of valves that `study` and `tune` take.",
+        description="Margins of the sampled loop of one law around one valve, cut at the voltage: gain "
+        "margins upwards and downwards, phase margin, delay margin, peaks of sensitivity and closed "
+        "loop, and the largest oscillation about rest that friction sustains. With --box also the worst "
+        "of each over the box of valves of `study` and `tune`.",
     )
     margins.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
     margins.add_argument(
