@@ -458,22 +458,3 @@ def taken(name, space, paths):
         return {key: parameter.value for key, parameter in node.get_parameters_by_prefix("").items()}
     finally:
         rclpy.shutdown(context=context)
-
-
-@pytest.mark.parametrize(
-    ("node", "words", "sentence"),
-    [
-        (
-            "axis_simulator",
-            ["axis_simulator:cylinder.stroke:=-0.5"],
-            "cylinder.stroke is -0.5 m; it must lie",
-        ),
-        ("axis_simulator", ["valve_simulator:sample_period:=0.002"], "they must be equal"),
-    ],
-)
-def test_machines_that_cannot_be_end_the_node_with_one_sentence(tmp_path, node, words, sentence):
-    arguments = [word for setting in words for word in ("-p", setting)]
-    with process(node, ["--params-file", path_of("bench"), *arguments], tmp_path / "log") as child:
-        assert child.wait(60.0) == 2
-    said = (tmp_path / "log").read_text()
-    assert sentence in said and "Traceback" not in said, said

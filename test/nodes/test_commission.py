@@ -14,7 +14,7 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 import pytest
 import rclpy
-from bench import LIMIT, call, set_parameters, spin_until
+from bench import call, set_parameters, spin_until
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.msg import ParameterEvent
@@ -24,6 +24,7 @@ from rclpy.parameter import parameter_value_to_python
 from benchmarks import commissioned
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
+from valve_control.nodes import commissioning_client
 from valve_control.nodes.harness.processes import Listener, process
 
 # They share a set of domains: one worker has them all.
@@ -386,11 +387,10 @@ def test_killed_it_leaves_the_valve_at_neutral_and_can_be_undone(ros, tmp_path):
         (["--controller", "pidd"], "there is no such law"),
     ],
 )
-def test_what_cannot_be_is_one_sentence(tmp_path, arguments, words, monkeypatch):
+def test_what_cannot_be_is_one_sentence(run, tmp_path, arguments, words, monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "102")
-    done = subprocess.run(
-        [sys.executable, "-m", "valve_control.cli", "commission", "--yes", *arguments],
-        cwd=tmp_path, capture_output=True, text=True, timeout=3 * LIMIT, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2 and words in done.stderr, done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1 and not list(tmp_path.iterdir())
+    monkeypatch.setattr(commissioning_client, "MEET", 0.5)  # nobody comes
+    done = run("commission", "--yes", *arguments)
+    assert done.status == 2 and words in done.err, done.err
+    assert len(done.err.strip().splitlines()) == 1 and not list(tmp_path.iterdir())
+    assert not rclpy.ok()

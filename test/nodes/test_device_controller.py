@@ -4,7 +4,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 import time
 from contextlib import ExitStack, contextmanager
@@ -290,36 +289,3 @@ def test_a_silent_card_of_a_manifold_does_not_hold_up_the_other(ros, tmp_path):
         spin_until(ros, lambda: turn(*cards) or cards[1]._asked, "the silent card again")
     for card in cards:
         card.close()
-
-
-@pytest.mark.parametrize(
-    ("words", "file", "sentence"),
-    [
-        (["driver:=modbus"], {}, "driver is 'modbus', which waits for its device"),
-        ([], {"/a/controller": {"driver": "simulated"}}, "/b/controller has no parameter driver"),
-        (["driver:=simulated", "node:=valve_simulator"], {}, "-p driver:=simulated: there is no parameter"),
-    ],
-)
-def test_what_a_manifold_with_devices_refuses(tmp_path, words, file, sentence):
-    given = [word for text in ["valves:=[a,b]", *words] for word in ("-p", text)]
-    if file:
-        (tmp_path / "p.yaml").write_text(files.as_yaml(file))
-        given += ["--params-file", str(tmp_path / "p.yaml")]
-    done = subprocess.run(
-        [sys.executable, "-m", "valve_control.nodes.manifold", "--ros-args", *given],
-        capture_output=True, text=True, timeout=LIMIT,
-    )  # fmt: skip
-    assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert sentence in done.stderr.splitlines()[-1]
-
-
-def test_a_device_that_is_not_there_ends_it_with_a_sentence():
-    done = subprocess.run(
-        [sys.executable, "-m", "valve_control.nodes.controller", "--ros-args", "-p", "driver:=serial",
-         "-p", "serial.port:=/dev/no_such_port"],
-        capture_output=True, text=True, timeout=LIMIT,
-    )  # fmt: skip
-    assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert done.stderr.splitlines()[-1].startswith(
-        "valve_control: the port /dev/no_such_port cannot be opened"
-    )

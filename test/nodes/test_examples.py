@@ -16,22 +16,26 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 
 def test_parameters_are_set_without_the_ros2_command(ros, tmp_path):
     def put(*settings):
-        return subprocess.run(
+        return subprocess.Popen(
             [sys.executable, str(EXAMPLES / "set_parameters.py"), *settings],
-            capture_output=True, text=True, timeout=60, check=False,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
 
+    def said(child):
+        out, err = child.communicate(timeout=60)
+        return child.returncode, out, err
+
+    nobody = put("/nobody", "arc.k1=150.0")  # is waited for, for some seconds
+    incomplete = [put(*words) for words in ((), ("/controller",), ("/controller", "arc.k1"))]
     with controller(tmp_path):
-        done = put("/controller", "arc.k1=150.0")
-        assert (done.returncode, done.stdout) == (0, "set\n"), done.stderr
+        assert said(put("/controller", "arc.k1=150.0")) == (0, "set\n", "")
         assert get_double(ros, "arc.k1") == 150.0
-        done = put("/controller", "arc.k1=-1.0")
-        assert done.returncode == 1 and "arc.k1 out of range" in done.stdout
-    done = put("/nobody", "arc.k1=150.0")
-    assert done.returncode == 2 and "no node /nobody" in done.stderr
-    for words in ((), ("/controller",), ("/controller", "arc.k1")):
-        done = put(*words)
-        assert done.returncode == 2 and done.stderr.startswith("write: set_parameters.py NODE NAME=VALUE")
+        status, out, _ = said(put("/controller", "arc.k1=-1.0"))
+        assert status == 1 and "arc.k1 out of range" in out
+    for status, _, err in map(said, incomplete):
+        assert status == 2 and err.startswith("write: set_parameters.py NODE NAME=VALUE")
+    status, _, err = said(nobody)
+    assert status == 2 and "no node /nobody" in err
 
 
 def test_upper_level_answers_each_reading(ros):

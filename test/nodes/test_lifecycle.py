@@ -24,13 +24,16 @@ def change(ros, node, transition):
 
 
 @pytest.mark.parametrize("node", ["controller", pytest.param("valve_simulator", marks=pytest.mark.campaign)])
-def test_activates_itself_unless_told_not_to(ros, tmp_path, node):
-    with process(node, [], tmp_path / "log"):
-        assert state(ros, node) == "active"
-    with process(node, ["-p", "autostart:=false", "-r", "__node:=waiting"], tmp_path / "log"):
+def test_a_node_that_is_not_to_start_itself_waits_and_ends_quietly(ros, tmp_path, node):
+    with process(node, ["-p", "autostart:=false", "-r", "__node:=waiting"], tmp_path / "log") as child:
         assert state(ros, "waiting") == "unconfigured"
         assert change(ros, "waiting", Transition.TRANSITION_CONFIGURE)
         assert state(ros, "waiting") == "inactive"
+        assert change(ros, "waiting", Transition.TRANSITION_CLEANUP)
+        assert state(ros, "waiting") == "unconfigured"
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(10.0) == 0
+    assert "Traceback" not in (tmp_path / "log").read_text()
 
 
 def test_inactive_controller_says_0_v_once_and_then_nothing(ros, tmp_path):
@@ -114,11 +117,3 @@ def test_simulator_centres_itself_when_the_voltage_stops(ros, tmp_path):
         spin_until(ros, pushed, "motion")
         spin_until(ros, lambda: abs(readings[-1]) < 0.01, "the spring")
     assert "no voltage for 0.05 s" in (tmp_path / "log").read_text()
-
-
-def test_unconfigured_node_ends_quietly(ros, tmp_path):
-    with controller(tmp_path, "-p", "autostart:=false") as child:
-        assert state(ros, "controller") == "unconfigured"
-        child.send_signal(signal.SIGTERM)
-        assert child.wait(10.0) == 0
-    assert "Traceback" not in (tmp_path / "c.log").read_text()

@@ -8,8 +8,6 @@ import resource
 import shutil
 import signal
 import sqlite3
-import subprocess
-import sys
 import time
 from contextlib import ExitStack, closing
 
@@ -218,37 +216,6 @@ def test_ends_quietly_without_anything_to_record(ros, tmp_path, number):
         assert child.wait(10.0) == 0
     assert "Traceback" not in log.read_text()
     assert metadata.read(folder).topics[0].topic.name == EVENTS
-
-
-@pytest.mark.parametrize(
-    ("settings", "status", "words"),
-    [
-        (["bag:=here"], 2, "exists already; a bag needs a new folder"),
-        (["bag:=new", "topics:=['/a(']"], 2, "topics has '/a(', which is no regular expression"),
-        (["bag:=new", "storage:=sqlite3", "compression:=zstd"], 2, "storage sqlite3 has none"),
-        (["bag:=new", "storage:=hdf5"], 2, "'hdf5'"),
-        (["bag:=new", "flush_period:=2.0"], 2, "flush_period"),
-        (["bag:=new", "box.keep:=3"], 2, "box.keep has no effect where black_box is false"),
-        (["black_box:=true", "max_size:=3.0"], 2, "max_size has no effect where black_box is true"),
-        (["black_box:=true", "box.seconds:=0.5"], 2, "box.seconds"),
-        (["bag:=new", "min_free:=1000000.0"], 1, "less than min_free, 1e+06 MB"),
-    ],
-)
-def test_bad_start_is_one_sentence(tmp_path, settings, status, words):
-    (tmp_path / "here").mkdir()
-    done = subprocess.run(
-        [sys.executable, "-m", "valve_control.nodes.recorder", "--ros-args"]
-        + [word for setting in settings for word in ("-p", setting)],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == status, done.stderr
-    (sentence,) = done.stderr.strip().splitlines()
-    assert words in sentence
-    assert [p.name for p in tmp_path.iterdir()] == ["here"] and not list((tmp_path / "here").iterdir())
 
 
 def test_parameters_are_fixed_once_it_runs(ros, tmp_path):

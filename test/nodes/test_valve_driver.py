@@ -260,25 +260,6 @@ def test_lifecycle_waits_for_transitions_and_survives_a_missing_card(ros, tmp_pa
         card.close()
 
 
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        (["serial.port:=/dev/no_such_port"], "the port /dev/no_such_port cannot be opened: No such file"),
-        (["position.scale:=mA"], "position.scale: 'mA' is no scale; it must be V"),
-        (["driver:=canbus"], "driver is 'canbus'; it must be"),
-    ],
-)
-@pytest.mark.parametrize("check", [[], ["--check"]], ids=["node", "check"])
-def test_what_cannot_work_is_refused_in_a_sentence(settings, words, check):
-    given = [word for s in settings for word in ("-p", s)]
-    done = subprocess.run(
-        [sys.executable, "-m", "valve_control.nodes.valve_driver", *check, "--ros-args", *given],
-        capture_output=True, text=True, timeout=LIMIT,
-    )  # fmt: skip
-    assert done.returncode == 2 and words in done.stderr and "Traceback" not in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-
-
 def test_the_dry_run_tells_rate_noise_and_losses_and_writes_nothing(ros):
     card = serial_card.Card(lvdt__noise=0.01)
     child = subprocess.Popen(

@@ -1,0 +1,118 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes that are started wrongly say so in one sentence, and end without having made anything."""
+
+import json
+import subprocess
+import sys
+
+from valve_control.control.parameters import files
+
+# Each start is a fork of a process that has imported all nodes; it writes status and words of each.
+FORKS = """
+import importlib, json, os, sys, tempfile, traceback
+starts = json.load(sys.stdin)
+modules = {node: importlib.import_module("valve_control.nodes." + node) for node, _ in starts}
+ends = []
+for node, words in starts:
+    with tempfile.TemporaryFile("w+") as said:
+        child = os.fork()
+        if child == 0:
+            os.dup2(said.fileno(), 1)
+            os.dup2(said.fileno(), 2)
+            sys.argv = [modules[node].__file__, *words]
+            status = 70
+            try:
+                status = modules[node].main()
+            except SystemExit as end:
+                status = end.code
+            except BaseException:
+                traceback.print_exc()
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(status)
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        said.seek(0)
+        ends.append((status, said.read()))
+json.dump(ends, sys.stdout)
+"""
+DEVICE = ["valves:=[a,b]", "driver:=simulated"]
+BENCH = str(files.config_folder() / "axis" / "bench.yaml")
+PARAMETERS = (  # node, its parameters, words of the sentence, exit status if it is not 2
+    ("controller", ["controller:=lqr"], "'lqr'"),
+    ("controller", ["controller:=2"], "controller is '2'; it must be 'arc'"),
+    ("controller", ["controler:=oarc"], "'controler'; did you mean 'controller'?"),
+    ("controller", ["arc.k1:=-3.0"], "arc.k1"),
+    ("controller", ["arc.k1:=fast"], "arc.k1"),
+    ("controller", ["sample_period:=0.0"], "sample_period"),
+    ("controller", ["realtime.cpus:=777"], "realtime.cpus names CPU 777"),
+    ("controller", ["driver:=serial", "serial.port:=/dev/no_such_port"],
+     "valve_control: the port /dev/no_such_port cannot be opened"),
+    ("valve_simulator", ["valve:=servo"], "'servo'"),
+    ("command_source", ["scenario:=zigzag"], "'zigzag'"),
+    ("valve_driver", ["serial.port:=/dev/no_such_port"],
+     "the port /dev/no_such_port cannot be opened: No such file"),
+    ("valve_driver", ["position.scale:=mA"], "position.scale: 'mA' is no scale; it must be V"),
+    ("valve_driver", ["driver:=canbus"], "driver is 'canbus'; it must be"),
+    ("manifold", ["valves:=[boom]", "u_maxi:=5.0"], "'u_maxi'; did you mean 'u_max'"),
+    ("manifold", ["valves:=[boom, boom]"], "twice"),
+    ("manifold", ["valves:=['1st']"], "1st"),
+    ("manifold", ["valves:=['a b']"], "a b"),
+    ("manifold", ["valves:=[1.0]"], "valves"),
+    ("manifold", ["valves:=[a,b]", "driver:=modbus"], "driver is 'modbus', which waits for its device"),
+    ("manifold", [*DEVICE, "node:=valve_simulator"], "-p driver:=simulated: there is no parameter"),
+    ("recorder", ["bag:=here"], "exists already; a bag needs a new folder"),
+    ("recorder", ["bag:=new", "topics:=['/a(']"], "topics has '/a(', which is no regular expression"),
+    ("recorder", ["bag:=123E5", "topics:=['(']"], "no regular expression"),
+    ("recorder", ["bag:=new", "storage:=sqlite3", "compression:=zstd"], "storage sqlite3 has none"),
+    ("recorder", ["bag:=new", "storage:=hdf5"], "'hdf5'"),
+    ("recorder", ["bag:=new", "flush_period:=2.0"], "flush_period"),
+    ("recorder", ["bag:=new", "box.keep:=3"], "box.keep has no effect where black_box is false"),
+    ("recorder", ["black_box:=true", "max_size:=3.0"], "max_size has no effect where black_box is true"),
+    ("recorder", ["black_box:=true", "box.seconds:=0.5"], "box.seconds"),
+    ("recorder", ["bag:=new", "min_free:=1000000.0"], "less than min_free, 1e+06 MB", 1),
+    ("recorder", ["compresion:=zstd"], "'compresion'; did you mean 'compression'?"),
+)  # fmt: skip
+LINES = (  # node, its command line, words of the sentence
+    ("controller", ["--params-file", "boom.yaml"], "--ros-args --params-file boom.yaml"),
+    ("controller", ["--ros-args", "--params-file", "boom.yaml"], "nothing for /controller"),
+    ("controller", ["--ros-args", "--params-file", "boom.yaml"], "/boom/controller"),
+    ("controller", ["--ros-args", "--params-file", "."], "cannot be read"),
+    ("controller", ["--ros-args", "--params-file", "."], "folder"),
+    ("valve_simulator", ["--ros-args", "--params-file", "gone.yaml"], "gone.yaml cannot be read"),
+    ("command_source", ["scenario:=sine"], "--ros-args -p"),
+    ("manifold", ["--ros-args", "-p", "valves:=[a,b]", "--params-file", "a.yaml"],
+     "/b/controller has no parameter driver"),
+    ("axis_simulator", ["--ros-args", "--params-file", BENCH, "-p", "axis_simulator:cylinder.stroke:=-0.5"],
+     "cylinder.stroke is -0.5 m; it must lie"),
+    ("axis_simulator", ["--ros-args", "--params-file", BENCH, "-p", "valve_simulator:sample_period:=0.002"],
+     "they must be equal"),
+)  # fmt: skip
+
+
+def starts():
+    """(node, command line), words of the sentence, exit status."""
+    for node, settings, words, *status in PARAMETERS:
+        given = ["--ros-args", *(word for setting in settings for word in ("-p", setting))]
+        yield (node, given), words, *(status or [2])
+        if node == "valve_driver":
+            yield (node, ["--check", *given]), words, 2
+    for node, given, words in LINES:
+        yield (node, given), words, 2
+
+
+def test_each_wrong_start_is_one_sentence(tmp_path):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "boom.yaml").write_text("/boom/controller:\n  ros__parameters: {u_max: 5.0}\n")
+    (tmp_path / "a.yaml").write_text(files.as_yaml({"/a/controller": {"driver": "simulated"}}))
+    done = subprocess.run(
+        [sys.executable, "-c", FORKS], input=json.dumps([start for start, *_ in starts()]),
+        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for (start, words, status), end in zip(starts(), json.loads(done.stdout), strict=True):
+        *logged, sentence = end[1].splitlines()
+        assert end[0] == status and words in sentence and "Traceback" not in end[1], (start, end)
+        assert not logged or any(word.startswith("driver:=") for word in start[1]), (start, end)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.yaml", "boom.yaml", "here"]
+    assert not list((tmp_path / "here").iterdir())
