@@ -68,7 +68,6 @@ def test_pipelined_calls_are_all_answered_and_share_lines_of_the_log(ros, tmp_pa
         assert all(future.result().results[0].successful for future in futures)
         assert get_double(ros, "arc.k1") == 100.0 + CALLS - 1
 
-
         log = tmp_path / "c.log"
         spin_until(ros, lambda: f"now arc.k1 = {99.0 + CALLS}" in log.read_text(), "the last value")
         assert len(re.findall("now arc.k1", log.read_text())) < CALLS / 4

@@ -44,7 +44,7 @@ PARAMETERS: Table = (
 
 def build(values: Values) -> biquads.Params:
     """The compensator's Params from the controller's values. Raises ParameterError."""
-    from valve_control.control.laws import design  # scipy.signal takes half a second
+    from valve_control.control.laws import design
 
     chosen = word(values, "compensator.design")
     period = number(values, "sample_period")

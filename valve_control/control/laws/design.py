@@ -5,8 +5,8 @@
 import functools
 
 import numpy as np
-import scipy.signal
 
+from valve_control.control.laws import filter_design
 from valve_control.control.laws.biquads import PASS, Params, Section
 from valve_control.control.plant.models import TransferFunction
 
@@ -45,7 +45,7 @@ def pole_zero_compensator(
     """
     if bandwidth <= 0.0:
         raise DesignError(f"compensator.bandwidth is {bandwidth:g} Hz; it must be positive")
-    zeros, poles, gain = scipy.signal.tf2zpk(model.numerator, model.denominator)
+    zeros, poles, gain = _zeros_poles_gain(model)
     if len(zeros) > len(poles):
         raise DesignError(f"the model is improper: it has {len(zeros)} zeros and {len(poles)} poles")
     if np.any(poles.real >= 0.0):
@@ -65,7 +65,7 @@ def pole_zero_compensator(
         raise DesignError(
             f"the compensator would have {order + len(cancelled)} poles; it may have {LARGEST_ORDER}"
         )
-    _, target, _ = scipy.signal.bessel(order, 2.0 * np.pi * bandwidth, analog=True, output="zpk", norm="mag")
+    target = filter_design.bessel_poles(order, 2.0 * np.pi * bandwidth)
     denominator = np.poly(np.concatenate([target, cancelled])).real
     numerator = np.poly(poles).real
     static = gain * np.prod(-kept).real * np.prod(-cancelled).real / np.prod(-poles).real
@@ -75,14 +75,18 @@ def pole_zero_compensator(
     return TransferFunction(tuple(map(float, numerator)), tuple(map(float, denominator)))
 
 
+def _zeros_poles_gain(model: TransferFunction) -> tuple[filter_design.Points, filter_design.Points, float]:
+    return filter_design.zeros_poles_gain(np.array(model.numerator), np.array(model.denominator))
+
+
 @functools.cache
 def compensator_params(transfer_function: TransferFunction, period: float, u_max: float) -> Params:
     """Sections of a continuous compensator, discretised by the bilinear transform at ``period`` [s].
 
     The bilinear transform adds no delay of its own, and at 25 Hz and 1 kHz warps frequency by 0.2 %.
     """
-    z, p, k = scipy.signal.tf2zpk(transfer_function.numerator, transfer_function.denominator)
-    sos = scipy.signal.zpk2sos(*scipy.signal.bilinear_zpk(z, p, k, 1.0 / period))
+    found = filter_design.bilinear(*_zeros_poles_gain(transfer_function), 1.0 / period)
+    sos = filter_design.sections(*found)
     if len(sos) > 3:
         raise DesignError("the compensator has more than 6 poles")
     sections = [Section(*(float(c) for c in (*row[:3], *row[4:]))) for row in sos]

@@ -335,12 +335,11 @@ def k_filter(k1: float, k2: float, period: float) -> Filter:
     ``k1`` [1/s] and ``k2`` [1/s²]: observer gains; ``period`` [s].
     """
     import numpy as np
-    import scipy.signal  # takes half a second, which a command that builds no law need not wait
+    import scipy.linalg  # takes a while, which a command that builds no law need not wait
 
-    a0 = np.array([[-k1, 1.0], [-k2, 0.0]])
-    e2 = np.array([[0.0], [1.0]])
-    a, b, *_ = scipy.signal.cont2discrete((a0, e2, np.eye(2), np.zeros((2, 1))), period)
-    return Filter(*(float(v) for v in (*a.ravel(), *b.ravel())))
+    both = np.array([[-k1, 1.0, 0.0], [-k2, 0.0, 1.0], [0.0, 0.0, 0.0]])
+    a00, a01, b0, a10, a11, b1 = map(float, scipy.linalg.expm(period * both)[:2].ravel())
+    return Filter(a00, a01, a10, a11, b0, b1)
 
 
 def build(values: Values) -> Params:
