@@ -2,14 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poles of Bessel filters and second-order sections, bit for bit as `scipy.signal` makes them.
 
-Every law is built when a node starts, and the import of `scipy.signal` takes more time than all else of the start.
+Every law is built when a controller starts, and the import of `scipy.signal` takes half a second.
 """
+
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-Points = npt.NDArray[np.complex128]  # in the complex plane
+Points = npt.NDArray[Any]  # in the complex plane; real where all of them are
 
 # Poles of Bessel low-passes with -3 dB at 1 rad/s by order, those with a negative imaginary part left out.
 BESSEL = {
@@ -76,7 +78,10 @@ def _nearest(zeros: Points, pole: complex, wanted: npt.NDArray[np.bool_]) -> int
 
 
 def sections(zeros: Points, poles: Points, gain: float) -> Array:
-    """Rows (b0, b1, b2, 1, a1, a2) of as many zeros as poles in z: each pole with the nearest zeros, worst last."""
+    """Rows (b0, b1, b2, 1, a1, a2) of as many zeros as poles in z.
+
+    Each pole goes with the zeros nearest to it; the last row has the poles nearest to the unit circle.
+    """
     odd = np.zeros(len(poles) % 2)
     z, p = _upper(np.concatenate([zeros, odd])), _upper(np.concatenate([poles, odd]))
     rows = np.zeros(((len(poles) + 1) // 2, 6))
