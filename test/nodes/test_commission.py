@@ -200,17 +200,17 @@ STEPS = {
     "verification": ("the valve moves for", 2.0, ["--controller", "dcarc", *QUICK]),
 }
 FIRST = 0.8  # s  of each step at least, but of the model's; until then the controller has its limits
-HOWS = ["SIGINT"] * 4 + ["SIGTERM", "silent", "not_finite", "second_publisher", "no simulator"]
+HOWS = ["SIGINT", "SIGTERM", "silent", "not_finite", "second_publisher", "no simulator"]
 
 
 def moments():
-    """How and when (step, share of its seconds) each of two commissionings is ended, five times."""
+    """How and when (step, share of its seconds) each of two commissionings is ended, three or four times."""
     chosen = random.Random(393)
-    steps = [*STEPS, "tuning", "verification", *chosen.choices(list(STEPS), k=2)]
+    steps = [*STEPS, "verification"]
     hows = [*chosen.sample(HOWS, len(HOWS)), "no controller"]  # the last one, since nothing comes after it
     chosen.shuffle(steps)
     made = [(how, step, chosen.random()) for how, step in zip(hows, steps, strict=True)]
-    return made[:5], made[5:]
+    return made[:3], made[3:]
 
 
 def step_of(said):
@@ -321,7 +321,7 @@ def aborted(ros, stack, folder, namespace, planned, reached):
 
 
 @pytest.mark.campaign
-def test_aborted_at_ten_random_moments(ros, tmp_path):
+def test_aborted_at_random_moments(ros, tmp_path):
     """By Ctrl-C, SIGTERM, faults of the LVDT, and the death of either node, in every step.
 
     Two valves are commissioned beside each other, each on one pair of nodes.
@@ -336,8 +336,7 @@ def test_aborted_at_ten_random_moments(ros, tmp_path):
             ),
         )
     assert sorted(reached) == sorted(step for part in planned for _, step, _ in part)
-    assert len(reached) == 10 and set(reached) == set(STEPS)
-    assert reached.count("tuning") >= 2 and reached.count("verification") >= 2
+    assert set(reached) == set(STEPS)
 
 
 @pytest.mark.alone

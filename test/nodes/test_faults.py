@@ -11,9 +11,19 @@ from bench import run_tool
 from research.campaigns import drivers
 from research.campaigns.faults import CONTROLLERS, FAULTS
 
+# That a law after the first one meets too, unless all do: what it says of its limits depends on the law.
+TWICE = ("lvdt_silent", "lvdt_frozen", "command_silent")
+
+
+def met(law):
+    """Names of the faults that the campaign injects under ``law``."""
+    own = {fault.name for fault in FAULTS if law in fault.controllers}
+    first = {fault.name for fault in FAULTS if sizes.LAWS[0] in fault.controllers}
+    return own if sizes.FULL or law == sizes.LAWS[0] else own - (first - set(TWICE))
+
 
 def test_the_laws_of_the_campaign_meet_every_fault():
-    assert all(set(fault.controllers) & set(sizes.LAWS) for fault in FAULTS)
+    assert set().union(*map(met, sizes.LAWS)) == {fault.name for fault in FAULTS}
 
 
 @pytest.mark.alone
@@ -22,9 +32,10 @@ def test_the_laws_of_the_campaign_meet_every_fault():
 def test_each_fault(tmp_path, controller):
     """Each law has moments of its own; one that fails is repeated without the others."""
     moments = str(1 + CONTROLLERS.index(controller))
-    entries = run_tool("faults", tmp_path, "--only", controller, "--seed", moments, timeout=400)
+    chosen = [word for name in sorted(met(controller)) for word in ("--fault", name)]
+    entries = run_tool("faults", tmp_path, "--only", controller, "--seed", moments, *chosen, timeout=400)
     assert {e["controller"] for e in entries} == {controller}
-    assert {e["fault"] for e in entries} == {f.name for f in FAULTS if controller in f.controllers}
+    assert {e["fault"] for e in entries} == met(controller)
     for entry in entries:
         assert entry["recovered"] and entry["reaction_s"] <= entry["limit_s"], entry
         assert math.isfinite(entry["max_abs_voltage"]) and entry["max_abs_voltage"] <= 10.0

@@ -70,7 +70,7 @@ def test_other_commands_and_valves_equal_offline(ros, tmp_path, law, settings):
 class Disturbance:
     """Stops a node for a while in the middle of a run."""
 
-    def __init__(self, node, seconds, at=500):
+    def __init__(self, node, seconds, at=200):
         self.node, self.seconds, self.at = node, seconds, at
         self.stopped = None
         self.over = False
@@ -85,7 +85,7 @@ class Disturbance:
 
 
 @pytest.mark.parametrize(
-    "node, seconds", [("controller", 3.5), pytest.param("command_source", 6.0, marks=pytest.mark.campaign)]
+    "node, seconds", [("controller", 2.5), pytest.param("command_source", 6.0, marks=pytest.mark.campaign)]
 )
 def test_a_process_that_stands_still_is_waited_for(ros, tmp_path, node, seconds):
     """No reading comes twice, and no sample goes without its command, however long it takes."""

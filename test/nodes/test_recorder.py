@@ -134,14 +134,14 @@ def test_cascade_at_1_khz_without_loss(ros, tmp_path, cascade, storage):
         spin_until(ros, lambda: " lost, CPU " in log.read_text(), "report")
         begun = time.monotonic()
         assert set_parameters(ros, arc__k1=100.0).successful
-        spin_until(ros, lambda: time.monotonic() > begun + 5.0, "five seconds")
+        spin_until(ros, lambda: time.monotonic() > begun + 3.0, "three seconds")
         stop(child)
     text = log.read_text()
     assert "CPU" in text and "Traceback" not in text
     found = by_topic(folder)
     for topic in TOPICS:
         assert gaps(found[topic]) == 0, topic
-        assert len(found[topic]) > 4500 and f"{topic}: {len(found[topic])} messages, 0 lost" in text
+        assert len(found[topic]) > 2700 and f"{topic}: {len(found[topic])} messages, 0 lost" in text
         times = [t for t, _, _ in found[topic]]
         assert times == sorted(times)
     parameters = snapshots(found[EVENTS])
@@ -231,7 +231,7 @@ def test_each_file_of_a_rotation_has_the_parameters(ros, tmp_path, cascade):
     def files_begun():
         return log.read_text().count("goes on in")
 
-    with recorder(folder, log, "max_duration:=1.0") as child:
+    with recorder(folder, log, "max_duration:=0.5") as child:
         spin_until(ros, has_parameters(log), "parameters")
         first = files_begun() + 1
         spin_until(ros, lambda: files_begun() > first, "the next files")
