@@ -618,8 +618,8 @@ PARAMETERS: Table = (
         "dcarc.hum",
         0.0,
         "Hz",
-        "frequency of a hum in the reading, 50 or 60 Hz, that the Kalman filter separates from motion; "
-        "below half of the sample rate; 0.0: none",
+        "frequency of a hum in the reading, such as 50 or 60 Hz, that the Kalman filter separates from "
+        "motion; at least 40 Hz and below half of the sample rate; 0.0: none",
         0.0,
         1000.0,
     ),
