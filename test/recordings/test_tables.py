@@ -342,3 +342,13 @@ def test_a_figure_of_runs_without_readings_is_refused(tmp_path, run):
     done = run("compare", "a.csv", "--figure", "x.png")
     assert done.status == 2 and done.out == "" and "nothing for --figure" in done.err
     assert not (tmp_path / "x.png").exists()
+
+
+def test_a_pause_is_no_step_and_the_last_two_seconds_are_those_of_the_clock(tmp_path):
+    """Samples were counted: two seconds of them went back to before the pause."""
+    time = np.concatenate([np.arange(3000), np.arange(5500, 6000)]) * 1e-3
+    error, voltage = np.where((time > 2.85) & (time < 2.9), 1.0, 0.0), np.where(time < 4.0, 1.0, 5.0)
+    rows = [f"{t},0,{e},{u}" for t, e, u in zip(time.tolist(), error.tolist(), voltage.tolist(), strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["time,spool_command,spool_position,valve_voltage", *rows]))
+    found = analyze(load(tmp_path / "a.csv")).valves["valve"].parts[0].indices
+    assert (found.e_M, found.e_F, found.c_u) == (1.0, 0.0, 0.0)

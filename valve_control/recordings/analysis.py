@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.control.analysis.indices import Indices, indices
+from valve_control.control.analysis.indices import PAUSE, Indices, indices
 from valve_control.control.analysis.segments import Segment, motions
 from valve_control.control.analysis.spectra import Spectrum, spectrum
 from valve_control.control.analysis.timing import (
     LEAST,
-    PAUSE,
     Timing,
     leaps,
     spread,
@@ -220,6 +219,7 @@ def segment_indices(
         voltage if has_voltage else zeros,
         signals.period if period is None else period,
         kept,
+        signals.time[inside],
     )
     if not has_error:
         got = got._replace(e_M=np.nan, e_F=np.nan, e_rms=np.nan)

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+PAUSE = 100.0  # periods without a message from which on none was sent, or the clock was set
 
 
 class Indices(NamedTuple):
@@ -34,23 +35,33 @@ def rms(values: Array) -> float:
 
 
 def indices(
-    error: Array, voltage: Array, period: float, kept: npt.NDArray[np.bool_] | None = None
+    error: Array,
+    voltage: Array,
+    period: float,
+    kept: npt.NDArray[np.bool_] | None = None,
+    time: Array | None = None,
 ) -> Indices:
     """Compute I1 to I5 of ``error`` [V] and ``voltage`` [V], both sampled every ``period`` [s].
 
     With ``kept``, of these samples alone: e_F of the last two seconds of them, c_u from the steps between two
-    that follow each other. c_u is 0 when the voltage is 0 throughout. Raises ValueError for arrays that are
-    empty or unequal.
+    that follow each other. ``time`` [s]: of the samples, where some may be missing; the last two seconds are
+    then those of it, and a pause of PAUSE periods is no step. c_u is 0 when the voltage is 0 throughout.
+    Raises ValueError for arrays that are empty or unequal.
     """
     steps = np.diff(voltage)
+    follow = np.ones(len(steps), dtype=np.bool_) if time is None else np.diff(time) <= PAUSE * period
+    recent = round(2.0 / period) + 1
     if kept is not None:
-        steps = steps[kept[1:] & kept[:-1]]
+        follow &= kept[1:] & kept[:-1]
         error, voltage = error[kept], voltage[kept]
+    elif time is not None:
+        recent = int(np.count_nonzero(time >= time[-1] - 2.0 - 0.5 * period))
+    steps = steps[follow]
     if len(error) == 0 or len(error) != len(voltage):
         raise ValueError(
             f"indices need two arrays of one length, not {len(error)} errors and {len(voltage)} voltages"
         )
-    last = max(1, min(len(error), round(2.0 / period) + 1))
+    last = max(1, min(len(error), recent))
     u_rms = rms(voltage)
     variation = rms(steps) if len(steps) else 0.0
     return Indices(

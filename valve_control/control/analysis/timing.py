@@ -8,11 +8,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
+from valve_control.control.analysis.indices import PAUSE
+
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 LATE = 1.5  # periods between two messages from which on it is a gap
 APART = 100  # readings between the two whose distance in time is measured
-PAUSE = 100.0  # periods without a message from which on none was sent, or the clock was set
 LEAP = 5.0  # periods by which time leaps away from the readings' numbers where it is not jitter
 SURE = 2000  # readings before and after it that must agree
 LEAST = 200  # readings from which a period is measured
