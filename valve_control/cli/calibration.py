@@ -10,7 +10,15 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from valve_control import interrupts, outputs
-from valve_control.cli.common import Progress, check_outputs, check_processes, say, write_json, wrote
+from valve_control.cli.common import (
+    MOST_SEED,
+    Progress,
+    check_outputs,
+    check_processes,
+    say,
+    write_json,
+    wrote,
+)
 from valve_control.cli.simulate import settings_of, setup_options
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults
@@ -20,6 +28,7 @@ if TYPE_CHECKING:
     from valve_control.design.calibration.space import Dimension, Settings
 
 FIELDS = ("e_M", "e_F", "e_rms", "u_rms", "c_u")
+MOST = 10**9  # valves to try
 CLEAR = 1.5  # times the best cost, within which a quantity counts as not excluded
 
 
@@ -108,6 +117,8 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     if arguments.ranges:
         for d in dimensions:
             say(arguments, f"{d.name:28}{d.low:10g} … {d.high:<10g}{d.unit:8}{d.reason}")
+        listed = [{"name": d.name, "low": d.low, "high": d.high, "unit": d.unit} for d in dimensions]
+        write_json(arguments, {"ranges": listed})
         return 0
     _check_counts(arguments)
     first = int(str(base["valve_simulator"]["seed"]))
@@ -200,17 +211,19 @@ def _check_counts(arguments: argparse.Namespace) -> None:
     check_processes("processes", arguments.processes)
     if not 0.001 <= arguments.step <= 1.0:
         raise ParameterError(f"--step is {arguments.step:g}; it must lie between 0.001 and 1")
-    lowest = {
-        "evaluations": 1,
-        "population": 4,
-        "noise_seeds": 1,
-        "profile": 0,
-        "search_seed": 0,
+    ranges = {
+        "evaluations": (1, MOST),
+        "population": (4, 10_000),
+        "noise_seeds": (1, 1000),
+        "profile": (0, MOST),
+        "search_seed": (0, MOST_SEED),
     }
-    for name, low in lowest.items():
-        if getattr(arguments, name) < low:
+    for name, (low, high) in ranges.items():
+        if not low <= getattr(arguments, name) <= high:
             option = name.replace("_", "-")
-            raise ParameterError(f"--{option} is {getattr(arguments, name)}; it must be at least {low}")
+            raise ParameterError(
+                f"--{option} is {getattr(arguments, name)}; it must lie between {low} and {high}"
+            )
 
 
 def _nearness(runs: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:

@@ -43,6 +43,9 @@ def _from_csv(text: str) -> dict[str, dict[str, Any]]:
     reader = csv.DictReader(line for line in text.splitlines() if line.strip() and line[0] != "#")
     if not reader.fieldnames or reader.fieldnames[0].strip() != "controller":
         raise ValueError(f"must begin with a line of column names, controller and {COLUMNS}")
+    names = [name.strip() for name in reader.fieldnames]
+    if len(set(names)) < len(names):
+        raise ValueError(f"has two columns of one name: {', '.join(names)}")
     rows: dict[str, dict[str, Any]] = {}
     for row in reader:
         cells = {str(key).strip(): value for key, value in row.items()}
