@@ -59,3 +59,16 @@ def test_ranges_are_listed(run):
     done = run("calibrate", "paper", "--ranges", "--set", "scenario=sine")
     assert done.status == 0 and "friction.presliding" in done.out
     assert "\ncycle" not in done.out
+
+
+def test_ranges_as_json_and_counts_within_bounds(run, tmp_path):
+    """--json was without effect beside --ranges; a thousand million seeds were an endless run."""
+    status, out, _ = run("calibrate", "paper", "--ranges", "--fix", "gain_scale", "--json", "-")
+    names = [one["name"] for one in json.loads(out)["ranges"]]
+    assert status == 0 and "flow_force" in names and "gain_scale" not in names
+    for option in ("--noise-seeds", "--population"):
+        status, out, err = run("calibrate", "paper", option, "1000000000")
+        assert (status, out) == (2, "") and f"{option} is 1000000000; it must lie between" in err
+    (tmp_path / "t.csv").write_text("controller,e_rms,e_rms\npid,0.05,0.06\n")
+    status, _, err = run("calibrate", "t.csv", "--ranges")
+    assert status == 2 and "two columns of one name" in err

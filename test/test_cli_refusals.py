@@ -383,3 +383,5 @@ def test_an_option_that_does_not_exist_names_the_nearest(run):
 
 def test_a_run_that_the_machine_cannot_hold(run):
     refused(run("simulate", "--duration", "1e6"), "samples takes", "GB of memory", "shorten the duration")
+    period = ("--set", "sample_period=0.00001")
+    refused(run("axis", "--duration", "1e5", *period), "samples takes", "GB of memory")

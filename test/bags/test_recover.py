@@ -167,6 +167,15 @@ def test_a_whole_bag_is_not_touched(tmp_path):
         assert before == {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in folder.iterdir()}
 
 
+def test_a_copy_that_ends_before_its_time_is_taken_away(tmp_path, whole):
+    """It looked like a bag, and the next copy was refused because of it."""
+    torn(tmp_path / "bag", whole["none"][0])
+    (tmp_path / "bag" / "notes").symlink_to("nowhere")
+    with pytest.raises(BagError, match="cannot be copied"):
+        recover(tmp_path / "bag", tmp_path / "copy")
+    assert not (tmp_path / "copy").exists()
+
+
 def test_a_copy_is_repaired_and_the_bag_left_alone(tmp_path, whole):
     data, ends = whole["none"]
     path = torn(tmp_path / "bag", data[: ends[4]])
@@ -176,6 +185,8 @@ def test_a_copy_is_repaired_and_the_bag_left_alone(tmp_path, whole):
     check_repaired(tmp_path / "copy" / "bag_0.mcap", data[: ends[4]], ends)
     with pytest.raises(BagError, match="exists already"):
         recover(tmp_path / "bag", tmp_path / "copy")
+    with pytest.raises(BagError, match="lies in"):
+        recover(tmp_path / "bag", tmp_path / "bag" / "copy")
     single = recover(path, tmp_path / "single.mcap")
     assert single.messages == 5 * CHUNK and len(read(tmp_path / "single.mcap")) == 5 * CHUNK
 

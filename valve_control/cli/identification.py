@@ -298,7 +298,9 @@ def _check_curve(arguments: argparse.Namespace) -> None:
     drawings = [path for path in arguments.characteristic if path not in tables]
     for path in drawings:
         if Path(path).suffix.lower() not in (".png", ".svg"):
-            raise ParameterError(f"--characteristic {path} must end in {', '.join(CURVE_TABLES)}, .png or .svg")
+            raise ParameterError(
+                f"--characteristic {path} must end in {', '.join(CURVE_TABLES)}, .png or .svg"
+            )
     check_outputs(arguments, [arguments.output, arguments.csv, *tables], [arguments.figure, *drawings])
     if arguments.characteristic and arguments.friction is None:
         raise ParameterError("--characteristic comes from the slow triangle of --friction; give that too")

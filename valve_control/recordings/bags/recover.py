@@ -316,6 +316,8 @@ def _number(path: Path) -> tuple[int, str]:
 def _copied(path: Path, out: Path) -> Path:
     if out.exists():
         raise BagError(f"{out} exists already; the copy needs a new name")
+    if out.resolve().is_relative_to(path.resolve()):
+        raise BagError(f"{out} lies in {path}; the copy needs a place of its own")
     try:
         if path.is_dir():
             needed = {kept.name + end for _, kept in _interrupted(path) for end in ("", *SIDE_FILES)}
@@ -328,8 +330,14 @@ def _copied(path: Path, out: Path) -> Path:
                 side = file.with_name(file.name + ending)
                 if side.exists():
                     shutil.copy2(side, out.with_name(out.name + ending))
-    except (OSError, shutil.Error) as error:
-        raise BagError(f"{path} cannot be copied to {out}: {reason(error)}") from error
+    except BaseException as error:  # Ctrl-C too
+        shutil.rmtree(out, ignore_errors=True)
+        for ending in ("", *SIDE_FILES):
+            with contextlib.suppress(OSError):
+                out.with_name(out.name + ending).unlink()
+        if isinstance(error, (OSError, shutil.Error)):
+            raise BagError(f"{path} cannot be copied to {out}: {reason(error)}") from error
+        raise
     return out
 
 
