@@ -169,11 +169,10 @@ def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Value
 def _command(arguments: argparse.Namespace, values: Values) -> Any:
     from valve_control.control.commands import arrays
     from valve_control.control.parameters import build
-    from valve_control.control.simulation import offline
 
     if values["scenario"] == "array" and arguments.duration is None:
         return arrays.read(str(values["command_file"]))
-    offline.check_memory(number(values, "duration") / number(values, "sample_period"))
+    build.check_memory(number(values, "duration") / number(values, "sample_period"))
     return build.commands(values)
 
 

@@ -23,12 +23,11 @@ from valve_control.control.parameters import axis_parameters as parameters
 from valve_control.control.parameters import build
 from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.control.plant import axis, machine
-from valve_control.control.simulation import offline
 from valve_control.parameter import ParameterError, Values, defaults, number, word
 
 Array = npt.NDArray[np.float64]
 LAST = 1.0  # s  the end of a run, within which the axis has settled
-NUMBERS = 35  # that a run keeps of a sample: goal, noise, signals, pressures on their way
+NUMBERS = 44  # that a run keeps of a sample: goal, noise, signals, pressures on their way
 
 
 NOT_RESHAPED = reshaping.Params(1.0, 1.0, 1.0, 1.0, 1.0)  # of a law that takes a command as it is
@@ -76,7 +75,7 @@ def goals_of(values: Values, position: float) -> Array:
     Raises ParameterError.
     """
     period, duration = number(values, "sample_period"), number(values, "duration")
-    offline.check_memory(duration / period, NUMBERS)
+    build.check_memory(duration / period, NUMBERS)
     centre, stroke = position + number(values, "offset"), number(values, "distance")
     if word(values, "course") == "sine":
         return course.sine(centre, stroke, number(values, "frequency"), period, duration)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Builds the immutable parameters of laws, valve and command shape from checked values."""
 
+import os
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.plant import registry
 from valve_control.control.plant.models import TransferFunction
 from valve_control.parameter import ParameterError, Value, Values, number, word
+
+OF_A_RUN = 9  # numbers of a sample: three signals, command, with its lead, noise, errors, limit cycle
 
 
 def valve_model(values: Values) -> TransferFunction:
@@ -66,6 +69,16 @@ def shape(values: Values) -> Shape:
                 f"{needed:.3g} s"
             )
     return made
+
+
+def check_memory(samples: float, numbers: int = OF_A_RUN) -> None:
+    """Raise ParameterError if a run of which ``numbers`` a sample are kept is too large for the machine."""
+    need, have = 8.0 * samples * numbers, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if need > have:
+        raise ParameterError(
+            f"a run of {samples:.0f} samples takes {need / 1e9:.0f} GB of memory and this machine has "
+            f"{have / 1e9:.0f} GB; shorten the duration or lengthen sample_period"
+        )
 
 
 def commands(values: Values) -> Array:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulates one whole run offline: law, valve and command as in the nodes, without middleware."""
 
-import os
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -105,7 +104,7 @@ def simulate(
     period = valve_params.period
     n = len(command)
     labels = law.term_labels
-    check_memory(noise_start + n, len(labels))
+    build.check_memory(noise_start + n, build.OF_A_RUN + len(labels))
     seed = int(number(valve_values, "seed"))
     noise = np.random.default_rng(seed).standard_normal(noise_start + n)[noise_start:]
     loop = _Loop(law, law_params, linearisation.behind(controller_values, law_params), valve_params)
@@ -170,17 +169,6 @@ def _cut(law: Law, params: Any, terms: Array, model: TransferFunction) -> str:
                     f"valve can follow {number(could, name):g}"
                 )
     return "; ".join(said)
-
-
-def check_memory(samples: float, terms: int = 0) -> None:
-    """Raise ParameterError for a run of a law with so many ``terms`` that the machine cannot hold."""
-    numbers = terms + len(closed_loop.SIGNALS) + 6  # command, with its lead, noise, errors, limit cycle
-    need, have = 8.0 * samples * numbers, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    if need > have:
-        raise ParameterError(
-            f"a run of {samples:.0f} samples takes {need / 1e9:.0f} GB of memory and this machine has "
-            f"{have / 1e9:.0f} GB; shorten the duration or lengthen sample_period"
-        )
 
 
 def _led(loop: _Loop, values: Values, command: Array, delivered: Delivery | None) -> Array:
