@@ -2,15 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Managed nodes: states, transitions, and 0 V as the last word."""
 
+import math
 import signal
 
 import pytest
+import rclpy
 from bench import Bench, Motion, call, controller, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from std_msgs.msg import Float64
 
+from valve_control.nodes.controller_node import Controller
 from valve_control.nodes.harness.processes import process
 
 
@@ -117,3 +120,24 @@ def test_simulator_centres_itself_when_the_voltage_stops(ros, tmp_path):
         spin_until(ros, pushed, "motion")
         spin_until(ros, lambda: abs(readings[-1]) < 0.01, "the spring")
     assert "no voltage for 0.05 s" in (tmp_path / "log").read_text()
+
+
+@pytest.mark.parametrize("configured", [False, True])
+def test_a_node_that_does_not_work_shuts_down_without_a_voltage(ros, configured):
+    heard = []
+    ros.create_subscription(Float64, "valve_voltage", lambda m: heard.append(m.data), 10)
+    node = Controller(cli_args=["--ros-args", "-p", "autostart:=false"])
+    try:
+        if configured:
+            node.trigger_configure()
+            spin_until(ros, lambda: ros.count_publishers("valve_voltage") == 1, "the publisher")
+        node.trigger_shutdown()
+        assert node._state_machine.current_state[1] == "finalized"
+        node.finish()
+        node.deliver()
+        assert not node.work() and node.inputs() == () and node.due() == math.inf
+        for _ in range(10):
+            rclpy.spin_once(ros, timeout_sec=0.01)
+        assert heard == []
+    finally:
+        node.destroy_node()

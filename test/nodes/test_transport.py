@@ -74,6 +74,9 @@ def test_the_profile_follows_the_range_of_discovery():
         use_own_profile(environment)
         assert environment[PROFILE] == profile and Path(profile).is_file()
         assert environment.get(RANGE) == wanted
+        leave_own_profile(environment)
+        assert PROFILE not in environment
+        assert environment.get(RANGE) == ("LOCALHOST" if profile == THIS_HOST else wanted)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""What the kernel refuses is said in one sentence each, and nothing else changes."""
+
+import os
+import resource
+from contextlib import contextmanager
+
+import pytest
+
+from valve_control.nodes import realtime
+from valve_control.nodes.realtime import Request
+from valve_control.parameter import ParameterError
+
+NOBODY = 65534
+
+
+@contextmanager
+def unprivileged():
+    """Without root's capabilities, and with limits of 0 for locked memory and priority."""
+    user = os.geteuid()
+    limits = {kind: resource.getrlimit(kind) for kind in (resource.RLIMIT_MEMLOCK, resource.RLIMIT_RTPRIO)}
+    for kind, (_, hard) in limits.items():
+        resource.setrlimit(kind, (0, hard))
+    if user == 0:
+        os.seteuid(NOBODY)
+    try:
+        yield
+    finally:
+        os.seteuid(user)
+        for kind, limit in limits.items():
+            resource.setrlimit(kind, limit)
+
+
+def test_each_refusal_of_the_kernel_is_a_sentence_with_the_limit_to_raise():
+    before, said = realtime.obtained(), []
+    with unprivileged():
+        realtime.obtain(Request(True, 20, ()), said.append)
+    memory, priority = said
+    assert memory.startswith("realtime.lock_memory: not locked, ") and "ulimit -l" in memory
+    assert priority.startswith("realtime.priority: 20 not obtained, ") and "ulimit -r" in priority
+    assert realtime.obtained() == before
+
+
+def test_cpus_that_the_process_may_not_have_are_said():
+    before, said = os.sched_getaffinity(0), []
+    realtime.obtain(Request(False, 0, (1023,)), said.append)
+    assert len(said) == 1 and said[0].startswith("realtime.cpus: (1023,) not obtained, ")
+    assert os.sched_getaffinity(0) == before
+
+
+def test_nothing_is_asked_for_by_default():
+    before, said = realtime.obtained(), []
+    realtime.obtain(Request(False, 0, ()), said.append)
+    assert said == [] and realtime.obtained() == before
+
+
+@pytest.mark.parametrize(
+    ("cpus", "said"),
+    [("first", "'first'; it must be CPU numbers such as 2 or 2,3"), ("0,-1", "names CPU -1; this machine has 0"),
+     ("4096", "names CPU 4096; this machine has 0 to ")],
+)  # fmt: skip
+def test_cpus_that_are_not_there_are_refused(cpus, said):
+    values = {"realtime.cpus": cpus, "realtime.lock_memory": False, "realtime.priority": 0}
+    with pytest.raises(ParameterError) as error:
+        realtime.request(values)
+    assert said in str(error.value)
+
+
+def test_the_request_is_that_of_the_parameters():
+    values = {"realtime.cpus": " 0 ", "realtime.lock_memory": True, "realtime.priority": 20}
+    assert realtime.request(values) == Request(True, 20, (0,))
+    assert realtime.request({**values, "realtime.cpus": ""}).cpus == ()
