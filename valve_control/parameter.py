@@ -91,8 +91,9 @@ class Parameter(NamedTuple):
     def _wrong_type(self, value: object) -> str:
         doubles = self.type_name.endswith(("double", "doubles"))
         quotes = isinstance(self.default, str) and not isinstance(value, list)
+        article = "an" if self.type_name == "integer" else "a"
         hint = " (write 120.0, not 120)" if doubles else " (write it in quotes)" if quotes else ""
-        return f"{self.name} is {value!r}; it must be a {self.type_name}{hint}"
+        return f"{self.name} is {value!r}; it must be {article} {self.type_name}{hint}"
 
     def _check_range(self, number: float, name: str) -> None:
         if not math.isfinite(number):

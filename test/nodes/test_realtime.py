@@ -57,7 +57,8 @@ def test_nothing_is_asked_for_by_default():
 
 @pytest.mark.parametrize(
     ("cpus", "said"),
-    [("first", "'first'; it must be CPU numbers such as 2 or 2,3"), ("0,-1", "names CPU -1; this machine has 0"),
+    [("first", "'first'; it must be CPU numbers such as 2 or 2,3"),
+     ("0,-1", "names CPU -1; this machine has 0"),
      ("4096", "names CPU 4096; this machine has 0 to ")],
 )  # fmt: skip
 def test_cpus_that_are_not_there_are_refused(cpus, said):
