@@ -49,9 +49,10 @@ def test_cpus_that_the_process_may_not_have_are_said():
     assert os.sched_getaffinity(0) == before
 
 
-def test_nothing_is_asked_for_by_default():
+@pytest.mark.parametrize("cpus", [(), tuple(os.sched_getaffinity(0))])
+def test_what_is_already_so_is_obtained_in_silence(cpus):
     before, said = realtime.obtained(), []
-    realtime.obtain(Request(False, 0, ()), said.append)
+    realtime.obtain(Request(False, 0, cpus), said.append)
     assert said == [] and realtime.obtained() == before
 
 

@@ -1,0 +1,61 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Values with which a law cannot work are refused in one sentence that has the parameter's name."""
+
+import changed
+import numpy as np
+import pytest
+
+from valve_control.control.laws import design
+from valve_control.control.parameters import build
+from valve_control.control.plant.models import TransferFunction
+from valve_control.parameter import ParameterError
+
+DESIGNED = {"controller": "compensator", "compensator__design": "designed"}
+LAG = ((1200.0,), (1.0, 40.0, 1200.0))  # with two poles and no zero
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [({"controller": "pid", "pid__theta": [20.0, 1200.0, 0.0]},
+      "pid.theta[2] (b0) is 0; it must be positive"),
+     ({"controller": "pid", "pid__break_frequency": 1.0},
+      "pid.break_frequency is 1 Hz, which is slower than the"),
+     ({"arc__theta_min": [40.0, 1000.0, 1000.0, -500.0], "arc__theta_max": [30.0, 1500.0, 1500.0, 500.0]},
+      "arc.theta_min[0] (a1) is 40, above arc.theta_max[0], 30"),
+     ({"arc__theta_initial": [20.0, 1200.0, 1e6, 0.0]},
+      "arc.theta_initial[2] (b0) is 1e+06; it must lie between"),
+     ({"arc__theta_min": [-1e6, -1e6, 0.0, -1e6]}, "arc.theta_min[2] (b0) is 0; it must be positive"),
+     ({**DESIGNED, "compensator__order": 1}, "compensator.order is 1; with fewer than "),
+     ({**DESIGNED, "compensator__order": 6, "compensator__model": "fourth_order"},
+      "the compensator would have 8 poles; it may have 6"),
+     ({"reshaping__natural_frequency": 9000.0},
+      "reshaping.natural_frequency is 9000 rad/s; at a sample period of"),
+     ({"controller": "dcarc", "dcarc__hum": 5.0}, "dcarc.hum is 5 Hz; it must be 0 or at least"),
+     ({"controller": "dcarc", "dcarc__hum": 600.0},
+      "dcarc.hum is 600 Hz; it must lie below half of the sample rate")],
+)  # fmt: skip
+def test_a_controller_is_not_built(changes, said):
+    with pytest.raises(ParameterError) as error:
+        build.law_params(changed.controller(**changes))
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("model", "bandwidth", "said"),
+    [(LAG, 0.0, "compensator.bandwidth is 0 Hz; it must be positive"),
+     (((1.0, 1.0, 1.0), (1.0, 2.0)), 10.0, "the model is improper: it has 2 zeros and 1 poles"),
+     (((1.0, 0.0), (1.0, 40.0, 1200.0)), 10.0, "the model has a zero at 0 rad/s, so its static gain")],
+)  # fmt: skip
+def test_a_compensator_is_not_designed(model, bandwidth, said):
+    with pytest.raises(design.DesignError) as error:
+        design.pole_zero_compensator(TransferFunction(*model), bandwidth)
+    assert said in str(error.value)
+
+
+def test_a_compensator_of_more_than_three_sections_is_not_taken():
+    eighth = design.pole_zero_compensator(TransferFunction(*LAG), 10.0)
+    for _ in range(2):
+        eighth = TransferFunction(*(tuple(map(float, np.polymul(part, part))) for part in eighth))
+    with pytest.raises(design.DesignError, match="more than 6 poles"):
+        design.compensator_params(eighth, 0.001, 10.0)
