@@ -3,12 +3,13 @@
 """A device in volts: scales, polarity and limits of both sides, losses, and a device that goes and comes."""
 
 import math
+import time
 
 import pytest
 from examples import serial_card
 
 from valve_control.control.drivers import device as device_module
-from valve_control.control.drivers.driver import Condition, DriverError
+from valve_control.control.drivers.driver import Condition, DriverError, Reading
 from valve_control.control.parameters import drivers
 from valve_control.parameter import ParameterError, defaults, updated
 
@@ -146,6 +147,55 @@ def test_a_device_that_goes_with_a_fault_comes_back_off(monkeypatch):
     one.enable(True)
     one.write(1.0)
     assert loose.calls[2:] == ["enable False", "enable True", 1.0] and one.conditions() == ()
+
+
+class Polled(Loose):
+    """One that can be polled: its readings, and the time of the next."""
+
+    def __init__(self, readings, tick=0.0):
+        super().__init__()
+        self.readings, self.tick = readings, tick
+
+    def poll(self):
+        self._need()
+        return self.readings.pop(0)
+
+    def due(self):
+        return self.tick
+
+    def fileno(self):
+        return 7
+
+
+def test_a_polled_device_never_waits_and_tells_when_it_has_something():
+    loose = Polled([None, Reading(2.0, 1), Reading(11.0, 0)], tick=time.monotonic() - 0.01)
+    one = volts(loose)
+    assert one.polled and one.fileno() == 7 and one.due() == loose.tick
+    assert one.poll() is None and one.readings == one.late == 0
+    assert one.poll() == (2.0, 1) and (one.readings, one.lost, one.late) == (1, 1, 1), "10 ms are ten periods"
+    loose.tick = time.monotonic()
+    assert math.isnan(one.poll().signal) and one.late == 1
+    assert [c.name for c in one.conditions()] == ["out_of_range", "readings_lost"]
+
+
+def test_a_polled_device_that_goes_is_tried_again_in_a_second_and_not_before(monkeypatch):
+    loose = Polled([Reading(1.0, 0)])
+    one = volts(loose)
+    loose.plugged = False
+    before = time.monotonic()
+    assert one.poll() is None and one.conditions()[0].name == "device_gone"
+    assert one.fileno() == -1 and before + 1.0 <= one.due() <= time.monotonic() + 1.0
+    loose.plugged, tried = True, loose.calls.count("open")
+    assert one.poll() is None and loose.calls.count("open") == tried
+    monkeypatch.setattr(one, "_retry_at", 0.0)
+    assert one.poll() is None and one.reopened == 1 and one.conditions() == ()
+    assert one.poll() == (1.0, 0)
+
+
+def test_a_device_that_cannot_be_polled_is_waited_for_and_its_silences_counted():
+    one = volts(Loose())
+    assert not one.polled and one.fileno() == -1 and one.due() == 0.0
+    assert one.poll() is None and one.silences == 1
 
 
 @pytest.mark.parametrize("act", [lambda d: d.write(1.0), lambda d: d.read(), lambda d: d.enable(False)])

@@ -68,6 +68,8 @@ def test_requests_without_an_answer_are_lost_readings_then_a_lost_connection(io)
     io.order("silent")
     with pytest.raises(DriverError, match=r"has not answered 3 requests in a row"):
         [valve.read() for _ in range(3)]
+    with pytest.raises(DriverError, match="closed the connection"):
+        valve.read()
     valve.close()
 
 

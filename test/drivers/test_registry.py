@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drivers of other packages: entry points as pip leaves them, sound and broken."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -35,7 +36,7 @@ def listed(folder, points):
     """
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(code)],
-        capture_output=True, text=True, timeout=60, env={"PYTHONPATH": f"{folder}:."},
+        capture_output=True, text=True, timeout=60, env={**os.environ, "PYTHONPATH": f"{folder}:."},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()

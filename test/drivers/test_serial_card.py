@@ -237,6 +237,7 @@ def test_a_port_that_goes_away_is_told_in_a_sentence():
     driver.close()
     with pytest.raises(DriverError, match=f"the port {port} cannot be opened"):
         driver.open()
+    driver.close()
 
 
 def test_a_line_discipline_that_fails_is_told_in_a_sentence(card, monkeypatch):

@@ -211,17 +211,15 @@ class ModbusTcp:
             self._client.close()
         self._client, self._on = None, False
 
-    def _switch(self, on: bool) -> Any:
-        """Answer of the coil of the output stage; None if there is no coil or no answer."""
-        coil = self._p["enable_coil"]
-        return self._request("write_coil", coil, on) if coil >= 0 else None
-
     def _switched(self, on: bool) -> None:
         """Write the signal of 0 V, then the coil. Raises DriverError if a voltage stays on the output."""
         zero = self._answered(self._zero, self._output)
         self._held = self._held and not zero
         coil = self._p["enable_coil"]
-        off = coil >= 0 and self._answered(lambda: self._switch(on and zero), f"coil {coil}")
+        switched = on and zero
+        off = coil >= 0 and self._answered(
+            lambda: self._request("write_coil", coil, switched), f"coil {coil}"
+        )
         if self._held and not off:
             raise DriverError(f"{self._refused['write_refused']}; the last voltage stays on the output")
 

@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated valve as a device: the bits of the plant, its clock, and a dry run with it."""
+
+import math
+
+import changed
+import numpy as np
+import pytest
+
+from valve_control.control.drivers import simulated, ticks, trial
+from valve_control.control.drivers.device import Device, Side
+from valve_control.control.drivers.driver import PolledDriver
+from valve_control.control.drivers.scaling import Scale
+from valve_control.control.drivers.simulated import BACKLOG, SimulatedValve
+from valve_control.control.parameters import build
+from valve_control.control.plant import valve
+
+P = build.valve_params(changed.valve(lvdt__noise=0.004))
+
+
+def made(paced):
+    driver = SimulatedValve(P, 3, paced)
+    driver.open()
+    driver.enable(True)
+    return driver
+
+
+def test_readings_have_the_bits_of_the_plant_under_the_same_voltages():
+    driver, spool, random = made(False), valve.initial(P), np.random.default_rng(3)
+    assert isinstance(driver, PolledDriver) and driver.fileno() == -1 and driver.due() == 0.0
+    for k in range(200):
+        if k > 0:
+            spool = valve.step(P, spool, max(-P.u_max, min(P.u_max, 0.1 * k)))
+        assert driver.read() == (valve.read(P, spool, float(random.standard_normal())), 0)
+        driver.write(0.1 * (k + 1))
+    driver.open()
+    assert driver.poll() == (
+        valve.read(P, valve.initial(P), float(np.random.default_rng(3).standard_normal())),
+        0,
+    )
+    assert driver.conditions() == ()
+
+
+class Clock:
+    """Time that goes on only where somebody waits."""
+
+    def __init__(self):
+        self.now = 100.0004
+
+    def monotonic(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+
+def test_a_paced_one_gives_one_reading_a_tick_and_makes_up_for_late_ones(monkeypatch):
+    clock = Clock()
+    for module in (simulated, ticks):
+        monkeypatch.setattr(module, "time", clock)
+    driver = made(True)
+    assert driver.poll() is None and driver.due() == pytest.approx(100.001)
+    assert driver.read().lost == 0 and clock.now == pytest.approx(100.001)
+    assert driver.poll() is None and driver.due() == pytest.approx(100.002)
+    clock.now += 0.5 * BACKLOG
+    assert [driver.poll().lost for _ in range(10)] == [0] * 10 and driver.poll() is None
+    state = driver._state
+    clock.now += 2.0 * BACKLOG
+    assert driver.poll().lost == round(2.0 * BACKLOG / P.period) - 1 and driver.poll() is None
+    for _ in range(round(2.0 * BACKLOG / P.period)):
+        state = valve.step(P, state, 0.0)
+    assert driver._state == state, "the spool moved meanwhile"
+
+
+def test_a_dry_run_tells_noise_rate_and_losses_and_writes_nothing():
+    side = Side(Scale(1.0), -11.0, 11.0)
+    device = Device(SimulatedValve(P, 3, False), side, side, P.period)
+    found = trial.run(device, 0.05)
+    assert len(found.volts) == len(found.times) > 50 and found.lost == 0 and found.conditions == {}
+    assert np.std(found.volts) == pytest.approx(0.004, rel=0.3), "the spool rests"
+    assert trial.noise(found.volts) == pytest.approx(0.004, rel=0.3)
+    readings, rate, position, noise = trial.told(found, device, P.period)
+    assert readings == f"readings   {len(found.volts)}, of which 0 not valid; 0 lost"
+    assert (
+        rate.startswith("rate       ") and position.startswith("position   ") and noise.startswith("noise ")
+    )
+
+
+def test_a_slow_motion_is_no_noise():
+    """Second differences of a parabola of 1 V/s² at 1 kHz are 1 µV; those of one reading are none."""
+    t = np.arange(1000) * 1e-3
+    noise = 0.004 * np.random.default_rng(1).standard_normal(1000)
+    assert trial.noise(list(0.5 * t * t)) == pytest.approx(1e-6 / math.sqrt(6.0), rel=1e-3)
+    assert trial.noise(list(0.5 * t * t + noise)) == pytest.approx(0.004, rel=0.1)
+    assert math.isnan(trial.noise([1.0, 2.0]))
+
+
+def test_a_dry_run_without_readings_or_with_none_that_is_valid_says_so():
+    side = Side(Scale(1.0), -11.0, 11.0)
+    device = Device(SimulatedValve(P, 3, False), side, side, P.period)
+    assert trial.told(trial.Trial([], [], 0, {}), device, P.period) == [
+        "readings   0, of which 0 not valid; 0 lost"
+    ]
+    lines = trial.told(
+        trial.Trial([math.nan] * 2, [0.0, 0.002], 1, {"sensor_fault": "broken"}), device, 0.001
+    )
+    assert lines == [
+        "readings   2, of which 2 not valid; 1 lost",
+        "rate       1000.00 Hz; the period is +0.00 % off sample_period; largest gap 2 ms",
+        "sensor_fault: broken",
+    ]
