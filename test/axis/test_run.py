@@ -45,10 +45,16 @@ def test_plain_python_and_batches_give_the_bits_of_a_compiled_run(level):
     for name, signal in plain.signals.items():
         assert np.array_equal(signal, one.signals[name][:500]), name
     others = [made._replace(seed=seed) for seed in (5, 1, 7)]
-    mixed = [*others, run.setup(settings(duration=0.1, course="step"))]
+    mixed = [*others, run.setup(settings(duration=0.1, pause=0.05, course="step"))]
     assert run.simulate_many(mixed, threads=2)[1] == one.indices
     assert run.simulate(made).indices == one.indices  # a run leaves nothing behind
     assert one.indices.e_rms > 0.0 and one.indices.chatter > 0.0
+
+
+def test_a_step_that_would_come_after_the_end_of_the_run_is_refused():
+    words = "duration is 0.4 s; the step comes after the pause of 0.5 s"
+    with pytest.raises(ParameterError, match=words):
+        run.setup(settings(course="step", duration=0.4, pause=0.5))
 
 
 def test_an_ideal_valve_follows_its_course_and_settles_within_its_overlap():

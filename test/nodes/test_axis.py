@@ -25,6 +25,7 @@ from valve_control.control.axis import run
 from valve_control.control.parameters import files
 from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, NumberSubscription
+from valve_control.nodes.axis_simulator import AxisSimulator
 from valve_control.nodes.harness.processes import process
 from valve_control.parameter import updated
 
@@ -70,6 +71,11 @@ def machine_running(folder, machine, **arguments):
             words += [word for setting in arguments.get(node, ()) for word in ("-p", setting)]
             children[node] = stack.enter_context(process(node, words, folder / f"{node}.log"))
         yield children
+
+
+def at(point):
+    """Time of a point of a trajectory [ns]."""
+    return point.time_from_start.sec * 10**9 + point.time_from_start.nanosec
 
 
 class Axis:
@@ -290,6 +296,29 @@ def test_axis_arc_without_pressure_sensors_stops_with_one_sentence_and_takes_no_
         refused = set_parameters(ros, "axis_controller", upper_level="axis_pid")
         assert not refused.successful and "does not change; start it again" in refused.reason
         assert child.poll() is None
+
+
+def test_the_point_of_a_stop_has_a_time_on_the_clock_of_the_readings(ros, tmp_path):
+    """With the time of sending a controller refuses the points after it, whose times are before."""
+    axis, points = Played(ros), []
+    ros.create_subscription(JointTrajectoryPoint, "spool_trajectory", points.append, SAMPLES)
+    with upper_level(tmp_path, "message:=trajectory", "stop.controller:=''", "sensor.timeout:=100.0"):
+        axis.connect(0.2)
+        axis.send(0.2)
+        spin_until(ros, lambda: points and at(points[-1]) == axis.time, "the point of the last reading")
+        assert call(ros, Trigger, "/axis_controller/stop", Trigger.Request()).success
+        spin_until(ros, lambda: at(points[-1]) != axis.time, "the point of the stop")
+        assert 0 < at(points[-1]) - axis.time < 60 * 10**9
+
+
+def test_a_frozen_position_sensor_shows_its_first_position(ros):
+    sensor = AxisSimulator(cli_args=["--ros-args", "-p", "fault.position:=frozen"])
+    try:
+        for position in (0.25, 0.26):
+            sensor._publish_position(position, 0)
+            assert list(sensor._joint.position) == [0.25]
+    finally:
+        sensor.destroy_node()
 
 
 def test_axis_arc_waits_for_its_first_pressures_after_each_start(ros, tmp_path):

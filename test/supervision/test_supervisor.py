@@ -192,6 +192,15 @@ def test_silence_told_from_outside(law):
     assert loop.supervisor.mode is Mode.OK
 
 
+def test_an_event_before_a_silence_is_over_a_second_later_too():
+    loop = Loop("arc").run(300)
+    loop.supervisor.command(99.0)
+    loop.supervisor.silence(0.5)
+    assert {"command_limited", "lvdt_silent"} == set(loop.supervisor.conditions)
+    loop.supervisor.silence(0.6)
+    assert {"lvdt_silent"} == set(loop.supervisor.conditions)
+
+
 def crest(amplitude):
     """Longest time [samples] in which a sine of ``amplitude`` [V] and 1.5 Hz moves by less than 0.5 V."""
     return math.acos(1.0 - 0.5 / amplitude) / (math.pi * 1.5) / PERIOD

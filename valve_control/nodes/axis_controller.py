@@ -65,6 +65,7 @@ class AxisController(Managed):
         self._waiting: JointState | None = None  # lockstep: a reading without its listeners
         self._watch_at = self._look_at = NEVER
         self._heard = 0.0  # s  when the last reading came
+        self._stamp = 0  # ns  of its time stamp, 0: it has none
         self._deactivate_at = NEVER
         self._deactivated = False
         self._listened = False
@@ -73,7 +74,6 @@ class AxisController(Managed):
         self._heard_rooms = dict.fromkeys(("a", "b"), NEVER)  # s  when their pressures came
         self._waits_since = NEVER  # s  first reading without pressures that the upper level needs
         self._paired = False  # lockstep: whether both pressures are those of the reading
-        self._foreign = ""  # joints of a message without ours
         self._said: tuple[Mode, str] | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         ParameterSet(self, AXIS_CONTROLLER, self._build, self._apply)
@@ -154,7 +154,7 @@ class AxisController(Managed):
     def end(self) -> None:
         """Command 0 V once and stop."""
         self._state = axis_supervisor.stopped(self._state, "inactive")
-        self._publish(0)
+        self._publish(self._now())
         self._watch_at = NEVER
 
     # Work
@@ -187,7 +187,7 @@ class AxisController(Managed):
         if now >= self._watch_at:
             self._watch_at = now + REMIND
             self._state = axis_supervisor.silent(self._state, now - self._heard)
-            self._publish(0)
+            self._publish(self._now())
             worked = True
         if now >= self._deactivate_at:
             self._deactivate_at = NEVER
@@ -228,9 +228,9 @@ class AxisController(Managed):
     def _answer(self, reading: JointState) -> None:
         joint = word(self._values, "joint")
         if joint not in reading.name or len(reading.position) <= list(reading.name).index(joint):
-            self._foreign = ", ".join(f"'{name}'" for name in reading.name) or "no joint"
+            foreign = ", ".join(f"'{name}'" for name in reading.name) or "no joint"
             self.get_logger().warning(
-                f"joint_states has {self._foreign} with a position, not '{joint}'", throttle_duration_sec=5.0
+                f"joint_states has {foreign} with a position, not '{joint}'", throttle_duration_sec=5.0
             )
             return
         now = time.monotonic()
@@ -240,7 +240,7 @@ class AxisController(Managed):
         self._watch_at = NEVER if self._lockstep else now + self._timeout
         if self._needs_pressures and not self._lockstep and not self._watch_pressures(now):
             return
-        stamp = reading.header.stamp.sec * NANO + reading.header.stamp.nanosec
+        stamp = self._stamp = reading.header.stamp.sec * NANO + reading.header.stamp.nanosec
         position = reading.position[list(reading.name).index(joint)]
         if self._state.goal is None:
             self._state = axis_supervisor.found(self._params, self._state, position, stamp)
@@ -252,6 +252,10 @@ class AxisController(Managed):
             stamp if stamp or self._lockstep else self._state.time + round(self._params.period * NANO),
         )
         self._publish(stamp)
+
+    def _now(self) -> int:
+        """Time [ns] on the clock of the readings, 0 if they have none."""
+        return self._stamp + round((time.monotonic() - self._heard) * NANO) if self._stamp else 0
 
     def _publish(self, stamp: int) -> None:
         """Publish the command of the spool, and the goal; ``stamp`` [ns] of the reading."""
@@ -344,7 +348,7 @@ class AxisController(Managed):
     def _on_stop(self, request: Any, response: Any) -> Any:
         self._state = axis_supervisor.stopped(self._state, "~/stop was called")
         if self.working:
-            self._publish(0)
+            self._publish(self._now())
         response.success, response.message = True, "stopped, 0 V; ~/reset ends that"
         return response
 

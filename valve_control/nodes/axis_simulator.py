@@ -45,7 +45,7 @@ class AxisSimulator(Worker):
         self._machine: machine.Params
         self._state: machine.State
         self._machine_known = False
-        self._shown = 0.0  # m  position that was published last
+        self._shown: float | None = None  # m  position that was published last
         self._follow = compile_function(machine.followed)
         self._joints = self.create_publisher(JointState, "joint_states", SAMPLES)
         self._pressures_a = self.create_publisher(FluidPressure, "pressure_a", SAMPLES)
@@ -124,7 +124,7 @@ class AxisSimulator(Worker):
         stroke = self._axis.cylinder.stroke
         if fault == "silent":
             return
-        if fault == "frozen":
+        if fault == "frozen" and self._shown is not None:
             position = self._shown
         elif fault == "jump":
             position += LEAP * stroke

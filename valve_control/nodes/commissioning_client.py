@@ -256,7 +256,8 @@ class Controller:
                 if following is not None:
                     give(following)
                 readings += came
-                number = came[-1][0] - readings[0][0]
+                # A middleware that does not number has 0 for all.
+                number = came[-1][0] - readings[0][0] or len(readings) - 1
                 told(number * self._period)
                 try:
                     following = course.send(Seen((number + 1) * self._period, came[-1][2]))

@@ -81,8 +81,13 @@ def goals_of(values: Values, position: float) -> Array:
         return course.sine(centre, stroke, number(values, "frequency"), period, duration)
     if word(values, "course") == "step":
         rows = np.zeros((max(1, round(duration / period)), 3))
+        begin = round(number(values, "pause") / period)
+        if begin >= len(rows):
+            raise ParameterError(
+                f"duration is {duration:g} s; the step comes after the pause of {number(values, 'pause'):g} s"
+            )
         rows[:, 0] = centre
-        rows[round(number(values, "pause") / period) :, 0] = centre + stroke
+        rows[begin:, 0] = centre + stroke
         return rows
     limits = course.MotionLimits(
         number(values, "max_velocity"), number(values, "max_acceleration"), number(values, "max_jerk")

@@ -277,6 +277,7 @@ def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
     ``stalled``: readings have come, but this process stood still.
     """
     m.now += elapsed
+    expire(m)
     m.upper = None
     m.trust = m.trust._replace(sound=0)
     if m.trust.blocked == "" and m.law is not None:
