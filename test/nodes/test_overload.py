@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes that get more than they can work on still hear signals and services."""
 
+import math
 import subprocess
 import sys
 import time
@@ -10,6 +11,7 @@ from itertools import pairwise
 
 import pytest
 from bench import LIMIT, get_double, spin_until
+from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 
 from valve_control.control.supervision.record import Mode
@@ -20,6 +22,7 @@ from valve_control.nodes.harness.processes import process
 PROMPT = 2.0  # s for the end of a process, most of it Python's
 FLOOD = """
 import sys, rclpy
+from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 from valve_control.nodes.adapter import SAMPLES, encoded
 rclpy.init()
@@ -138,6 +141,16 @@ def test_a_change_of_a_device_and_one_of_its_valve_do_not_hold_up_each_other(ros
     try:
         assert valve._may_tell(False, "device") and valve._may_tell(False)
         assert not valve._may_tell(False, "device") and not valve._may_tell(False)
+    finally:
+        valve.destroy_node()
+
+
+def test_a_silence_that_begins_in_lockstep_is_noticed_once_lockstep_ends(ros):
+    valve = Controller(cli_args=["--ros-args", "-r", "__ns:=/y", "-p", "lockstep:=true"])
+    try:
+        assert valve.due() == math.inf
+        (result,) = valve.set_parameters([Parameter("lockstep", value=False)])
+        assert result.successful and valve.due() < time.monotonic() + 1.0
     finally:
         valve.destroy_node()
 

@@ -160,6 +160,9 @@ class Controller(Managed):
             if self._readings is not None:
                 self._unsubscribe()
                 self._subscribe()
+            if self.working and not self._lockstep:  # whoever gave readings may have ended
+                self._seen = time.monotonic()
+                self._watch_at = self._seen + REMIND
         # Half a period more than the last reading that may still come in time.
         self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
         if self._lockstep:

@@ -121,7 +121,7 @@ def adapted(low: float, high: float, value: float, rate: float, period: float) -
     return clip(value + period * rate, low, high)
 
 
-def initial(p: Params, theta: Theta) -> State:
+def initial(theta: Theta) -> State:
     """Begin with the estimates ``theta``."""
     return State(theta)
 

@@ -34,8 +34,6 @@ class Params(NamedTuple):
     by_velocity: float  # 1/s  the same to the velocity
     by_acceleration: float  # 1/s²  the same to the acceleration
     lead: float  # s  from a command to the opening that it makes
-    limit: float  # V  of the command
-    overlap: float  # V
 
 
 class State(NamedTuple):
@@ -67,7 +65,7 @@ AT_REST = Terms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 def initial(p: Params) -> State:
     """Before the first reading."""
-    return State(axis_arc.initial(p.law, p.begin), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return State(axis_arc.initial(p.begin), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def estimates(s: State) -> dict[str, float]:
@@ -354,6 +352,4 @@ def build(values: Values, plant: axis.Params, supply: float) -> Params:
         by_velocity=1.5 * (1.0 - z) * (1.0 - z) * (1.0 + z) / period,
         by_acceleration=(1.0 - z) * (1.0 - z) * (1.0 - z) / (period * period),
         lead=of("lead"),
-        limit=limit,
-        overlap=overlap,
     )
