@@ -18,6 +18,8 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
+from valve_control.nodes.valve_driver import ValveDriver
+
 sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "drivers"))
 from examples import serial_card
 
@@ -213,6 +215,19 @@ def test_the_output_follows_enable_and_an_open_device_keeps_its_scales(ros, tmp_
         assert not card._asked and card.voltage == 0.0
         assert call(ros, SetBool, "/valve_driver/enable", SetBool.Request(data=True)).success
         run(ros, card, driven(3.0), "3 V again")
+
+
+def test_who_enables_the_output_of_a_node_that_is_not_active_is_told_so(ros):
+    node = ValveDriver(cli_args=["--ros-args", "-p", "driver:=simulated", "-p", "autostart:=false"])
+    try:
+        for on, told in (
+            (True, "the node is not active: the output comes on when it is"),
+            (False, "output off"),
+        ):
+            answer = node._on_enable(SetBool.Request(data=on), SetBool.Response())
+            assert (answer.success, answer.message) == (True, told)
+    finally:
+        node.destroy_node()
 
 
 def test_a_card_that_goes_is_told_and_found_again(ros, tmp_path):

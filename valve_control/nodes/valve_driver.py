@@ -291,7 +291,10 @@ class ValveDriver(Managed):
         (result,) = self.set_parameters([Parameter("enable", value=bool(request.data))])
         faults = [c.text for c in self._device_conditions() if c.level == "safe"]
         response.success = result.successful and not faults
-        response.message = result.reason or "; ".join(faults) or f"output {'on' if request.data else 'off'}"
+        told = "output on" if request.data else "output off"
+        if request.data and not self.working:
+            told = "the node is not active: the output comes on when it is"
+        response.message = result.reason or "; ".join(faults) or told
         return response
 
     def _device_conditions(self) -> tuple[Condition, ...]:
