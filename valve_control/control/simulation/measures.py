@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-BAND = 0.02  # of the commanded range; within it a response has settled
 
 
 class Now(NamedTuple):
@@ -105,50 +104,3 @@ def results(tallies: Array, samples: int) -> Results:
 
 
 INDICES = Measures(Tally, count, results)
-
-
-class ResponseTally(NamedTuple):
-    """Sums and extremes from which overshoot, settling time, travel and energy are computed."""
-
-    highest: float  # V  command so far, from 0 V on
-    lowest: float  # V
-    beyond: float  # V  largest way beyond them
-    outside: float  # s  when the error was last outside the band
-    travel: float  # V
-    energy: float  # V²·s
-    voltage: float  # V  of the sample before
-
-
-class Response(NamedTuple):
-    """Measures of a response, one entry per valve; NaN where a run did not stay finite."""
-
-    overshoot: Array  # V  largest way of the true position beyond all that was commanded so far
-    settling_time: Array  # s  from which on the error stays within BAND of the commanded range
-    travel: Array  # V  of the voltage, Σ|Δu|
-    energy: Array  # V²·s  ∫u²dt, of a solenoid of 1 Ω
-
-
-def count_response(t: ResponseTally, now: Now) -> ResponseTally:
-    """``t`` after one more sample."""
-    highest, lowest = max(t.highest, now.command), min(t.lowest, now.command)
-    off = abs(now.position - now.command) > BAND * (highest - lowest)
-    return ResponseTally(
-        highest,
-        lowest,
-        max(t.beyond, max(now.position - highest, lowest - now.position)),
-        now.time + now.period if off else t.outside,
-        t.travel + (0.0 if now.first else abs(now.voltage - t.voltage)),
-        t.energy + now.voltage * now.voltage * now.period,
-        now.voltage,
-    )
-
-
-def response(tallies: Array, samples: int) -> Response:
-    """Overshoot, settling time, travel and energy from ``tallies`` (fields×N)."""
-    t = ResponseTally(*tallies)
-    finite = np.isfinite(t.beyond + t.travel + t.energy)
-    numbers = (t.beyond, t.outside, t.travel, t.energy)
-    return Response._make(np.where(finite, column, np.nan) for column in numbers)
-
-
-RESPONSE = Measures(ResponseTally, count_response, response)

@@ -16,9 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.records import (
     Attachment,
     AttachmentIndex,
@@ -44,7 +42,6 @@ FRAME = struct.Struct("<BQ")  # opcode, length
 MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
 CHUNK_HEAD = struct.Struct("<QQQI")  # times, uncompressed size, checksum
 FOOTER_LENGTH = 20
-TAIL = FRAME.size + FOOTER_LENGTH + len(MAGIC)
 MADE_ANEW = (Opcode.MESSAGE_INDEX, Opcode.DATA_END, Opcode.FOOTER)
 KNOWN = (0, *Opcode)  # zeros are what a file system leaves of bytes that never reached the disk
 LONGEST_HEADER = 1000
@@ -128,24 +125,6 @@ class Contents:
             metadata_count=len(self.metadata),
             schema_count=len(self.schemas),
         )
-
-
-def is_finished(path: Path) -> bool:
-    """Whether the file ends as an MCAP file must. Raises OSError."""
-    with path.open("rb") as stream:
-        size = stream.seek(0, os.SEEK_END)
-        if size < len(MAGIC) + TAIL:
-            return False
-        stream.seek(size - TAIL)
-        tail = stream.read(TAIL)
-        if FRAME.unpack_from(tail) != (Opcode.FOOTER, FOOTER_LENGTH) or not tail.endswith(MAGIC):
-            return False
-        stream.seek(0)
-        try:
-            make_reader(stream).get_summary()
-        except (McapError, struct.error, ValueError):
-            return False
-    return True
 
 
 def repair(path: Path) -> Repaired:
