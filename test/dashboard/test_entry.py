@@ -76,3 +76,10 @@ def test_ranges_over_decades_are_logarithmic_and_reach_both_ends():
     assert zero.value(1) > 0.0
     assert scale(Field("x", "double")) is None and scale(Field("s", "string")) is None
     assert scale(COUNT).value(1) < 1.1  # not thousands at once
+
+
+@pytest.mark.parametrize("kind", ["integer", "double", "doubles"])
+def test_a_number_beyond_all_bounds_is_refused(kind):
+    """It became infinity, which is no whole number: the page raised."""
+    with pytest.raises(EntryError, match="too large"):
+        parse(Field("x", kind), "1e999")

@@ -51,7 +51,10 @@ def number(text: str) -> float:
     if not NUMBER.fullmatch(word):
         hint = "; write it without separators of thousands" if re.fullmatch(r"[+-]?[\d.,' ]+", word) else ""
         raise EntryError(f"'{text.strip()}' is no number{hint}" if word else "a number is missing")
-    return float(word.replace(",", "."))
+    value = float(word.replace(",", "."))
+    if not math.isfinite(value):
+        raise EntryError(f"{word} is too large")
+    return value
 
 
 def parse(field: Field, text: str) -> Value:
