@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import ARRAY, BEGIN, STORE, STRING, Run, array, string, write
+from made import ARRAY, BEGIN, STORE, STRING, Run, array, in_file_order, string, write
 
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.supervision.journal import COLUMNS, HEAD, Journal
 from valve_control.parameter import ParameterError, defaults
 from valve_control.recordings import replay_report, shadow
+from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.mapping import find_valves
 from valve_control.recordings.recording import load
 
 
@@ -430,3 +432,16 @@ def test_the_chatter_of_a_recording_with_gaps_is_that_of_its_steps():
     about = replay_report.shadow_dict(result, "bag", "valve")
     assert about["recorded"]["c_u"] == pytest.approx(1.0 / about["recorded"]["u_rms"])
     assert about["recorded"]["max"] == 9.0 and about["compared"] == 4
+
+
+def test_state_and_journal_are_those_of_one_controller(tmp_path):
+    """Of two controllers in a namespace the first topic of each kind was taken, in the order of the file."""
+    run = Run()
+    run.move(50)
+    other = [m._replace(topic=m.topic.replace("/controller/", "/a_shadow/")) for m in run.messages]
+    firsts = {m.topic: m for m in [*other, *run.messages] if m.topic.endswith(("/state", "/journal"))}
+    order = ("/controller/state", "/a_shadow/journal", "/a_shadow/state", "/controller/journal")
+    readings = [m for m in run.messages if m.topic == "/spool_position"]
+    path = in_file_order(tmp_path / "bag", [*(firsts[name] for name in order), *readings])
+    found = find_valves(Bag(path))["valve"]
+    assert (found.state, found.journal) == ("/controller/state", "/controller/journal")

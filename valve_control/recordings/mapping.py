@@ -175,20 +175,14 @@ def _name(namespace: str) -> str:
 
 
 def _own_topics(bag: Bag, namespace: str) -> list[str]:
-    """State and journal of the controller in ``namespace``, "" for what is not there."""
-    return [
-        next(
-            (
-                name
-                for name, topic in bag.topics.items()
-                if topic.type == STATE_TYPE
-                and not topic.unreadable
-                and re.fullmatch(rf"{re.escape(namespace)}/[^/]+/{kind}", name)
-            ),
-            "",
-        )
-        for kind in ("state", "journal")
-    ]
+    """State and journal of the controller in ``namespace``, "" for what is not there; both of one node."""
+    found: dict[str, dict[str, str]] = {}  # by node
+    for name, topic in bag.topics.items():
+        own = re.fullmatch(rf"({re.escape(namespace)}/[^/]+)/(state|journal)", name)
+        if own and topic.type == STATE_TYPE and not topic.unreadable:
+            found.setdefault(own[1], {})[own[2]] = name
+    node = max(found.values(), key=len, default={})
+    return [node.get(kind, "") for kind in ("state", "journal")]
 
 
 def _spoken(bag: Bag, topic: str) -> bool:
