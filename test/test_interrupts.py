@@ -141,7 +141,7 @@ PARTS = 4  # of the campaign, for several workers
 @pytest.mark.parametrize(
     ("count", "part"),
     [
-        (6, 0),
+        (3, 0),
         *(
             pytest.param(sizes.INTERRUPTED_RUNS // PARTS, part, marks=pytest.mark.campaign)
             for part in range(PARTS)

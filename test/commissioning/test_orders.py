@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from grids import grid
 from hypothesis import given
 from hypothesis import strategies as st
 from supervised import SupervisedValve, driven
@@ -117,9 +118,8 @@ def test_a_pole_beyond_the_bound_leaves_the_slow_ones_where_they_are(pole, slowe
     assert found == pytest.approx(sorted(np.roots(slower), key=abs), rel=1e-6)
 
 
-@pytest.mark.parametrize("law", ["dcarc", "arc", "pid"])
-@pytest.mark.parametrize("period", [0.0002, 0.001, 0.004])
-def test_a_pole_at_the_bound_of_the_search_ends_nothing(period, law):
+@grid("law, period", ["dcarc", "arc", "pid"], [0.0002, 0.001, 0.004], strength=1)
+def test_a_pole_at_the_bound_of_the_search_ends_nothing(law, period):
     """Gains are found for a model that has one."""
     form = plant._Form(3, 1, 1.2, False, period)
     found = form.plant(np.array([1.0 + np.log(70.0), 1.0 + np.log(2500.0), 1e3, 0.83, 0.3, -0.1, 1.2]))

@@ -127,7 +127,7 @@ def test_law_and_valve_together_equal_the_offline_run_to_the_last_bit(
     plant = Slave(exported(version, "--plant", "valve", *options), tmp_path / "valve")
     values = updated(VALVE, defaults(VALVE), valve)
     wanted = offline.simulate(
-        updated(CONTROLLER, defaults(CONTROLLER), {"controller": name}), values, COMMAND
+        updated(CONTROLLER, defaults(CONTROLLER), {"controller": name}), values, COMMAND, compiled=False
     )
     noise = np.random.default_rng(values["seed"]).standard_normal(N)
     readings, voltages = np.zeros(N), np.zeros(N)
@@ -157,7 +157,7 @@ def test_law_and_axis_together_equal_the_offline_axis_to_the_last_bit(exported, 
     }
     begun = run_axis.default_settings()
     settings = {node: updated(AXIS_NODES[node], begun[node], given) for node, given in nodes.items()}
-    wanted = run_axis.simulate(run_axis.setup(settings)).signals
+    wanted = run_axis.simulate(run_axis.setup(settings), compiled=False).signals
     s = run_axis.setup(settings)
     options = [
         word for name, value in {**changes, **EXAMPLE}.items() for word in ("--set", f"{name}={value}")

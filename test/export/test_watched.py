@@ -10,6 +10,7 @@ import changed
 import numpy as np
 import pytest
 from driven import COMPILERS, SANITIZERS
+from grids import grid
 
 from valve_control.control.laws.registry import LAWS
 from valve_control.export import folder, samples, sources, unit
@@ -61,8 +62,7 @@ CURVE = {
 
 
 @compiles
-@pytest.mark.parametrize("watch", [[], ["--watch"]])
-@pytest.mark.parametrize("law", ["pid", "dcarc", "open_loop"])
+@grid("law, watch", ["pid", "dcarc", "open_loop"], [[], ["--watch"]], strength=1)
 def test_the_inverse_of_a_curve_behind_a_law(run, tmp_path, law, watch):
     sets = [word for name, value in CURVE.items() for word in ("--set", f"{name}={value}")]
     status, _, err = run("export", "--controller", law, *watch, *sets, "--output", "made")

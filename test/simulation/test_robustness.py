@@ -200,7 +200,8 @@ def test_command_array_is_run_whole_at_one_sample_period(tmp_path, monkeypatch, 
 
 
 def test_ctrl_c_ends_a_study_at_once_and_loses_nothing(tmp_path):
-    command = [sys.executable, "-m", "valve_control.cli", "study", "--valves", "1000000", "--folder", "kept"]
+    words = ["--valves", "1000000", "--duration", "0.5", "--folder", "kept"]
+    command = [sys.executable, "-m", "valve_control.cli", "study", *words]
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 120.0
         while len(list(tmp_path.glob("kept/valves_*.npz"))) < 2 and time.monotonic() < deadline:

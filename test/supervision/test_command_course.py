@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from grids import grid
 from hypothesis import given
 from hypothesis import strategies as st
 from slow import PERIOD, bare, lag, run, settings
@@ -37,9 +38,7 @@ def followed(p, commands, every, until, jitter=()):
     return np.array(got)
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("every", [5, 10])
-@pytest.mark.parametrize("jitter", [0.0, 0.0007])
+@grid("law, every, jitter", LAWS, [5, 10], [0.0, 0.0007])
 def test_there_is_no_staircase_in_the_voltage(law, every, jitter):
     assert set(registry.LAWS) >= set(LAWS)
     fast = run(bare(), 1, controller=law)
@@ -51,9 +50,7 @@ def test_there_is_no_staircase_in_the_voltage(law, every, jitter):
         assert joined.chatter < stairs.chatter
 
 
-@pytest.mark.parametrize("law", ["oarc", "dcarc"])
-@pytest.mark.parametrize("every", [5, 10])
-@pytest.mark.parametrize("lead", [0.005, 0.016])
+@grid("law, every, lead", ["oarc", "dcarc"], [5, 10], [0.005, 0.016])
 def test_a_lead_of_joined_commands_has_no_corners(law, every, lead):
     """Lead for the reshaping alone, and for the lag of the line too."""
     changes = {"controller": law, "reshaping__lead": lead}

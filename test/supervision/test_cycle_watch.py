@@ -38,12 +38,12 @@ class Loop:
         self.random = np.random.default_rng(1)
         self.readings, self.voltages, self.said = [], [], []
 
-    def run(self, samples, command, late=0, hum=(0.0, 0.0)):
-        """``late`` [samples]; ``hum``: amplitude [V] and frequency [Hz]."""
+    def run(self, samples, command, late=0, hum=(0.0, 0.0), drift=0.0):
+        """``late`` [samples]; ``hum``: amplitude [V], frequency [Hz]; ``drift`` [1/s] of the LVDT's gain."""
         for _ in range(samples):
             t = len(self.readings) * PERIOD
             self.supervisor.command(command(t))
-            reading = valve.read(self.p, self.s, self.random.standard_normal())
+            reading = (1.0 + drift * t) * valve.read(self.p, self.s, self.random.standard_normal())
             self.readings.append(reading + hum[0] * math.sin(2.0 * math.pi * hum[1] * t))
             reading = self.readings[max(0, len(self.readings) - 1 - late)]
             self.voltages.append(self.supervisor.sample(reading, len(self.readings)))

@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from grids import grid
 from test_cycle_watch import PERIOD, TUNED, Loop, sine
 
 from valve_control.control.supervision import hum_watch, plausibility
@@ -41,12 +42,15 @@ def test_hum_of_20_mv_is_named_at_rest_and_in_slow_motion(config, law, shipped):
         assert "lvdt_mains" not in loop.supervisor.conditions
 
 
-@pytest.mark.parametrize("sensor", SENSORS)
-@pytest.mark.parametrize(("law", "shipped"), TUNED)
-def test_no_hum_is_found_on_a_clean_sensor(config, law, shipped, sensor):
+@grid(
+    "tuned, sensor, command",
+    TUNED,
+    SENSORS,
+    [rest, sine(1.0, 3.0), sine(0.3, 10.0), lambda t: 0.1 * round(50.0 * (t % 0.6))],
+)
+def test_no_hum_is_found_on_a_clean_sensor(config, tuned, sensor, command):
     """A 10 Hz sine has its fifth harmonic at 50 Hz, a staircase of 50 Hz its first."""
-    for command in (rest, sine(1.0, 3.0), sine(0.3, 10.0), lambda t: 0.1 * round(50.0 * (t % 0.6))):
-        assert said(Loop(config, law, shipped, **sensor).run(2500, command)) == []
+    assert said(Loop(config, *tuned, **sensor).run(2500, command)) == []
 
 
 def watched(readings, commands=None, grain=0.0, at=0.0):

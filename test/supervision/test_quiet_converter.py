@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from grids import grid
 
 from valve_control.control.laws import registry
 from valve_control.control.parameters import build, files
@@ -62,10 +63,7 @@ class Loop:
         return self
 
 
-@pytest.mark.parametrize("bits", BITS)
-@pytest.mark.parametrize("law", registry.LAWS)
-@pytest.mark.parametrize("plant", [{}, FRICTION], ids=["smooth", "friction"])
-@pytest.mark.parametrize("command", COMMANDS)
+@grid("bits, law, plant, command", BITS, registry.LAWS, [{}, FRICTION], COMMANDS)
 def test_no_false_alarm_of_the_lvdt_with_the_usual_gains(config, law, bits, plant, command):
     own = files.load(str(config / "d3fxe.yaml"))["controller"] if plant else {}
     loop = Loop({"controller": law, **own}, {**plant, "lvdt.resolution": BITS[bits]})
@@ -74,10 +72,10 @@ def test_no_false_alarm_of_the_lvdt_with_the_usual_gains(config, law, bits, plan
     assert not [name for name in loop.said if name.startswith("lvdt")]
 
 
-@pytest.mark.parametrize("bits", [None, *BITS])
-@pytest.mark.parametrize("law", SHIPPED)
-@pytest.mark.parametrize("shipped", ["d3fxe", "d3fxe_experiment"])
-@pytest.mark.parametrize("command", ["steps", "sine", "staircase"])
+@grid(
+    "bits, law, shipped, command",
+    [None, *BITS], SHIPPED, ["d3fxe", "d3fxe_experiment"], ["steps", "sine", "staircase"],
+)  # fmt: skip
 def test_tuned_gains_run_without_alarm_on_the_valve_that_they_are_shipped_for(
     config, law, shipped, command, bits
 ):
@@ -92,9 +90,7 @@ def test_tuned_gains_run_without_alarm_on_the_valve_that_they_are_shipped_for(
         assert loop.said == set()
 
 
-@pytest.mark.parametrize("bits", BITS)
-@pytest.mark.parametrize("law", SHIPPED)
-@pytest.mark.parametrize("phase", range(0, 660, 110))
+@grid("bits, law, phase", BITS, SHIPPED, range(0, 660, 110))
 def test_an_lvdt_that_freezes_in_motion_is_found(law, bits, phase):
     """Within 60 ms at more than 15 V/s; near the turn of the sine once the command has left it."""
     loop = Loop({"controller": law}, {"lvdt.resolution": BITS[bits]}).run(COMMANDS["sine"], 667 + phase)
