@@ -407,7 +407,7 @@ def test_sound_readings_must_come_in_a_row():
 @pytest.mark.parametrize("law", LAWS)
 def test_return_while_the_spring_still_moves_the_spool(law):
     """A fault just longer than what is bridged; for laws with feedback the noise is that of a calm law."""
-    for phase in range(0, 667, 80):
+    for phase in range(0, 600, 80):
         loop = Loop(law, arc__velocity_cutoff=40.0, pid__derivative_cutoff=40.0).run(700 + phase)
         usual = loop.largest_step(0)
         loop.run(21, spoil=lambda reading: math.nan)
