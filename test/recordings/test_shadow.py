@@ -445,3 +445,12 @@ def test_state_and_journal_are_those_of_one_controller(tmp_path):
     path = in_file_order(tmp_path / "bag", [*(firsts[name] for name in order), *readings])
     found = find_valves(Bag(path))["valve"]
     assert (found.state, found.journal) == ("/controller/state", "/controller/journal")
+
+
+def test_parameters_are_those_of_the_controller_whose_state_is_there(tmp_path):
+    """Of two controllers in a namespace those were taken that told theirs last."""
+    run = Run()
+    run.say("/shadow", {**run.values, "controller": "pid"}, new=True)
+    run.move(50)
+    valve = load(write(tmp_path / "bag", run.messages)).valves["valve"]
+    assert (valve.controller.name, valve.controller.initial["controller"]) == ("/controller", "arc")

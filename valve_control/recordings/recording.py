@@ -306,10 +306,7 @@ def _valve(
     cleaned = clean(topics.sources, series, problems, rows, received=clock.name == "log_time")
     signals = _together(cleaned.usable, problems)
     doubts = list(problems)
-    kinds: dict[str, Any] = {}
-    for node in nodes.values():
-        if node.namespace == topics.namespace and node.kind:
-            kinds[node.kind] = node
+    kinds = _kinds(topics, nodes)
     state = None
     if topics.state and len(series[topics.state].log_time):
         got = series[topics.state]
@@ -349,6 +346,13 @@ def _valve(
         coarse=cleaned.ties is not None and not cleaned.ties.crossed and (cleaned.ties.several or not rows),
         paired=rows or (cleaned.ties is not None and cleaned.ties.crossed),
     )
+
+
+def _kinds(topics: ValveTopics, nodes: Mapping[str, parameters.Node]) -> dict[str, parameters.Node]:
+    """Nodes of a valve by their kind; of several controllers the one whose state or journal is read."""
+    kinds = {node.kind: node for node in nodes.values() if node.namespace == topics.namespace and node.kind}
+    own = nodes.get((topics.state or topics.journal).rpartition("/")[0])
+    return {**kinds, own.kind: own} if own is not None and own.kind in kinds else kinds
 
 
 def _together(signals: Mapping[str, Samples], problems: list[str]) -> dict[str, Samples]:
