@@ -25,7 +25,7 @@ from valve_control.recordings.recording import load
 SECONDS, AFTER = 2.0, 0.5
 MOVING = [
     "-p", "scenario:=sine", "-p", "amplitude:=2.0", "-p", "frequency:=1.5", "-p", "start:=0.0",
-    "-p", "duration:=1000.0", "-p", "delay:=0.0",
+    "-p", "duration:=200.0", "-p", "delay:=0.0",
 ]  # fmt: skip
 BOX = ["-p", "black_box:=true", "-p", f"box.seconds:={SECONDS}", "-p", f"box.after:={AFTER}"]
 

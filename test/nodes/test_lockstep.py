@@ -132,7 +132,13 @@ def test_what_came_before_the_activation_counts(ros, tmp_path):
 def test_a_simulator_waits_for_a_controller_and_asks_the_next_one_again(ros, tmp_path):
     """A listener that is no controller is not enough; one that is killed may be followed by another."""
     readings = []
-    ros.create_subscription(Float64, "spool_position", lambda m: readings.append(m.data), SAMPLES)
+    command = ros.create_publisher(Float64, "spool_command", SAMPLES)
+
+    def hear(message):
+        readings.append(message.data)
+        command.publish(Float64(data=1.0))  # for which a controller in lockstep waits some seconds
+
+    ros.create_subscription(Float64, "spool_position", hear, SAMPLES)
     settings = ["-p", "controller:=open_loop", "-p", "lockstep:=true"]
     with ExitStack() as stack:
         log = tmp_path / "valve.log"

@@ -20,7 +20,7 @@ from valve_control.recordings.recording import load
 RECORDED = ("/spool_command", "/spool_position", "/valve_voltage", "/controller/state", "/diagnostics")
 MOVING = [
     "-p", "scenario:=sine", "-p", "amplitude:=2.0", "-p", "frequency:=1.5", "-p", "start:=0.0",
-    "-p", "duration:=1000.0", "-p", "delay:=0.0",
+    "-p", "duration:=200.0", "-p", "delay:=0.0",
 ]  # fmt: skip
 TRIES, SAID = 5, 3.0  # s
 FAULTS = (  # node, parameter, value, mode that follows, what is said of it

@@ -36,7 +36,7 @@ NODES = {
     "controller": ["-p", "state_decimation:=1"],
     "valve_simulator": ["-p", "lvdt.noise:=0.002"],
     "command_source": [
-        "-p", "scenario:=sine", "-p", "frequency:=1.0", "-p", "duration:=1000.0", "-p", "delay:=0.0",
+        "-p", "scenario:=sine", "-p", "frequency:=1.0", "-p", "duration:=200.0", "-p", "delay:=0.0",
     ],
 }  # fmt: skip
 

@@ -19,7 +19,7 @@ ARGUMENTS = {
     "valve_simulator": ["-p", "lvdt.noise:=0.002"],
     "command_source": [
         "-p", "scenario:=sine", "-p", "frequency:=1.0", "-p", "amplitude:=2.0", "-p", "start:=0.0",
-        "-p", "delay:=0.0", "-p", "duration:=1000.0",
+        "-p", "delay:=0.0", "-p", "duration:=200.0",
     ],
 }  # fmt: skip
 
