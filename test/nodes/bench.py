@@ -125,7 +125,7 @@ class Bench:
             knocks.append(self.lvdt.publish(Float64(data=0.0)))
 
         spin_until(self.node, lambda: self.voltages, "first voltage", again=knock)
-        spin_until(self.node, lambda: len(self.voltages) == len(knocks), "a voltage for each reading")
+        spin_until(self.node, lambda: len(self.voltages) >= len(knocks), "a voltage for each reading")
 
     def settle(self):
         """Until 0.5 s pass without a voltage."""
