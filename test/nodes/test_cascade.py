@@ -23,7 +23,6 @@ from bench import (
     set_parameters,
     spin_until,
 )
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import DescribeParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64, Float64MultiArray
@@ -196,15 +195,6 @@ def children(parent):
             if int(fields[1]) == parent:
                 found.append(int(entry))
     return found
-
-
-def test_diagnostics_tell_what_is_missing(ros, tmp_path):
-    messages = []
-    ros.create_subscription(DiagnosticArray, "/diagnostics", messages.append, 10)
-    with controller(tmp_path):
-        spin_until(ros, lambda: bool(messages), "diagnostics")
-    assert messages[0].status[0].message == "no LVDT reading yet"
-    assert messages[0].status[0].level == b"\x02"
 
 
 def test_a_best_effort_driver_is_heard(ros, tmp_path):

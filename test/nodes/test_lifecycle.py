@@ -40,9 +40,13 @@ def test_a_node_that_is_not_to_start_itself_waits_and_ends_quietly(ros, tmp_path
 
 
 def test_inactive_controller_says_0_v_once_and_then_nothing(ros, tmp_path):
+    """And transitions that its state does not have are refused."""
     motion = Motion(ros)
     bench = motion.bench
     with controller(tmp_path):
+        for wrong in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP, 250):
+            assert not change(ros, "controller", wrong)
+        assert state(ros, "controller") == "active"
         bench.connect()
         motion.move(100)
         before = len(bench.voltages)
@@ -63,15 +67,17 @@ def test_inactive_controller_says_0_v_once_and_then_nothing(ros, tmp_path):
         spin_until(ros, lambda: bench.lvdt.get_subscription_count() == 1, "subscription")
 
 
-def test_timing_of_a_controller_that_was_activated_again_is_that_of_the_time_since_then(ros, tmp_path):
+def test_diagnostics_tell_what_is_missing_and_the_timing_since_the_last_activation(ros, tmp_path):
     bench, told = Bench(ros), []
 
     def hear(message):
         status = message.status[0]
-        told.append((status.message, {pair.key: pair.value for pair in status.values}))
+        told.append((status.message, {pair.key: pair.value for pair in status.values}, status.level))
 
     ros.create_subscription(DiagnosticArray, "/diagnostics", hear, 50)
     with controller(tmp_path):
+        spin_until(ros, lambda: told, "diagnostics")
+        assert (told[0][0], told[0][2]) == ("no LVDT reading yet", b"\x02")
         bench.connect()
         for _ in range(5):
             bench.sample(0.0)
@@ -83,14 +89,6 @@ def test_timing_of_a_controller_that_was_activated_again_is_that_of_the_time_sin
         bench.sample(0.0)
         spin_until(ros, lambda: int(told[-1][1]["samples"]) == before + 1, "one sample")
         assert "period_ms" not in told[-1][1] and "jitter_ms_max" not in told[-1][1]
-
-
-def test_transition_that_does_not_exist_is_refused(ros, tmp_path):
-    with controller(tmp_path) as child:
-        assert not change(ros, "controller", Transition.TRANSITION_CONFIGURE)
-        assert not change(ros, "controller", Transition.TRANSITION_CLEANUP)
-        assert not change(ros, "controller", 250)
-        assert state(ros, "controller") == "active" and child.poll() is None
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
