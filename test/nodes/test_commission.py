@@ -205,7 +205,7 @@ HOWS = ["SIGINT", "SIGTERM", "silent", "not_finite", "second_publisher", "no sim
 
 def moments():
     """How and when (step, share of its seconds) each of two commissionings is ended, three or four times."""
-    chosen = random.Random(393)
+    chosen = random.Random(395)
     steps = [*STEPS, "verification"]
     hows = [*chosen.sample(HOWS, len(HOWS)), "no controller"]  # the last one, since nothing comes after it
     chosen.shuffle(steps)
