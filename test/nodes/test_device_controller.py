@@ -54,7 +54,7 @@ def simulated(plant):
 def test_the_bits_are_those_of_offline_and_of_the_topics_in_lockstep(ros, tmp_path, law, node, spaces):
     settings = {
         "controller": {"controller": law, "lockstep": True, "lvdt.frozen_samples": 0, "state_decimation": 0},
-        "command_source": {"trigger": "lockstep", "listeners": 2, "duration": 1.0},
+        "command_source": {"trigger": "lockstep", "listeners": 2, "duration": 2.0},
     }
     plant = node_values("valve_simulator", CONFIG, {})
     command = build.commands(node_values("command_source", CONFIG, settings["command_source"]))
