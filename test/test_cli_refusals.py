@@ -181,6 +181,7 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
         (["export", "--output", "e", "--set", "friction.coulomb=1"], ["a law alone", "friction.coulomb"]),
         (["export", "--output", "e", "--plant", "axis", "--set", "pid.kp=1"], ["the axis alone", "pid.kp"]),
         (["margins", "--set", "amplitude=1"], ["at rest", "amplitude"]),
+        (["compare", "--set", "controller=pid"], ["every controller", "--set controller"]),
         (["commission", "--undo", "--folder", "nosuch"], ["no commissioning in nosuch"]),
         (["analyze", "a" * 300], ["cannot be read", "name too long"]),
         (["bag", "recover", "a" * 300], ["cannot be read", "name too long"]),

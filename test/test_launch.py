@@ -5,6 +5,7 @@
 import importlib.util
 import re
 import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from itertools import pairwise
 from pathlib import Path
@@ -448,3 +449,17 @@ def ends(path, argument, words):
     assert done.returncode == 1
     assert all(word in said[-1] for word in words), said
     assert not any("process started" in line or "Traceback" in line for line in said), said
+
+
+def test_the_file_of_the_device_is_gone_after_the_launch():
+    """Each launch left one in the folder of temporary files."""
+    code = (
+        "from valve_control.control.parameters import launching\n"
+        "path = launching.device_value('simulated', '', 'd3fxe')\n"
+        "print(path, 'driver' in open(path).read())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    path, read = done.stdout.split()
+    assert read == "True" and not Path(path).exists()

@@ -306,6 +306,8 @@ def _compare(arguments: argparse.Namespace) -> None:
         raise ParameterError("compare takes --html, --map and --clock with bags only")
     check_outputs(arguments, figures=[arguments.figure])
     settings = settings_of(arguments)
+    if any(text.partition("=")[0].strip() == "controller" for text in arguments.set):
+        raise ParameterError("compare runs every controller, so it takes no --set controller")
     command = _command(arguments, settings["command_source"])
     _tell_owners(arguments.params_file)
     runs = []

@@ -6,6 +6,7 @@ Launch puts an argument into an expression as it is. These files write r'''ARGUM
 argument may have quotation marks and end with a backslash.
 """
 
+import atexit
 import difflib
 import math
 import re
@@ -224,6 +225,7 @@ def device_value(driver: str, params_file: str, valve: str) -> str:
     text = files.as_yaml({"/**/controller": values})
     with tempfile.NamedTemporaryFile("w", prefix="valve_control_", suffix=".yaml", delete=False) as file:
         file.write(text)
+    atexit.register(Path(file.name).unlink, missing_ok=True)  # launch outlives the nodes that read it
     return file.name
 
 
