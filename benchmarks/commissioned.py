@@ -1,11 +1,13 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m benchmarks.commissioned``: ``commission`` over DDS on five invented valves, from paper gains.
+"""``python -m benchmarks.commissioned``: ``commission`` over DDS on random valves, from paper gains.
 
+The valves are five linear ones, or with --solenoid those of benchmarks.solenoid with the same seeds.
 Simulator, controller and ``valve-control commission`` are processes of their own. The controller begins
 with the defaults (the paper's ARC); what comes out is a tuned law, or a sentence and the parameters from
 before. Every voltage from the first limit on is looked at. Beside the verification run on the running valve,
-strokes and sines of another size are simulated on the true one, with the gains from before and the new ones.
+strokes and sines of another size are simulated on the true one, with the gains from before and the new ones;
+on a solenoid valve the four motions of benchmarks.solenoid, with preview and with the command alone.
 """
 
 import argparse
@@ -15,9 +17,9 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
@@ -26,6 +28,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 
+from benchmarks import solenoid
 from benchmarks.invented import invented, motions
 from valve_control import outputs
 from valve_control.control.parameters import build
@@ -34,10 +37,11 @@ from valve_control.control.simulation import offline
 from valve_control.nodes.adapter import EVERYTHING
 from valve_control.nodes.harness.processes import Listener, process, wait_until
 from valve_control.nodes.transport import RANGE, use_own_profile
-from valve_control.parameter import Values, defaults, updated
+from valve_control.parameter import Value, Values, defaults, number, updated
 
 # Second, third and fourth order; slow with much friction, fast with little; much and little noise.
 SEEDS = (4, 8, 9, 11, 12)
+SOLENOIDS = range(1000, 1010)
 LEAST = 100  # voltages, after which the loop runs
 LONGEST = 400.0  # s  after which a commissioning counts as hung
 ANSWER = 20.0  # s
@@ -98,18 +102,57 @@ class Seen(Listener):
         return float(np.max(np.abs(np.array(self.values["valve_voltage"])[during]), initial=0.0))
 
 
+class Drawn(NamedTuple):
+    """A random valve."""
+
+    frequency: float  # Hz
+    order: int
+    values: dict[str, Value]  # of the simulator
+    errors: Callable[[Values], list[float]]  # V  true e_rms of a controller with these parameters, by motion
+
+
+def _linear(seed: int, period: float) -> Drawn:
+    frequency, valve = invented(np.random.default_rng(seed))
+    values: dict[str, Value] = {**valve, "sample_period": period}
+    true = updated(NODES["valve_simulator"], defaults(NODES["valve_simulator"]), values)
+
+    def errors(controller: Values) -> list[float]:
+        return [
+            offline.simulate(controller, true, SIZE * motion[:: round(period / 0.001)]).true_error["e_rms"]
+            for motion in motions(frequency).values()
+        ]
+
+    return Drawn(frequency, len(list(valve["denominator"])) - 1, values, errors)  # type: ignore[arg-type]
+
+
+def _with_solenoids(seed: int, period: float) -> Drawn:
+    values = {**solenoid.drawn(seed), "sample_period": period}
+    plant = build.valve_params(values)
+
+    def errors(controller: Values) -> list[float]:
+        ahead = number(controller, "reshaping.lead")
+        return [
+            solenoid.on_the_valve(plant, controller, ahead, previewed)["e_rms"]
+            for previewed in solenoid.MODES.values()
+        ]
+
+    return Drawn(number(values, "solenoid.natural_frequency"), 3, values, errors)
+
+
 def gone_through(
-    folder: Path, seed: int, period: float, wanted: Sequence[str], travel: float
+    folder: Path,
+    seed: int,
+    period: float,
+    wanted: Sequence[str],
+    travel: float,
+    draw: Callable[[int, float], Drawn] = _linear,
 ) -> dict[str, Any]:
     """Commission the valve ``seed``; ``wanted``: arguments of ``commission``."""
-    frequency, valve = invented(np.random.default_rng(seed))
-    valve = {**valve, "sample_period": period}
+    frequency, order, valve, errors = draw(seed, period)
     # What a user has to say of a valve that is faster than that of the defaults.
     fastest = max(500.0, 2.0 * math.pi * frequency * SWING)
     usual = {"sample_period": period, "lvdt.max_rate": fastest, **PATIENT}
-    about: dict[str, Any] = {
-        "seed": seed, "frequency_hz": frequency, "order": len(list(valve["denominator"])) - 1, "valve": valve,  # type: ignore[arg-type]
-    }  # fmt: skip
+    about: dict[str, Any] = {"seed": seed, "frequency_hz": frequency, "order": order, "valve": valve}
     kept = folder / "kept"
     with (
         process("valve_simulator", arguments_of({**valve, **PATIENT_VALVE}), folder / "simulator.log"),
@@ -157,14 +200,7 @@ def gone_through(
     about["seconds"] = {**found["seconds"], "all": sum(found["seconds"].values())}
     about["found"] = found["valve"]
     about["as_told"] = after == {**before, **found["applied"]}
-    true = updated(NODES["valve_simulator"], defaults(NODES["valve_simulator"]), valve)
-    about["on_the_valve"] = {
-        name: [
-            offline.simulate(values, true, SIZE * motion[:: round(period / 0.001)]).true_error["e_rms"]
-            for motion in motions(frequency).values()
-        ]
-        for name, values in (("before", before), ("after", after))
-    }
+    about["on_the_valve"] = {"before": errors(before), "after": errors(after)}
     return about
 
 
@@ -179,18 +215,25 @@ def told(row: Mapping[str, Any]) -> str:
         return f"{head}  {row['reason']} ({'as before' if row['as_before'] else 'NOT as before'})"
     made, on = row["verification"], row["on_the_valve"]
     former = made["simulated_before"]
-    means = [1e3 * math.exp(float(np.mean(np.log(on[name])))) for name in ("before", "after")]
+    means = [_told_errors(row, on[name]) for name in ("before", "after")]
     return (
         f"{head}{row['seconds']['all']:9.0f}{1e3 * made['measured']['e_rms']:12.1f}"
         f"{1e3 * made['simulated']['e_rms']:12.1f}"
         + (f"{1e3 * former['e_rms']:12.1f}" if former else f"{'unstable':>12}")
-        + f"{means[0]:12.1f}{means[1]:10.1f}"
+        + f"{means[0]:>12}{means[1]:>12}"
     )
+
+
+def _told_errors(row: Mapping[str, Any], errors: Sequence[float]) -> str:
+    """Geometric mean of the motions [mV]; of a solenoid valve both kinds of command."""
+    if row["valve"]["valve"] == "solenoid":
+        return "/".join(f"{1e3 * e:.1f}" for e in errors)
+    return f"{1e3 * math.exp(float(np.mean(np.log(errors)))):.1f}"
 
 
 HEAD = (
     f"{'valve':>5}{'order':>7}{'f [Hz]':>10}{'friction [V]':>14}{'delay [ms]':>12}{'noise [mV]':>12}"
-    f"{'t [s]':>9}{'run [mV]':>12}{'model [mV]':>12}{'before [mV]':>12}{'true before':>12}{'after':>10}"
+    f"{'t [s]':>9}{'run [mV]':>12}{'model [mV]':>12}{'before [mV]':>12}{'true before':>12}{'after':>12}"
 )
 
 
@@ -200,6 +243,7 @@ def main() -> int:
     options.add_argument(
         "--seed", type=int, action="append", metavar="N", help=f"valve {SEEDS}; again for more"
     )
+    options.add_argument("--solenoid", action="store_true", help="valves of benchmarks.solenoid, law alone")
     options.add_argument("--controller", default="dcarc", help="law to tune (dcarc)")
     options.add_argument("--sample-period", type=float, default=0.001, metavar="S", help="(0.001)")
     options.add_argument("--max-voltage", type=float, default=4.0, metavar="V", help="(4)")
@@ -210,16 +254,17 @@ def main() -> int:
     os.environ.setdefault(RANGE, "LOCALHOST")
     use_own_profile(os.environ)
     wanted = ["--controller", arguments.controller, "--budget", str(arguments.budget)]
-    wanted += ["--max-voltage", str(arguments.max_voltage)]
+    wanted += ["--max-voltage", str(arguments.max_voltage), *(["--alone"] if arguments.solenoid else [])]
     rows: list[dict[str, Any]] = []
     print(HEAD, flush=True)
-    for seed in arguments.seed or SEEDS:
+    for seed in arguments.seed or (SOLENOIDS if arguments.solenoid else SEEDS):
         folder = Path(arguments.out) / str(seed)
         folder.mkdir(parents=True, exist_ok=True)
         os.environ["ROS_DOMAIN_ID"] = str(1 + (os.getpid() + seed) % 100)  # no valve sees another
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         try:
-            rows.append(gone_through(folder, seed, arguments.sample_period, wanted, arguments.travel))
+            draw = _with_solenoids if arguments.solenoid else _linear
+            rows.append(gone_through(folder, seed, arguments.sample_period, wanted, arguments.travel, draw))
         finally:
             rclpy.shutdown()
         print(told(rows[-1]), flush=True)

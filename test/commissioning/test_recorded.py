@@ -87,35 +87,42 @@ def test_what_the_excitation_does_not_determine_is_left_alone():
     assert all(q == usual[q.name] for q in recorded.box(found, BOX) if q.name in left)
 
 
-def test_a_valve_with_solenoids_is_learnt_as_one():
-    """Its coil, play and sides stay as they are known; ten percent more gain and speed are found."""
-    known = {
-        "valve": "solenoid",
-        "u_max": 4.0,
-        "solenoid.u_min": -4.0,
-        "solenoid.gain": 1.0,
-        "solenoid.natural_frequency": 12.0,
-        "solenoid.coil": 0.003,
-        "solenoid.hysteresis": 0.2,
-        "solenoid.positive": 1.05,
-        "solenoid.negative": 0.95,
-        "solenoid.dead_time": 0.0005,
-        "solenoid.bits": 12,
-        "friction.coulomb": 0.3,
-        "friction.presliding": 0.02,
-        "lvdt.noise": 0.003,
-    }
-    limits = {"u_max": 10.0, "solenoid.u_min": -10.0}
-    faster = {"solenoid.gain": 1.1, "solenoid.natural_frequency": 13.2, "solenoid.coil": 0.003 / 1.1}
-    true = {**known, **limits, **faster, "friction.coulomb": 0.5, "disturbance.offset": 0.2}
+SOLENOID = {
+    "valve": "solenoid",
+    "u_max": 4.0,
+    "solenoid.u_min": -4.0,
+    "solenoid.gain": 1.0,
+    "solenoid.natural_frequency": 12.0,
+    "solenoid.coil": 0.003,
+    "solenoid.hysteresis": 0.2,
+    "solenoid.positive": 1.05,
+    "solenoid.negative": 0.95,
+    "solenoid.dead_time": 0.0005,
+    "solenoid.bits": 12,
+    "friction.coulomb": 0.3,
+    "friction.presliding": 0.02,
+    "lvdt.noise": 0.003,
+}
+
+
+def with_solenoids(true):
+    """A recording: the PID on a ``true`` valve."""
     bench = SupervisedValve(true, {"controller": "pid"})
     for command in moving(8.0):
         bench.supervisor.command(float(command))
         bench.sample()
-    made = Experiment(
+    return Experiment(
         "a bag: valve", 0.001, np.array(bench.voltages), np.array(bench.readings), (), 10.0, (), "pid"
     )
-    found = recorded.learnt(made, updated(VALVE, defaults(VALVE), known), ["lvdt.delay"])
+
+
+def test_a_valve_with_solenoids_is_learnt_as_one():
+    """Its coil, play and sides stay as they are known; ten percent more gain and speed are found."""
+    known = SOLENOID
+    limits = {"u_max": 10.0, "solenoid.u_min": -10.0}
+    faster = {"solenoid.gain": 1.1, "solenoid.natural_frequency": 13.2, "solenoid.coil": 0.003 / 1.1}
+    true = {**known, **limits, **faster, "friction.coulomb": 0.5, "disturbance.offset": 0.2}
+    found = recorded.learnt(with_solenoids(true), updated(VALVE, defaults(VALVE), known), ["lvdt.delay"])
     told = {one.name: one for one in found.learnt}
     wanted = {"gain": 1.1, "speed": 1.1, "friction.coulomb": 0.5, "disturbance.offset": 0.2}
     for name, value in wanted.items():
@@ -125,6 +132,21 @@ def test_a_valve_with_solenoids_is_learnt_as_one():
     assert found.values["solenoid.coil"] == pytest.approx(0.003 / 1.1, rel=0.02)
     assert found.values["u_max"] == 10.0 and found.values["solenoid.u_min"] == -10.0
     assert found.residual == pytest.approx(np.hypot(0.003, 0.0049 / np.sqrt(12.0)), rel=0.2)
+
+
+@pytest.mark.parametrize(("before", "behind"), [(0.0016, 0.0003), (0.0, 0.0003), (0.0, 0.0001)])
+def test_the_dead_time_of_solenoids_is_learnt_as_a_whole(before, behind):
+    """More or less of it; the sensor keeps the 0.3 ms that it is known for, as far as there is so much."""
+    known = updated(VALVE, defaults(VALVE), {**SOLENOID, "u_max": 10.0, "lvdt.delay": 0.0003})
+    true = {**known, "solenoid.u_min": -10.0, "solenoid.dead_time": before, "lvdt.delay": behind}
+    found = recorded.learnt(with_solenoids(true), known, [])
+    told = {one.name: one for one in found.learnt}["dead_time"]
+    assert told.determined and told.value == pytest.approx(before + behind, abs=max(1.5 * told.bound, 2e-5))
+    sensor, actuator = found.values["lvdt.delay"], found.values["solenoid.dead_time"]
+    assert sensor == min(0.0003, told.value)
+    assert actuator == pytest.approx(told.value - sensor, abs=1e-12)
+    box = {q.name: q for q in recorded.box(found, BOX)}
+    assert box["lvdt.delay"].low <= sensor < box["lvdt.delay"].high < sensor + 0.001
 
 
 def test_what_is_fixed_is_not_searched(moved):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control import interrupts, outputs
 from valve_control.cli.common import check_processes, check_search, event, say, write_json, wrote
-from valve_control.parameter import ParameterError, word
+from valve_control.parameter import ParameterError, defaults, word
 
 if TYPE_CHECKING:
     from valve_control.design.commissioning.backup import Backup
@@ -325,7 +325,22 @@ def _texts(arguments: argparse.Namespace, result: "Result") -> dict[str, str]:
     return {
         REPORT: commissioning_report.page(result),
         RESULT: outputs.as_json(sequence.as_dict(result)),
-        TUNED: files.as_yaml({arguments.node: result.applied}, about),
+        TUNED: files.as_yaml({arguments.node: tuned_values(result.before, result.applied)}, about),
+    }
+
+
+def tuned_values(before: "Values", applied: "Values") -> "Values":
+    """All that a controller needs beside its defaults to have the law that stays: ``applied`` to ``before``."""
+    from valve_control.control.parameters.table import CONTROLLER
+
+    final, usual = {**before, **applied}, defaults(CONTROLLER)
+    own = (f"{word(final, 'controller')}.", "reshaping.", "linearisation.")
+    return {
+        name: value
+        for name, value in final.items()
+        if name in applied
+        or name == "controller"
+        or (value != usual[name] and (name in ("sample_period", "u_max") or name.startswith(own)))
     }
 
 

@@ -277,7 +277,7 @@ def _rounds(
     """What both tests give: the friction needs the lag of the model, and the model what friction leaves."""
     from valve_control.design.identification import characteristic, experiment, friction
 
-    measured = experiment.estimate(tested, arguments.settle, band)
+    seen = measured = experiment.estimate(tested, arguments.settle, band)
     fits, told = _fits(arguments, tested, measured)
     progress(2)
     rubbing, curve = None, None
@@ -285,11 +285,25 @@ def _rounds(
         for done in range(FRICTION_ROUNDS):
             lag = friction.lag_of(fits[-1].model, fits[-1].delay)
             rubbing, curve = characteristic.with_friction(triangle, lag)
-            slipping = friction.without(tested, rubbing) if tested.segments else tested
-            measured = experiment.estimate(slipping, arguments.settle, band)
+            slipping = _slipping(tested, rubbing, curve, fits[-1]) if tested.segments else tested
+            measured = friction.unsure(experiment.estimate(slipping, arguments.settle, band), seen)
             fits, told = _fits(arguments, tested, measured)
             progress(3 + done)
     return _found(arguments, tested, measured, fits, told, rubbing, curve)
+
+
+def _slipping(
+    tested: "Experiment", rubbing: "Friction", curve: "Characteristic | None", best: "Fit"
+) -> "Experiment":
+    """``tested`` without friction, and without the play of a magnet that the ``curve`` tells from it."""
+    from valve_control.design.identification import first_gains, friction
+
+    own = first_gains.without_play(rubbing, curve)
+    assert own is not None
+    if own is rubbing or curve is None or curve.shares is None:
+        return friction.without(tested, rubbing)
+    magnet = first_gains.magnet_of(best.model, curve)
+    return friction.without(tested, own, curve.shares.play, 0.0 if magnet is None else magnet.coil)
 
 
 def _check_curve(arguments: argparse.Namespace) -> None:

@@ -5,7 +5,8 @@
 The valve is simulated under the recorded voltages, and what one valve differs in from its like (gain, speed,
 offset, friction, dead time) is fitted to the readings. The voltage is known, so that feedback biases nothing
 as long as the noise of a reading tells nothing of the next one's. A quantity that the recording does not
-determine stays as it was known, and in the box as wide as before.
+determine stays as it was known, and in the box as wide as before. Readings tell the dead time of a valve with
+solenoids as a whole: the sensor keeps what is known of it, and the rest is the actuator's.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +22,7 @@ from valve_control.control.plant import registry
 from valve_control.control.plant.amplifier import saturate
 from valve_control.control.simulation.robustness import Quantity
 from valve_control.design.commissioning.plant import positions
-from valve_control.design.identification import lvdt
+from valve_control.design.identification import dead_time, lvdt
 from valve_control.design.identification.experiment import Experiment, held
 from valve_control.parameter import ParameterError, Values, number, updated
 
@@ -71,6 +72,8 @@ FORMS = (
     _Form("friction.coulomb", "V", 0.1, 0.05, 0.1),
     _Form("lvdt.delay", "s", 0.001, 0.0005, 0.00025),
 )
+BEFORE_COIL = "solenoid.dead_time"  # of the actuator
+WHOLE = "dead_time"  # name of that of actuator and sensor together
 
 
 def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedValve:
@@ -114,7 +117,8 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedV
                 values,
                 {"lvdt.noise": seen.noise, "lvdt.resolution": seen.resolution},
             )
-            return RecordedValve(values, [*found, *unknown], residual, noise, notes)
+            told = [_named(one, base) for one in (*found, *unknown)]
+            return RecordedValve(values, told, residual, noise, notes)
         unknown.append(found[worst]._replace(value=begin[found[worst].name]))
         del free[worst]
     raise ParameterError(
@@ -125,7 +129,8 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedV
 
 def box(found: RecordedValve, usual: Sequence[Quantity]) -> list[Quantity]:
     """The ``usual`` box, narrower in what was determined, around the valve that was found."""
-    certain = {one.name: one for one in found.learnt if one.determined}
+    named = {"lvdt.delay" if one.name == WHOLE else one.name: one for one in found.learnt}
+    certain = {name: one for name, one in named.items() if one.determined}
     forms = {form.name: form for form in FORMS}
     made = []
     for q in usual:
@@ -135,14 +140,25 @@ def box(found: RecordedValve, usual: Sequence[Quantity]) -> list[Quantity]:
             made.append(q)
             continue
         one = certain[q.name]
-        middle = 1.0 if q.name in ("gain", "speed") else one.value
+        middle = 1.0 if q.name in ("gain", "speed") else number(found.values, q.name)
         reach = one.bound + forms[q.name].margin
         low = middle - reach
         made.append(q._replace(low=max(0.0, low) if q.low >= 0.0 else low, high=middle + reach))
     return made
 
 
+def _has_coil(values: Values) -> bool:
+    return registry.chosen(values).name == "solenoid"
+
+
+def _named(one: Learnt, base: Values) -> Learnt:
+    """``one`` under the name of what was learnt of the valve ``base``."""
+    return one._replace(name=WHOLE) if one.name == "lvdt.delay" and _has_coil(base) else one
+
+
 def _present(name: str, values: Values) -> float:
+    if name == "lvdt.delay" and _has_coil(values):
+        return number(values, name) + number(values, BEFORE_COIL)
     return 1.0 if name in ("gain", "speed") else number(values, name)
 
 
@@ -154,6 +170,9 @@ def _with(base: Values, quantities: Mapping[str, float]) -> Values:
     """``base`` with the quantities in their places. Raises ParameterError."""
     gain, speed = quantities.get("gain", 1.0), quantities.get("speed", 1.0)
     others = {name: value for name, value in quantities.items() if name not in ("gain", "speed")}
+    if "lvdt.delay" in others and _has_coil(base):
+        own = dead_time.divided(others["lvdt.delay"], number(base, "lvdt.delay"))
+        others.update({"lvdt.delay": own.sensor, BEFORE_COIL: own.actuator})
     scaled = registry.chosen(base).scaled(base, gain, speed)
     return updated(NODES["valve_simulator"], base, {**others, **scaled})
 

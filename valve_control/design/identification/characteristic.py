@@ -101,6 +101,11 @@ class Characteristic(NamedTuple):
             TOLD_GAIN, unsure
         )
 
+    def static(self, position: Floats) -> Floats:
+        """Voltage [V] in the middle of both directions at a ``position`` [V], by the line of its side."""
+        up, down = (position / side.gain.value + side.edge.value for side in (self.positive, self.negative))
+        return np.where(position > 0.0, up, down)
+
 
 def characteristic(tested: Experiment, lag: float) -> Characteristic:
     """The curve from a triangle of the voltage; ``lag`` [s] of slow motions. Raises ParameterError."""
@@ -110,11 +115,11 @@ def characteristic(tested: Experiment, lag: float) -> Characteristic:
     strokes, lag = strokes_of(voltage), lag + 0.5 * tested.period
     found = curve(voltage, reading, strokes, lag, tested.period)
     half = 0.5 * found.hysteresis.value
-    if found.lopsided or half < LEAST_SHARED:
+    if half < LEAST_SHARED:
         return found
     slope, offset, _ = sliding(voltage, reading, strokes)
-    turned = turning(voltage, reading, strokes, tested.period, slope, offset, lag)
-    return found._replace(shares=_shares(*turned, half))
+    rest = voltage - (found.static(reading) if found.lopsided else slope * reading + offset)
+    return found._replace(shares=_shares(*turning(rest, reading, strokes, tested.period, slope, lag), half))
 
 
 def with_friction(tested: Experiment, lag: float) -> tuple[Friction, Characteristic | None]:

@@ -16,7 +16,7 @@ import scipy.optimize
 
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.identification.experiment import Experiment, held
-from valve_control.design.identification.response import Segment
+from valve_control.design.identification.response import Response, Segment, phasor
 from valve_control.parameter import ParameterError
 
 Floats = npt.NDArray[np.float64]
@@ -44,6 +44,7 @@ LEAST_FRICTION = 0.1  # V  below which presliding is not told
 LEAST_WINDOWS = 10
 HIGHEST = 9  # harmonic of a stepped sine that is looked at
 SETTLED = 0.4  # s
+LEFT = 0.05  # of what friction and play take of a response, that is left when they are taken off
 TOLD_OFFSET = 0.1  # V  from which on its possible causes are told
 MISFIT = 1.5  # deviations, rms, from which on friction is not that of bristles which turn round
 SLOWEST = 5.0  # lags of the valve, that a stroke takes at least between its turn and STEADY
@@ -122,16 +123,17 @@ def friction(tested: Experiment, lag: float) -> Friction:
     presliding = 0.0
     if coulomb >= LEAST_FRICTION:
         presliding = _presliding(
-            *turning(voltage, reading, strokes, tested.period, slope, offset, lag), coulomb
+            *turning(voltage - slope * reading - offset, reading, strokes, tested.period, slope, lag), coulomb
         )
     return Friction(coulomb, presliding, 1.0 / slope, -offset, len(strokes))
 
 
-def without(tested: Experiment, found: Friction) -> Experiment:
-    """``tested``, a stepped sine, with the voltage that friction takes of each sample taken off.
+def without(tested: Experiment, found: Friction, play: float = 0.0, coil: float = 0.0) -> Experiment:
+    """``tested``, a stepped sine, with the voltage that friction and play take of each sample taken off.
 
     The friction is that of a bristle which the harmonics of the position drag. ``found`` without a
-    presliding has one of PRESLIDING's lower bound. Raises ParameterError.
+    presliding has one of PRESLIDING's lower bound. The ``play`` [V], half a hysteresis, is that of the
+    force, which lags behind the voltage by the ``coil`` [s]. Raises ParameterError.
     """
     if not tested.segments:
         raise ParameterError("friction is taken off a stepped sine alone")
@@ -141,8 +143,51 @@ def without(tested: Experiment, found: Friction) -> Experiment:
         position = _harmonics(tested, segment)
         if position is None:
             continue
-        voltage[segment.first : segment.end] -= found.coulomb * _dragged(position, delta)
+        part = slice(segment.first, segment.end)
+        rubbing = found.coulomb * _dragged(position, delta)
+        voltage[part] -= rubbing
+        if play > 0.0:
+            voltage[part] -= _of_magnet(tested.voltage[part], rubbing, segment, tested.period, play, coil)
     return tested._replace(voltage=voltage)
+
+
+def _of_magnet(
+    voltage: Floats, rubbing: Floats, segment: Segment, period: float, play: float, coil: float
+) -> Floats:
+    """Voltage [V] that play and lag of the magnet take of a sine ``voltage``; ``rubbing`` [V]: of friction.
+
+    Friction acts on the force, so that a voltage which makes up for it leads by the coil. For the sine alone
+    that counts in a response.
+    """
+    turns = segment.frequency * period
+    index = np.arange(segment.first, segment.end)
+    known = np.isfinite(voltage)
+    given = phasor(voltage[known], index[known], turns)[0]
+    settled = slice(len(index) // 2, None)
+    rubbed = phasor(rubbing[settled], index[settled], turns)[0]
+    lead = 2j * math.pi * segment.frequency * coil
+    force = abs(given / (1.0 + lead))
+    taken = rubbed * lead + given * (1.0 - through_play(play / force) if force > play else 0.0)
+    return np.real(taken * np.exp(2j * math.pi * turns * index))
+
+
+def through_play(share: float) -> complex:
+    """Describing function of a play, of which half the width is this ``share`` of the amplitude, 0 to 1.
+
+    J.-J. Slotine, W. Li, Applied Nonlinear Control (1991), section 5.2 (backlash).
+    """
+    turned = 1.0 - 2.0 * share
+    root = math.sqrt(1.0 - turned * turned)
+    return complex(0.5 + (math.asin(turned) + turned * root) / math.pi, -(root * root) / math.pi)
+
+
+def unsure(measured: Response, seen: Response) -> Response:
+    """``measured`` behind ``without``, with the uncertainty of what that took off the response ``seen``.
+
+    Otherwise what the correction leaves of friction and play would be explained by poles and zeros.
+    """
+    taken = np.abs(measured.value - np.interp(measured.frequency, seen.frequency, seen.value))
+    return measured._replace(deviation=np.hypot(measured.deviation, LEFT * taken))
 
 
 def _harmonics(tested: Experiment, segment: Segment) -> Floats | None:
@@ -199,15 +244,17 @@ def sliding(
 
 
 def turning(
-    voltage: Floats,
+    rest: Floats,
     reading: Floats,
     strokes: list[tuple[int, int, float]],
     period: float,
     slope: float,
-    offset: float,
     lag: float,
 ) -> tuple[Floats, Floats, float]:
-    """Mean position [V] and friction [V] of all strokes, turned to rise, and the position's noise."""
+    """Mean position [V] and friction [V] of all strokes, turned to rise, and the position's noise.
+
+    ``rest`` [V]: what the voltage has beyond that which the position needs; ``slope``: 1/G [V/V].
+    """
     size = max(1, round(WINDOW / period))
     count = strokes[0][1] // size
     x = np.zeros(count)
@@ -215,8 +262,7 @@ def turning(
     for first, _, direction in strokes:
         part = slice(first, first + count * size)
         x += direction * reading[part].reshape(count, size).mean(axis=1) / len(strokes)
-        rest = voltage[part] - slope * reading[part] - offset
-        w += direction * rest.reshape(count, size).mean(axis=1) / len(strokes)
+        w += direction * rest[part].reshape(count, size).mean(axis=1) / len(strokes)
     velocity = np.gradient(x, size * period)
     velocity = np.convolve(np.pad(velocity, SMOOTH // 2, mode="edge"), np.full(SMOOTH, 1.0 / SMOOTH), "valid")
     noise = float(np.std(np.diff(x[-count // 4 :], 2))) / math.sqrt(6.0)

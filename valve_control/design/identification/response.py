@@ -103,8 +103,8 @@ def stepped(
                 f"{segment.frequency:.4g} Hz has only {len(k)} readings; it needs {LEAST_SAMPLES}"
             )
         turns = segment.frequency * period
-        u, _ = _phasor(voltage[k], k, turns)
-        y, noise = _phasor(position[k], k, turns)
+        u, _ = phasor(voltage[k], k, turns)
+        y, noise = phasor(position[k], k, turns)
         harmonics = _harmonics(position[k], k, turns) / max(abs(y), 1e-300)
         distorted.append((harmonics, segment.frequency))
         if abs(u) < 1e-6:
@@ -152,7 +152,7 @@ def _harmonics(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> fl
     return math.hypot(*(size for size in sizes if size > floor))
 
 
-def _phasor(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> tuple[complex, float]:
+def phasor(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> tuple[complex, float]:
     """Complex amplitude of ``turns`` per sample in ``signal``, and the standard deviation of the rest."""
     angle = 2.0 * np.pi * turns * index
     columns = np.column_stack([np.cos(angle), np.sin(angle), np.ones(len(index))])
@@ -316,7 +316,7 @@ def refined(
     u = voltage[first:end]
     for _ in range(4):
         angle = 2.0 * np.pi * turns * k
-        phasor, _ = _phasor(u, k, turns)
+        phasor, _ = phasor(u, k, turns)
         # One more column: what the sine gains as its frequency grows.
         slope = np.real(1j * phasor * np.exp(1j * angle)) * 2.0 * np.pi * (k - k.mean())
         columns = np.column_stack([np.cos(angle), np.sin(angle), slope, np.ones(len(k))])
@@ -324,7 +324,7 @@ def refined(
         turns += float(fit[2])
         if not 0.0 < turns < 0.5:
             return None
-    phasor, rest = _phasor(u, k, turns)
+    phasor, rest = phasor(u, k, turns)
     if abs(phasor) < 1e-6 or rest > pure * abs(phasor):
         return None
     return Segment(first, end, turns / period)
