@@ -207,9 +207,10 @@ def gone_through(
 def told(row: Mapping[str, Any]) -> str:
     """One line of the table."""
     valve = row["valve"]
+    late = valve["lvdt.delay"] + valve.get("solenoid.dead_time", 0.0)
     head = (
         f"{row['seed']:5}{row['order']:7}{row['frequency_hz']:10.1f}{valve['friction.coulomb']:14.2f}"
-        f"{1e3 * valve['lvdt.delay']:12.2f}{1e3 * valve['lvdt.noise']:12.1f}"
+        f"{1e3 * late:12.2f}{1e3 * valve['lvdt.noise']:12.1f}"
     )
     if row["status"] != 0:
         return f"{head}  {row['reason']} ({'as before' if row['as_before'] else 'NOT as before'})"

@@ -160,6 +160,39 @@ def test_the_turn_tells_play_from_friction(half, coulomb, presliding):
     assert "half of the hysteresis: play 0." in characteristic.text(found)
 
 
+@pytest.mark.parametrize(("positive", "overlap"), [(1.05, 0.0), (0.85, 0.0), (1.05, 0.3)])
+def test_unequal_gains_and_overlap_hide_no_play(positive, overlap):
+    """A turn of the voltage lies on one side alone, far from the middle; friction is a force."""
+    valve = {
+        "valve": "solenoid",
+        "solenoid.gain": 0.9,
+        "solenoid.hysteresis": 0.3,
+        "solenoid.positive": positive,
+        "solenoid.negative": 0.95,
+        "solenoid.overlap": overlap,
+        "friction.coulomb": 0.4,
+        "friction.presliding": 0.02,
+        "friction.static_ratio": 1.0,
+        "lvdt.noise": 0.003,
+    }
+    values = updated(VALVE, defaults(VALVE), valve)
+    done = experiment.simulated(defaults(CONTROLLER), values, experiment.test_values(friction.TEST, PERIOD))
+    lag = friction.lag_of(build.valve_model(values), 0.0)
+    found = characteristic.characteristic(done, lag)
+    assert found.lopsided
+    assert found.shares.play == pytest.approx(0.15, abs=0.03)
+    assert found.shares.friction == pytest.approx(0.4 / (0.5 * (positive + 0.95)), abs=0.03)
+    assert found.shares.presliding == pytest.approx(0.02, rel=0.15)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.5, 0.9])
+def test_a_describing_function_is_the_first_harmonic_of_a_play(share):
+    angle = np.linspace(0.0, 6.0 * np.pi, 60000, endpoint=False)
+    behind = played(np.sin(angle), share)[-20000:]
+    harmonic = 2.0 * np.mean(behind * np.exp(-1j * angle[-20000:])) / -1j
+    assert friction.through_play(share) == pytest.approx(harmonic, abs=1e-4)
+
+
 def test_a_stop_is_told_on_its_side():
     found = characteristic.characteristic(static(positive=0.95, negative=0.8, stop=3.3), -0.5 * PERIOD)
     assert found.positive.stop.value == pytest.approx(3.3, abs=0.002) and found.negative.stop is None

@@ -330,7 +330,7 @@ def _texts(arguments: argparse.Namespace, result: "Result") -> dict[str, str]:
 
 
 def tuned_values(before: "Values", applied: "Values") -> "Values":
-    """All that a controller needs beside its defaults to have the law that stays: ``applied`` to ``before``."""
+    """What a controller needs beside its defaults to be that ``before`` with the ``applied`` changes."""
     from valve_control.control.parameters.table import CONTROLLER
 
     final, usual = {**before, **applied}, defaults(CONTROLLER)

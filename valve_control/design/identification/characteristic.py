@@ -104,7 +104,8 @@ class Characteristic(NamedTuple):
     def static(self, position: Floats) -> Floats:
         """Voltage [V] in the middle of both directions at a ``position`` [V], by the line of its side."""
         up, down = (position / side.gain.value + side.edge.value for side in (self.positive, self.negative))
-        return np.where(position > 0.0, up, down)
+        voltage: Floats = np.where(position > 0.0, up, down)
+        return voltage
 
 
 def characteristic(tested: Experiment, lag: float) -> Characteristic:
@@ -115,7 +116,7 @@ def characteristic(tested: Experiment, lag: float) -> Characteristic:
     strokes, lag = strokes_of(voltage), lag + 0.5 * tested.period
     found = curve(voltage, reading, strokes, lag, tested.period)
     half = 0.5 * found.hysteresis.value
-    if half < LEAST_SHARED:
+    if half < LEAST_SHARED or found.overlap.value < -TOLD_OVERLAP:  # both sides act in an underlap
         return found
     slope, offset, _ = sliding(voltage, reading, strokes)
     rest = voltage - (found.static(reading) if found.lopsided else slope * reading + offset)

@@ -168,7 +168,8 @@ def _of_magnet(
     lead = 2j * math.pi * segment.frequency * coil
     force = abs(given / (1.0 + lead))
     taken = rubbed * lead + given * (1.0 - through_play(play / force) if force > play else 0.0)
-    return np.real(taken * np.exp(2j * math.pi * turns * index))
+    made: Floats = np.real(taken * np.exp(2j * math.pi * turns * index))
+    return made
 
 
 def through_play(share: float) -> complex:

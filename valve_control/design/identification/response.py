@@ -316,15 +316,15 @@ def refined(
     u = voltage[first:end]
     for _ in range(4):
         angle = 2.0 * np.pi * turns * k
-        phasor, _ = phasor(u, k, turns)
+        sine, _ = phasor(u, k, turns)
         # One more column: what the sine gains as its frequency grows.
-        slope = np.real(1j * phasor * np.exp(1j * angle)) * 2.0 * np.pi * (k - k.mean())
+        slope = np.real(1j * sine * np.exp(1j * angle)) * 2.0 * np.pi * (k - k.mean())
         columns = np.column_stack([np.cos(angle), np.sin(angle), slope, np.ones(len(k))])
         fit, _, _, _ = np.linalg.lstsq(columns, u, rcond=None)
         turns += float(fit[2])
         if not 0.0 < turns < 0.5:
             return None
-    phasor, rest = phasor(u, k, turns)
-    if abs(phasor) < 1e-6 or rest > pure * abs(phasor):
+    sine, rest = phasor(u, k, turns)
+    if abs(sine) < 1e-6 or rest > pure * abs(sine):
         return None
     return Segment(first, end, turns / period)
