@@ -244,14 +244,14 @@ SOLENOID = "docs/examples/my_solenoid_valve.yaml"
 @picture
 def solenoid_identified(path: Path) -> None:
     """Response and coherence of the tutorial's valve with solenoids, and its fits."""
-    words = ["--order", "3", "--zeros", "0", "--friction", "--output", "solenoid.yaml"]
+    words = ["--friction", "--output", "solenoid.yaml"]
     valve_control("identify", "--params-file", SOLENOID, *words, "--figure", str(path))
 
 
 @picture
 def solenoid_curve(path: Path) -> None:
     """Characteristic curve of the tutorial's valve with solenoids."""
-    words = ["--order", "3", "--zeros", "0", "--friction", "--output", "solenoid.yaml"]
+    words = ["--friction", "--output", "solenoid.yaml"]
     valve_control("identify", "--params-file", SOLENOID, *words, "--characteristic", str(path))
 
 
@@ -436,7 +436,7 @@ def linearised(path: Path) -> None:
     """The commands of the page: a PID on a valve with overlap and two gains, without and with the inverse."""
     valve = ["--valve", "solenoid", "--set", "solenoid.overlap=0.3"]
     valve += ["--set", "solenoid.positive=1.075", "--set", "solenoid.negative=0.925"]
-    words = ["--order", "3", "--zeros", "0", "--friction", "--output", "valve.yaml"]
+    words = ["--friction", "--output", "valve.yaml"]
     valve_control("identify", *valve, *words, "--characteristic", "curve.yaml")
     figure, (top, bottom) = axes(2, 5.2)
     for i, (label, files) in enumerate((("pid", []), ("pid, linearised", ["--params-file", "curve.yaml"]))):

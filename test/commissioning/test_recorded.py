@@ -137,16 +137,19 @@ def test_a_valve_with_solenoids_is_learnt_as_one():
 @pytest.mark.parametrize(("before", "behind"), [(0.0016, 0.0003), (0.0, 0.0003), (0.0, 0.0001)])
 def test_the_dead_time_of_solenoids_is_learnt_as_a_whole(before, behind):
     """More or less of it; the sensor keeps the 0.3 ms that it is known for, as far as there is so much."""
-    known = updated(VALVE, defaults(VALVE), {**SOLENOID, "u_max": 10.0, "lvdt.delay": 0.0003})
-    true = {**known, "solenoid.u_min": -10.0, "solenoid.dead_time": before, "lvdt.delay": behind}
+    limits = {"u_max": 10.0, "solenoid.u_min": -10.0}
+    known = updated(VALVE, defaults(VALVE), {**SOLENOID, **limits, "lvdt.delay": 0.0003})
+    true = {**known, "solenoid.dead_time": before, "lvdt.delay": behind}
     found = recorded.learnt(with_solenoids(true), known, [])
     told = {one.name: one for one in found.learnt}["dead_time"]
-    assert told.determined and told.value == pytest.approx(before + behind, abs=max(1.5 * told.bound, 2e-5))
+    # Play and friction make the residual rough, so that a search ends up to 0.1 ms beside the least one.
+    assert told.determined and told.value == pytest.approx(before + behind, abs=1.5e-4)
     sensor, actuator = found.values["lvdt.delay"], found.values["solenoid.dead_time"]
     assert sensor == min(0.0003, told.value)
     assert actuator == pytest.approx(told.value - sensor, abs=1e-12)
     box = {q.name: q for q in recorded.box(found, BOX)}
     assert box["lvdt.delay"].low <= sensor < box["lvdt.delay"].high < sensor + 0.001
+    assert box["lvdt.delay"].low <= before + behind - actuator < box["lvdt.delay"].high
 
 
 def test_what_is_fixed_is_not_searched(moved):

@@ -72,18 +72,20 @@ def test_noise_that_explains_the_second_order_ends_the_search():
 
 
 def test_of_candidates_as_good_as_each_other_the_simplest_counts():
-    def scored(poles, zeros, late, criterion):
-        return structure.Scored(Candidate(poles, zeros, late), criterion, 0.0)
+    def scored(poles, zeros, late, criterion, error=0.01):
+        return structure.Scored(Candidate(poles, zeros, late), criterion, error)
 
     chosen = [
         structure._simplest([scored(4, 2, False, 0.0), scored(3, 0, True, 5.9)]),
         structure._simplest([scored(4, 2, False, 0.0), scored(3, 0, True, 6.1)]),
         structure._simplest([scored(3, 0, True, 0.0), scored(3, 0, False, 3.0), scored(2, 0, True, 9.0)]),
+        structure._simplest([scored(3, 1, False, 0.0, 0.0), scored(3, 0, True, 15.0, 0.0)]),
     ]
     assert [one.form for one in chosen] == [
         Candidate(3, 0, True),
         Candidate(4, 2, False),
         Candidate(3, 0, False),
+        Candidate(3, 0, True),  # noise alone explains what both leave
     ]
 
 

@@ -285,7 +285,7 @@ def _rounds(
         for done in range(FRICTION_ROUNDS):
             lag = friction.lag_of(fits[-1].model, fits[-1].delay)
             rubbing, curve = characteristic.with_friction(triangle, lag)
-            slipping = _slipping(tested, rubbing, curve, fits[-1]) if tested.segments else tested
+            slipping = _slipping(tested, rubbing, curve, measured) if tested.segments else tested
             measured = friction.unsure(experiment.estimate(slipping, arguments.settle, band), seen)
             fits, told = _fits(arguments, tested, measured)
             progress(3 + done)
@@ -293,16 +293,22 @@ def _rounds(
 
 
 def _slipping(
-    tested: "Experiment", rubbing: "Friction", curve: "Characteristic | None", best: "Fit"
+    tested: "Experiment", rubbing: "Friction", curve: "Characteristic | None", measured: "Response"
 ) -> "Experiment":
-    """``tested`` without friction, and without the play of a magnet that the ``curve`` tells from it."""
-    from valve_control.design.identification import first_gains, friction
+    """``tested`` without friction, and without the play of a magnet that the ``curve`` tells from it.
+
+    The coil of that magnet is a pole of the model without zeros that is nearest to ``measured``.
+    """
+    from valve_control.design.identification import first_gains, friction, rational
 
     own = first_gains.without_play(rubbing, curve)
     assert own is not None
     if own is rubbing or curve is None or curve.shares is None:
         return friction.without(tested, rubbing)
-    magnet = first_gains.magnet_of(best.model, curve)
+    try:
+        magnet = first_gains.magnet_of(rational.fit(measured, 3, 0, True).model, curve)
+    except ParameterError:
+        magnet = None
     return friction.without(tested, own, curve.shares.play, 0.0 if magnet is None else magnet.coil)
 
 

@@ -35,6 +35,8 @@ CONFIDENCE = 1.96
 LAGS = 2.0  # s  over which residuals may be alike
 EVALUATIONS = 30
 STEP = 2e-3  # of a unit below, for the Jacobian
+COARSE = 1e-2  # likewise with solenoids, whose play and friction make the residual rough
+DEAD_TIMES = [0.0002 * i for i in range(16)]  # s  from which a search with solenoids begins, if one is better
 
 
 class Learnt(NamedTuple):
@@ -221,8 +223,13 @@ def _search(
         low.append(1.0 + (least - begin[form.name]) / form.scale)
         high.append(1.0 + (most - begin[form.name]) / form.scale)
     start = np.clip(np.ones(len(free)), np.array(low) + 0.02, np.array(high) - 0.02)
+    rough = _has_coil(base)
+    if rough and free[-1].name == "lvdt.delay":
+        units = [1.0 + (d - begin["lvdt.delay"]) / free[-1].scale for d in DEAD_TIMES]
+        tried = [start, *(np.append(start[:-1], max(unit, low[-1] + 0.02)) for unit in units)]
+        start = min(tried, key=lambda x: float(np.sum(residual(x) ** 2)))
     done = scipy.optimize.least_squares(
-        residual, start, bounds=(low, high), diff_step=STEP, max_nfev=EVALUATIONS
+        residual, start, bounds=(low, high), diff_step=COARSE if rough else STEP, max_nfev=EVALUATIONS
     )
     rest = np.asarray(done.fun, dtype=np.float64)
     variance = float(np.mean(rest**2)) * _alike(rest, number(base, "sample_period"))

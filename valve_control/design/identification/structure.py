@@ -4,7 +4,8 @@
 
 Each candidate is fitted by maximum likelihood. Its error at a frequency has the variance of the measurement
 and of a relative error of the model, which is the least that explains the residual. Schwarz's criterion [1]
-(BIC) weighs the likelihood against the number of unknowns. Of candidates that are nearly as good the simplest
+(BIC) weighs the likelihood against the number of unknowns. Of candidates that are nearly as good, or that
+leave nothing but noise, the simplest
 counts: a coil is a pole without a zero, and a dead time has to show itself beside it.
 
 [1] G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6 (1978).
@@ -97,9 +98,12 @@ def choose(measured: Response, delayed: bool | None = None, weighting: str = "li
 
 
 def _simplest(tried: Sequence[Scored]) -> Scored:
-    """Of those within NEAR of the least criterion: fewest zeros, then fewest poles, then no dead time."""
+    """Of the nearest: fewest zeros, then fewest poles, then no dead time.
+
+    Near are those within NEAR of the least criterion, and those that leave no more than noise.
+    """
     least = min(one.criterion for one in tried)
-    near = [one for one in tried if one.criterion <= least + NEAR]
+    near = [one for one in tried if one.criterion <= least + NEAR or one.model_error == 0.0]
     return min(near, key=lambda one: (one.form.zeros, one.form.poles, one.form.late))
 
 
