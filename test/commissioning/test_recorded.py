@@ -191,6 +191,15 @@ def test_tune_from_a_bag(run, tmp_path, moved):
     assert status == 2 and "takes no --scenario" in err and len(sentences(err)) == 1
 
 
+def test_the_box_of_a_recording_overrides_no_file(run, tmp_path, moved):
+    """What the recording tells is in the box, and the bias of a response is no matter of it."""
+    write(tmp_path / "operation", moved.messages)
+    (tmp_path / "valve.yaml").write_text("/**/valve_simulator:\n  ros__parameters:\n    lvdt.noise: 0.004\n")
+    search = ["--budget", "1", "--valves", "1", "--unseen", "1", "--alone", "--controller", "pid"]
+    _, _, err = run("tune", "--bag", "operation", "--params-file", "valve.yaml", *search, "--json", "-")
+    assert "tune varies" not in err and "biased" not in err and "times are publish_time" in err
+
+
 def test_tune_from_a_bag_at_rest(run, tmp_path):
     made = Run(controller={"controller": "oarc"})
     for _ in range(3000):

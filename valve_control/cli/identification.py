@@ -448,6 +448,11 @@ def _found(
 
     second = fits[0]
     notes = [*tested.notes, *measured.notes, *told]
+    if tested.feedback:
+        law = tested.feedback
+        notes.append(
+            f"the voltage came from {law}, which feeds noise of the reading back: the response is biased"
+        )
     best = fits[-1]
     notes = [*experiment.excitation_notes(measured, fits), *notes]
     notes += experiment.coherence_notes(measured)

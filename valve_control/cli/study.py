@@ -159,7 +159,7 @@ def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
             )
     for path in arguments.params_file:
         overridden = [q.name for q in box if q.name in files.load(path)["valve_simulator"]]
-        if overridden:
+        if overridden and getattr(arguments, "bag", None) is None:  # a recording tells them
             print(
                 f"note: {who} varies {', '.join(overridden)}, whatever {path} says; --fix NAME keeps one",
                 file=sys.stderr,

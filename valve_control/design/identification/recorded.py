@@ -122,10 +122,6 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
     initial = {} if valve.controller is None else valve.controller.initial
     law = str(initial.get("controller", "open_loop"))
     feedback = law if law in LAWS and LAWS[law].feedback else ""
-    if feedback:
-        notes.append(
-            f"the voltage came from {law}, which feeds noise of the reading back: the response is biased"
-        )
     return Experiment(
         source=f"{recording.bag.path.name}: {valve.name}",
         period=period,
