@@ -33,8 +33,8 @@ CORE = (
     *("valve_control/nodes/valve_driver.py", "valve_control/parameter.py"),
 )
 CONTROLLER = (
-    *("adapter", "cascade", "disagreement", "lifecycle", "lockstep", "reception", "restart", "terms"),
-    *("trajectory", "unnumbered"),
+    *("adapter", "cascade", "disagreement", "lifecycle", "lockstep", "overload", "realtime", "reception"),
+    *("restart", "terms", "trajectory", "unnumbered"),
 )
 DEVICES = (
     *("axis", "device_controller", "exit", "fieldbus", "pairing", "rclpy_internals", "services"),
@@ -43,13 +43,24 @@ DEVICES = (
 # Statistics over many valves take minutes and run nothing that other tests do not.
 LONG = "study_s_box or beyond_the_spread or weights_were_made_for or jitter_is_the_speed or drifts_by_3"
 PATIENT = ("--dist", "loadgroup", "--reruns", "1")  # as make test does with nodes
+
+
+def tests(room: str, letters: str) -> list[str]:
+    """Files of ``room`` whose names begin with ``letters`` (a range), without what takes long."""
+    files = sorted((ROOT / "test" / room).glob(f"test_[{letters}]*.py"))
+    return [*(str(path.relative_to(ROOT)) for path in files), "-k", f"not ({LONG})"]
+
+
 PARTS = {
-    "supervision": ["test/supervision", "-k", f"not ({LONG})"],
-    "laws": ["test/laws", "-k", f"not ({LONG})"],
+    "conditions": tests("supervision", "a-m"),
+    "supervisor": tests("supervision", "n-z"),
+    "laws": tests("laws", "a-c"),
+    "dcarc": tests("laws", "d-z"),
     "drivers": [
         "test/drivers",
         "test/test_plugins.py",
         "test/test_arguments.py",
+        "test/test_parameter.py",
         "test/recordings/test_shadow.py",
     ],
     "controller": [*(f"test/nodes/test_{name}.py" for name in CONTROLLER), *PATIENT],
