@@ -8,10 +8,21 @@ from struct import pack
 import pytest
 import rcl
 from bench import spin_until
+from builtin_interfaces.msg import Duration
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from trajectory_msgs.msg import JointTrajectoryPoint
 
-from valve_control.nodes.adapter import SAMPLES, NumberSubscription, _same, encoded, head
+from valve_control.nodes.adapter import (
+    SAMPLES,
+    NumberSubscription,
+    PointSubscription,
+    _same,
+    decoded_point,
+    encoded,
+    encoded_point,
+    head,
+)
 
 NUMBERS = [0.0, -0.0, 1.0, -9.87654321, 5e-324, 1.7e308, math.inf, -math.inf]
 
@@ -52,3 +63,29 @@ def test_a_word_of_the_command_line_is_known_in_the_value_that_rcl_makes_of_it(w
     value = rcl.read("/recorder", f"bag:={word}")["bag"]
     assert not isinstance(value, str) and _same(word, value)
     assert not _same(word, 17) and not _same(word, 2.25)
+
+
+def test_a_point_of_a_trajectory_is_read_as_it_was_sent_in_either_byte_order():
+    point = (0.5, -1.5, 2.25)
+    little = encoded_point(*point, 1_500_000_000)
+    assert deserialize_message(little, JointTrajectoryPoint) == JointTrajectoryPoint(
+        positions=[0.5], velocities=[-1.5], accelerations=[2.25],
+        time_from_start=Duration(sec=1, nanosec=500_000_000),
+    )  # fmt: skip
+    big = b"\0\0\0\0" + pack(">I4xdI4xdI4xdIiI", 1, 0.5, 1, -1.5, 1, 2.25, 0, 1, 500_000_000)
+    for data in (little, big):
+        assert decoded_point(data) == ((0.5,), (-1.5,), (2.25,), 1_500_000_000)
+
+
+def test_what_is_no_point_is_passed_over(ros):
+    whole = encoded_point(0.5, 0.0, 0.0)
+    assert all(decoded_point(whole[:size]) is None for size in range(len(whole)))
+    assert decoded_point(whole[:4] + b"\xff\xff\xff\x7f" + whole[8:]) is None, "2147483647 positions"
+    points = PointSubscription(ros, "point", SAMPLES)
+    publisher = ros.create_publisher(JointTrajectoryPoint, "point", SAMPLES)
+    spin_until(ros, lambda: publisher.get_subscription_count() == 1, "match")
+    for data in (whole[:20], whole):
+        publisher.publish(data)
+    found = []
+    spin_until(ros, lambda: found.extend(points.take()) or found, "the point")
+    assert [point.positions for point, _ in found] == [(0.5,)]

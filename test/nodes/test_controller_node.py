@@ -1,0 +1,340 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""One controller in the process of the test, over DDS: when it acts, what it waits for, its last word."""
+
+import math
+import sys
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import rclpy
+from bench import LIMIT
+from rclpy.exceptions import ParameterNotDeclaredException
+from std_msgs.msg import Float64, Float64MultiArray, String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from valve_control.control.supervision.journal import Event, block
+from valve_control.control.supervision.record import Mode
+from valve_control.nodes import controller_node
+from valve_control.nodes.adapter import EVERYTHING, SAMPLES, encoded, encoded_point
+from valve_control.nodes.controller_node import Controller
+from valve_control.nodes.loop import Failure
+from valve_control.parameter import ParameterError
+
+
+class Upper:
+    """LVDT and upper level beside a controller; one thread has both."""
+
+    def __init__(self, ros, node):
+        self.ros, self.node = ros, node
+        self.voltages, self.states = [], []
+        self.lvdt = ros.create_publisher(Float64, "spool_position", SAMPLES)
+        self.commands = ros.create_publisher(Float64, "spool_command", SAMPLES)
+        ros.create_subscription(Float64, "valve_voltage", lambda m: self.voltages.append(m.data), SAMPLES)
+        ros.create_subscription(Float64MultiArray, "/controller/state", self.states.append, SAMPLES)
+
+    def hear(self):
+        for _ in range(5):
+            rclpy.spin_once(self.ros, timeout_sec=0.002)
+
+    def until(self, condition, what, work=True):
+        end = time.monotonic() + LIMIT
+        while not condition():
+            assert time.monotonic() < end, what
+            if work and self.node.work():
+                self.node.report()
+            self.hear()
+
+    def meet(self):
+        met = (self.lvdt, self.commands)
+        self.until(lambda: all(p.get_subscription_count() == 1 for p in met), "subscriptions", work=False)
+        self.until(lambda: self.ros.count_publishers("valve_voltage") == 1, "publisher", work=False)
+        self.until(lambda: self.node._voltages.get_subscription_count() == 1, "our subscription", work=False)
+
+    def sample(self, reading, command=None):
+        """The voltage that answers ``reading``; it is sent again if the process stood still meanwhile."""
+        before = self.node._supervisor.samples
+        if command is not None:
+            self.commands.publish(encoded(command))
+        while self.node._supervisor.samples == before:
+            taken = len(self.node._arrivals)
+            self.lvdt.publish(encoded(reading))
+            self.until(lambda taken=taken: len(self.node._arrivals) > taken, "an answer")
+        return self.node._supervisor.voltage
+
+
+@contextmanager
+def controller(ros, *settings):
+    slow = (
+        "lvdt.hold_samples:=2000",
+        "lvdt.frozen_samples:=0",
+        "lvdt.period_limit:=1000.0",
+        "state_decimation:=1",
+    )
+    words = [word for text in (*slow, *settings) for word in ("-p", text)]
+    node = Controller(cli_args=["--ros-args", *words])
+    upper = Upper(ros, node)
+    try:
+        upper.meet()
+        yield upper
+    finally:
+        node.destroy_node()
+
+
+def test_from_the_first_reading_to_the_last_word(ros):
+    with controller(ros) as upper:
+        node = upper.node
+        assert node.inputs() == (node._readings,) and math.isfinite(node.due())
+        upper.sample(0.0)
+        given = [upper.sample(0.001 * k, 0.1) for k in range(5)]
+        upper.until(
+            lambda: upper.voltages[-5:] == given and upper.states and upper.states[-1].data[0] == 6.0,
+            "voltages and states",
+        )
+        assert [state.data[0] for state in upper.states[-6:]] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+        count = len(upper.voltages)
+        node.trigger_deactivate()
+        node.deliver()
+        upper.until(lambda: len(upper.voltages) > count, "0 V")
+        assert upper.voltages[count:] == [0.0]
+        upper.lvdt.publish(encoded(0.0))
+        assert not node.work() and node.inputs() == () and node.due() == math.inf
+        node.trigger_activate()
+        samples = node._supervisor.samples
+        node.work()
+        assert node._supervisor.samples == samples, "what came meanwhile is stale"
+        node.finish()
+        node.trigger_cleanup()
+
+
+def test_a_reading_is_prepared_for_and_silence_is_answered_again_and_again(ros, monkeypatch):
+    with controller(ros) as upper:
+        node = upper.node
+        upper.sample(0.0)
+        monkeypatch.setattr(controller_node, "REMIND", 0.0)
+        warmed = node._warming._number
+        node._watch_at = math.inf
+        upper.until(lambda: node._warming._number > warmed, "warm caches")
+        assert node._warm_at == math.inf
+        node._watch_at = 0.0
+        assert node.work() and node._supervisor.mode is Mode.SAFE
+        node.report()
+        count = len(upper.voltages)
+        assert node.work()
+        upper.until(
+            lambda: len(upper.voltages) > count and upper.voltages[-1] == 0.0, "0 V once more", work=False
+        )
+
+
+def test_what_waited_while_the_process_stood_still_is_not_answered_as_new(ros):
+    with controller(ros) as upper:
+        node = upper.node
+        upper.sample(0.0)
+        upper.lvdt.publish(encoded(0.5))
+        node._watch_at = time.monotonic() - 1.0
+        samples, count = node._supervisor.samples, len(node._journal)
+        upper.until(lambda: len(node._journal) > count, "the stale reading")
+        assert node._supervisor.samples == samples and node._catching_up
+        node._arrivals[-1] -= 1.0
+        upper.sample(0.0)
+        assert not node._catching_up
+
+
+def test_a_reader_of_the_journal_gets_every_row_and_an_account(ros, monkeypatch):
+    monkeypatch.setattr(controller_node, "MOST_ROWS", 8)
+    blocks, accounts = [], []
+    ros.create_subscription(
+        Float64MultiArray, "/controller/journal", lambda m: blocks.append(block(m.data)), EVERYTHING
+    )
+    ros.create_subscription(String, "/controller/memory", lambda m: accounts.append(m.data), EVERYTHING)
+    with controller(ros, "memory_period:=1000.0") as upper:
+        upper.until(lambda: upper.node._count_readers() == 2, "the readers", work=False)
+        upper.node._watch_graph()
+        for k in range(40):
+            upper.sample(0.001 * (k % 2), 0.1)
+        upper.node.trigger_deactivate()
+        upper.until(lambda: blocks and blocks[-1].rows[-1, 1] == Event.STOP, "the last row", work=False)
+        assert all(later.follows(sooner) for sooner, later in zip(blocks, blocks[1:], strict=False))
+        events = np.concatenate([one.rows[:, 1] for one in blocks])
+        assert np.count_nonzero(events == Event.READING) == 40 and len(accounts) >= 1
+
+
+def test_an_upper_level_or_a_trajectory_that_leaves_is_known(ros):
+    points = ros.create_publisher(JointTrajectoryPoint, "spool_trajectory", SAMPLES)
+    with controller(ros) as upper:
+        node = upper.node
+        upper.until(lambda: points.get_subscription_count() == 1, "the subscription")
+        node._watch_graph()
+        points.publish(encoded_point(0.1, 0.0, 0.0))
+        upper.until(
+            lambda: upper.sample(0.0) is not None and node._supervisor.has_trajectory, "the trajectory"
+        )
+        refused = JointTrajectoryPoint(positions=[0.1, 0.2])
+        points.publish(refused)
+        upper.until(
+            lambda: upper.sample(0.0) is not None and node._supervisor.counts["command_refused"] == 1,
+            "a refusal",
+        )
+        ros.destroy_publisher(points)
+        upper.until(lambda: node.count_publishers("spool_trajectory") == 0, "its end")
+        node._watch_graph()
+        assert not node._supervisor.has_trajectory and not node._supervisor.command_left
+        ros.destroy_publisher(upper.commands)
+        upper.until(lambda: node.count_publishers("spool_command") == 0, "its end")
+        node._watch_graph()
+        assert node._supervisor.command_left
+        node.trigger_deactivate()
+        node.trigger_cleanup()
+        node._watch_graph()
+
+
+def test_in_lockstep_a_reading_waits_for_its_command(ros, monkeypatch):
+    with controller(ros, "lockstep:=true", "controller:=open_loop") as upper:
+        node = upper.node
+        upper.lvdt.publish(encoded(0.0))
+        upper.until(lambda: node._waiting is not None and node._met, "the reading")
+        assert not node.work() and node.inputs() == (node._commands, node._trajectories)
+        assert node.due() <= time.monotonic() + controller_node.LOOK
+        assert upper.sample(0.0, 1.0) > 0.0
+        monkeypatch.setattr(controller_node, "COMMANDED", {False: 0.02, True: 0.05})
+        assert upper.sample(0.0) > 0.0 and node._uncommanded, "no command comes: it goes on"
+        upper.sample(0.0)
+        upper.commands.publish(encoded(-1.0))
+        upper.until(lambda: upper.sample(0.0) < 0.0, "in step again")
+        assert not node._uncommanded
+        points = ros.create_publisher(JointTrajectoryPoint, "spool_trajectory", SAMPLES)
+        upper.until(lambda: points.get_subscription_count() == 1, "the subscription")
+        points.publish(encoded_point(0.5, 0.0, 0.0, 10**9))
+        upper.until(lambda: upper.sample(0.0) > 0.0, "the point of a trajectory")
+        result = node.set_parameters_atomically([rclpy.parameter.Parameter("lockstep", value=False)])
+        assert result.successful and node._pairing is None
+        upper.meet()
+        assert math.isfinite(upper.sample(0.0))
+
+
+def test_lockstep_without_numbers_ends_in_one_sentence(ros):
+    with controller(ros, "lockstep:=true") as upper:
+        upper.node._waiting = (0.0, {"publication_sequence_number": 2**64 - 1, "source_timestamp": 0})
+        with pytest.raises(Failure, match="lockstep needs a middleware that numbers messages"):
+            upper.node.work()
+
+
+def test_the_services_answer_in_one_sentence(ros, tmp_path):
+    path = tmp_path / "saved.yaml"
+    with controller(ros, f"save_file:={path}") as upper:
+        node = upper.node
+
+        def asked(service):
+            response = service(Trigger.Request(), Trigger.Response())
+            assert response.message and "\n" not in response.message
+            return response.success, response.message
+
+        upper.sample(0.0)
+        assert asked(node._on_reset) == (True, "estimates and filters are at their start")
+        assert asked(node._on_load)[0] is False
+        assert asked(node._on_save) == (True, f"wrote {path}")
+        loaded = asked(node._on_load)
+        assert loaded[0] and loaded[1].endswith("of which 0 changed")
+        text = path.read_text()
+        path.write_text(text.replace("u_max: 10.0", "u_max: 8.0"))
+        assert (
+            asked(node._on_load)[1].endswith("of which 1 changed") and node._supervisor.values["u_max"] == 8.0
+        )
+        natural = "natural_frequency: 314.0"
+        assert natural in text
+        path.write_text(text.replace(natural, "natural_frequency: 9000.0"))
+        loaded = asked(node._on_load)
+        assert not loaded[0] and "it must be below" in loaded[1] and str(path) in loaded[1]
+        path.write_text(text.replace("u_max: 10.0", "u_max: -1.0"))
+        loaded = asked(node._on_load)
+        assert not loaded[0] and loaded[1].startswith("no parameter changed: ") and "u_max is -1" in loaded[1]
+        path.unlink()
+        path.mkdir()
+        saved = asked(node._on_save)
+        assert not saved[0] and "cannot be written" in saved[1]
+
+
+def test_chosen_terms_have_topics_of_their_own_for_as_long_as_they_are_chosen(ros):
+    heard = []
+    ros.create_subscription(Float64, "/controller/terms/voltage", lambda m: heard.append(m.data), SAMPLES)
+    with controller(ros, "state_topics:=['voltage']") as upper:
+        node = upper.node
+        upper.until(lambda: node._terms["voltage"].get_subscription_count() == 1, "our subscription")
+        upper.sample(0.0)
+        given = [upper.sample(0.001 * k, 1.0) for k in range(5)]
+        upper.until(lambda: heard[-5:] == given, "the voltages")
+        for names, topics in (
+            (["a1", "voltage"], {"a1", "voltage"}),
+            (["voltage"], {"voltage"}),
+            ([""], set()),
+        ):
+            wanted = [rclpy.parameter.Parameter("state_topics", value=names)]
+            assert node.set_parameters_atomically(wanted).successful and set(node._terms) == topics
+        wanted = [rclpy.parameter.Parameter("state_topics", value=["voltage"])]
+        assert node.set_parameters_atomically(wanted).successful
+        node.trigger_deactivate()
+        node.trigger_cleanup()
+        assert node._terms == {} and node.inputs() == ()
+        node.deliver()
+        node._diagnose()
+
+
+def test_a_controller_that_does_not_start_by_itself_tells_each_of_its_states(ros, monkeypatch):
+    node = Controller(cli_args=["--ros-args", "-p", "autostart:=false"])
+    try:
+        assert node._status()[1] == "unconfigured" and not node.work() and node.inputs() == ()
+        node._publish_journal()
+        node.trigger_configure()
+        assert node._status()[1] == "inactive"
+        monkeypatch.setattr(controller_node, "REFUSED", ("law x of package y is left out",))
+        node.trigger_activate()
+        assert node._status()[1] == "no LVDT reading yet" and node.work() is False
+        node.report()
+        assert "samples" in node._figures() and "saturation_share" not in node._figures()
+    finally:
+        node.destroy_node()
+
+
+def test_changes_of_parameters_are_checked_as_a_whole_and_told_once(ros):
+    made = rclpy.parameter.Parameter
+    with controller(ros) as upper:
+        node = upper.node
+
+        def put(**values):
+            wanted = [made(name.replace("__", "."), value=value) for name, value in values.items()]
+            return node.set_parameters_atomically(wanted)
+
+        assert put(arc__k1="7.5e+01").successful and node._supervisor.values["arc.k1"] == 75.0
+        assert not put(arc__k1="fast").successful and not put(arc__k1=-1.0, u_max=5.0).successful
+        assert put(arc__k1=75.0).successful and node._supervisor.values["u_max"] == 10.0
+        with pytest.raises(
+            ParameterNotDeclaredException, match="there is no parameter 'arc.k11'; did you mean"
+        ):
+            put(arc__k11=1.0)
+        journal = len(node._journal)
+        assert put(arc__k1=75.0).successful and len(node._journal) == journal, "nothing has changed"
+        settings = node._settings
+        settings._told = -math.inf
+        assert put(u_max=9.0).successful and not settings._untold
+        assert put(u_max=8.0, arc__k2=90.0).successful and settings._untold == {"u_max", "arc.k2"}
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [("realtime.cpus:=0", ""), ("controller:=2", "controller is '2'; it must be 'arc'"),
+     ("u_max:=true", "u_max is True; it must be a double"), ("arc.k1:=-5.0", "arc.k1 is -5")],
+)  # fmt: skip
+def test_a_word_of_the_command_line_is_taken_or_refused_by_its_name(ros, monkeypatch, word, said):
+    words = ["--ros-args", "-p", word]
+    monkeypatch.setattr(sys, "argv", ["controller", *words])
+    if not said:
+        node = Controller(cli_args=words)
+        assert node._values["realtime.cpus"] == "0"
+        node.destroy_node()
+        return
+    with pytest.raises(ParameterError) as error:
+        Controller(cli_args=words)
+    assert said in str(error.value)
