@@ -33,7 +33,17 @@ CORE = (
     *("valve_control/nodes/valve_driver.py", "valve_control/parameter.py"),
 )
 CONTROLLER = (
-    *("adapter", "cascade", "disagreement", "lifecycle", "lockstep", "overload", "realtime", "reception"),
+    *(
+        "adapter",
+        "cascade",
+        "controller_node",
+        "disagreement",
+        "lifecycle",
+        "lockstep",
+        "overload",
+        "realtime",
+        "reception",
+    ),
     *("restart", "terms", "trajectory", "unnumbered"),
 )
 DEVICES = (

@@ -50,9 +50,9 @@ class Upper:
 
     def meet(self):
         met = (self.lvdt, self.commands)
-        self.until(lambda: all(p.get_subscription_count() == 1 for p in met), "subscriptions", work=False)
-        self.until(lambda: self.ros.count_publishers("valve_voltage") == 1, "publisher", work=False)
-        self.until(lambda: self.node._voltages.get_subscription_count() == 1, "our subscription", work=False)
+        self.until(lambda: all(p.get_subscription_count() >= 1 for p in met), "subscriptions", work=False)
+        self.until(lambda: self.ros.count_publishers("valve_voltage") >= 1, "publisher", work=False)
+        self.until(lambda: self.node._voltages.get_subscription_count() >= 1, "our subscription", work=False)
 
     def sample(self, reading, command=None):
         """The voltage that answers ``reading``; it is sent again if the process stood still meanwhile."""
@@ -107,7 +107,7 @@ def test_from_the_first_reading_to_the_last_word(ros):
         node.work()
         assert node._supervisor.samples == samples, "what came meanwhile is stale"
         node.finish()
-        node.trigger_cleanup()
+        assert node._state_machine.current_state[1] == "finalized"
 
 
 def test_a_reading_is_prepared_for_and_silence_is_answered_again_and_again(ros, monkeypatch):
@@ -166,7 +166,7 @@ def test_an_upper_level_or_a_trajectory_that_leaves_is_known(ros):
     points = ros.create_publisher(JointTrajectoryPoint, "spool_trajectory", SAMPLES)
     with controller(ros) as upper:
         node = upper.node
-        upper.until(lambda: points.get_subscription_count() == 1, "the subscription")
+        upper.until(lambda: points.get_subscription_count() >= 1, "the subscription")
         node._watch_graph()
         points.publish(encoded_point(0.1, 0.0, 0.0))
         upper.until(
@@ -206,7 +206,7 @@ def test_in_lockstep_a_reading_waits_for_its_command(ros, monkeypatch):
         upper.until(lambda: upper.sample(0.0) < 0.0, "in step again")
         assert not node._uncommanded
         points = ros.create_publisher(JointTrajectoryPoint, "spool_trajectory", SAMPLES)
-        upper.until(lambda: points.get_subscription_count() == 1, "the subscription")
+        upper.until(lambda: points.get_subscription_count() >= 1, "the subscription")
         points.publish(encoded_point(0.5, 0.0, 0.0, 10**9))
         upper.until(lambda: upper.sample(0.0) > 0.0, "the point of a trajectory")
         result = node.set_parameters_atomically([rclpy.parameter.Parameter("lockstep", value=False)])
@@ -262,7 +262,7 @@ def test_chosen_terms_have_topics_of_their_own_for_as_long_as_they_are_chosen(ro
     ros.create_subscription(Float64, "/controller/terms/voltage", lambda m: heard.append(m.data), SAMPLES)
     with controller(ros, "state_topics:=['voltage']") as upper:
         node = upper.node
-        upper.until(lambda: node._terms["voltage"].get_subscription_count() == 1, "our subscription")
+        upper.until(lambda: node._terms["voltage"].get_subscription_count() >= 1, "our subscription")
         upper.sample(0.0)
         given = [upper.sample(0.001 * k, 1.0) for k in range(5)]
         upper.until(lambda: heard[-5:] == given, "the voltages")
