@@ -19,9 +19,8 @@ from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
 
 PERIOD = 1e-3  # s
-TUNED = [
-    (law, shipped) for law in ("arc", "oarc", "dcarc", "pid") for shipped in ("d3fxe", "d3fxe_experiment")
-]
+LAWS, VALVES = ("arc", "oarc", "dcarc", "pid"), ("d3fxe", "d3fxe_experiment")
+TUNED = [(law, shipped) for law in LAWS for shipped in VALVES]
 
 
 class Loop:

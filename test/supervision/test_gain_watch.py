@@ -7,14 +7,14 @@ import re
 
 import pytest
 from grids import grid
-from test_cycle_watch import PERIOD, Loop, sine
+from test_cycle_watch import LAWS, PERIOD, VALVES, Loop, sine
 
 from valve_control.control.supervision import gain_watch, plausibility
 
 MODEL = (20.0, 1200.0, 1200.0)  # a1 [1/s], a0, b0 [1/s²]
 
 
-@grid("law, shipped", ("arc", "oarc", "dcarc", "pid"), ("d3fxe", "d3fxe_experiment"), strength=1)
+@grid("law, shipped", LAWS, VALVES, strength=1)
 def test_an_lvdt_whose_gain_drifts_by_3_percent_a_second_is_reported(config, law, shipped):
     """Before its gain has doubled; the figure is that of the change, within a sixth."""
     loop = Loop(config, law, shipped)

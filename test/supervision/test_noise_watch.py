@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from grids import grid
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_cycle_watch import TUNED, Loop, sine
+from test_cycle_watch import LAWS, VALVES, Loop, sine
 
 from valve_control.control.supervision import noise_watch, plausibility
 
@@ -20,8 +21,7 @@ def louder(loop, factor):
     return loop
 
 
-@pytest.mark.parametrize("command", [sine(2.0, 1.5), lambda t: 0.0], ids=["motion", "rest"])
-@pytest.mark.parametrize(("law", "shipped"), TUNED)
+@grid("law, shipped, command", LAWS, VALVES, [sine(2.0, 1.5), lambda t: 0.0])
 def test_noise_that_is_ten_times_larger_is_named_with_its_figure(config, law, shipped, command):
     loop = Loop(config, law, shipped).run(1300, command)
     assert not [text for text in loop.said if "noise" in text]

@@ -60,7 +60,7 @@ MOVES = st.lists(
 
 
 @pytest.mark.parametrize("law", LAWS)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(moves=MOVES, cut=st.integers(1, 19), gap=st.integers(0, 30))
 def test_goes_on_bit_for_bit(law, moves, cut, gap):
     """Whatever happened before: commands, faults, takeovers, homing, gaps."""
