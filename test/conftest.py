@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-import changed
 import domains
 import pytest
 from hypothesis import settings
@@ -14,8 +13,10 @@ from hypothesis import settings
 os.environ["ROS_DOMAIN_ID"] = str(domains.OWN)
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
-# Matrices are small: BLAS threads that wait for each other take longer.
+# Matrices are small: BLAS threads that wait for each other take longer. numpy reads it as it loads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import changed
 
 from valve_control.cli import main
 from valve_control.control.parameters.table import VALVE

@@ -653,6 +653,7 @@ def take(supervisor, values, changes):
     return new
 
 
+@settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(some_values(), st.lists(st.tuples(WILD, WILD), max_size=12)), max_size=6))
 def test_no_parameters_and_no_messages_bring_it_down(story):
     """Shrinking finds the smallest story that does."""
@@ -691,7 +692,7 @@ def random_value(p, rng):
     return float(p.default * rng.uniform(0.3, 3.0))
 
 
-@pytest.mark.parametrize("sets", [1_500, pytest.param(sizes.PARAMETER_SETS, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("sets", [5_000, pytest.param(sizes.PARAMETER_SETS, marks=pytest.mark.campaign)])
 def test_random_parameter_sets_and_messages(sets):
     """No exception, no voltage that is not finite or beyond u_max, no half-applied set."""
     rng = np.random.default_rng(sets)
