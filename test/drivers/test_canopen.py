@@ -117,6 +117,21 @@ def test_lost_actual_values_are_counted(running, valve):
     assert valve.order("state").startswith("ACTIVE")
 
 
+def test_readings_that_nobody_asked_for_before_enable_are_not_lost(running):
+    taken(running, 1)
+    running.enable(False)
+    running._ticks._count -= 1000  # as long as an inactive node leaves it alone
+    running.enable(True)
+    assert taken(running, 1)[0].lost < 100
+
+
+def test_an_emergency_of_the_time_before_enable_is_stale(running, valve):
+    """A valve whose set points end, such as those of a node that is deactivated, may send one."""
+    running.enable(False)
+    valve.order("emergency 8130")
+    activate(running, valve)
+
+
 @pytest.mark.parametrize(
     ("order", "name", "then"),
     [("mute", "heartbeat_lost", "DISABLED 0.0000"), ("emergency 3100", "emergency", "DISABLED 0.0000"),

@@ -73,6 +73,17 @@ def test_requests_without_an_answer_are_lost_readings_then_a_lost_connection(io)
     valve.close()
 
 
+@pytest.mark.parametrize("on", [True, False])
+def test_readings_that_nobody_asked_for_before_enable_are_not_lost(io, on):
+    valve = driver(io)
+    valve.open()
+    valve.read()
+    valve._ticks._count -= 1000  # as long as an inactive node leaves it alone
+    valve.enable(on)
+    assert until(valve.read, "an answer").lost < 100 and "late" not in names(valve)
+    valve.close()
+
+
 def test_refused_requests_are_conditions_and_a_refused_voltage_switches_off(io):
     valve = driver(io)
     valve.open()

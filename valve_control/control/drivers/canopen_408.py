@@ -152,8 +152,11 @@ class Valve408:
     def enable(self, on: bool) -> None:
         """Bring the valve to ACTIVE or DISABLED with the signal of 0 V. Raises DriverError."""
         assert self._node is not None
+        self._on = False
+        self._node.pump(0.0)  # what waits is stale, but for a valve that has started anew
         if not self._running or self._faults:
             self._configure(self._node)
+        self._ticks, self._lost = Ticks(self._period), 0
         self._on = on
         self._setpoint = self._counts(self._off)
         self._resetting = 2 if on else 0
@@ -169,9 +172,8 @@ class Valve408:
         self._running = False
         self._unwatched = not configure(node, self._p) and self._p["watchdog"] > 0.0
         self._faults = {}
-        self._status, self._lost, self._lost_lately = 0b1000, 0, Lately()
+        self._status, self._lost_lately = 0b1000, Lately()
         self._running = True
-        self._ticks = Ticks(self._period)
 
     # Exchange
 

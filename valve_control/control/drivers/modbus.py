@@ -88,8 +88,7 @@ class ModbusTcp:
         except DriverError:
             self.close()
             raise
-        self._lost = -1  # there is no reading before the first
-        self._ticks = Ticks(self._period)
+        self._ticks, self._lost = Ticks(self._period), -1  # there is no reading before the first
 
     def enable(self, on: bool) -> None:
         """Write the signal of 0 V, then switch the coil if there is one. Raises DriverError."""
@@ -97,6 +96,7 @@ class ModbusTcp:
         self._on, self._touched = False, True
         self._switched(on)
         self._on = on and "write_refused" not in self._refused
+        self._ticks, self._lost = Ticks(self._period), 0
 
     def write(self, signal: float) -> None:
         """Write the output register and wait for the answer. Raises DriverError if the connection is lost.
