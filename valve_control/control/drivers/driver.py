@@ -55,7 +55,7 @@ class Driver(Protocol):
     def enable(self, on: bool) -> None:
         """Switch the output stage on or off, as far as the hardware can; either gives the signal of 0 V.
 
-        Readings that wait when it is switched on are stale and dropped; those of the time before are not lost.
+        Readings that wait when it is switched on are stale and dropped, those of the time before not lost.
         """
 
     def write(self, signal: float) -> None:
