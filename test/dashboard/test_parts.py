@@ -219,3 +219,12 @@ def test_a_program_shows_its_progress_and_ends_when_it_is_told(tmp_path):
     finally:
         program.end()
     assert not program.running and program.state == "cancelled"
+
+
+@pytest.mark.parametrize("word", ["nan", "inf", "-1.0", "0.0", "none", ""])
+def test_a_period_that_is_none_leaves_the_last_one(word):
+    """With NaN the indices of the page raised, once a second."""
+    valve = Valve("/")
+    valve.status("info", "ok", "", {"period_ms": "2.0"}, 0.0)
+    valve.status("info", "ok", "", {"period_ms": word}, 1.0)
+    assert valve.period == 0.002

@@ -186,7 +186,8 @@ class Valve:
             self.say(time, level, f"{mode}: {reason}" if reason and reason != mode else mode)
         self.mode, self.reason, self.figures = mode, reason, figures
         with suppress(ValueError):
-            self.period = 1e-3 * float(figures.get("period_ms", "")) or self.period
+            period = 1e-3 * float(figures.get("period_ms", ""))
+            self.period = period if 0.0 < period < np.inf else self.period
 
     def commanded(self, time: Array, value: Array) -> None:
         """Add commands [V] with their times [s]."""
