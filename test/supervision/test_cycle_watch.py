@@ -178,3 +178,10 @@ def test_the_source_of_cycles_is_the_reading_where_no_such_valve_can_be(gain, fr
     cycles = oscillation.NOTHING._replace(height=height)
     found = lock_in.LockInResult(frequency, gain, 0.0, hum)
     assert cycle_watch.source(cycles, found, 9.0, 0.01) == source
+
+
+def test_even_cycles_are_measured_from_the_fourth_on_unless_the_command_has_them():
+    few, many = (oscillation.NOTHING._replace(cycles=cycles) for cycles in (3.0, 4.0))
+    commanded = many._replace(turns=8.0)  # two of the command in each cycle
+    assert cycle_watch.unexplained(many, few) and cycle_watch.unexplained(few, many)
+    assert not cycle_watch.unexplained(few, few) and not cycle_watch.unexplained(commanded, commanded)

@@ -109,3 +109,10 @@ def test_a_large_hum_is_told_in_figures():
     assert hum_watch.text(hum_watch.design({}, CHECK), s) == (
         "LVDT reading has a hum of 120 mV at 50 Hz (mains: 50 Hz)"
     )
+
+
+def test_blocks_that_are_too_long_for_the_mains_show_no_hum():
+    p = hum_watch.design({}, CHECK._replace(span=0.02))  # a period of 50 Hz
+    assert p.blocks == 0.0 and hum_watch.design({}, CHECK).blocks > 0.0
+    seen = plausibility.initial(CHECK, 0.0, 0.0)
+    assert hum_watch.step(p, hum_watch.NOTHING, seen) is hum_watch.NOTHING
