@@ -3,6 +3,7 @@
 """One controller in the process of the test, over DDS: when it acts, what it waits for, its last word."""
 
 import math
+import os
 import sys
 import time
 from contextlib import contextmanager
@@ -331,9 +332,12 @@ def test_a_word_of_the_command_line_is_taken_or_refused_by_its_name(ros, monkeyp
     words = ["--ros-args", "-p", word]
     monkeypatch.setattr(sys, "argv", ["controller", *words])
     if not said:
+        before = os.sched_getaffinity(0)
         node = Controller(cli_args=words)
-        assert node._values["realtime.cpus"] == "0"
+        assert node._values["realtime.cpus"] == "0" and os.sched_getaffinity(0) == {0}
         node.destroy_node()
+        for thread in os.listdir("/proc/self/task"):
+            os.sched_setaffinity(int(thread), before)
         return
     with pytest.raises(ParameterError) as error:
         Controller(cli_args=words)
