@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
@@ -337,7 +337,8 @@ def test_a_word_of_the_command_line_is_taken_or_refused_by_its_name(ros, monkeyp
         assert node._values["realtime.cpus"] == "0" and os.sched_getaffinity(0) == {0}
         node.destroy_node()
         for thread in os.listdir("/proc/self/task"):
-            os.sched_setaffinity(int(thread), before)
+            with suppress(ProcessLookupError):  # it has ended meanwhile
+                os.sched_setaffinity(int(thread), before)
         return
     with pytest.raises(ParameterError) as error:
         Controller(cli_args=words)
