@@ -303,8 +303,8 @@ def _slipping(
 
     own = first_gains.without_play(rubbing, curve)
     assert own is not None
-    if own is rubbing or curve is None or curve.shares is None:
-        return friction.without(tested, rubbing)
+    if own is rubbing or curve is None or curve.shares is None or rubbing.presliding == 0.0:
+        return friction.without(tested, rubbing)  # a spool that swings at its turns does not tell play
     try:
         magnet = first_gains.magnet_of(rational.fit(measured, 3, 0, True).model, curve)
     except ParameterError:
