@@ -285,8 +285,11 @@ def _rounds(
         for done in range(FRICTION_ROUNDS):
             lag = friction.lag_of(fits[-1].model, fits[-1].delay)
             rubbing, curve = characteristic.with_friction(triangle, lag)
-            slipping = _slipping(tested, rubbing, curve, measured) if tested.segments else tested
-            measured = friction.unsure(experiment.estimate(slipping, arguments.settle, band), seen)
+            slipping, played = (
+                _slipping(tested, rubbing, curve, measured) if tested.segments else (tested, False)
+            )
+            measured = experiment.estimate(slipping, arguments.settle, band)
+            measured = friction.unsure(measured, seen) if played else measured
             fits, told = _fits(arguments, tested, measured)
             progress(3 + done)
     return _found(arguments, tested, measured, fits, told, rubbing, curve)
@@ -294,8 +297,8 @@ def _rounds(
 
 def _slipping(
     tested: "Experiment", rubbing: "Friction", curve: "Characteristic | None", measured: "Response"
-) -> "Experiment":
-    """``tested`` without friction, and without the play of a magnet that the ``curve`` tells from it.
+) -> tuple["Experiment", bool]:
+    """``tested`` without friction, and whether also without the play of a magnet that the ``curve`` tells from it.
 
     The coil of that magnet is a pole of the model without zeros that is nearest to ``measured``.
     """
@@ -304,12 +307,12 @@ def _slipping(
     own = first_gains.without_play(rubbing, curve)
     assert own is not None
     if own is rubbing or curve is None or curve.shares is None or rubbing.presliding == 0.0:
-        return friction.without(tested, rubbing)  # a spool that swings at its turns does not tell play
+        return friction.without(tested, rubbing), False  # a spool that swings at its turns does not tell play
     try:
         magnet = first_gains.magnet_of(rational.fit(measured, 3, 0, True).model, curve)
     except ParameterError:
         magnet = None
-    return friction.without(tested, own, curve.shares.play, 0.0 if magnet is None else magnet.coil)
+    return friction.without(tested, own, curve.shares.play, 0.0 if magnet is None else magnet.coil), True
 
 
 def _check_curve(arguments: argparse.Namespace) -> None:
