@@ -298,7 +298,7 @@ def _rounds(
 def _slipping(
     tested: "Experiment", rubbing: "Friction", curve: "Characteristic | None", measured: "Response"
 ) -> tuple["Experiment", bool]:
-    """``tested`` without friction, and whether also without the play of a magnet that the ``curve`` tells from it.
+    """``tested`` without friction, and whether without the play of a magnet that the ``curve`` tells, too.
 
     The coil of that magnet is a pole of the model without zeros that is nearest to ``measured``.
     """
