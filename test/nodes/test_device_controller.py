@@ -157,7 +157,7 @@ def test_topics_may_have_every_tenth_sample_while_the_journal_has_all(ros, tmp_p
         spin_until(ros, lambda: rows and all(len(values) > 200 for values in heard.values()), "samples")
     reading, voltage = COLUMNS.index("reading"), COLUMNS.index("voltage")
     sampled = [row for row in rows if not np.isnan(row[reading])]
-    # On a busy machine readings come together, and each silence between them has its own voltage on the topic.
+    # On a busy machine readings come together, and a silence between them has its own voltage on the topic.
     silent = {row[voltage] for row in rows if np.isnan(row[reading])}
     for topic, column in (("spool_position", reading), ("valve_voltage", voltage)):
         places = {row[column]: i for i, row in enumerate(sampled)}  # noise repeats no number
