@@ -41,8 +41,8 @@ def test_calibrated_file_gives_what_was_promised(run, tmp_path):
     [
         (["none.csv"], "cannot be read"),
         (["paper", "--fix", "mass"], "no such quantity"),
-        (["paper", "--evaluations", "0"], "at least 1"),
-        (["paper", "--search-seed", "-1"], "at least 0"),
+        (["paper", "--evaluations", "0"], "between 1 and"),
+        (["paper", "--search-seed", "-1"], "between 0 and"),
         (["paper", "--step", "7"], "between 0.001 and 1"),
         (["paper", "--output", "no/where.yaml"], "no folder"),
         (["paper", "--output", "a", "--json", "a"], "two outputs"),
