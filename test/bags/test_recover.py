@@ -185,6 +185,11 @@ def test_a_copy_is_repaired_and_the_bag_left_alone(tmp_path, whole):
     check_repaired(tmp_path / "copy" / "bag_0.mcap", data[: ends[4]], ends)
     with pytest.raises(BagError, match="exists already"):
         recover(tmp_path / "bag", tmp_path / "copy")
+    beside = tmp_path / "other.db3-wal"
+    beside.write_bytes(b"of another bag")
+    with pytest.raises(BagError, match="a file beside it exists already"):
+        recover(path, tmp_path / "other.db3")
+    assert beside.read_bytes() == b"of another bag"
     with pytest.raises(BagError, match="lies in"):
         recover(tmp_path / "bag", tmp_path / "bag" / "copy")
     single = recover(path, tmp_path / "single.mcap")

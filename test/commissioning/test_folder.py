@@ -53,7 +53,7 @@ def test_what_an_earlier_run_left_is_set_aside(tmp_path, capfd):
         assert sorted(path.name for path in tmp_path.iterdir()) == ["before.yaml", "earlier", "state.json"]
         assert state(tmp_path) == backup.ABORTED
         assert (
-            f"moved what an earlier commissioning left to {tmp_path}/earlier/{number}"
+            f"moved the files of an earlier commissioning to {tmp_path}/earlier/{number}"
             in capfd.readouterr().out
         )
     assert all((tmp_path / "earlier" / "1" / name).read_text() == f"old {name}" for name in RESULTS)

@@ -45,6 +45,7 @@ def test_a_controller_is_not_built(changes, said):
     ("model", "bandwidth", "said"),
     [(LAG, 0.0, "compensator.bandwidth is 0 Hz; it must be positive"),
      (((1.0, 1.0, 1.0), (1.0, 2.0)), 10.0, "the model is improper: it has 2 zeros and 1 poles"),
+     (((2.0,), (1.0,)), 10.0, "the model has no poles, so there is nothing to compensate"),
      (((1.0, 0.0), (1.0, 40.0, 1200.0)), 10.0, "the model has a zero at 0 rad/s, so its static gain")],
 )  # fmt: skip
 def test_a_compensator_is_not_designed(model, bandwidth, said):

@@ -326,6 +326,10 @@ def test_a_law_is_told_the_dead_time_that_is_to_be_expected():
     fast = {**SETTINGS, "controller": {**SETTINGS["controller"], "sample_period": 0.0001}}
     assert box.with_dead_time(dcarc, fast, late) == (fast["controller"], None)
     assert box.with_dead_time(LAWS["pid"], SETTINGS, late) == (SETTINGS["controller"], None)
+    magnet = {"valve": "solenoid", "solenoid.dead_time": 0.0015}
+    known = {**SETTINGS, "valve_simulator": {**SETTINGS["valve_simulator"], **magnet}}
+    told = box.with_dead_time(dcarc, known, late)[0]
+    assert (told["dcarc.actuator_delay"], told["dcarc.delay"]) == (0.0015, middle)
 
 
 def test_a_limit_of_the_chatter_that_may_give_way_becomes_that_of_the_quieter_gains():

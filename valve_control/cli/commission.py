@@ -213,7 +213,7 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     refused = sorted(path.name for path in folder.glob(REFUSED.format("*")))
     aside = backup.set_aside(folder, [REPORT, RESULT, TUNED, VALVE, *refused])
     if aside is not None:
-        say(arguments, f"moved what an earlier commissioning left to {aside}")
+        say(arguments, f"moved the files of an earlier commissioning to {aside}")
     backup.write(folder, controller.name, before)
     wrote(arguments, folder / backup.PARAMETERS, ": the parameters from before")
     steps = _Steps(arguments)

@@ -307,7 +307,7 @@ def _slipping(
     own = first_gains.without_play(rubbing, curve)
     assert own is not None
     if own is rubbing or curve is None or curve.shares is None or rubbing.presliding == 0.0:
-        return friction.without(tested, rubbing), False  # a spool that swings at its turns does not tell play
+        return friction.without(tested, rubbing), False  # swings at its turns, or its overlap hides the play
     try:
         magnet = first_gains.magnet_of(rational.fit(measured, 3, 0, True).model, curve)
     except ParameterError:

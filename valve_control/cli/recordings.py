@@ -42,7 +42,7 @@ def _bag_options() -> Parser:
         metavar="BAG",
         help="folder with metadata.yaml, an .mcap or .db3 file, or a table: .csv or MATLAB's .mat",
     )
-    group = options.add_argument_group("what is read")
+    group = options.add_argument_group("input")
     group.add_argument(
         "--map",
         action="append",

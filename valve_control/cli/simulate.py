@@ -47,7 +47,7 @@ def valve_options() -> Parser:
     """Parser with the options that say which valve and gains, for what has no motion and no noise."""
     options = Parser(add_help=False)
     options.set_defaults(scenario=None, command=None, duration=None, seed=None)
-    _valve_options(options.add_argument_group("valve and gains"))
+    _valve_options(options.add_argument_group("valve and gains"), "controller or valve")
     return options
 
 
@@ -55,7 +55,7 @@ def setup_options(several: bool = False) -> Parser:
     """Parser with the options that say what is simulated; ``several``: with any number of commands."""
     options = Parser(add_help=False)
     group = options.add_argument_group("simulation")
-    _valve_options(group)
+    _valve_options(group, "controller, valve or command")
     group.add_argument("--scenario", choices=SCENARIOS[:-1], help="command shape (default: point_to_point)")
     group.add_argument(
         "--command",
@@ -69,10 +69,10 @@ def setup_options(several: bool = False) -> Parser:
     return options
 
 
-def _valve_options(group: Any) -> None:
+def _valve_options(group: Any, nodes: str) -> None:
     group.add_argument("--valve", choices=VALVES, help="valve model (default: fourth_order)")
     group.add_argument("--sample-period", type=float, metavar="S", help="sample period [s] (0.001)")
-    parameter_options(group, "any parameter of controller, valve or command")
+    parameter_options(group, f"any parameter of {nodes}")
 
 
 def delivery_options() -> Parser:

@@ -521,7 +521,7 @@ def _problems(
         values, expected = box.with_dead_time(law, settings, quantities)
         if expected is not None:
             print(
-                f"note: {law.dead_time} {expected:g} s, what is to be expected of lvdt.delay; "
+                f"note: {law.dead_time} {expected:g} s, the expected lvdt.delay; "
                 f"--set {law.dead_time}=… says otherwise",
                 file=sys.stderr,
             )

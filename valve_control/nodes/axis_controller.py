@@ -237,10 +237,10 @@ class AxisController(Managed):
         if not self._lockstep:
             self._take_pressures(None)
         self._heard = now
+        stamp = self._stamp = reading.header.stamp.sec * NANO + reading.header.stamp.nanosec
         self._watch_at = NEVER if self._lockstep else now + self._timeout
         if self._needs_pressures and not self._lockstep and not self._watch_pressures(now):
             return
-        stamp = self._stamp = reading.header.stamp.sec * NANO + reading.header.stamp.nanosec
         position = reading.position[list(reading.name).index(joint)]
         if self._state.goal is None:
             self._state = axis_supervisor.found(self._params, self._state, position, stamp)
@@ -255,7 +255,9 @@ class AxisController(Managed):
 
     def _now(self) -> int:
         """Time [ns] on the clock of the readings, 0 if they have none."""
-        return self._stamp + round((time.monotonic() - self._heard) * NANO) if self._stamp else 0
+        if self._lockstep or not self._stamp:
+            return self._stamp
+        return self._stamp + round((time.monotonic() - self._heard) * NANO)
 
     def _publish(self, stamp: int) -> None:
         """Publish the command of the spool, and the goal; ``stamp`` [ns] of the reading."""

@@ -48,6 +48,8 @@ def pole_zero_compensator(
     zeros, poles, gain = _zeros_poles_gain(model)
     if len(zeros) > len(poles):
         raise DesignError(f"the model is improper: it has {len(zeros)} zeros and {len(poles)} poles")
+    if len(poles) == 0:
+        raise DesignError("the model has no poles, so there is nothing to compensate")
     if np.any(poles.real >= 0.0):
         raise DesignError(
             f"the model has a pole at {poles[np.argmax(poles.real)]:.4g} rad/s; "

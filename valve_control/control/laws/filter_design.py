@@ -24,7 +24,7 @@ BESSEL = {
     6: (-0.9306565229468591 + 1.6618632689425918j, -1.3818580975965642 + 0.9714718907115716j,
         -1.5714904036160318 + 0.32089637422262396j),
 }  # fmt: skip
-SAME = 100.0 * np.finfo(np.float64).eps  # relative difference of what is taken for equal
+SAME = 100.0 * np.finfo(np.float64).eps  # largest relative difference of equal numbers
 ZERO = 1e-14  # leading coefficient of a numerator, over that of the denominator, which is none
 
 
@@ -71,12 +71,6 @@ def _worst(poles: Points) -> int:
     return int(np.argmin(np.abs(1.0 - np.abs(poles))))
 
 
-def _nearest(zeros: Points, pole: complex, wanted: npt.NDArray[np.bool_]) -> int:
-    """Index of the zero nearest to ``pole`` among those ``wanted``."""
-    order = np.argsort(np.abs(zeros - pole))
-    return int(order[np.flatnonzero(wanted[order])[0]])
-
-
 def sections(zeros: Points, poles: Points, gain: float) -> Array:
     """Rows (b0, b1, b2, 1, a1, a2) of as many zeros as poles in z.
 
@@ -88,21 +82,17 @@ def sections(zeros: Points, poles: Points, gain: float) -> Array:
     for i in range(len(rows) - 1, -1, -1):
         k = _worst(p)
         first, p = p[k], np.delete(p, k)
-        real = np.isreal(z)
-        wanted = np.ones(len(z), dtype=bool)
         if np.isreal(first):
             places = np.flatnonzero(np.isreal(p))
             k = int(places[_worst(p[places])])
             second, p = p[k], np.delete(p, k)
         else:
             second = first.conj()
-            # The last real zero is left for the last real pole.
-            if len(p) + 1 == len(z) and np.isreal(p).sum() == 1 and real.sum() == 1:
-                wanted = ~real
-        k = _nearest(z, first, wanted)
+        k = int(np.argsort(np.abs(z - first))[0])
         one, z = z[k], np.delete(z, k)
         if np.isreal(one):
-            k = _nearest(z, first, np.isreal(z))
+            order = np.argsort(np.abs(z - first))
+            k = int(order[np.isreal(z[order])][0])
             other, z = z[k], np.delete(z, k)
         else:
             other = one.conj()

@@ -137,7 +137,7 @@ def refuse_stray(arguments: Sequence[str]) -> None:
         raise ParameterError(f"'{text}' is without effect; write --ros-args {text}")
     if ":=" in text:
         raise ParameterError(f"'{text}' is without effect; a parameter is given as --ros-args -p name:=value")
-    raise ParameterError(f"'{text}' is without effect; a node takes nothing but what follows --ros-args")
+    raise ParameterError(f"'{text}' is without effect; a node takes only the words behind --ros-args")
 
 
 def refuse_unreadable(arguments: Sequence[str]) -> None:

@@ -44,7 +44,7 @@ LEAST_FRICTION = 0.1  # V  below which presliding is not told
 LEAST_WINDOWS = 10
 HIGHEST = 9  # harmonic of a stepped sine that is looked at
 SETTLED = 0.4  # s
-LEFT = 0.1  # of what friction and play take of a response, that is left when they are taken off
+LEFT = 0.1  # share of the correction for friction and play that counts as its uncertainty
 TOLD_OFFSET = 0.1  # V  from which on its possible causes are told
 MISFIT = 1.5  # deviations, rms, from which on friction is not that of bristles which turn round
 SLOWEST = 5.0  # lags of the valve, that a stroke takes at least between its turn and STEADY
@@ -183,9 +183,9 @@ def through_play(share: float) -> complex:
 
 
 def unsure(measured: Response, seen: Response) -> Response:
-    """``measured`` behind ``without``, with the uncertainty of what that took off the response ``seen``.
+    """``measured`` behind ``without``, with the uncertainty of its correction of the response ``seen``.
 
-    Otherwise what the correction leaves of friction and play would be explained by poles and zeros.
+    Otherwise poles and zeros would explain the rest of friction and play.
     """
     taken = np.abs(measured.value - np.interp(measured.frequency, seen.frequency, seen.value))
     return measured._replace(deviation=np.hypot(measured.deviation, LEFT * taken))
@@ -254,7 +254,7 @@ def turning(
 ) -> tuple[Floats, Floats, float]:
     """Mean position [V] and friction [V] of all strokes, turned to rise, and the position's noise.
 
-    ``rest`` [V]: what the voltage has beyond that which the position needs; ``slope``: 1/G [V/V].
+    ``rest`` [V]: voltage minus the voltage that the position needs; ``slope``: 1/G [V/V].
     """
     size = max(1, round(WINDOW / period))
     count = strokes[0][1] // size

@@ -5,8 +5,8 @@
 Each candidate is fitted by maximum likelihood. Its error at a frequency has the variance of the measurement
 and of a relative error of the model, which is the least that explains the residual. Schwarz's criterion [1]
 (BIC) weighs the likelihood against the number of unknowns. Of candidates that are nearly as good, or that
-leave nothing but noise, the simplest
-counts: a coil is a pole without a zero, and a dead time has to show itself beside it.
+leave nothing but noise, the simplest counts: a coil is a pole without a zero, and a dead time has to show
+itself beside it.
 
 [1] G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6 (1978).
 """

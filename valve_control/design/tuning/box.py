@@ -63,8 +63,9 @@ def bounding(study: Study) -> list[Any]:
 def with_dead_time(law: Law, settings: Settings, box: Sequence[Quantity]) -> tuple[Values, float | None]:
     """The controller's values with the dead time [s] that ``law`` may expect, and that time.
 
-    It is the middle of what the valves of ``box`` have, or that of the valve of ``settings``. None: the law
-    does not ask for it, has been told another than 0 (or one of the actuator), or cannot be built with it.
+    It is the middle of what the valves of ``box`` have, or that of the valve of ``settings``. The dead time
+    before the coil of a solenoid valve is the law's ``actuator_delay``. None: the law does not ask for it, has
+    been told another than 0 (or one of the actuator), or cannot be built with it.
     """
     values = settings["controller"]
     known = [name for name in (law.dead_time, f"{law.name}.actuator_delay") if name in values]
@@ -74,8 +75,12 @@ def with_dead_time(law: Law, settings: Settings, box: Sequence[Quantity]) -> tup
         (0.5 * (q.low + q.high) for q in box if q.name == "lvdt.delay"),
         number(settings["valve_simulator"], "lvdt.delay"),
     )
+    plant, actuator = settings["valve_simulator"], f"{law.name}.actuator_delay"
+    changes: dict[str, Any] = {law.dead_time: expected}
+    if plant["valve"] == "solenoid" and actuator in values:
+        changes[actuator] = number(plant, "solenoid.dead_time")
     try:
-        changed = updated(CONTROLLER, values, {law.dead_time: expected})
+        changed = updated(CONTROLLER, values, changes)
         law.build(changed)
     except ParameterError:
         return values, None

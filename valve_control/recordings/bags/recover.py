@@ -314,8 +314,8 @@ def _number(path: Path) -> tuple[int, str]:
 
 
 def _copied(path: Path, out: Path) -> Path:
-    if out.exists():
-        raise BagError(f"{out} exists already; the copy needs a new name")
+    if any(os.path.lexists(out.with_name(out.name + ending)) for ending in ("", *SIDE_FILES)):
+        raise BagError(f"{out} or a file beside it exists already; the copy needs a new name")
     if out.resolve().is_relative_to(path.resolve()):
         raise BagError(f"{out} lies in {path}; the copy needs a place of its own")
     try:
