@@ -173,7 +173,7 @@ def test_a_polled_device_never_waits_and_tells_when_it_has_something():
     assert one.polled and one.fileno() == 7 and one.due() == loose.tick
     assert one.poll() is None and one.readings == one.late == 0
     assert one.poll() == (2.0, 1) and (one.readings, one.lost, one.late) == (1, 1, 1), "10 ms are ten periods"
-    loose.tick = time.monotonic()
+    loose.tick = time.monotonic() + 1.0
     assert math.isnan(one.poll().signal) and one.late == 1
     assert [c.name for c in one.conditions()] == ["out_of_range", "readings_lost"]
 

@@ -23,6 +23,7 @@ from valve_control.nodes import controller_node
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, encoded, encoded_point
 from valve_control.nodes.controller_node import Controller
 from valve_control.nodes.loop import Failure
+from valve_control.nodes.rclpy_internals import WaitSet
 from valve_control.parameter import ParameterError
 
 
@@ -85,6 +86,15 @@ def controller(ros, *settings):
         node.destroy_node()
 
 
+def wait_for_message(node):
+    """Wait until a reading has come to ``node``, without taking it."""
+    waiting = WaitSet(1, 0, 0, 0, 0, 0, node.context.handle)
+    with node._readings.handle:
+        waiting.add_subscription(node._readings.handle)
+        waiting.wait(round(LIMIT * 1e9))
+        assert waiting.is_ready("subscription", 0), "no reading has come"
+
+
 def test_from_the_first_reading_to_the_last_word(ros):
     with controller(ros) as upper:
         node = upper.node
@@ -103,6 +113,7 @@ def test_from_the_first_reading_to_the_last_word(ros):
         assert upper.voltages[count:] == [0.0]
         upper.lvdt.publish(encoded(0.0))
         assert not node.work() and node.inputs() == () and node.due() == math.inf
+        wait_for_message(node)
         node.trigger_activate()
         samples = node._supervisor.samples
         node.work()
@@ -325,21 +336,29 @@ def test_changes_of_parameters_are_checked_as_a_whole_and_told_once(ros):
 
 @pytest.mark.parametrize(
     ("word", "said"),
-    [("realtime.cpus:=0", ""), ("controller:=2", "controller is '2'; it must be 'arc'"),
+    [("controller:=2", "controller is '2'; it must be 'arc'"),
      ("u_max:=true", "u_max is True; it must be a double"), ("arc.k1:=-5.0", "arc.k1 is -5")],
 )  # fmt: skip
-def test_a_word_of_the_command_line_is_taken_or_refused_by_its_name(ros, monkeypatch, word, said):
+def test_a_wrong_word_of_the_command_line_is_refused_by_its_name(ros, monkeypatch, word, said):
     words = ["--ros-args", "-p", word]
     monkeypatch.setattr(sys, "argv", ["controller", *words])
-    if not said:
-        before = os.sched_getaffinity(0)
-        node = Controller(cli_args=words)
-        assert node._values["realtime.cpus"] == "0" and os.sched_getaffinity(0) == {0}
-        node.destroy_node()
-        for thread in os.listdir("/proc/self/task"):
-            with suppress(ProcessLookupError):  # it has ended meanwhile
-                os.sched_setaffinity(int(thread), before)
-        return
     with pytest.raises(ParameterError) as error:
         Controller(cli_args=words)
     assert said in str(error.value)
+
+
+def test_one_cpu_on_the_command_line_is_taken_although_it_looks_like_an_integer(ros, monkeypatch):
+    before = os.sched_getaffinity(0)
+    cpu = min(before)
+    words = ["--ros-args", "-p", f"realtime.cpus:={cpu}"]
+    monkeypatch.setattr(sys, "argv", ["controller", *words])
+    node = None
+    try:
+        node = Controller(cli_args=words)
+        assert node._values["realtime.cpus"] == str(cpu) and os.sched_getaffinity(0) == {cpu}
+    finally:
+        for thread in os.listdir("/proc/self/task"):
+            with suppress(ProcessLookupError):  # it has ended meanwhile
+                os.sched_setaffinity(int(thread), before)
+        if node is not None:
+            node.destroy_node()

@@ -154,3 +154,17 @@ def test_a_cascade_is_recorded_and_analysed_without_the_source_tree(installed, r
     words = ("--controller", "oarc", "--params-file", config / "d3fxe.yaml", "--set", "duration=0.5")
     done = installed.run(tmp_path, "valve-control", "simulate", *words, "--figure", "oarc.png")
     assert done.returncode == 0 and (tmp_path / "oarc.png").exists(), done.stderr
+
+
+@pytest.mark.campaign
+def test_the_installed_simulation_compiles_and_has_the_same_numbers(installed, tmp_path):
+    """The compiled code is kept by a digest of the installed sources."""
+    config = installed.prefix / "share" / "valve_control" / "config"
+    words = ("--controller", "oarc", "--params-file", config / "d3fxe.yaml", "--set", "duration=0.5")
+    plain = installed.run(tmp_path, "valve-control", "simulate", *words)
+    environment = {**installed.environment, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    del environment["NUMBA_DISABLE_JIT"]
+    compiled = installed._replace(environment=environment).run(tmp_path, "valve-control", "simulate", *words)
+    assert plain.returncode == compiled.returncode == 0, plain.stderr + compiled.stderr
+    assert "e_rms" in compiled.stdout and compiled.stdout == plain.stdout
+    assert list((tmp_path / "cache" / "valve_control").rglob("*.nbc"))

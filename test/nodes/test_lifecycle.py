@@ -128,7 +128,7 @@ def test_a_node_that_does_not_work_shuts_down_without_a_voltage(ros, configured)
     try:
         if configured:
             node.trigger_configure()
-            spin_until(ros, lambda: ros.count_publishers("valve_voltage") == 1, "the publisher")
+            spin_until(ros, lambda: node._voltages.get_subscription_count() == 1, "the subscription")
         node.trigger_shutdown()
         assert node._state_machine.current_state[1] == "finalized"
         node.finish()

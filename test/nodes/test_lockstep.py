@@ -68,9 +68,9 @@ def test_other_commands_and_valves_equal_offline(ros, tmp_path, law, settings):
 
 
 class Disturbance:
-    """Stops a node for a while in the middle of a run."""
+    """Stops a node for a while in the middle of a run, when the command moves (from 0.25 s on)."""
 
-    def __init__(self, node, seconds, at=200):
+    def __init__(self, node, seconds, at=400):
         self.node, self.seconds, self.at = node, seconds, at
         self.stopped = None
         self.over = False

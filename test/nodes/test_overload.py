@@ -22,7 +22,6 @@ from valve_control.nodes.harness.processes import process
 PROMPT = 2.0  # s for the end of a process, most of it Python's
 FLOOD = """
 import sys, rclpy
-from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 from valve_control.nodes.adapter import SAMPLES, encoded
 rclpy.init()

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the kernel refuses is said in one sentence each, and nothing else changes."""
 
+import errno
 import os
 import resource
 from contextlib import contextmanager
@@ -53,7 +54,8 @@ def test_what_is_already_so_is_obtained_in_silence():
     before, said = realtime.obtained(), []
     for cpus in ((), tuple(os.sched_getaffinity(0))):
         realtime.obtain(Request(False, 0, cpus), said.append)
-    assert said == [] and realtime.obtained() == before
+    ended = os.strerror(errno.ESRCH)  # a thread of this process that ends meanwhile
+    assert [sentence for sentence in said if ended not in sentence] == [] and realtime.obtained() == before
 
 
 @pytest.mark.parametrize(
