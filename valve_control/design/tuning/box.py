@@ -64,8 +64,8 @@ def with_dead_time(law: Law, settings: Settings, box: Sequence[Quantity]) -> tup
     """The controller's values with the dead time [s] that ``law`` may expect, and that time.
 
     It is the middle of what the valves of ``box`` have, or that of the valve of ``settings``. The dead time
-    before the coil of a solenoid valve is the law's ``actuator_delay``. None: the law does not ask for it, has
-    been told another than 0 (or one of the actuator), or cannot be built with it.
+    before the coil of a solenoid valve is the law's ``actuator_delay``. None: the law does not ask for it,
+    has been told another than 0 (or one of the actuator), or cannot be built with it.
     """
     values = settings["controller"]
     known = [name for name in (law.dead_time, f"{law.name}.actuator_delay") if name in values]
