@@ -30,6 +30,15 @@ def sample(p, s, position, k):
     return supervisor.sample(p, s, Reading(math.nan, position, math.nan, math.nan), k * MS)
 
 
+def under_way(p, able, end):
+    """State before sample ``end`` of a motion from 0.2 m to 0.3 m that the axis follows exactly."""
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    s = supervisor.begin(s, path.towards(0.3, s.goal, LIMITS, able), None)
+    for k in range(2, end):
+        s = sample(p, s, s.goal.position, k)
+    return s
+
+
 def test_without_a_goal_it_holds_the_first_position_and_follows_a_path_to_the_last_bit():
     p, able = designed()
     rows = course.point_to_point(0.2, [0.3], 0.05, LIMITS, 0.001, 1.0)
@@ -83,10 +92,7 @@ def test_a_goal_that_is_sent_again_and_again_is_reached_as_fast_as_one_that_is_s
 
 def test_a_trajectory_that_begins_later_leaves_the_motion_before_it_alone_until_then():
     p, able = designed()
-    s = sample(p, supervisor.at_rest(p), 0.2, 1)
-    s = supervisor.begin(s, path.towards(0.3, s.goal, LIMITS, able), None)
-    for k in range(2, 302):
-        s = sample(p, s, s.goal.position, k)
+    s = under_way(p, able, 302)
     assert s.goal.velocity > 0.1
     at, before = 401 * MS, s
     then = supervisor.present(s, at)
@@ -365,10 +371,7 @@ def test_a_pressure_beyond_its_sensor_or_that_jumps_is_named():
 
 def test_a_path_that_began_a_moment_ago_replaces_the_one_in_motion_and_goes_on_from_there():
     p, able = designed()
-    s = sample(p, supervisor.at_rest(p), 0.2, 1)
-    s = supervisor.begin(s, path.towards(0.3, s.goal, LIMITS, able), None)
-    for k in range(2, 100):
-        s = sample(p, s, s.goal.position, k)
+    s = under_way(p, able, 100)
     new = path.towards(0.35, s.goal, LIMITS, able)
     for at in (None, 99 * MS, 150 * MS):  # no reading of the past is asked for
         assert supervisor.joining(s, new, at, able) is new

@@ -118,6 +118,17 @@ def check_search(seed: int, valves: int, unseen: int, budget: int) -> None:
         raise ParameterError(f"--budget is {budget}; it must be at least 1")
 
 
+def fix_option(group: Any) -> None:
+    """Add the option that takes quantities out of the box of a search or study."""
+    group.add_argument(
+        "--fix",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="quantity of the box that stays constant; again for more",
+    )
+
+
 def clock_option(group: Any) -> None:
     """Add --clock."""
     group.add_argument(

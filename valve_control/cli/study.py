@@ -16,6 +16,7 @@ from valve_control.cli.common import (
     check_processes,
     cluster_option,
     deliver,
+    fix_option,
     say,
     workers,
     write_json,
@@ -43,13 +44,7 @@ def add_commands(commands: Any) -> None:
     study.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
     group = study.add_argument_group("study")
     group.add_argument("--valves", type=int, default=100_000, metavar="N", help="number of valves (100000)")
-    group.add_argument(
-        "--fix",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="quantity of the box that stays constant; again for more",
-    )
+    fix_option(group)
     group.add_argument("--box", action="store_true", help="list the box and exit")
     group.add_argument("--study-seed", type=int, default=1, metavar="N", help="seed of the draw (1)")
     group.add_argument(

@@ -21,6 +21,7 @@ from valve_control.cli.common import (
     check_search,
     cluster_option,
     deliver,
+    fix_option,
     say,
     tell_notes,
     workers,
@@ -148,13 +149,7 @@ def _search_options(group: Any) -> None:
     group.add_argument(
         "--unseen", type=int, default=64, metavar="N", help="number of valves in the verification (64)"
     )
-    group.add_argument(
-        "--fix",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="quantity of the box that stays constant; again for more",
-    )
+    fix_option(group)
     group.add_argument(
         "--budget", type=int, default=4000, metavar="N", help="number of sets of gains of each law (4000)"
     )
