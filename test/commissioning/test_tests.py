@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 from supervised import SupervisedValve, driven
 
+from valve_control.control.plant import valve
+from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.sensor import IDEAL
 from valve_control.design.commissioning import plant, small_signal, statics
 from valve_control.design.commissioning.bench import Record, SafetyLimits
+from valve_control.design.commissioning.magnet import Magnet, solenoid_params
 from valve_control.design.identification import rational
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
@@ -134,3 +138,46 @@ def test_order_of_the_model_follows_the_valve(tested):
     _, fits, friction = small_signal.linear(sine, planned, static, rest)
     assert {fit.order for fit in fits} <= {2, 3, 4} and isinstance(fits[0], rational.Fit)
     assert len(plant.fitted([slow, sine], fits, friction, static.offset, rest).model.denominator) == 3
+
+
+LINEAR = plant.Plant(
+    TransferFunction((5800.0,), (1.0, 110.0, 6400.0)), statics.Friction(0.8, 1.2), 0.1, 0.001, 1.0, 0.02
+)
+COILED = Magnet(
+    speed=80.0, damping=0.75, coil=0.004, gain=0.9, sides=-0.03, hysteresis=0.1, overlap=0.0, coulomb=0.8,
+    presliding=0.02, static_ratio=1.3, offset=-0.2, delay=0.0006,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("push", [2.5, -2.5])
+@pytest.mark.parametrize("magnet", [None, COILED])
+def test_a_spool_that_friction_holds_off_centre_is_no_error_of_the_model(magnet, push):
+    """The true valve explains a triangle that begins where the motion before it has left the spool."""
+    true = LINEAR if magnet is None else LINEAR._replace(offset=-0.2, magnet=magnet)
+    before = push * np.interp(np.arange(2500) * 0.001, [0.0, 1.0, 2.0], [0.0, 1.0, 0.0])
+    voltage = np.concatenate([before, 2.0 * driven_triangle()])
+    nothing = record(voltage, np.zeros(len(voltage)))
+    reading = plant.simulated(true, nothing)[len(before) :]
+    assert abs(reading[0]) > 0.3  # off the centre, under 0 V
+    slow = record(voltage[len(before) :], reading)
+    assert plant.simulated(true, slow)[0] == pytest.approx(reading[0], abs=1e-3)
+    assert not plant.unexplained(true, [slow], REST, [plant.Stretch("its beginning", 0, 0, 800)])
+    weight = plant._weight(slow, REST)
+    assert np.sqrt(np.mean((weight * (plant.simulated(true, slow) - reading)) ** 2)) < plant.SUSPECT
+
+
+def test_a_spool_stands_still_where_it_begins():
+    """Half of what friction can hold, under no voltage: within the bristles' deflection."""
+    for params, travel in (
+        (solenoid_params(COILED._replace(offset=0.0, sides=0.0), 0.001), 0.9 * 0.4),
+        (
+            valve.design(
+                LINEAR.model, 0.001, 10.0, 1.0,
+                valve.FREE._replace(coulomb=0.8, presliding=0.02), IDEAL._replace(delay=1.5),
+            ),
+            LINEAR.model.static_gain * 0.4,
+        ),
+    ):  # fmt: skip
+        for begin in (travel, -travel):
+            stood = plant.positions(params, np.zeros(500), begin)
+            assert stood == pytest.approx(np.full(500, begin), abs=1e-6)

@@ -201,6 +201,23 @@ def initial(p: Params) -> State:
     return State(Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, np.zeros((length, 3)), 0)
 
 
+def standing(p: Params, position: float, voltage: float) -> State:
+    """Spool at rest at ``position`` [V] under ``voltage`` [V], where friction holds it as far as it can.
+
+    The force is in the middle of its hysteresis, of which a standing spool does not tell the side.
+    """
+    state, f = initial(p), p.friction
+    given = limited(voltage, p.amplifier.u_min, p.u_max)
+    bristle = 0.0
+    if f.coulomb > 0.0:
+        level = friction_level(f, 0.0)
+        needed = position * (1.0 / p.spool.gain + p.spool.flow_force)
+        bristle = limited(pull(p.magnet, given) + p.spool.offset - needed, -level, level) / f.stiffness
+    state.history[:, :2] = position
+    state.history[:, 2] = given
+    return state._replace(x=Row(position, 0.0, given, given), play=given, bristle=bristle)
+
+
 def limited(number: float, low: float, high: float) -> float:
     """``number`` between ``low`` and ``high``."""
     if number > high:

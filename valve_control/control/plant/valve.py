@@ -154,6 +154,25 @@ def initial(p: Params) -> State:
     return State(Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0, np.zeros((length, 2)), 0)
 
 
+def standing(p: Params, position: float, voltage: float) -> State:
+    """Spool at rest at ``position`` [V] under ``voltage`` [V], where friction holds it as far as it can."""
+    d, state = p.disturbance, initial(p)
+    transition = np.array([p.row0, p.row1, p.row2, p.row3])
+    try:
+        at_rest = np.linalg.solve(np.eye(4) - transition, np.array(p.input))
+    except np.linalg.LinAlgError:  # a valve without a spring rests anywhere
+        at_rest = np.zeros(4)
+    if at_rest[0] == 0.0:
+        return state
+    u = position / float(at_rest[0])
+    bristle = 0.0
+    if d.coulomb > 0.0 and d.presliding > 0.0:
+        rubbing = saturate(voltage, p.u_max) + d.offset - d.flow_force * position - u / p.gain_scale
+        bristle = saturate(rubbing / friction_level(d, 0.0), 1.0)
+    state.history[:] = position
+    return state._replace(x=Row(position, 0.0, u * float(at_rest[2]), u * float(at_rest[3])), bristle=bristle)
+
+
 def remember(history: npt.NDArray[np.float64], newest: int, x: Row, period: float) -> None:
     """Put the position and velocity of ``x`` in row ``newest`` of ``history`` (as of ``State``)."""
     history[newest, 0] = x.x0

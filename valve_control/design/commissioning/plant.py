@@ -40,6 +40,7 @@ QUIET = 1e-3  # V  noise that is assumed at least
 STRETCH = 0.8  # s  over which motion and noise are weighed against each other
 EVALUATIONS = 14  # of the search, each with a Jacobian
 STEP = 2e-3  # of a parameter's unit, for the Jacobian
+BEGINNING = 0.005  # s  of a test, whose mean reading is where the spool stands at first
 FREE_VELOCITY, SCALE = 0.1, 0.02  # V/s  Stribeck velocity and linear zone, which the tests do not show
 BETTER = 0.97  # times the error of the order below, under which a higher order counts
 LATEST, LATEST_TIME = 5.0, 0.01  # sample periods and s, the larger of which bounds the dead time
@@ -200,9 +201,10 @@ def unexplained(
 
 
 def simulated(found: Plant, record: Record) -> Floats:
-    """Position [V], n, of the valve under the voltages of ``record``."""
+    """Position [V], n, of the valve under the voltages of ``record``, from where its spool stands at first."""
+    begin = first_reading(record.reading, record.period)
     if found.magnet is not None:
-        return positions(magnet.solenoid_params(found.magnet, record.period), record.voltage)
+        return positions(magnet.solenoid_params(found.magnet, record.period), record.voltage, begin)
     disturbance = valve.FREE._replace(
         coulomb=found.friction.coulomb,
         static_ratio=found.friction.static_ratio,
@@ -213,19 +215,34 @@ def simulated(found: Plant, record: Record) -> Floats:
     )
     lvdt = IDEAL._replace(delay=found.delay / record.period)
     plant = valve.design(found.model, record.period, 1e6, 1.0, disturbance, lvdt)
-    return positions(plant, record.voltage)
+    return positions(plant, record.voltage, begin)
 
 
-def positions(plant: Any, voltage: Floats) -> Floats:
-    """Readings [V] without noise, n, of a plant with Params ``plant`` under ``voltage`` [V], from rest."""
+def first_reading(reading: Floats, period: float) -> float | None:
+    """Mean [V] of the ``reading`` [V], n, in the BEGINNING of a test; None: none came."""
+    known = reading[: max(1, round(BEGINNING / period))]
+    known = known[np.isfinite(known)]
+    return float(np.mean(known)) if len(known) else None
+
+
+def positions(plant: Any, voltage: Floats, begin: float | None = None) -> Floats:
+    """Readings [V] without noise, n, of a plant with Params ``plant`` under ``voltage`` [V], from rest.
+
+    The spool rests where the reading is ``begin`` [V]: friction may hold it off the centre, and does so after
+    any motion. None, and a plant whose module has no ``standing``: in the centre.
+    """
     law = design.static_params(1.0, plant.u_max)
     rest = biquads.initial(law, Start(0.0, 0.0, 0.0, 0.0, 0.0))
+    module = registry.plant_of(plant).module
+    state = module.initial(plant)
+    if begin is not None and hasattr(module, "standing") and len(voltage):
+        state = module.standing(plant, begin - module.read(plant, state, 0.0), float(voltage[0]))
     n = len(voltage)
     signals = np.zeros((n, len(closed_loop.SIGNALS)))
     closed_loop.run_valve(
         biquads,
         closed_loop.parts(law, plant),
-        closed_loop.parts(rest, registry.plant_of(plant).module.initial(plant)),
+        closed_loop.parts(rest, state),
         voltage,
         np.zeros(n),
         signals,

@@ -21,14 +21,14 @@ from valve_control.control.parameters.table import NODES
 from valve_control.control.plant import registry
 from valve_control.control.plant.amplifier import saturate
 from valve_control.control.simulation.robustness import Quantity
-from valve_control.design.commissioning.plant import positions
+from valve_control.design.commissioning.plant import first_reading, positions
 from valve_control.design.identification import dead_time, lvdt
 from valve_control.design.identification.experiment import Experiment, held
 from valve_control.parameter import ParameterError, Values, number, updated
 
 Floats = npt.NDArray[np.float64]
 LONGEST = 90.0  # s  of a recording that are looked at: those with the most motion
-START = 0.3  # s  in which the simulated valve, which begins at rest, comes to where the spool was
+START = 0.3  # s  in which the simulated valve, which begins at rest, moves as the spool did
 LEAST_MOTION = 5.0  # times the noise: least standard deviation of readings that tell something
 QUIET = 1e-3  # V  noise that is assumed at least
 CONFIDENCE = 1.96
@@ -205,11 +205,12 @@ def _search(
 ) -> tuple[Floats, Floats, float]:
     """Numbers of the search, their 95 % bounds in the quantities' units, and the rms residual [V]."""
     quiet = {**base, "lvdt.noise": 0.0}
+    begin_at = first_reading(reading, number(base, "sample_period"))
 
     def residual(x: Floats) -> Floats:
         quantities = {form.name: _value(form, begin, float(v)) for form, v in zip(free, x, strict=True)}
         with np.errstate(over="ignore", invalid="ignore"):
-            position = positions(build.valve_params(_with(quiet, quantities)), voltage)
+            position = positions(build.valve_params(_with(quiet, quantities)), voltage, begin_at)
         rest: Floats = np.clip(np.nan_to_num(position - reading, nan=1e3)[usable], -1e3, 1e3)
         return rest
 
