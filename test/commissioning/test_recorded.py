@@ -144,6 +144,7 @@ def test_the_dead_time_of_solenoids_is_learnt_as_a_whole(before, behind):
     told = {one.name: one for one in found.learnt}["dead_time"]
     # Play and friction make the residual rough, so that a search ends up to 0.1 ms beside the least one.
     assert told.determined and told.value == pytest.approx(before + behind, abs=1.5e-4)
+    assert abs(told.value - before - behind) <= 1.5 * told.bound
     sensor, actuator = found.values["lvdt.delay"], found.values["solenoid.dead_time"]
     assert sensor == min(0.0003, told.value)
     assert actuator == pytest.approx(told.value - sensor, abs=1e-12)
