@@ -135,3 +135,13 @@ def test_one_quantity_alone(problem):
 def test_a_value_outside_of_its_range_counts_as_its_end():
     dimension = next(d for d in DIMENSIONS if d.name == "friction.presliding")
     assert dimension.to_unit(0.0) == 0.0 and dimension.to_unit(9.0) == 1.0
+
+
+def test_a_run_that_is_not_a_number_is_no_run():
+    """It was left out as if the table had nothing there, and the rest of a diverged valve fitted well."""
+    row = Indices(1.0, 1.0, 1.0, 1.0, 1.0)
+    table = {"pid": row, "arc": row._replace(e_F=np.nan)}
+    diverged = {"pid": [row._replace(e_rms=np.nan)], "arc": [row]}
+    assert objective.fit(diverged, table) == objective.NOT_RUN
+    unmeasured = {"pid": [row], "arc": [row._replace(e_F=np.nan)]}
+    assert objective.fit(unmeasured, table).cost == 0.0

@@ -120,8 +120,8 @@ def swapped(found: Mapping[str, Sequence[Indices]], table: Table) -> dict[tuple[
 
 def fit(found: Mapping[str, Sequence[Indices]], table: Table) -> Fit:
     """Compare ``found`` with ``table``."""
-    ratios = np.concatenate(list(log_ratios(found, table).values()))
-    ratios = ratios[~np.isnan(ratios)]
+    measured = ~np.isnan(np.concatenate([np.array(table[name]) for name in found]))
+    ratios = np.concatenate(list(log_ratios(found, table).values()))[measured]
     if not np.all(np.isfinite(ratios)):
         return NOT_RUN
     pairs = swapped(found, table)
