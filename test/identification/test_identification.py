@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+import scipy.signal
 
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
@@ -316,3 +317,17 @@ def test_what_the_test_did_not_excite_is_not_claimed():
     fourth = rational.fit(whole, 4)
     assert result.fit_dict(fourth, whole)["minus_90_hz"] == pytest.approx(6.17, rel=0.01)
     assert "not excited" not in result.fit_text(fourth, whole)
+
+
+def test_a_recording_may_begin_without_a_voltage():
+    """Its first answer was lost; "the voltage does not move" was said of any motion."""
+    voltage = np.random.default_rng(2).standard_normal(20000)
+    position = scipy.signal.lfilter([0.0, 0.1], [1.0, -0.9], voltage)
+    whole = experiment.Experiment("a bag", 0.001, voltage, position, (), 10.0, ())
+    late = whole._replace(voltage=np.concatenate([np.full(3, np.nan), voltage[3:]]))
+    found = experiment.estimate(late, 0.4, (1.0, 50.0))
+    cut = whole._replace(voltage=voltage[3:], position=position[3:])
+    wanted = experiment.estimate(cut, 0.4, (1.0, 50.0))
+    assert np.array_equal(found.value, wanted.value)
+    true = scipy.signal.freqz([0.0, 0.1], [1.0, -0.9], found.frequency, fs=1000.0)[1]
+    assert found.value == pytest.approx(true, rel=1e-3)

@@ -222,7 +222,9 @@ def check_travel(experiment: Experiment, static_gain: float) -> None:
 
 
 def _estimate(experiment: Experiment, settle: float, band: tuple[float, float] | None) -> Response:
-    voltage = held(experiment.voltage)
+    voltage, position = held(experiment.voltage), experiment.position
+    begin = int(np.argmax(np.isfinite(voltage)))  # readings before the first voltage tell nothing
+    voltage, position = voltage[begin:], position[begin:]
     response.check_saturation(voltage[np.isfinite(voltage)], experiment.u_max)
     if not np.any(np.abs(voltage - voltage[0]) > STILL):
         raise ParameterError("the voltage does not move, so there is no excitation")
@@ -233,6 +235,6 @@ def _estimate(experiment: Experiment, settle: float, band: tuple[float, float] |
         return response.stepped(experiment.voltage, experiment.position, segments, experiment.period, settle)
     low, high = band or (DEFAULTS["frequency"], min(100.0, ROOM / experiment.period))
     assert isinstance(low, float) and isinstance(high, float)
-    known = np.flatnonzero(np.isfinite(experiment.position))
-    position = np.interp(np.arange(len(voltage)), known, experiment.position[known])
+    known = np.flatnonzero(np.isfinite(position))
+    position = np.interp(np.arange(len(voltage)), known, position[known])
     return response.spectral(voltage, position, experiment.period, low, high)
