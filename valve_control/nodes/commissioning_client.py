@@ -262,6 +262,8 @@ class Controller:
                 try:
                     following = course.send(Seen((number + 1) * self._period, came[-1][2]))
                 except StopIteration:
+                    if not voltages:
+                        raise Fault(f"no voltage has come on {self._topics['valve_voltage']}") from None
                     return _paired(readings, voltages, commands, self._period)
             if following is not None and voltages and voltages[-1][1] >= readings[-1][1]:
                 give(following)

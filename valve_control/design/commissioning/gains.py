@@ -28,6 +28,7 @@ Floats = npt.NDArray[np.float64]
 WORSE = 1.5  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
 CONTENDS = 1.5  # times the error of the new gains, up to which others are tried on the valve too
+SATURATED = 0.5  # share of samples at the limit of the voltage, from which on a simulated loop is unstable
 VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
 
 
@@ -48,7 +49,7 @@ class Verification(NamedTuple):
     expected: Indices  # with the new gains, on the commands as they came
     punctual: Indices  # with the new gains, on commands that come in time
     away: float  # V  how far the commands were from those, at most
-    former: Indices | None  # with the parameters from before, None if those saturate or are unstable
+    former: Indices | None  # with the parameters from before, None if those are unstable
     reasons: list[str]  # why the gains are not accepted
     before: Indices | None = None  # measured with the parameters from before, None if they were not tried
     ended: str = ""  # why the run with these ended early
@@ -173,7 +174,7 @@ def judged(plan: Plan, before: Values, gains: TunedGains, wanted: Floats, record
     former: Indices | None = None
     with np.errstate(over="ignore", invalid="ignore"):
         old = offline.simulate(updated(CONTROLLER, before, limited), gains.valve, record.command)
-    if np.all(np.isfinite(old.measurement)):
+    if np.all(np.isfinite(old.measurement)) and old.saturated < SATURATED:
         former = old.indices
     reasons = []
     most = WORSE * made.indices.e_rms + SLACK
@@ -197,8 +198,13 @@ def contends(plan: Plan, made: Verification, doubted: bool = False) -> bool:
     """
     if made.former is None:
         return False
-    near = made.former.e_rms < CONTENDS * made.measured.e_rms and made.former.c_u <= WORSE * plan.chatter
+    near = made.former.e_rms < CONTENDS * made.measured.e_rms and made.former.c_u <= _quiet(plan, made)
     return doubted or near
+
+
+def _quiet(plan: Plan, made: Verification) -> float:
+    """c_u up to which parameters from before may be better than the new gains, which may be louder."""
+    return max(WORSE * plan.chatter, made.measured.c_u)
 
 
 def promised(made: TunedGains) -> tuple[bool, float]:
@@ -231,7 +237,7 @@ def against(plan: Plan, made: Verification, record: Record) -> Verification:
     """Judge ``made`` by the ``record`` of the same run with the parameters from before."""
     before = _indices(record)
     reasons = list(made.reasons)
-    if before.e_rms < made.measured.e_rms and before.c_u <= WORSE * plan.chatter:
+    if before.e_rms < made.measured.e_rms and before.c_u <= _quiet(plan, made):
         reasons.append(
             f"on the running valve the parameters from before do better, {1e3 * before.e_rms:.3g} mV rms "
             f"instead of {1e3 * made.measured.e_rms:.3g} mV"

@@ -201,7 +201,7 @@ def unexplained(
 
 
 def simulated(found: Plant, record: Record) -> Floats:
-    """Position [V], n, of the valve under the voltages of ``record``, from where its spool stands at first."""
+    """Position [V], n, of the valve under the voltages of ``record``, from where its spool stands first."""
     begin = first_reading(record.reading, record.period)
     if found.magnet is not None:
         return positions(magnet.solenoid_params(found.magnet, record.period), record.voltage, begin)

@@ -39,6 +39,10 @@ REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
 # those for the first do not hold.
 BOXES = (1.0, 2.0)
 DOUBTED = (2.0, 3.0)  # likewise, where the model does not explain the readings
+# Of both verification runs: limits, and that each command counts as it comes.
+SAME = (
+    "u_max", "lvdt.limit", "command_limit", "command_timeout", "command.interpolation", "command.bridge",
+)  # fmt: skip
 PID = "pid"  # that is tuned beside another law
 NAMED = 3  # parts of the tests that a note names as not explained
 # Of the step "model", in percent, what is done when the fits of the response are, and when the valve is.
@@ -154,6 +158,7 @@ class _Commissioning:
         self._bench, self._plan, self._before, self._steps = bench, plan, before, steps
         self._limits, self._period = plan.limits, number(before, "sample_period")
         self._seconds: dict[str, float] = {}
+        self._percent = 0.0  # of the step "model", that were told
 
     def run(self, tests: Tests | None) -> Result:
         period, before = self._period, self._before
@@ -342,7 +347,8 @@ class _Commissioning:
             f"the new gains of {made.tuned.law} are set, and the valve moves for {length:.0f} s in closed "
             "loop"
         )
-        self._bench.apply({**made.chosen, "command_limit": self._limits.travel})
+        lead = {"reshaping.lead": self._before["reshaping.lead"]}  # of a law that chooses none
+        self._bench.apply({**lead, **made.chosen, "command_limit": self._limits.travel})
         try:
             record = self._moved("verification", wanted)
         except Swings as fault:
@@ -364,7 +370,7 @@ class _Commissioning:
             "as good as the new gains"
         )
         kept = self._bench.values()
-        limits = {name: kept[name] for name in ("u_max", "lvdt.limit", "command_limit", "command_timeout")}
+        limits = {name: kept[name] for name in SAME}
         _bring_to(self._bench, {**self._before, **limits})
         try:
             record = self._moved("verification of before", wanted)
@@ -406,7 +412,9 @@ class _Commissioning:
 
     def _modelled(self, percent: float) -> None:
         self._bench.watch(self._limits)
-        self._steps.progress("model", percent, WHOLE)
+        # A search that is longer than it was expected to be takes nothing back.
+        self._percent = max(self._percent, percent)
+        self._steps.progress("model", self._percent, WHOLE)
 
     @contextmanager
     def _timed(self, name: str) -> Iterator[None]:
