@@ -28,6 +28,7 @@ from valve_control.parameter import ParameterError, Values, number, updated
 
 Floats = npt.NDArray[np.float64]
 LONGEST = 90.0  # s  of a recording that are looked at: those with the most motion
+BLOCK = 0.1  # s  over which a voltage is averaged to tell motion from chatter
 START = 0.3  # s  in which the simulated valve, which begins at rest, moves as the spool did
 LEAST_MOTION = 5.0  # times the noise: least standard deviation of readings that tell something
 QUIET = 1e-3  # V  noise that is assumed at least
@@ -264,9 +265,11 @@ def _most_motion(voltage: Floats, reading: Floats, period: float) -> tuple[Float
     length = round(LONGEST / period)
     if len(voltage) <= length:
         return voltage, reading, []
-    steps = np.abs(np.diff(np.nan_to_num(voltage), prepend=0.0))
-    total = np.concatenate([[0.0], np.cumsum(steps)])
-    first = int(np.argmax(total[length:] - total[:-length]))
+    block = max(1, round(BLOCK / period))
+    means = np.nan_to_num(voltage)[: len(voltage) // block * block].reshape(-1, block).mean(axis=1)
+    total = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(means, prepend=means[0])))])
+    count = length // block
+    first = block * int(np.argmax(total[count:] - total[:-count]))
     note = (
         f"{LONGEST:g} s from {first * period:.1f} s on, in which the voltage moves most, stand for a "
         f"recording of {len(voltage) * period:.0f} s"
