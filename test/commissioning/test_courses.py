@@ -105,3 +105,17 @@ def test_how_long_a_triangle_takes_is_known_better_after_each_turn():
     assert told[0] == pytest.approx(20.0) and length < 9.0
     first = round(turned[0] / PERIOD) + 2
     assert told[first:] == pytest.approx([length] * len(told[first:]), abs=0.05 * length)
+
+
+@pytest.mark.parametrize("period", [0.001, 0.01, 0.02])
+def test_the_triangle_has_its_rate_at_any_period(period):
+    """With readings every 10 ms it rose at half of it, and took twice as long as was said."""
+    limits, time = SafetyLimits(4.0, 2.0), 0.0
+    course = courses.triangle(limits, 1.6, 4, period=period)
+    given = [next(course)]
+    with pytest.raises(StopIteration):
+        while True:
+            time += period
+            given.append(course.send(Seen(time, 0.0)))
+    assert np.max(np.abs(np.diff(given))) == pytest.approx(1.6 * period)
+    assert time == pytest.approx(courses.triangle_time(limits, 1.6, 4, []), rel=0.02)

@@ -19,7 +19,7 @@ REACH = 0.8  # of the travel, at which a course turns round
 CLOSE = 0.9  # of the travel, that a spool may go on to after a turn
 LOWER = 0.9  # factor by which a sine is made smaller where the reading reaches that
 CALM = 0.05  # s  between two such factors, so that the spool can follow
-LATE = 0.005  # s  of a ramp that are made good after a pause of this process
+LATE, MISSED = 0.005, 1.5  # s, sample periods: part of a ramp that is made good after a pause of this process
 
 
 def rest(duration: float) -> Course:
@@ -30,19 +30,24 @@ def rest(duration: float) -> Course:
 
 
 def triangle(
-    limits: SafetyLimits, rate: float, turns: int, turned_at: Callable[[float], None] = lambda time: None
+    limits: SafetyLimits,
+    rate: float,
+    turns: int,
+    turned_at: Callable[[float], None] = lambda time: None,
+    period: float = 0.0,
 ) -> Course:
     """Voltage that rises and falls at ``rate`` [V/s], with ``turns`` turns, and ends at 0 V.
 
     It turns where the voltage reaches its limit, or the reading REACH of the travel. Where the spool goes on
     after a turn to CLOSE of the travel, it turns earlier the next time, by as much as the spool went on.
-    ``turned_at`` gets the time [s] of each turn.
+    ``turned_at`` gets the time [s] of each turn. ``period`` [s]: from one reading to the next.
     """
+    most = max(LATE, MISSED * period)
     value, direction, last = 0.0, 1.0, 0.0
     left, turned, beyond = turns, math.inf, 0.0
     seen = yield 0.0
     while left > 0:
-        value += direction * rate * min(LATE, seen.time - last)
+        value += direction * rate * min(most, seen.time - last)
         last = seen.time
         if -direction * seen.reading > CLOSE * limits.travel:
             beyond = max(beyond, -direction * seen.reading - turned)
@@ -54,7 +59,7 @@ def triangle(
             turned_at(seen.time)
         seen = yield value
     while value != 0.0:
-        change = rate * min(LATE, seen.time - last)
+        change = rate * min(most, seen.time - last)
         last = seen.time
         value = math.copysign(max(0.0, abs(value) - change), value)
         seen = yield value + 0.0

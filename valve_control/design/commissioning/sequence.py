@@ -22,6 +22,7 @@ from valve_control.design.commissioning.gains import TunedGains, Verification
 from valve_control.design.commissioning.plan import Plan, limiting
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Friction, Rest, Static
+from valve_control.design.identification import lvdt
 from valve_control.design.identification.response import Response
 from valve_control.design.tuning import tuner, verification
 from valve_control.design.tuning.tuner import Tuned
@@ -29,7 +30,7 @@ from valve_control.parameter import ParameterError, Values, number
 
 Floats = npt.NDArray[np.float64]
 SPRING = 0.5  # s  in which the spring centres the spool
-STILL = 2.0  # s  at rest
+STILL, NOISE = 2.0, 2.0  # s and windows of readings that tell the noise: at rest, the larger of both
 RATE = 0.4  # 1/s  times the limit of the voltage: rate of the triangle
 TURNS = 4  # of the triangle
 HOME = 1.0  # s  before the motion of a verification run
@@ -158,13 +159,14 @@ class _Commissioning:
         self._bench, self._plan, self._before, self._steps = bench, plan, before, steps
         self._limits, self._period = plan.limits, number(before, "sample_period")
         self._seconds: dict[str, float] = {}
+        self._still = max(STILL, NOISE * lvdt.WINDOW * self._period)  # s
         self._percent = 0.0  # of the step "model", that were told
 
     def run(self, tests: Tests | None) -> Result:
         period, before = self._period, self._before
         self._ask(
             f"0 V; the controller gets its limits (±{self._limits.voltage:g} V, reading within "
-            f"±{self._limits.travel:g} V) and the law open_loop; then {STILL:g} s at 0 V"
+            f"±{self._limits.travel:g} V) and the law open_loop; then {self._still:g} s at 0 V"
         )
         self._bench.off()
         self._open_loop()
@@ -214,7 +216,7 @@ class _Commissioning:
 
     def _tested(self) -> Tests:
         """Noise, friction and response of the valve in open loop, and the plant that is fitted to them."""
-        rest = statics.at_rest(self._drive("noise at rest", courses.rest(STILL), lambda: STILL))
+        rest = statics.at_rest(self._drive("noise at rest", courses.rest(self._still), lambda: self._still))
         slow = self._triangle()
         static = statics.slow(slow, rest, self._limits)
         planned = self._planned(rest, static)
@@ -252,7 +254,7 @@ class _Commissioning:
         turned: list[float] = []
         return self._drive(
             "slow triangle",
-            courses.triangle(limits, rate, TURNS, turned.append),
+            courses.triangle(limits, rate, TURNS, turned.append, self._period),
             lambda: courses.triangle_time(limits, rate, TURNS, turned),
         )
 
