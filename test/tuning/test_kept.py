@@ -46,6 +46,8 @@ def test_a_folder_that_cannot_be_written_does_not_end_the_search(tmp_path, capsy
     kept._written = -1e9
     assert len(asked(kept, 2, [])) == 2
     assert "note: the search is not kept any more" in capsys.readouterr().err
+    with pytest.raises(OSError, match="file"):  # what is said when it is stopped
+        kept.write()
     kept.forget()
 
 

@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import io
 import json
+import math
 import sys
 import time
 import zipfile
@@ -105,7 +106,7 @@ class Kept:
                 self.write()
             except OSError as error:
                 print(f"note: the search is not kept any more, {error}", file=sys.stderr)
-                self._folder = None
+                self._written = math.inf  # at the end once more
         return made
 
     def write(self) -> None:
