@@ -11,9 +11,11 @@ on a solenoid valve the four motions of benchmarks.solenoid, with preview and wi
 """
 
 import argparse
+import contextlib
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -178,9 +180,10 @@ def gone_through(
                     stdin=subprocess.DEVNULL,
                 )  # fmt: skip
                 try:
-                    wait_until(
-                        lambda: seen.look() and child.poll() is not None, "the end of commission", (), LONGEST
-                    )
+                    with contextlib.suppress(RuntimeError):  # it hangs, and is killed
+                        wait_until(
+                            lambda: seen.look() and child.poll() is not None, "its end", (), LONGEST
+                        )
                 finally:
                     child.kill()
                     child.wait()
@@ -192,7 +195,9 @@ def gone_through(
         finally:
             seen.destroy_node()
     if about["status"] != 0:
-        about["reason"] = (folder / "said.log").read_text().strip().splitlines()[-1]
+        lines = (folder / "said.log").read_text().strip().splitlines()
+        hung = f"it was not over after {LONGEST:g} s"
+        about["reason"] = hung if about["status"] == -signal.SIGKILL else lines[-1]
         about["as_before"] = after == before
         return about
     found = json.loads((kept / "commission.json").read_text())
