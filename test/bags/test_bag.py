@@ -5,10 +5,13 @@
 import random
 import shutil
 import struct
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
+from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as LibraryWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
@@ -192,6 +195,30 @@ def test_a_damaged_chunk_is_left_out_and_said(tmp_path):
     values = bag.read({"/x": ["data"]})["/x"].values["data"]
     assert np.array_equal(values, [*range(100), *range(200, 300)])
     assert sum("damaged" in problem for problem in bag.problems) == 1
+
+
+@pytest.mark.parametrize("size", [1 << 63, 1 << 62])
+def test_a_chunk_of_an_impossible_size_is_left_out(tmp_path, size):
+    """zstandard takes no size of more than 63 bits, and has no words for memory that there is not."""
+    path = tmp_path / "a.mcap"
+    builder = zstandard.ZstdCompressor(write_content_size=False)
+    with path.open("wb") as stream:
+        writer = LibraryWriter(stream, compression=CompressionType.NONE)
+        writer.start("ros2")
+        schema = writer.register_schema(FLOAT, "ros2msg", b"float64 data")
+        channel = writer.register_channel("/x", "cdr", schema)
+        writer.add_message(channel, 10**9, number(1.0), 10**9, 1)
+        writer.finish()
+    with path.open("rb") as stream:
+        (place,) = make_reader(stream).get_summary().chunk_indexes
+    data = path.read_bytes()
+    begin, end = place.chunk_start_offset, place.chunk_start_offset + place.chunk_length
+    packed = builder.compress(data[begin + 49 : end])
+    body = data[begin + 9 : begin + 25] + struct.pack("<QII4sQ", size, 0, 4, b"zstd", len(packed)) + packed
+    path.write_bytes(data[:begin] + struct.pack("<BQ", 6, len(body)) + body + data[end:])
+    with closing(Bag(path)) as bag:
+        assert len(bag.read({"/x": ["data"]})["/x"].log_time) == 0
+        assert sum("is damaged and left out" in problem for problem in bag.problems) == 1
 
 
 def test_damaged_files_never_do_more_than_raise_bag_error(tmp_path):

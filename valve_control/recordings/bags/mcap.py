@@ -39,6 +39,8 @@ MAGIC = b"\x89MCAP0\r\n"
 WINDOW = 100_000  # messages, records
 DOUBTFUL = "valve_control.doubtful"  # metadata record: which messages were recovered from damaged chunks
 CHUNK_HEAD = struct.Struct("<16xQII")  # times; uncompressed size, checksum, length of the compression's name
+# Raised for a damaged chunk; OverflowError: its size has more than 63 bits.
+DAMAGE = (zstandard.ZstdError, struct.error, RuntimeError, ValueError, EOFError, MemoryError, OverflowError)
 
 
 def _little_endian(buffer: Any, at: int, size: int) -> int:
@@ -337,8 +339,9 @@ class McapFile:
             elif compression != "":
                 self._complain(f"{where} is compressed with {compression!r}; zstd and lz4 are known")
                 return None
-        except (zstandard.ZstdError, struct.error, RuntimeError, ValueError, EOFError, MemoryError) as error:
-            self._complain(f"{where} is damaged and left out: {str(error).splitlines()[0]}")
+        except DAMAGE as error:
+            reason = (str(error) or type(error).__name__).splitlines()[0]
+            self._complain(f"{where} is damaged and left out: {reason}")
             return None
         if crc and zlib.crc32(records.data) != crc:
             self._complain(f"{where} is damaged (its checksum is wrong) and left out")
