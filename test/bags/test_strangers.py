@@ -517,6 +517,36 @@ def test_files_without_index_get_one(tmp_path, lack, compression):
     assert not recover(path).done
 
 
+@pytest.mark.parametrize("checked", [True, False], ids=["checksum", "no checksum"])
+@pytest.mark.parametrize("where", ["beyond the file", "beyond 63 bits", "behind the channels"])
+def test_a_footer_that_tells_the_wrong_place_of_the_summary_is_made_anew(tmp_path, where, checked):
+    """It was called whole, or its reader ended in a traceback, or topics were missing in metadata.yaml."""
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    path = folder / "a.mcap"
+    with path.open("wb") as stream:
+        writer = LibraryWriter(stream, enable_crcs=checked)
+        writer.start("ros2")
+        schema = writer.register_schema(FLOAT, "ros2msg", b"float64 data")
+        topics = [writer.register_channel(name, "cdr", schema) for name in (POSITION, COMMAND)]
+        for k in range(30):
+            writer.add_message(topics[k % 3 == 0], SECOND + k, number(float(k)), SECOND + k, k + 1)
+        writer.finish()
+    data = bytearray(path.read_bytes())
+    (start,) = struct.unpack_from("<Q", data, len(data) - 28)
+    behind = data.index(struct.pack("<BQ", 11, 46 + 2 * 10), start)  # the statistics
+    start = {"beyond the file": start + (1 << 40), "beyond 63 bits": start + (1 << 63)}.get(where, behind)
+    struct.pack_into("<Q", data, len(data) - 28, start)
+    path.write_bytes(data)
+    result = recover(folder)
+    assert result.done and (result.messages, result.lost) == (30, 0)
+    told = metadata.read(folder).topics
+    assert {topic.name: count for topic, count in told} == {POSITION: 20, COMMAND: 10}
+    with path.open("rb") as stream:
+        assert len(make_reader(stream, validate_crcs=True).get_summary().channels) == 2
+    assert not recover(folder).done
+
+
 @pytest.mark.parametrize("damage", ["none", "a page", "the end"])
 def test_old_tables_are_recovered(tmp_path, damage):
     (tmp_path / "bag").mkdir()

@@ -244,11 +244,18 @@ class Salvage:
     # Schemas and channels
 
     def _summary_is_sound(self) -> bool:
-        """Whether the checksum over the summary is right, if there is one."""
+        """Whether the summary begins right behind the data, and the checksum over it is right, if any."""
         footer = self._data[-len(MAGIC) - 20 :]
         start, _, checksum = struct.unpack_from("<QQI", footer.data)
-        summary = self._data[start : self._size - len(MAGIC) - 4] if start else b""
-        return bool(checksum == 0 or start > self._size or zlib.crc32(bytes(summary)) == checksum)
+        if start == 0:
+            return bool(checksum == 0)
+        end = start - FRAME.size - 4  # of the data, where their end is a record of four bytes
+        if not 0 < end <= self._size - FRAME.size:
+            return False
+        if FRAME.unpack_from(self._data.data, end) != (Opcode.DATA_END, 4):
+            return False
+        summary = self._data[start : self._size - len(MAGIC) - 4]
+        return bool(checksum == 0 or zlib.crc32(summary.data) == checksum)
 
     def _take_summary(self, path: Path) -> bool:
         """Take in schemas and channels of a sound summary; returns whether there is one."""
