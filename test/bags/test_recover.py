@@ -417,6 +417,48 @@ def test_a_truncated_database_is_salvaged(tmp_path):
     assert path.with_name(file.kept).stat().st_size == len(data) // 2 + 1234
 
 
+HARMED_ROWS = {
+    "a type and a hash that are no texts": "UPDATE topics SET type = CAST(type AS BLOB), "
+    "type_description_hash = CAST(type_description_hash AS BLOB)",
+    "a QoS that is no UTF-8": "UPDATE topics SET offered_qos_profiles = CAST(X'5B5DFF' AS TEXT)",
+    "large numbers of topics": "UPDATE topics SET id = id + (1 << 40)",
+}
+
+
+@pytest.mark.parametrize("change", HARMED_ROWS)
+def test_rows_that_a_few_bits_have_changed_are_read(tmp_path, change):
+    """SQLite finds nothing wrong with them; reader or recovery ended in a traceback, or refused them."""
+    path = whole_sqlite(tmp_path / "bag")
+    kinds = {topic.name: topic.type for topic, _ in metadata.read(tmp_path / "bag").topics}
+    (tmp_path / "bag" / metadata.NAME).unlink()
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute(HARMED_ROWS[change])
+        if "numbers" in change:
+            database.execute("UPDATE messages SET topic_id = topic_id + (1 << 40)")
+    for _ in range(2):
+        with closing(Bag(tmp_path / "bag")) as bag:
+            values = bag.read({"/spool_position": ["data"]})["/spool_position"].values["data"]
+        assert len(values) == 2000 and values[-1] == 0.001 * 1999
+        assert recover(tmp_path / "bag").messages == 2000
+        assert {topic.name: topic.type for topic, _ in metadata.read(tmp_path / "bag").topics} == kinds
+
+
+def test_a_database_without_its_log_is_read_without_a_trace(tmp_path):
+    """rosbag2 leaves it in this mode with its resilient preset; SQLite made two files beside it."""
+    path = whole_sqlite(tmp_path / "bag")
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA journal_mode=WAL")
+    before = {p.name: p.read_bytes() for p in (tmp_path / "bag").iterdir()}
+    assert before[path.name][18:20] == b"\2\2"
+    link = tmp_path / "link.db3"
+    link.symlink_to(path)
+    for place in (tmp_path / "bag", path, link):
+        with closing(Bag(place)) as bag:
+            assert len(bag.read({}, raw=["/spool_position"])["/spool_position"].raw) == 2000
+    assert {p.name: p.read_bytes() for p in (tmp_path / "bag").iterdir()} == before
+    assert not list(tmp_path.glob("link.db3-*"))
+
+
 def killed_sqlite(folder, count=2000):
     """As a kill leaves it: a database, and its log with most of the messages."""
     made = folder.with_name("made")

@@ -31,7 +31,7 @@ from valve_control.recordings.bags.placeholders import refuse
 from valve_control.recordings.bags.rebuilding import rebuild
 from valve_control.recordings.bags.rewriting import rewrite
 from valve_control.recordings.bags.salvage import Salvage
-from valve_control.recordings.bags.sqlite import HEAD
+from valve_control.recordings.bags.sqlite import HEAD, opened
 from valve_control.recordings.bags.storage import BUSY, SQLITE_SCHEMA
 from valve_control.recordings.bags.writer import SUFFIXES, Lock, reason
 
@@ -283,7 +283,7 @@ def _end(file: File) -> int:
 def _stamps(path: Path) -> Integers:
     """Log times of all messages of a file [ns]."""
     if path.suffix == SUFFIXES["sqlite3"]:
-        with closing(_opened(path, _is_logged(path))) as database:
+        with closing(opened(path, immutable=not _is_logged(path))) as database:
             return np.array(database.execute("SELECT timestamp FROM messages").fetchall(), np.int64).ravel()
     with closing(McapFile(path)) as file:
         return np.concatenate([np.empty(0, np.int64), *(block.log_time for block in file.blocks())])
@@ -642,7 +642,7 @@ def _verdict(path: Path, logged: bool) -> str:
     if journal.exists() and journal.stat().st_size > 0:
         return "a transaction was not ended"
     try:
-        with closing(_opened(path, logged)) as database:
+        with closing(opened(path, immutable=not logged)) as database:
             for (verdict,) in database.execute("PRAGMA integrity_check(1)"):
                 if verdict != "ok":
                     return str(verdict)
@@ -661,12 +661,6 @@ def _verdict(path: Path, logged: bool) -> str:
         return str(error)
 
 
-def _opened(path: Path, logged: bool) -> sqlite3.Connection:
-    """Open the database read-only; side files are created only where there are some already."""
-    mode = "mode=ro" if logged else "mode=ro&immutable=1"
-    return sqlite3.connect(f"{path.absolute().as_uri()}?{mode}", uri=True)
-
-
 def _fold(path: Path) -> None:
     """Merge the log into the database; SQLite refuses while somebody else has it open."""
     with closing(sqlite3.connect(path, timeout=BUSY, isolation_level=None)) as database:
@@ -674,18 +668,20 @@ def _fold(path: Path) -> None:
 
 
 def _read_sqlite(path: Path) -> _Inventory:
-    with closing(_opened(path, _is_logged(path))) as database:
+    with closing(opened(path, immutable=not _is_logged(path))) as database:
         columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
         if "name" not in columns:
             raise BagError(f"{path} is an SQLite database, but not of a bag: it has no table of topics")
         qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
         type_hash = "type_description_hash" if "type_description_hash" in columns else "''"
         encoding_column = "serialization_format" if "serialization_format" in columns else f"'{CDR}'"
+        # One bit makes a text a BLOB of the same bytes.
+        texts = ", ".join(f"CAST({text} AS TEXT)" for text in ("type", encoding_column, qos, type_hash))
         counts = dict(database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
         topics = [
             Counted(TopicMetadata(name, kind, encoding, _qos(profiles), digest), counts.get(number, 0))
             for number, name, kind, encoding, profiles, digest in database.execute(
-                f"SELECT id, name, type, {encoding_column}, {qos}, {type_hash} FROM topics ORDER BY id"
+                f"SELECT id, name, {texts} FROM topics ORDER BY id"
             )
         ]
         ((start, end),) = database.execute(

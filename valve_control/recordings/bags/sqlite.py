@@ -14,6 +14,7 @@ from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.messages import Block, Integers, Topic, absolute, full_type, qos_profiles
 
 MAGIC = b"SQLite format 3\0"
+LOGGED = b"\2\2"  # two bytes behind magic and page size: changes go into a write-ahead log
 ROWS = 500
 PIECES = 100
 HEAD = 50  # messages that tell of what kind a file is
@@ -32,17 +33,22 @@ class SqliteFile:
         self.problems: list[str] = []
         self.topics: list[Topic] = []
         with path.open("rb") as stream:
-            head = stream.read(len(MAGIC))
+            head, mode = stream.read(len(MAGIC)), stream.read(len(LOGGED) + 2)[2:]
         self.size = path.stat().st_size
         if not head:
             raise BagError(f"{path} is empty")
         if head != MAGIC:
             raise BagError(f"{path} is not a sqlite3 file: it does not begin with sqlite's magic bytes")
-        # A write-ahead log beside it is read too.
-        log = path.with_name(path.name + "-wal")
+        # A write-ahead log beside it is read too; SQLite follows links.
+        real = path.resolve()
+        log = real.with_name(real.name + "-wal")
         if log.exists() and log.stat().st_size > 0:
             self.problems.append(f"{path}: a part of it is in {log.name} beside it, the two belong together")
-        self._db = self._connect()
+        try:
+            # Whoever writes to a database with a log has one: without, nobody does.
+            self._db = opened(path, immutable=mode == LOGGED and not log.exists())
+        except sqlite3.Error as error:
+            raise BagError(f"{path} cannot be opened: {error}") from error
         try:
             self._learn()
         except BagError:
@@ -51,12 +57,6 @@ class SqliteFile:
         except DAMAGE as error:
             self._db.close()
             raise BagError(f"{path} is not a bag that can be read: {error}") from error
-
-    def _connect(self) -> sqlite3.Connection:
-        try:
-            return sqlite3.connect(f"file:{_quoted(self.path)}?mode=ro", uri=True)
-        except sqlite3.Error as error:
-            raise BagError(f"{self.path} cannot be opened: {error}") from error
 
     def _learn(self) -> None:
         self._tables = {
@@ -67,15 +67,16 @@ class SqliteFile:
                 raise BagError(f"{self.path} is not a bag: it has no table '{table}'")
         definitions: dict[str, tuple[str, str]] = {}
         if "message_definitions" in self._tables:
-            for name, encoding, text in self._db.execute(
+            for row in self._db.execute(
                 "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
             ):
+                name, encoding, text = _texts(row)
                 definitions[name] = (encoding, text)
         self._ids: dict[int, int] = {}
         cursor = self._db.execute("SELECT * FROM topics")
         columns = [entry[0] for entry in cursor.description]
         for row in cursor:
-            entry = dict(zip(columns, row, strict=True))
+            entry = dict(zip(columns, _texts(row), strict=True))
             encoding, text = definitions.get(entry["type"], ("", ""))
             self._ids[entry["id"]] = len(self.topics)
             self.topics.append(
@@ -120,9 +121,6 @@ class SqliteFile:
         told: Callable[[int], None] | None,
         limit: int = -1,
     ) -> Iterator[Block]:
-        table = np.full(max(self._ids, default=0) + 2, -1, dtype=np.int64)
-        for number, topic in self._ids.items():
-            table[number] = topic
         conditions, limits = [], []
         for text, bound in (("timestamp >= ?", start), ("timestamp < ?", end)):
             if bound is not None:
@@ -138,7 +136,7 @@ class SqliteFile:
         )
         (total,) = self._db.execute("SELECT count(*) FROM messages").fetchone() if told is not None else (0,)
         read, done = 0, 0
-        while (block := self._block(cursor, table)) is not None:
+        while (block := self._block(cursor)) is not None:
             read += len(block.topic)
             yield block if (block.topic >= 0).all() else block.select(block.topic >= 0)
             if told is not None:
@@ -148,7 +146,16 @@ class SqliteFile:
         if told is not None:
             told(self.size - done)
 
-    def _block(self, cursor: sqlite3.Cursor, table: Integers) -> Block | None:
+    def _topics_of(self, numbers: Integers) -> Integers:
+        """Topics of messages by the ``numbers`` of the database, -1 for one that has none."""
+        known = np.array(sorted(self._ids), dtype=np.int64)
+        if not len(known):
+            return np.full(len(numbers), -1, dtype=np.int64)
+        topics = np.array([self._ids[number] for number in known.tolist()], dtype=np.int64)
+        at = np.minimum(np.searchsorted(known, numbers), len(known) - 1)
+        return np.where(known[at] == numbers, topics[at], -1)
+
+    def _block(self, cursor: sqlite3.Cursor) -> Block | None:
         """The next messages; fetched in pieces that fit in the processor's cache, which is twice as fast."""
         numbers: list[npt.NDArray[Any]] = []
         datas: list[bytes] = []
@@ -167,7 +174,7 @@ class SqliteFile:
         length = np.concatenate(lengths)
         return Block(
             np.frombuffer(b"".join(datas), dtype=np.uint8),
-            table[np.clip(topic, -1, len(table) - 1)],
+            self._topics_of(topic),
             stamp,
             np.where(publish == 0, stamp, publish),
             sequence,
@@ -177,5 +184,17 @@ class SqliteFile:
         )
 
 
-def _quoted(path: Path) -> str:
-    return str(path.resolve()).replace("%", "%25").replace("?", "%3f").replace("#", "%23")
+def opened(path: Path, immutable: bool) -> sqlite3.Connection:
+    """Open a database read-only; ``immutable``: nobody writes, and SQLite makes no file beside it.
+
+    A text that is damaged is read with replacement characters. Raises sqlite3.Error.
+    """
+    mode = "mode=ro&immutable=1" if immutable else "mode=ro"
+    database = sqlite3.connect(f"{path.resolve().as_uri()}?{mode}", uri=True)
+    database.text_factory = lambda data: data.decode(errors="replace")
+    return database
+
+
+def _texts(row: tuple[Any, ...]) -> list[Any]:
+    """Columns of a row; one bit makes a text a BLOB of the same bytes."""
+    return [value.decode(errors="replace") if isinstance(value, bytes) else value for value in row]
