@@ -233,6 +233,17 @@ def test_each_file_of_a_rotation_is_whole_by_itself(tmp_path, storage, limit):
         assert reader.message_count == 5000 == len(list(reader.messages()))
 
 
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_recording_may_begin_at_zero(tmp_path, storage):
+    """Simulated time does; the beginning was that of the second message."""
+    with opened(tmp_path / "bag", storage=storage, max_seconds=1.0) as writer:
+        for k in range(4):
+            writer.write("/spool_position", k * 500 * MS, k * 500 * MS, k + 1, volts(0.0))
+    made = metadata.read(tmp_path / "bag")
+    assert (made.starting_time, made.duration) == (0, 1500 * MS)
+    assert [(file.starting_time, file.message_count) for file in made.files] == [(0, 2), (1000 * MS, 2)]
+
+
 def test_messages_of_a_new_file_can_be_written_in_its_hook(tmp_path):
     writer = opened(
         tmp_path / "bag",

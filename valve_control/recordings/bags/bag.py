@@ -174,6 +174,8 @@ class Bag:
         """Close the files; nothing can be read afterwards."""
         for file in self._files:
             file.close()
+        if self._unpacked is not None:
+            self._unpacked.cleanup()
 
     # Reading
 

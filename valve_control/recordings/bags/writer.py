@@ -165,7 +165,7 @@ class BagWriter:
             self._rotate()
             tally = self._tally
         self._storage.write(topic, log_time, publish_time, sequence, data)
-        if not tally.end:
+        if not tally.counts:
             tally.start = tally.end = log_time
         elif log_time > tally.end:
             tally.end = log_time
@@ -238,7 +238,7 @@ class BagWriter:
 
     def _is_full(self, log_time: int) -> bool:
         tally = self._tally
-        if not tally.end:
+        if not tally.counts:
             return False
         if self._max_span and log_time - tally.start >= self._max_span:
             return True
