@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of numbers, text and MATLAB files, read as bags: the same run as a bag is the reference."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import Run, write
@@ -12,6 +15,7 @@ from scipy.io import savemat
 from valve_control.recordings.analysis import about_bag, analyze
 from valve_control.recordings.bags import columns
 from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.table import TableFile
 from valve_control.recordings.recording import align, load
 from valve_control.recordings.tables import maps_of
 
@@ -282,6 +286,31 @@ def test_matlab_files_that_cannot_be_used(tmp_path):
     for column, words in (("y", "4 rows and the time 5"), ("c", "complex")):
         with pytest.raises(BagError, match=words):
             load(tmp_path / "lengths.mat", [f"spool_position={column}"])
+
+
+def test_a_function_in_a_matlab_file_is_no_vector():
+    """It is an array without dimensions, over which nothing can iterate: a traceback."""
+    path = Path(scipy.io.__file__).parent / "matlab/tests/data/testfunc_7.4_GLNX86.mat"
+    if not path.exists():
+        pytest.skip("scipy is installed without the data of its tests")
+    with pytest.raises(BagError, match=r"no vector of numbers; it has testfunc \(object array\)"):
+        load(path, PLAIN)
+
+
+def test_a_quoted_cell_longer_than_csv_takes_is_no_number(tmp_path):
+    """The error of csv was a traceback."""
+    path = tmp_path / "a.csv"
+    path.write_text(f'time,y\n0,1\n1,"{"a" * 200_000}"\n2,3\n')
+    time, y = columns.read(path)
+    assert time.values.tolist() == [0.0, 1.0, 2.0] and "line 3, which is no number" in y.flaw
+
+
+def test_each_column_is_a_topic_of_its_own(tmp_path):
+    """The first and the second were both /2, and their numbers one column."""
+    path = tmp_path / "a.csv"
+    path.write_text("2,y,y\n" + "0,10,20\n" * 5)
+    table = TableFile(path)
+    assert [topic.name for topic in table.topics] == ["/1", "/2", "/3"] and table.column("2") == 0
 
 
 def test_options_that_a_table_cannot_have(tmp_path, reference):

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads columns of numbers out of a text: any usual separator, decimal point or comma, header or none."""
 
+import contextlib
 import csv
 import itertools
 import re
@@ -157,7 +158,8 @@ def _split(line: str, separator: str | None) -> list[str]:
     if '"' in line:
         reader = csv.reader([line.strip() if separator is None else line], delimiter=separator or " ",
                             skipinitialspace=True)  # fmt: skip
-        return [cell.strip() for cell in next(reader)]
+        with contextlib.suppress(csv.Error):  # a cell is longer than csv takes, so no number
+            return [cell.strip() for cell in next(reader)]
     return line.split() if separator is None else [cell.strip() for cell in line.split(separator)]
 
 

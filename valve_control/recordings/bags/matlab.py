@@ -54,7 +54,7 @@ def _columns(name: str, value: Any) -> Iterator[Column]:
     if isinstance(value, dict):
         for field, content in value.items():
             yield from _columns(f"{name}.{field}", content)
-    elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
+    elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object and value.ndim):
         for i, content in enumerate(value, start=1):
             yield from _columns(f"{name}({i})", content)
     elif isinstance(value, np.ndarray) and value.dtype.kind in f"{NUMBERS}c":

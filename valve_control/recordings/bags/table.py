@@ -45,10 +45,13 @@ class TableFile:
     def _topic_names(self) -> list[str]:
         """Names of the columns, for those that have none of their own their numbers."""
         names = [column.name for column in self.columns]
-        return [
+        found = [
             name if name and names.count(name) == 1 else str(number)
             for number, name in enumerate(names, start=1)
         ]
+        if len(set(map(absolute, found))) < len(found):  # the name of one is the number of another
+            return [str(number) for number in range(1, 1 + len(found))]
+        return found
 
     @property
     def listed(self) -> str:
