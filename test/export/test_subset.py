@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.export import compiler
+from valve_control.export import compiler, kinds
 from valve_control.export.kinds import REAL, Kind
 from valve_control.export.subset import Program, SubsetError
 from valve_control.export.terms import LIBRARY
@@ -144,7 +144,16 @@ def remembers(a: float, b: float) -> float:
     return kept + s.count * 10.0 + (100.0 if s.fault == "jump" else 0.0)
 
 
-TRANSLATED = (peculiar, looped, named, mapped, least, most, rest_of, whole, power, integers, remembers, maybe)
+def taken(a: float, b: float) -> float:
+    changed1 = a + b  # a name that C would take for a changed record
+    pair = SHARED._replace(first=changed1)
+    return pair.first * pair.second
+
+
+TRANSLATED = (
+    *(peculiar, looped, named, mapped, least, most, rest_of),
+    *(whole, power, integers, remembers, maybe, taken),
+)
 LIBRARIES = [name for name in LIBRARY if name != "atan2"]
 
 
@@ -253,6 +262,13 @@ def test_what_is_outside_the_subset_is_named_with_file_and_line(tmp_path, code, 
         Program("test", module).translate(module.step, [REAL, REAL])
     assert reason in str(error.value) and "a_law.py:" in str(error.value)
     assert int(str(error.value).split("a_law.py:")[1].split(":")[0]) in (4, 6, 7)
+
+
+@pytest.mark.parametrize("text", ["a *\\ b", "a \\* b", "*/*/", "/*/"])
+def test_what_python_says_ends_no_comment_of_c(text):
+    """A backslash became the slash that ends or begins a comment."""
+    said = kinds.comment(text)
+    assert not any(sign in said for sign in ("*/", "/*", "\\"))
 
 
 def test_arguments_without_annotations_have_the_kinds_of_the_call(tmp_path):

@@ -518,3 +518,10 @@ def test_dcarc_takes_friction_and_offset_as_voltages_of_its_model():
         assert rest == pytest.approx(gain * (voltage - weights.bristle2 - weights.offset), rel=0.01)
     stuck = run(valve_params, [weights.bristle2 + weights.offset - 0.1] * 1000)[-1, 0]
     assert 0.0 < stuck < 0.04
+
+
+def test_dcarc_takes_a_valve_whose_sides_differ_by_more_than_its_range():
+    """The whole model of the valve was refused, since dcarc.sides ends at 1."""
+    known = values(positive=3.0, negative=1.0)
+    made = dcarc_valve.of_plant(defaults(CONTROLLER), known)
+    assert updated(CONTROLLER, defaults(CONTROLLER), made)["dcarc.sides"] == 1.0

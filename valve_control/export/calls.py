@@ -63,8 +63,7 @@ class Calls(Values):
                 raise self.refused(node, f"{base.kind.record.__name__} has no field {keyword.arg}")
             kind = listed[keyword.arg]
             values[keyword.arg] = self._as(self._expression(keyword.value, kind), kind, node)
-        self._temporaries += 1
-        name = f"changed{self._temporaries}"
+        name = self._untaken("changed")
         self._line(f"{self._program.declared(base.kind, name)} = {base.value};")
         for field, term in values.items():
             self._line(f"{name}.{identifier(field)} = {term.value};")

@@ -77,13 +77,16 @@ class Values:
     def _line(self, text: str, said: str = "") -> None:
         self._lines += wrapped(text + behind(said), self._indent)
 
+    def _untaken(self, word: str) -> str:
+        """``word`` with a number that no variable has."""
+        self._temporaries += 1
+        while f"{word}{self._temporaries}" in self._taken:
+            self._temporaries += 1
+        return f"{word}{self._temporaries}"
+
     def _temporary(self, term: Term, node: ast.AST) -> Term:
         """``term`` in a variable of its own."""
-        self._temporaries += 1
-        name = f"made{self._temporaries}"
-        while name in self._taken:
-            self._temporaries += 1
-            name = f"made{self._temporaries}"
+        name = self._untaken("made")
         self._line(f"const {self._type(node, term.kind, name)} = {term.value};")
         return Term(name, term.kind, has_address=True)
 

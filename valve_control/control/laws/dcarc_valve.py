@@ -44,7 +44,7 @@ def of_plant(values: Values, plant: Values) -> Values:
     made: Values = {
         "dcarc.coil": number(plant, "solenoid.coil"),
         "dcarc.hysteresis": 0.5 * number(plant, "solenoid.hysteresis"),
-        "dcarc.sides": abs(positive / negative - 1.0),
+        "dcarc.sides": min(abs(positive / negative - 1.0), 1.0),
         "dcarc.actuator_delay": number(plant, "solenoid.dead_time"),
         "dcarc.delay": number(plant, "lvdt.delay"),
         "dcarc.theta_initial": [
