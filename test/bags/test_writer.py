@@ -19,6 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.metadata import Qos, Span
+from valve_control.recordings.bags.recover import recover
 from valve_control.recordings.bags.writer import BagWriter
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -242,6 +243,31 @@ def test_a_recording_may_begin_at_zero(tmp_path, storage):
     made = metadata.read(tmp_path / "bag")
     assert (made.starting_time, made.duration) == (0, 1500 * MS)
     assert [(file.starting_time, file.message_count) for file in made.files] == [(0, 2), (1000 * MS, 2)]
+
+
+def test_a_file_that_took_the_place_of_ours_is_left_alone(tmp_path):
+    """It got the end that the moved file lacks."""
+    writer = opened(tmp_path / "bag")
+    fill(writer, 10)
+    writer.flush()
+    writer.path.rename(tmp_path / "moved.mcap")
+    writer.path.touch()
+    with pytest.raises(BagError, match="replaced"):
+        writer.missing()
+    assert writer.path.read_bytes() == b""
+    assert recover(tmp_path / "moved.mcap").messages == 10
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_file_that_has_the_name_of_the_next_one_is_left_alone(tmp_path, storage):
+    """It was removed."""
+    writer = opened(tmp_path / "bag", storage=storage, max_seconds=0.01)
+    foreign = tmp_path / "bag" / writer.path.name.replace("_0", "_1")
+    foreign.write_bytes(b"of somebody else")
+    with pytest.raises(BagError, match="cannot be begun: File exists"):
+        fill(writer, 100)
+    assert foreign.read_bytes() == b"of somebody else"
+    assert len(read(writer.path)) == 10 == metadata.read(tmp_path / "bag").message_count
 
 
 def test_messages_of_a_new_file_can_be_written_in_its_hook(tmp_path):

@@ -99,7 +99,7 @@ def doubtful(record: Metadata) -> list[tuple[int, int, int]]:
     try:
         entries = json.loads(record.metadata["messages"])
         return [(int(count), int(first), int(last)) for count, first, last in entries]
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         return []
 
 

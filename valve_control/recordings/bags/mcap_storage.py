@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Storage file of a new bag: MCAP."""
 
+import errno
+import os
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +43,10 @@ class Output:
             rest = rest[self._file.write(rest) :]
         self._waiting.clear()
         self.flushed = self._position
+
+    def is_at(self, path: Path) -> bool:
+        """Whether it is this file that has the name ``path``. Raises OSError."""
+        return os.path.samestat(os.fstat(self._file.fileno()), path.stat())
 
     def take_back(self) -> None:
         """Truncate to the last successful flush, and close. Raises OSError."""
@@ -107,5 +113,10 @@ class McapStorage:
 
     def abandon(self) -> None:
         """Go back to the last flush; indexes are made anew, since the writer's name unwritten messages."""
-        self._output.take_back()
+        try:
+            ours = self._output.is_at(self.path)
+        finally:
+            self._output.take_back()
+        if not ours:
+            raise FileExistsError(errno.EEXIST, "another file took its place")
         repair.repair(self.path)

@@ -253,9 +253,10 @@ class BagWriter:
             for topic, definition in self._topics.values():
                 self._storage.add_topic(topic, definition)
         except (OSError, sqlite3.Error) as error:
-            for part in (path, path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")):
+            endings = () if isinstance(error, FileExistsError) else ("", "-wal", "-shm")  # it is not ours
+            for ending in endings:
                 with suppress(OSError):
-                    part.unlink()
+                    path.with_name(path.name + ending).unlink()
             self._closed = True
             with suppress(OSError):
                 self._write_metadata()
