@@ -469,7 +469,7 @@ class _Collector:
     def _thinned(self, block: Block) -> Block:
         """Every ``stride``-th message, counted from the first of the topic."""
         count = len(block.topic)
-        while self._kept + count // self._stride > MANY and self._stride < count:
+        while self._kept + count // self._stride > MANY:
             self._stride *= 2
             for times in self._integers:
                 times[:] = [_joined(times, np.int64)[::2]]
