@@ -181,9 +181,7 @@ def gone_through(
                 )  # fmt: skip
                 try:
                     with contextlib.suppress(RuntimeError):  # it hangs, and is killed
-                        wait_until(
-                            lambda: seen.look() and child.poll() is not None, "its end", (), LONGEST
-                        )
+                        wait_until(lambda: seen.look() and child.poll() is not None, "its end", (), LONGEST)
                 finally:
                     child.kill()
                     child.wait()
