@@ -9,6 +9,7 @@ determine stays as it was known, and in the box as wide as before. Readings tell
 solenoids as a whole: the sensor keeps what is known of it, and the rest is the actuator's.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -30,6 +31,7 @@ Floats = npt.NDArray[np.float64]
 LONGEST = 90.0  # s  of a recording that are looked at: those with the most motion
 BLOCK = 0.1  # s  over which a voltage is averaged to tell motion from chatter
 START = 0.3  # s  in which the simulated valve, which begins at rest, moves as the spool did
+SPREAD = 8.0  # times the noise: range of some hundred readings of a spool that stands still
 LEAST_MOTION = 5.0  # times the noise: least standard deviation of readings that tell something
 QUIET = 1e-3  # V  noise that is assumed at least
 CONFIDENCE = 1.96
@@ -207,7 +209,7 @@ def _search(
 ) -> tuple[Floats, Floats, float]:
     """Numbers of the search, their 95 % bounds in the quantities' units, and the rms residual [V]."""
     quiet = {**base, "lvdt.noise": 0.0}
-    begin_at = first_reading(reading, number(base, "sample_period"))
+    begin_at = _standing(reading, number(base, "sample_period"))
 
     def residual(x: Floats) -> Floats:
         quantities = {form.name: _value(form, begin, float(v)) for form, v in zip(free, x, strict=True)}
@@ -244,6 +246,17 @@ def _search(
         late = [form.name == "lvdt.delay" for form in free]
         bounds = np.where(late, np.hypot(bounds, ROUGH), bounds)
     return np.asarray(done.x), bounds, float(np.sqrt(np.mean(rest**2)))
+
+
+def _standing(reading: Floats, period: float) -> float | None:
+    """Position [V] at which the spool stands during START [s] of ``reading`` [V], n; None: it moves.
+
+    A spool that moves has the friction of motion. If it began at rest, static friction would hold it first.
+    """
+    first = reading[: round(START / period)]
+    first = first[np.isfinite(first)]
+    noise = max(QUIET, float(np.std(np.diff(first))) / math.sqrt(2.0)) if len(first) > 1 else QUIET
+    return first_reading(reading, period) if len(first) and np.ptp(first) <= SPREAD * noise else None
 
 
 def _alike(rest: Floats, period: float) -> float:
