@@ -23,6 +23,7 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import valve
 from valve_control.nodes.harness.processes import process
+from valve_control.nodes.rclpy_internals import WaitSet
 from valve_control.parameter import defaults
 
 LIMIT = 20.0  # s
@@ -46,6 +47,15 @@ def spin_until(node, condition, what, limit=LIMIT, again=lambda: None):
             due = now + AGAIN
             again()
         rclpy.spin_once(node, timeout_sec=0.05)
+
+
+def wait_for_message(node, subscription):
+    """Wait until a message has come to the polled ``subscription`` of ``node``, without taking it."""
+    waiting = WaitSet(1, 0, 0, 0, 0, 0, node.context.handle)
+    with subscription.handle:
+        waiting.add_subscription(subscription.handle)
+        waiting.wait(round(LIMIT * 1e9))
+        assert waiting.is_ready("subscription", 0), "no message has come"
 
 
 def introduce(node, target):

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 import pytest
 import rclpy
-from bench import call, set_parameters, spin_until
+from bench import call, set_parameters, spin_until, wait_for_message
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
@@ -24,7 +24,11 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from valve_control.control.axis import run
 from valve_control.control.parameters import files
 from valve_control.control.parameters.axis_parameters import AXIS_NODES
+from valve_control.control.supervision import axis_supervisor
+from valve_control.control.supervision.record import Mode
+from valve_control.nodes import loop
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, NumberSubscription
+from valve_control.nodes.axis_controller import AxisController
 from valve_control.nodes.axis_simulator import AxisSimulator
 from valve_control.nodes.harness.processes import process
 from valve_control.parameter import updated
@@ -319,6 +323,57 @@ def test_a_frozen_position_sensor_shows_its_first_position(ros):
             assert list(sensor._joint.position) == [0.25]
     finally:
         sensor.destroy_node()
+
+
+@contextmanager
+def axis_in_this_process(ros):
+    """An axis controller that works when it is told to, its sensor, and its answer to a reading."""
+    words = ["--params-file", path_of("bench"), "-p", "stop.controller:=''", "-p", "sensor.timeout:=100.0"]
+    node = AxisController(cli_args=["--ros-args", *words])
+    axis = Played(ros)
+
+    def answer(position, waited=0.0):
+        """Let ``node`` find a reading that has come, ``waited`` [s] after it should have looked."""
+        axis.send(position)
+        wait_for_message(node, node._joints)
+        if waited:
+            node._watch_at = time.monotonic() - waited
+        node.work()
+        return axis_supervisor.mode(node._state)
+
+    try:
+        spin_until(ros, axis.sensor.get_subscription_count, "axis_controller")
+        yield node, axis, answer
+    finally:
+        node.destroy_node()
+
+
+def test_an_axis_whose_process_stood_still_while_readings_waited_stops_and_a_busy_one_does_not(ros):
+    with axis_in_this_process(ros) as (node, _, answer):
+        for waited in (0.0, 0.0, 0.5 * loop.STALL):
+            assert answer(0.2, waited)[0] is Mode.OK
+        mode, text = answer(0.2, 1.0)
+        assert mode is Mode.SAFE and "stalled: the axis controller's process stood still for" in text
+        assert node._state.command == 0.0
+        node._on_reset(None, Trigger.Response())
+        assert answer(0.21)[0] is Mode.OK and node._state.goal.position == 0.21
+
+
+def test_to_plan_a_motion_is_no_standstill_of_the_process(ros, monkeypatch):
+    with axis_in_this_process(ros) as (node, axis, answer):
+        assert answer(0.2)[0] is Mode.OK
+        spin_until(ros, axis.goal.get_subscription_count, "the goal's subscription")
+        axis.goal.publish(Float64(data=0.25))
+        wait_for_message(node, node._wanted)
+        take_goals = node._take_goals
+
+        def plan():
+            """A motion whose planning takes longer than ``sensor.timeout``, by the clock of the watch."""
+            node._watch_at = time.monotonic() - 1.0
+            return take_goals()
+
+        monkeypatch.setattr(node, "_take_goals", plan)
+        assert answer(0.2) == (Mode.OK, "follows its path")
 
 
 def test_axis_arc_waits_for_its_first_pressures_after_each_start(ros, tmp_path):

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 import numpy as np
 import pytest
 import rclpy
-from bench import LIMIT
+from bench import LIMIT, wait_for_message
 from rclpy.exceptions import ParameterNotDeclaredException
 from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
@@ -23,7 +23,6 @@ from valve_control.nodes import controller_node
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, encoded, encoded_point
 from valve_control.nodes.controller_node import Controller
 from valve_control.nodes.loop import Failure
-from valve_control.nodes.rclpy_internals import WaitSet
 from valve_control.parameter import ParameterError
 
 
@@ -86,15 +85,6 @@ def controller(ros, *settings):
         node.destroy_node()
 
 
-def wait_for_message(node):
-    """Wait until a reading has come to ``node``, without taking it."""
-    waiting = WaitSet(1, 0, 0, 0, 0, 0, node.context.handle)
-    with node._readings.handle:
-        waiting.add_subscription(node._readings.handle)
-        waiting.wait(round(LIMIT * 1e9))
-        assert waiting.is_ready("subscription", 0), "no reading has come"
-
-
 def test_from_the_first_reading_to_the_last_word(ros):
     with controller(ros) as upper:
         node = upper.node
@@ -113,7 +103,7 @@ def test_from_the_first_reading_to_the_last_word(ros):
         assert upper.voltages[count:] == [0.0]
         upper.lvdt.publish(encoded(0.0))
         assert not node.work() and node.inputs() == () and node.due() == math.inf
-        wait_for_message(node)
+        wait_for_message(node, node._readings)
         node.trigger_activate()
         samples = node._supervisor.samples
         node.work()

@@ -200,6 +200,55 @@ def test_the_jerk_behind_missing_readings_is_that_of_the_path(number, missing):
             assert supervisor.spool_motion(p, s).acceleration != 0.0
 
 
+def run_away(p, stamps, numbers):
+    """Rates of the error [m/s] of an axis that runs away from its goal at 0.01 m/s; ``stamps`` in periods."""
+    s, rates, before = supervisor.at_rest(p), [], None
+    for k, stamp in enumerate(stamps):
+        number = numbers[k] if numbers else None
+        lost = None if number is None or before is None else number - before - 1
+        before = number
+        reading = Reading(math.nan, 0.2 + 0.01 * round(stamp) * p.period, math.nan, math.nan)
+        s = supervisor.sample(p, s, reading, round(stamp * MS), lost)
+        rates.append(s.upper.error.velocity)
+    return rates
+
+
+def test_a_late_stamp_is_no_lost_reading_where_readings_have_numbers():
+    """A lost reading is stepped over, a stamp 0.45 periods late after one 0.1 early is not."""
+    p, _ = designed(error_limit=0.0)
+    regular = [float(k) for k in range(1, 200)]
+    late = list(regular)
+    late[100], late[101] = late[100] - 0.1, late[101] + 0.45
+    exact = run_away(p, regular, None)
+    assert run_away(p, late, None)[101] != pytest.approx(-0.01, rel=1e-3)
+    assert run_away(p, late, list(range(1, 200))) == exact
+    without = run_away(p, regular[:100] + regular[101:], [*range(1, 101), *range(102, 200)])
+    assert without[100] == pytest.approx(-0.01, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("periods", "lost", "missed"),
+    [
+        (1.0, 0, 0),
+        (1.6, 0, 0),
+        (1.4, 1, 1),
+        (3.0, 0, 2),  # the sensor left out two samples
+        (1.0, 1, 0),  # the numbers are those of two joints that take turns
+        (2.0, None, 1),
+        (2000.0, 1999, 0),  # a clock was set
+    ],
+)
+def test_numbers_count_unless_they_differ_from_the_stamps_by_a_period(periods, lost, missed):
+    p, _ = designed()
+    assert supervisor.missed(p, periods * p.period, lost) == missed
+
+
+def test_a_reading_without_a_stamp_has_the_time_that_its_number_tells():
+    p, _ = designed(sensor__hold_samples=3)
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    assert [supervisor.unstamped(p, s, lost) // MS for lost in (None, 0, 3, 4)] == [2, 2, 5, 2]
+
+
 def test_axis_arc_takes_the_jerk_over_the_readings_that_were_bridged():
     p, _ = designed(upper_level="axis_arc")
     level, reading = p.level, Reading(math.nan, 0.2, 50e5, 80e5)
@@ -341,6 +390,15 @@ def test_silence_stops_an_axis_that_has_been_seen_and_no_other():
     assert supervisor.mode(s) == (Mode.SAFE, "stopped, 0 V: no position for 0.25 s")
     assert supervisor.spool_motion(p, s) == (0.0, 0.0, 0.0)
     assert supervisor.found(p, s, 0.3).goal == s.goal and sample(p, s, 0.2, 2).command == 0.0
+
+
+def test_a_standstill_of_the_process_stops_an_axis_that_has_been_seen_under_its_name():
+    p, _ = designed()
+    unseen = supervisor.at_rest(p)
+    assert supervisor.stalled(unseen, 0.5) == unseen
+    s = supervisor.stalled(sample(p, unseen, 0.2, 1), 0.25)
+    text = "stopped, 0 V: stalled: the axis controller's process stood still for 0.25 s"
+    assert supervisor.mode(s) == (Mode.SAFE, text) and sample(p, s, 0.2, 2).command == 0.0
 
 
 def test_readings_with_one_time_stamp_count_as_one_period_apart():

@@ -33,9 +33,10 @@ from valve_control.nodes.adapter import (
     diagnostics,
     encoded,
     encoded_point,
+    number_of,
 )
 from valve_control.nodes.lifecycle import Managed
-from valve_control.nodes.loop import run
+from valve_control.nodes.loop import run, stood_still
 from valve_control.parameter import ParameterError, Values, number, word
 
 LEVELS = {
@@ -62,9 +63,10 @@ class AxisController(Managed):
         self._params: axis_supervisor.Params
         self._state: axis_supervisor.State
         self._joints: PolledSubscription | None = None
-        self._waiting: JointState | None = None  # lockstep: a reading without its listeners
+        self._waiting: tuple[JointState, int] | None = None  # lockstep: a reading without its listeners
         self._watch_at = self._look_at = NEVER
         self._heard = 0.0  # s  when the last reading came
+        self._number = 0  # of the last reading, 0: it is not known
         self._stamp = 0  # ns  of its time stamp, 0: it has none
         self._deactivate_at = NEVER
         self._deactivated = False
@@ -141,7 +143,7 @@ class AxisController(Managed):
                     pass
             self._heard_rooms = dict.fromkeys(self._rooms, NEVER)
             self._waits_since = NEVER
-        self._state = axis_supervisor.reset(self._params, self._state)
+        self._state, self._number = axis_supervisor.reset(self._params, self._state), 0
         self._said = None
         self._listened = False
         self._watch_at = self._deactivate_at = NEVER
@@ -174,18 +176,23 @@ class AxisController(Managed):
         """Take what is wanted, answer the readings that have come, and look after silence."""
         if not self.working or self._joints is None:
             return False
+        stalled = stood_still(self._watch_at, time.monotonic())  # now: to plan a motion is no standstill
         worked = self._take_goals()
-        for reading, _ in self._joints.take():
+        for reading, info in self._joints.take():
             if self._lockstep:
-                self._waiting = reading
+                self._waiting = reading, number_of(info)
             else:
-                self._answer(reading)
+                if stalled:
+                    self._stop_for_stall()
+                self._answer(reading, number_of(info))
             worked = True
         if self._waiting is not None:
-            worked = self._answer_in_lockstep(self._waiting) or worked
+            worked = self._answer_in_lockstep(*self._waiting) or worked
         now = time.monotonic()
         if now >= self._watch_at:
             self._watch_at = now + REMIND
+            if stalled:
+                self._stop_for_stall()
             self._state = axis_supervisor.silent(self._state, now - self._heard)
             self._publish(self._now())
             worked = True
@@ -213,7 +220,10 @@ class AxisController(Managed):
             self.get_logger().warning(text)
         self._diagnose()
 
-    def _answer_in_lockstep(self, reading: JointState) -> bool:
+    def _stop_for_stall(self) -> None:
+        self._state = axis_supervisor.stalled(self._state, time.monotonic() - self._heard)
+
+    def _answer_in_lockstep(self, reading: JointState, number: int) -> bool:
         """Answer when somebody hears the command and both pressures of the reading have come."""
         publisher = self._points if self._trajectory else self._commands
         self._take_pressures(reading.header.stamp)
@@ -222,10 +232,10 @@ class AxisController(Managed):
             self._look_at = time.monotonic() + LOOK
             return False
         self._waiting, self._look_at = None, NEVER
-        self._answer(reading)
+        self._answer(reading, number)
         return True
 
-    def _answer(self, reading: JointState) -> None:
+    def _answer(self, reading: JointState, number: int) -> None:
         joint = word(self._values, "joint")
         if joint not in reading.name or len(reading.position) <= list(reading.name).index(joint):
             foreign = ", ".join(f"'{name}'" for name in reading.name) or "no joint"
@@ -237,6 +247,8 @@ class AxisController(Managed):
         if not self._lockstep:
             self._take_pressures(None)
         self._heard = now
+        lost = number - self._number - 1 if 0 < self._number < number else None
+        self._number = number
         stamp = self._stamp = reading.header.stamp.sec * NANO + reading.header.stamp.nanosec
         self._watch_at = NEVER if self._lockstep else now + self._timeout
         if self._needs_pressures and not self._lockstep and not self._watch_pressures(now):
@@ -249,7 +261,8 @@ class AxisController(Managed):
             self._params,
             self._state,
             Reading(math.nan, position, self._pressures["a"], self._pressures["b"]),
-            stamp if stamp or self._lockstep else self._state.time + round(self._params.period * NANO),
+            stamp if stamp or self._lockstep else axis_supervisor.unstamped(self._params, self._state, lost),
+            lost,
         )
         self._publish(stamp)
 
@@ -355,7 +368,7 @@ class AxisController(Managed):
         return response
 
     def _on_reset(self, request: Any, response: Any) -> Any:
-        self._state = axis_supervisor.reset(self._params, self._state)
+        self._state, self._number = axis_supervisor.reset(self._params, self._state), 0
         self._deactivate_at = self._watch_at = NEVER
         self._reactivate()
         response.success, response.message = True, "holds the position of the next reading"

@@ -47,7 +47,7 @@ from valve_control.nodes.adapter import (
     number_of,
 )
 from valve_control.nodes.lifecycle import Managed
-from valve_control.nodes.loop import Failure
+from valve_control.nodes.loop import Failure, stood_still
 from valve_control.nodes.pairing import Pairing
 from valve_control.nodes.rclpy_internals import sender
 from valve_control.parameter import ParameterError, Values, word
@@ -57,7 +57,6 @@ LEVELS = {
     Mode.DEGRADED: DiagnosticStatus.WARN,
     Mode.SAFE: DiagnosticStatus.ERROR,
 }
-STALL = 0.01  # s; this loop wakes on time unless its process stood still
 REMIND = 0.1  # s between two voltages of 0 V while the LVDT is silent
 MOST_ROWS = 500  # of the journal at once
 WATCH_GRAPH = 0.1  # s between two looks at who publishes and reads, and between two parts of the journal
@@ -318,7 +317,7 @@ class Controller(Managed):
 
     def _stood_still(self, now: float) -> bool:
         """Whether this process stood still until ``now`` [s], so that it did not look in time."""
-        return now - self._watch_at > STALL
+        return stood_still(self._watch_at, now)
 
     def report(self) -> None:
         """Publish telemetry, and diagnostics if something has changed."""

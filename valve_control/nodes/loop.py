@@ -32,10 +32,16 @@ from valve_control.parameter import ParameterError
 CHORES = 0.05  # s between two looks at a node's timers beside samples ...
 IDLE_CHORES = 0.01  # s  ... and while there are none; at most twice that
 CALM = 0.01  # s without a sample, after which services need not wait for the next
+STALL = 0.01  # s; the loop wakes on time unless its process stood still
 EVENTS = 0.25  # s between two looks of the executor at a node that has only timers and polled subscriptions
 
 
 _stopped: list[int] = []  # signals that have come
+
+
+def stood_still(due: float, now: float) -> bool:
+    """Whether this process stood still until ``now`` [s], so that it did not look when it was ``due`` [s]."""
+    return now - due > STALL
 
 
 class Failure(RuntimeError):

@@ -212,8 +212,28 @@ def passed(p: Params, time: float) -> int:
     return max(1, round(time / p.period)) if time <= LEAP else 1
 
 
-def sample(p: Params, s: State, reading: Reading, time: int) -> State:
-    """State after a ``reading`` made at ``time`` [ns]; its ``command`` is that of this sample."""
+def unstamped(p: Params, s: State, lost: int | None) -> int:
+    """Time [ns] of a reading without a stamp; ``lost`` ones before it count if they can be bridged."""
+    counted = lost if lost is not None and lost <= p.watch.hold_samples else 0
+    return s.time + (1 + counted) * round(p.period / NANO)
+
+
+def missed(p: Params, elapsed: float, lost: int | None) -> int:
+    """Readings that did not come within ``elapsed`` [s], by the stamps, between two that did.
+
+    ``lost``: as many by their numbers, None if these are not known. A stamp may be late, so the numbers count
+    unless they differ from the stamps by a period or more: a sensor may leave out samples, or number others'.
+    """
+    if lost is not None and elapsed <= LEAP and abs(lost + 1 - elapsed / p.period) < 1.0:
+        return lost
+    return passed(p, elapsed) - 1
+
+
+def sample(p: Params, s: State, reading: Reading, time: int, lost: int | None = None) -> State:
+    """State after a ``reading`` made at ``time`` [ns]; its ``command`` is that of this sample.
+
+    ``lost``: readings that did not come before it, by their numbers; None: not known.
+    """
     elapsed = (time - s.time) * NANO if s.samples > 0 else p.period
     if not elapsed > 0.0:
         elapsed = p.period
@@ -225,7 +245,7 @@ def sample(p: Params, s: State, reading: Reading, time: int) -> State:
     s = moved_on(p, s, time)._replace(watch=watch, time=time, samples=s.samples + 1)
     if s.stopped:
         return s
-    for _ in range(passed(p, elapsed) - 1):  # readings that were lost on the way
+    for _ in range(missed(p, elapsed, lost)):
         s = s._replace(upper=p.level.missed(p.upper, s.upper))
     if fault:
         if s.goal is None or watch.wrong > p.watch.hold_samples:
@@ -276,6 +296,12 @@ def estimates(p: Params, s: State) -> dict[str, str]:
 def silent(s: State, elapsed: float) -> State:
     """State when no position has come for ``elapsed`` [s]."""
     return stopped(s, f"no position for {elapsed:.3g} s") if s.goal is not None else s
+
+
+def stalled(s: State, elapsed: float) -> State:
+    """State when this process stood still, and no reading was answered for ``elapsed`` [s]."""
+    text = f"stalled: the axis controller's process stood still for {elapsed:.3g} s"
+    return stopped(s, text) if s.goal is not None else s
 
 
 def spool_motion(p: Params, s: State) -> axis_pid.SpoolReference:
