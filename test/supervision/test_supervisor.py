@@ -4,6 +4,7 @@
 
 import math
 import types
+from typing import NamedTuple
 
 import changed
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from valve_control.control.laws import registry, reshaping
+from valve_control.control.laws.projection import Theta
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND, CONTROLLER, VALVE
 from valve_control.control.plant import valve
@@ -801,3 +803,19 @@ def test_a_change_of_the_lead_and_a_way_with_lead_through_faults_are_bumpless(la
     values = updated(CONTROLLER, loop.values, {"sample_period": 0.0005})
     loop.supervisor.apply(values, build.law_params(values))
     assert loop.supervisor.memory.lead is None
+
+
+class Unbounded(NamedTuple):
+    """Params of a law of another package that adapts without ranges."""
+
+    theta_initial: Theta
+
+
+def test_estimates_of_a_law_without_ranges_are_told_as_they_are():
+    loop = Loop("arc")
+    loop.run(300)
+    theta = loop.supervisor.memory.law.theta._replace(b0=-1.0)
+    loop.supervisor.memory.law = loop.supervisor.memory.law._replace(theta=theta)
+    assert loop.supervisor.theta[2] == loop.supervisor._params.law.theta_min.b0
+    loop.supervisor._params = loop.supervisor._params._replace(law=Unbounded(theta))
+    assert loop.supervisor.theta == tuple(theta)

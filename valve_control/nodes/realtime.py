@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Asks Linux for what keeps samples in time: memory lock, real-time scheduler, CPU affinity."""
 
+import contextlib
 import ctypes
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,6 +39,13 @@ def request(values: Values) -> Request:
     return Request(values["realtime.lock_memory"] is True, int(number(values, "realtime.priority")), cpus)
 
 
+def for_each(threads: Iterable[int], ask: Callable[[int], None]) -> None:
+    """Call ``ask`` with each thread; one that has ended meanwhile needs nothing. Raises OSError."""
+    for thread in threads:
+        with contextlib.suppress(ProcessLookupError):
+            ask(thread)
+
+
 def obtain(wanted: Request, warn: Callable[[str], None]) -> None:
     """Ask the kernel for ``wanted``, for all threads of the process; calls ``warn`` for each refusal."""
     threads = [int(entry.name) for entry in Path("/proc/self/task").iterdir()]
@@ -48,8 +56,10 @@ def obtain(wanted: Request, warn: Callable[[str], None]) -> None:
             warn(f"realtime.lock_memory: not locked, {reason}; the limit is 'ulimit -l' (memlock)")
     if wanted.priority > 0:
         try:
-            for thread in threads:
-                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(wanted.priority))
+            for_each(
+                threads,
+                lambda thread: os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(wanted.priority)),
+            )
         except OSError as error:
             warn(
                 f"realtime.priority: {wanted.priority} not obtained, {error.strerror}; "
@@ -57,8 +67,7 @@ def obtain(wanted: Request, warn: Callable[[str], None]) -> None:
             )
     if wanted.cpus:
         try:
-            for thread in threads:
-                os.sched_setaffinity(thread, wanted.cpus)
+            for_each(threads, lambda thread: os.sched_setaffinity(thread, wanted.cpus))
         except OSError as error:
             warn(f"realtime.cpus: {wanted.cpus} not obtained, {error.strerror}")
 

@@ -370,6 +370,8 @@ class Supervisor:
         kind: Any = type(getattr(law, "theta_initial", None))
         if not isinstance(estimates, kind):  # while the voltage is off, those of another law
             return None
+        if not (hasattr(law, "theta_min") and hasattr(law, "theta_max")):  # a plug-in without ranges
+            return tuple(estimates)
         return tuple(map(clip, estimates, law.theta_min, law.theta_max))
 
     @property
