@@ -12,7 +12,7 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -38,20 +38,25 @@ Array = npt.NDArray[np.float64]
 TOPICS = ("spool_command", "spool_position", "valve_voltage")
 
 
+def start(node: str, arguments: list[str], output: IO[bytes]) -> subprocess.Popen[bytes]:
+    """Start a node of this package as a process that writes to the file ``output``."""
+    return subprocess.Popen(
+        [sys.executable, "-m", f"valve_control.nodes.{node}", "--ros-args", *arguments],
+        stdout=output,
+        stderr=subprocess.STDOUT,
+        stdin=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+
 @contextmanager
 def process(node: str, arguments: list[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Start a node of this package as a process, which has ended when the block ends, whatever happens."""
+    """Run a node of this package as a process, which has ended when the block ends, whatever happens."""
     child: subprocess.Popen[bytes] | None = None
     with log.open("wb") as output:
         try:
             with interrupts.held_back():
-                child = subprocess.Popen(
-                    [sys.executable, "-m", f"valve_control.nodes.{node}", "--ros-args", *arguments],
-                    stdout=output,
-                    stderr=subprocess.STDOUT,
-                    stdin=subprocess.DEVNULL,
-                    start_new_session=True,
-                )
+                child = start(node, arguments, output)
             yield child
         finally:
             if child is not None:
