@@ -143,9 +143,8 @@ class Axis:
 
     def driven(self, voltages: Array) -> Array:
         """True position [m] at each sample, with ``voltages`` [V] on the valve and no controller."""
-        s = self._setup.begin._replace(history=self._setup.begin.history.copy())
         out = np.empty(len(voltages))
-        compile_function(drive)(self._setup.machine, s, voltages, out)
+        compile_function(drive)(self._setup.machine, machine.copied(self._setup.begin), voltages, out)
         return out
 
     def follow(self, gain: float, goals: Array) -> tuple[run.Indices, Array]:

@@ -34,6 +34,7 @@ NOISY = {
     "pressure__delay": 0.001,
     "load__coulomb": 100.0,
     "lvdt__noise": 0.005,
+    "lvdt__delay": 0.0025,
 }
 
 

@@ -452,6 +452,7 @@ def test_a_piston_at_its_stop_stays_there_until_it_is_pushed_off():
         ("spool.overlap", [0.0, 0.0], "spool.overlap has 2 entries; it must have 4"),
         ("start.position", 0.6, "start.position is 0.6 m; it must lie within cylinder.stroke, 0.5 m"),
         ("start.pressure_a", 100.0, "start.pressure_a is 100 Pa, below fluid.vapour_pressure, 3000 Pa"),
+        ("fluid.bulk_modulus", 1e7, "bulk_modulus is 1e+07 Pa; it must be above supply.pressure, 1.4e+07 Pa"),
         ("supply.pressure", 1e5, None),
     ],
 )

@@ -418,7 +418,8 @@ def test_a_pressure_beyond_its_sensor_or_that_jumps_is_named():
     p, _ = designed(upper_level="axis_arc")
     s = supervisor.sample(p, supervisor.at_rest(p), Reading(math.nan, 0.2, 50e5, 80e5), MS)
     for pressure, words in (
-        (2e9, "pressure b is 2e+04 bar, beyond "),
+        (2e9, "pressure b is 2e+04 bar, beyond 400 bar"),
+        (-2.5e7, "pressure b is -250 bar, beyond -200 bar"),
         (290e5, "pressure b jumps by 210 bar"),
     ):
         mode, reason = supervisor.mode(

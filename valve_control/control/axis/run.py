@@ -156,7 +156,6 @@ def indices_of(s: Setup, signals: Array, compiled: bool = True) -> Indices:
     n = len(s.goals)
     noise = np.random.default_rng(s.seed).standard_normal((n, machine.NOISES))
     first = machine.read(s.machine, s.begin, noise[0])
-    rest = s.begin._replace(history=s.begin.history.copy())
     states = cascade.State(
         level.initial(s.cascade.upper),
         command_lead.initial(0.0),
@@ -167,7 +166,7 @@ def indices_of(s: Setup, signals: Array, compiled: bool = True) -> Indices:
     last = float(n - min(n, round(LAST / period)))
     end = _loop(law, level, compiled)(
         closed_loop.Parts(0.0, s.cascade, s.machine, cascade.Measured(s.machine, last)),
-        closed_loop.Parts(0.0, states, rest, cascade.EMPTY),
+        closed_loop.Parts(0.0, states, machine.copied(s.begin), cascade.EMPTY),
         s.goals,
         noise,
         signals,

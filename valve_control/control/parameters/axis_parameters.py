@@ -288,6 +288,12 @@ def _refuse_impossible(values: Values) -> None:
     for name in ("fluid.tank_pressure", "start.pressure_a", "start.pressure_b"):
         if of(name) < vapour:
             raise ParameterError(f"{name} is {of(name):g} Pa, below fluid.vapour_pressure, {vapour:g} Pa")
+    bulk, pump = of("fluid.bulk_modulus"), word(values, "supply.kind") == "pump"
+    for name in ("supply.pressure", "start.pressure_a", "start.pressure_b", *(["relief.pressure"] * pump)):
+        if of(name) >= bulk:  # no content of a room has twice that pressure
+            raise ParameterError(
+                f"fluid.bulk_modulus is {bulk:g} Pa; it must be above {name}, {of(name):g} Pa"
+            )
     if of("supply.pressure") < of("fluid.tank_pressure"):
         raise ParameterError(
             f"supply.pressure is {of('supply.pressure'):g} Pa, below fluid.tank_pressure, "

@@ -71,6 +71,11 @@ def begin(p: Params, at: axis.State) -> State:
     return State(valve.initial(p.valve), at, history, 0)
 
 
+def copied(s: State) -> State:
+    """``s`` with histories of its own, so that a run from it leaves ``s`` as it is."""
+    return s._replace(valve=s.valve._replace(history=s.valve.history.copy()), history=s.history.copy())
+
+
 def _delayed(delay: float, history: Array, newest: int, column: int) -> float:
     """Entry of ``column`` ``delay`` periods ago, on a straight line between two samples."""
     whole = int(delay)

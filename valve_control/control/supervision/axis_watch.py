@@ -51,7 +51,8 @@ def pressure_fault(p: Params, s: State, pressures: tuple[float, float]) -> str:
         if not math.isfinite(pressure):
             return f"pressure {name} is {pressure}"
         if not -p.pressure_jump <= pressure <= p.pressure_high:
-            return f"pressure {name} is {1e-5 * pressure:.4g} bar, beyond {1e-5 * p.pressure_high:g} bar"
+            limit = p.pressure_high if pressure > 0.0 else -p.pressure_jump
+            return f"pressure {name} is {1e-5 * pressure:.4g} bar, beyond {1e-5 * limit:g} bar"
         if s.pressures is not None and abs(pressure - s.pressures[i]) > (1 + s.wrong) * p.pressure_jump:
             return f"pressure {name} jumps by {1e-5 * (pressure - s.pressures[i]):.4g} bar"
     return SOUND
