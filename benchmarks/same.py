@@ -12,7 +12,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-LAWS = ("arc", "oarc", "pid", "compensator", "open_loop")
+LAWS = ("arc", "oarc", "dcarc", "pid", "compensator", "open_loop")
+RESEARCH = ("theorems",)  # commands that are not installed
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 VALVE = ("--params-file", str(CONFIG / "d3fxe.yaml"))
 
@@ -30,7 +31,8 @@ def commands(bags: list[str]) -> dict[str, tuple[str, ...]]:
         made[f"simulate {law} quadratic"] = ("simulate", "--controller", law, *VALVE, *quadratic)
     made["compare"] = ("compare", *VALVE)
     made["identify"] = ("identify", *VALVE)
-    made["theorems"] = ("theorems", "--valves", "200", "--adaptive-valves", "4")
+    few = ("--adaptive-valves", "4", "--loop-valves", "50", "--learning-valves", "2")
+    made["theorems"] = ("theorems", "--valves", "200", *few)
     made["calibrate"] = (
         "calibrate", "paper", "--evaluations", "300", "--set", "duration=6.0", "--search-seed", "1",
     )  # fmt: skip
@@ -54,12 +56,15 @@ def main() -> int:
     for name, arguments in commands(bags).items():
         folder = path.with_name(f"{path.stem}_{hashlib.sha256(name.encode()).hexdigest()[:8]}_{len(found)}")
         filled = [str(folder) if a == "FOLDER" else a for a in arguments]
-        run = [sys.executable, "-m", "valve_control.cli", *filled, "--json", "-"]
+        module = (
+            [f"research.{arguments[0]}"] if arguments[0] in RESEARCH else ["valve_control.cli", arguments[0]]
+        )
+        run = [sys.executable, "-m", *module, *filled[1:], "--json", "-"]
         done = subprocess.run(run, capture_output=True, text=True, check=False)
         if not done.stdout:
-            found[name] = f"status {done.returncode}: {done.stderr[-300:]}"
-        else:
-            found[name] = json.dumps(without_times(json.loads(done.stdout)), sort_keys=True)
+            print(f"{name} ended with status {done.returncode}: {done.stderr[-300:]}", file=sys.stderr)
+            return 1
+        found[name] = json.dumps(without_times(json.loads(done.stdout)), sort_keys=True)
         if folder.exists():
             subprocess.run(["rm", "-r", str(folder)], check=True)
         same = "" if before is None else ("same" if before.get(name) == found[name] else "DIFFERS")

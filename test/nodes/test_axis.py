@@ -139,7 +139,8 @@ def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine, 
     """A trajectory over DDS, sensors with noise, a valve with friction: voltages and commands, to the bit."""
     distance = 0.05 if duration > 0.6 else 0.03
     course = {"duration": duration, "pause": 0.05, "back": False, "distance": distance}
-    values = settings(machine, axis_controller={"upper_level": level, **course})
+    late = {"position.delay": 0.0015, "pressure.delay": 0.0015}
+    values = settings(machine, axis_controller={"upper_level": level, **course}, axis_simulator=late)
     made = run.setup(values)
     twin = run.simulate(made)
     wanted = len(made.goals)
@@ -153,8 +154,9 @@ def test_the_cascade_in_lockstep_equals_the_offline_run(ros, tmp_path, machine, 
                 kept[name][info["publication_sequence_number"]] = number
         return max(kept["valve_voltage"], default=0) >= wanted
 
+    words = ["valve_simulator:clock:=lockstep", "valve_simulator:listeners:=2"]
     lockstep = {
-        "axis_simulator": ["valve_simulator:clock:=lockstep", "valve_simulator:listeners:=2"],
+        "axis_simulator": [*words, *(f"{name}:={delay}" for name, delay in late.items())],
         "controller": ["lockstep:=true", "lvdt.frozen_samples:=0", "state_decimation:=0"],
         "axis_controller": ["lockstep:=true", f"upper_level:={level}"],
     }

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valve_control.control.parameters import build
-from valve_control.control.plant import valve
+from valve_control.control.plant import registry, valve
 from valve_control.control.plant.models import FOURTH_ORDER, MODELS
 from valve_control.parameter import ParameterError
 
@@ -85,6 +85,10 @@ def test_saturation_drift_and_lvdt():
     assert np.array_equal(run(p, [50.0] * 100), run(p, [5.0] * 100))
     drifting = run(made(drift__gain=0.1), [2.0] * 3000)[-1, 0]
     assert math.isclose(drifting, 2.0 * FOURTH_ORDER.static_gain * 1.3, rel_tol=0.01)
+    for p in (made(drift__gain=-0.01), made(drift__gain=-0.01, valve="solenoid")):
+        module = registry.plant_of(p).module
+        s = module.initial(p)._replace(time=150.0)  # nothing is left of its gain
+        assert module.step(p, s, 2.0).x[:2] == (0.0, 0.0)
     p = made(lvdt__resolution=0.01, lvdt__bias=0.123)
     assert math.isclose(valve.read(p, valve.initial(p), 0.0), 0.12)
     p = made(lvdt__noise=0.5)

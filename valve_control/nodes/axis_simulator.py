@@ -90,7 +90,8 @@ class AxisSimulator(Worker):
         self._machine_known = True
         self._state = parameters.start(self._machine, self._values)
         self._random = np.random.default_rng(int(number(self._values, "seed")))
-        self._follow(self._machine, self._state, self._state.valve)  # compiled before the first sample
+        tried = machine.copied(self._state)
+        self._follow(self._machine, tried, tried.valve)  # compiled before the first sample
 
     def move(self, before: valve.State, after: valve.State) -> None:
         """Move the axis over a period, in which the valve came from ``before`` to ``after``."""

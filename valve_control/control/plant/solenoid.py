@@ -333,7 +333,7 @@ def advance(
     force = voltage + s.force * (x.x2 - voltage) + s.through * (x.x3 - voltage)
     current = voltage + s.current * (x.x3 - voltage)
     following = limited(play, force - 0.5 * m.hysteresis, force + 0.5 * m.hysteresis)
-    mean = 0.5 * (pull(m, play) + pull(m, following)) * (1.0 + m.gain_drift * middle)
+    mean = 0.5 * (pull(m, play) + pull(m, following)) * max(0.0, 1.0 + m.gain_drift * middle)
     drift = p.spool.stiffness_drift * middle * (x.x0 + 0.5 * s.length * x.x1)
     position, velocity, bristle = shifted(p, x, bristle, mean + p.spool.offset - drift)
     return Row(position, velocity, force, current), following, bristle

@@ -262,7 +262,7 @@ def move(p: Params, x: Row, bristle: float, time: float, level: float, voltage: 
     """
     d = p.disturbance
     force = saturate(voltage, p.u_max) + d.offset - (d.flow_force + d.stiffness_drift * time) * x.x0
-    gain = p.gain_scale * (1.0 + d.gain_drift * time)
+    gain = p.gain_scale * max(0.0, 1.0 + d.gain_drift * time)
     v_free = dot(p.row1, x) + p.input.x1 * gain * force
     if d.coulomb > 0.0:
         rubbing, bristle = friction(d, level, bristle, v_free, p.input.x1 * gain, p.period)
