@@ -296,7 +296,7 @@ def _refuse_fast(rates: Mapping[str, float], period: float) -> None:
     for name, rate in rates.items():
         if rate * period > FASTEST:
             raise ParameterError(
-                f"{NAME}.{name} is {rate:.4g} 1/s; with a sample period of {period:g} s it must be at most "
+                f"{name} is {rate:.4g} 1/s; with a sample period of {period:g} s it must be at most "
                 f"{FASTEST / period:g} 1/s"
             )
 
@@ -320,8 +320,9 @@ def build(values: Values, plant: axis.Params, supply: float) -> Params:
     begin = _known(plant, mass, of("bulk_modulus") or plant.bulk_modulus)
     model = model_of(plant, supply)
     coupling = of("coupling") or own_frequency(model, begin.bulk, begin.mobility)
-    rates = {"k1": of("k1"), "k2": of("k2"), "k3": of("k3"), "coupling": coupling}
-    _refuse_fast({**rates, "observer": of("observer")}, period)
+    rates = {"k1": of("k1"), "k2": of("k2"), "k3": of("k3"), "coupling": coupling, "observer": of("observer")}
+    own = {f"{NAME}.{name}": rate for name, rate in rates.items()}
+    _refuse_fast({**own, "load.damping over the mass": begin.damping}, period)
     share = of("uncertainty")
     force = of("force_range") / mass
     low = Theta(*(value * (1.0 - share) for value in begin))._replace(force=begin.force - force)
