@@ -215,7 +215,7 @@ def test_the_spools_velocity_is_that_of_the_course():
     [
         ({}, {"k3": 800.0}, "axis_arc.k3 is 800 1/s; with a sample period of 0.001 s it must be at most 500"),
         ({"load.mass": 5.0}, {}, "axis_arc.coupling is 1"),
-        ({"load.damping": 2e5}, {}, "load.damping over the mass is 1000 1/s; with a sample period of 0.001 s"),
+        ({"load.damping": 2e5}, {}, "load.damping over the mass is 1000 1/s; with a sample period of"),
         ({"load.force": -1e6}, {}, "the axis cannot move outwards"),
         ({}, {"overlap": 12.0, "spool_limit": 20.0}, "overlap is 12 V, no less than spool.full_scale, 10 V"),
     ],
