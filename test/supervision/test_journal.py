@@ -58,6 +58,16 @@ def test_silence_before_the_first_reading_has_no_voltage(journal):
     assert list(np.isnan(rows[:, COLUMNS.index("voltage")])) == [True, False, False]
 
 
+def test_readings_that_a_standstill_made_stale_are_not_lost(journal):
+    """Of 12 readings the last answered one is 1; 2 and 3 overflowed the queue, 4 to 8 were skipped, 10 lost."""
+    journal.sample(0.0, 1, 0.001)
+    for number in range(4, 9):
+        journal.skip(0.0, number, 0.001)
+    for number in (9, 11, 12):
+        journal.sample(0.0, number, 0.001)
+    assert journal._supervisor.counts["lvdt_lost"] == 3
+
+
 def test_blocks_follow_one_another_and_tell_a_gap(journal):
     blocks = []
     for number in range(1, 4):

@@ -131,7 +131,7 @@ class Journal:
 
     def skip(self, reading: float, number: int, elapsed: float) -> float:
         """Record a reading that came while this process stood still; returns the voltage [V]."""
-        voltage = self._supervisor.silence(elapsed, stalled=True)
+        voltage = self._supervisor.skip(elapsed)
         self._note(Event.STALL, reading, number, elapsed, voltage)
         return voltage
 

@@ -98,6 +98,7 @@ class Fixed:
     name: str = ""  # of the law
     changed: bool = False  # set with each change of the reported conditions, cleared by the reader
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTS, 0))
+    skipped: int = 0  # readings since the last answered one that came while the process stood still
 
 
 if TYPE_CHECKING:

@@ -209,6 +209,11 @@ class Supervisor:
         self.memory.pace = rate.interrupted(self.memory.pace)
         return watch.silence(self._params, self.memory, elapsed, stalled)
 
+    def skip(self, elapsed: float) -> float:
+        """A reading has come while this process stood still, and is stale; returns the voltage [V]."""
+        self.memory.skipped += 1
+        return self.silence(elapsed, stalled=True)
+
     def sample(
         self,
         reading: float,
@@ -228,7 +233,8 @@ class Supervisor:
         lost, last, m.sequence = 0, m.sequence, sequence
         if sequence is not None and last is not None and sequence > last + 1:
             lost = 0 if "lvdt_publishers" in m.said.texts else sequence - last - 1
-            m.counts["lvdt_lost"] += lost
+            m.counts["lvdt_lost"] += max(0, lost - m.skipped)
+        m.skipped = 0
         m.samples += 1
         before = m.pace.means
         pace = rate.step(p.lvdt.pace, m.pace, elapsed, 1 + lost)
