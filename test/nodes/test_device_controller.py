@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 
 import numpy as np
 import pytest
@@ -29,6 +29,7 @@ from valve_control.control.supervision.journal import COLUMNS, HEAD
 from valve_control.nodes.device_controller import DeviceController
 from valve_control.nodes.harness.lockstep import CONFIG
 from valve_control.nodes.harness.processes import Listener, node_arguments, node_values, process
+from valve_control.nodes.valve_driver import ValveDriver
 
 STEP = 10.0 / 32767  # V
 SLOW = 0.02  # s, sample period of a field bus
@@ -256,6 +257,40 @@ def test_of_a_loaded_file_the_unchanged_parameters_of_the_device_are_not_counted
     with beside(monkeypatch, Bus(), f"load_file:={path}") as valve:
         answer = valve._on_load(Trigger.Request(), Trigger.Response())
         assert answer.success and answer.message == f"3 parameters from {path}, of which 1 changed"
+
+
+def users(port):
+    """How many open files of this process are ``port``."""
+    found = 0
+    for entry in os.listdir("/proc/self/fd"):
+        with suppress(FileNotFoundError):  # the list itself has one
+            found += os.readlink(f"/proc/self/fd/{entry}") == port
+    return found
+
+
+@pytest.mark.parametrize("active", [False, True])
+@pytest.mark.parametrize("kind", [DeviceController, ValveDriver])
+def test_the_shutdown_of_a_node_with_a_device_closes_the_port(ros, kind, active):
+    card = serial_card.Card()
+    before = users(card.port)
+    words = ["-p", "driver:=serial", "-p", f"serial.port:={card.port}", "-p", "autostart:=false"]
+    node = kind(cli_args=["--ros-args", *words])
+    try:
+        node.trigger_configure()
+        assert users(card.port) == before + 1
+        if active:
+            node.trigger_activate()
+            node.work()
+        node.trigger_shutdown()
+        assert users(card.port) == before
+        card.receive(time.monotonic())
+        assert not card._asked
+        node.work()
+        node.report()
+        node.finish()
+    finally:
+        node.destroy_node()
+        card.close()
 
 
 @pytest.mark.alone

@@ -86,15 +86,19 @@ def bare(shape=sine):
 
 
 def moving(shape=sine):
-    """An upper level that sends trajectories: the derivatives by differences of 0.1 ms."""
-    h = 1e-4
+    """An upper level that sends trajectories."""
 
     def send(supervisor, time, interval):
-        before, here, after = (shape(max(0.0, t)) for t in (time - h, time, time + h))
-        point = Motion(here, (after - before) / (2.0 * h), (after - 2.0 * here + before) / (h * h))
-        assert supervisor.trajectory(point, interval)
+        assert supervisor.trajectory(motion_of(time, shape), interval)
 
     return send
+
+
+def motion_of(time, shape=sine):
+    """Point of a trajectory along ``shape``: the derivatives by differences of 0.1 ms."""
+    h = 1e-4
+    before, here, after = (shape(max(0.0, t)) for t in (time - h, time, time + h))
+    return Motion(here, (after - before) / (2.0 * h), (after - 2.0 * here + before) / (h * h))
 
 
 def lag(made, frequency=3.0):

@@ -59,7 +59,7 @@ def test_silence_before_the_first_reading_has_no_voltage(journal):
 
 
 def test_readings_that_a_standstill_made_stale_are_not_lost(journal):
-    """Of 12 readings the last answered one is 1; 2 and 3 overflowed the queue, 4 to 8 were skipped, 10 lost."""
+    """Reading 1 is answered; 2 and 3 overflowed the queue, 4 to 8 were skipped, 10 is lost."""
     journal.sample(0.0, 1, 0.001)
     for number in range(4, 9):
         journal.skip(0.0, number, 0.001)

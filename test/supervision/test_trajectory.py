@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from slow import PERIOD, SETTLED, bare, moving, run, settings, sine
+from slow import PERIOD, SETTLED, bare, motion_of, moving, run, settings, sine
 
 from valve_control.control.commands import scenarios
 from valve_control.control.laws import reshaping
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.supervision import trajectory
+from valve_control.control.supervision.late_commands import DECAYED, JOINING
 from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.control.supervision.trajectory import Motion
@@ -123,7 +124,9 @@ def test_a_point_that_cannot_be_used_is_refused_in_one_sentence_and_the_last_one
     before = supervisor.memory.trajectory
     send(supervisor)
     supervisor.sample(0.001, 2)
-    assert supervisor.memory.trajectory == before and supervisor.command_in_force == 0.05
+    assert (
+        supervisor.memory.trajectory._replace(refused=0.0) == before and supervisor.command_in_force == 0.05
+    )
     assert text in supervisor.reason and supervisor.reason.count(".") <= 1
     assert supervisor.mode is Mode.DEGRADED and supervisor.counts["command_refused"] == 1
     for k in range(3, 1100):
@@ -142,6 +145,47 @@ def test_a_time_that_was_set_back_is_taken_once_the_trajectory_is_silent():
             break
         supervisor.sample(0.001 * (k % 3), k)
     assert supervisor.memory.trajectory.point.position == 0.02
+
+
+def in_force(every, leap, bridge=0.04):
+    """Run of a sine with a point every ``every`` samples, whose clock is set by ``leap`` [s] at 0.8 s."""
+    last = [0.0]
+
+    def send(supervisor, time, _):
+        stamp = time + (leap if time >= 0.8 else 0.0)
+        if supervisor.trajectory(Motion(*motion_of(time)), stamp - last[0] if last[0] else 0.0):
+            last[0] = stamp
+
+    return run(send, every, controller="open_loop", command__bridge=bridge)
+
+
+@pytest.mark.parametrize("bridge", [0.0, 0.04])
+@pytest.mark.parametrize("every", [1, 5, 10])
+def test_a_clock_that_is_set_back_does_not_stop_the_motion(every, bridge):
+    """One or two points are refused; meanwhile the motion differs by its way in that time at most."""
+    made_run = in_force(every, -3600.0, bridge)
+    wanted = made_run.wanted
+    off = np.abs(made_run.command - wanted)[SETTLED:]
+    usual = np.max(np.abs(in_force(every, 0.0, bridge).command - wanted)[SETTLED:])
+    fastest = 2.0 * math.pi * 3.0  # V/s
+    assert np.max(off) < usual + 2 * every * PERIOD * fastest
+    decayed = 800 + round(DECAYED * 0.04 / JOINING / PERIOD)  # the offset of the bridge, if there was one
+    assert np.max(off[decayed - SETTLED :]) < usual + 1e-6
+    assert 1 <= made_run.supervisor.counts["command_refused"] <= 2
+
+
+def test_a_second_sender_whose_clock_is_behind_never_has_the_trajectory():
+    """It sends ten times as often as the first."""
+    supervisor = made(controller="open_loop")
+    taken = 0.0
+    for k in range(1, 400):
+        time = k * PERIOD
+        if k % 10 == 0:
+            assert supervisor.trajectory(Motion(0.05, 0.0, 0.0), time - taken if taken else 0.0)
+            taken = time
+        elif taken:
+            assert not supervisor.trajectory(Motion(-0.05, 0.0, 0.0), time - 50.0 - taken)
+        supervisor.sample(0.001 * (k % 3), k)
 
 
 def test_both_at_once_the_trajectory_commands_and_it_is_said():

@@ -184,8 +184,8 @@ def delivery_of(arguments: argparse.Namespace, values: Values) -> "Delivery | No
     from valve_control.control.simulation import delivery
 
     asked = arguments.command_period, arguments.command_jitter
-    if asked == (None, None) and values["command.interpolation"] == "hold":
-        return None
+    if asked == (None, None):
+        return delivery.of_each_sample(values)
     period, jitter = asked
     seed = 1 if arguments.seed is None else arguments.seed
     made = delivery.Delivery(

@@ -131,9 +131,18 @@ class DeviceController(Controller):
         """Destroy publishers and subscriptions, close the device."""
         super().close()
         self.destroy_publisher(self._positions)
-        assert self._device is not None
-        self._device.close()
-        self._device = None
+        self._release()
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Close the device too, whatever the state was."""
+        done = super().on_shutdown(state)
+        self._release()
+        return done
+
+    def _release(self) -> None:
+        if self._device is not None:
+            self._device.close()
+            self._device = None
 
     def begin(self) -> None:
         """Start from rest; the output is switched on when the loop runs."""
@@ -151,8 +160,7 @@ class DeviceController(Controller):
     def finish(self) -> None:
         """Switch off and close the device from whatever state the node is in."""
         super().finish()
-        if self._device is not None:
-            self._device.close()
+        self._release()
 
     # Work
 

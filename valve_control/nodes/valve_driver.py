@@ -144,13 +144,24 @@ class ValveDriver(Managed):
 
     def close(self) -> None:
         """Destroy publisher and subscription, close the device."""
-        assert self._voltages is not None and self._device is not None
+        assert self._voltages is not None
         self._voltages.destroy()
         self._voltages = None
         self.destroy_publisher(self._positions)
-        self._device.close()
-        self._open = False
-        self._device = drivers.device(self._values)
+        self._release()
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Close the device too, whatever the state was."""
+        done = super().on_shutdown(state)
+        self._release()
+        return done
+
+    def _release(self) -> None:
+        if self._open:
+            assert self._device is not None
+            self._device.close()
+            self._open = False
+            self._device = drivers.device(self._values)
 
     def begin(self) -> None:
         """Drop voltages that wait; the output is switched on at 0 V when the loop runs."""

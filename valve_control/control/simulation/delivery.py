@@ -53,6 +53,13 @@ def check(values: Values, delivery: Delivery) -> None:
         )
 
 
+def of_each_sample(values: Values) -> Delivery | None:
+    """Delivery of one command a sample, in time, by a controller's ``values``; None: they are held."""
+    if values["command.interpolation"] == "hold":
+        return None
+    return Delivery(number(values, "sample_period"))
+
+
 def received(values: Values, wanted: Array, delivery: Delivery) -> Received:
     """Commands at each sample for the ``wanted`` motion [V], one entry a sample; not limited yet."""
     kind, limit = word(values, "command.interpolation"), number(values, "command_limit")
@@ -116,6 +123,15 @@ def _bridged(
         assert state is not None, "the first command comes with the first sample"
         values[i] = late_commands.value(p, state, now)
     return values
+
+
+def given(
+    lead: command_lead.Params | None, values: Values, command: Array, delivered: Delivery | None
+) -> Array:
+    """Commands [V] as a law gets them at each sample, with the ``lead``, of those ``delivered``."""
+    if delivered is None:
+        return command_lead.applied(lead, command)
+    return led(lead, received(values, command, delivered))
 
 
 def led(lead: command_lead.Params | None, got: Received) -> Array:

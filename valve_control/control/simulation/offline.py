@@ -174,9 +174,7 @@ def _cut(law: Law, params: Any, terms: Array, model: TransferFunction) -> str:
 def _led(loop: _Loop, values: Values, command: Array, delivered: Delivery | None) -> Array:
     """Commands [V] as the law gets them, with the lead of the controller's ``values``."""
     lead = command_lead.build(values, loop.law.reshapes(loop.params))
-    if delivered is None:
-        return command_lead.applied(lead, command)
-    return delivery.led(lead, delivery.received(values, command, delivered))
+    return delivery.given(lead, values, command, delivered)
 
 
 def _ran(

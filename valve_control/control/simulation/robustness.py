@@ -28,7 +28,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant import registry
-from valve_control.control.simulation import batch, measures, offline
+from valve_control.control.simulation import batch, delivery, measures, offline
 from valve_control.control.simulation.cluster import Cluster
 from valve_control.parameter import ParameterError, Values, lookup, updated, word
 
@@ -161,9 +161,10 @@ def fitting_limit(study: Study) -> float:
     size = 0.5 * float(np.ptp(last))
     if size <= AT_REST:
         return LIMIT
-    run = offline.simulate(
-        sampled(study, "controller", period), sampled(study, "valve_simulator", period), command
-    )
+    controller = sampled(study, "controller", period)
+    delivered = delivery.of_each_sample(controller)
+    plant = sampled(study, "valve_simulator", period)
+    run = offline.simulate(controller, plant, command, delivered=delivered)
     following = FOLLOWING * run.indices.e_F
     return LIMIT + (min(following, size) if np.isfinite(following) else size)
 
@@ -190,7 +191,7 @@ def run_chunk(study: Study, first: int, count: int, threads: int | None = None) 
                 batch.records([build.valve_params(values) for values in valves]),
                 study.seed + first + chosen,
                 command,
-                led=command_lead.applied(lead, command),
+                led=delivery.given(lead, controller, command, delivery.of_each_sample(controller)),
             ),
             threads,
         )

@@ -27,6 +27,7 @@ class State(NamedTuple):
     jerk: float  # V/s³  by the points before
     interval: float  # s  usual time between two points
     offset: late_commands.Offset  # from them, after one that was late
+    refused: float  # s  by which the time stamp of one refused since is after its own, below 0; 0: none was
 
 
 def refusal(positions: int, velocities: int, accelerations: int) -> str:
@@ -66,6 +67,17 @@ def fault(point: Motion, backwards: float) -> str:
     return ""
 
 
+def was_set_back(s: State, interval: float, arrival: float, period: float) -> bool:
+    """Whether the clock of the sender was set back, so that a point ``interval`` [s] after the last counts.
+
+    It then follows a refused one in time, and the derivatives of the last do not count any more at ``arrival``
+    [s]. After the first point of a sender that cannot be known: how long it is until its next.
+    """
+    since = interval - s.refused
+    overdue = s.horizon > period and arrival > s.due + s.horizon - 0.5 * period
+    return overdue and s.refused < 0.0 and 0.0 < since <= LONGEST
+
+
 def taken(
     p: late_commands.Params | None,
     s: State | None,
@@ -79,17 +91,17 @@ def taken(
     ``p``: how a late one is bridged, None: not at all.
     """
     if s is None or not 0.0 < interval <= LONGEST:
-        return State(point, arrival, period, arrival, 0.0, 0.0, NO_OFFSET)
+        return State(point, arrival, period, arrival, 0.0, 0.0, NO_OFFSET, 0.0)
     horizon = 2.0 * max(interval, period)
     if p is None:
-        return State(point, joined(s.due, interval, arrival), horizon, arrival, 0.0, 0.0, NO_OFFSET)
+        return State(point, joined(s.due, interval, arrival), horizon, arrival, 0.0, 0.0, NO_OFFSET, 0.0)
     typical = late_commands.usual(s.interval, interval) if s.interval > 0.0 else interval
     due = joined(s.due, interval, min(arrival, s.due + interval + max(typical, period)))
     share = min(1.0, interval / late_commands.NODE)
     change = (point.acceleration - s.point.acceleration) / interval
     most = p.max_accel / p.time
     jerk = clip(s.jerk + share * (change - s.jerk), -most, most)
-    made = State(point, due, horizon, arrival, jerk, typical, s.offset)
+    made = State(point, due, horizon, arrival, jerk, typical, s.offset, 0.0)
     again = s.arrival == arrival and s.offset.since == arrival
     missed = s.interval > 0.0 and arrival - s.due > late_commands.LATE * s.interval
     if p.every or again or missed:

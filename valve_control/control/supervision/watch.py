@@ -230,14 +230,19 @@ def trajectory(p: Params, m: Memory, point: points.Motion, interval: float) -> b
     ``interval`` [s]: by which its time stamp is after that of the one before, 0 if that is not known.
     """
     follows = follows_trajectory(p, m)
-    backwards = -interval if follows else 0.0
+    before = m.trajectory if follows else None
+    arrival = m.now + p.command.period
+    apart = interval
+    if before is not None and points.was_set_back(before, interval, arrival, p.command.period):
+        apart = arrival - before.arrival
+    backwards = -apart if follows else 0.0
     if not points.usable(point, backwards):
         count(m, "command_refused")
         latch(m, "command_refused", points.fault(point, backwards))
+        if before is not None and backwards > 0.0:
+            m.trajectory = before._replace(refused=interval)
         return False
-    before = m.trajectory if follows else None
-    arrival = m.now + p.command.period
-    m.trajectory = points.taken(p.late, before, point, interval, arrival, p.command.period)
+    m.trajectory = points.taken(p.late, before, point, apart, arrival, p.command.period)
     m.course = None
     m.upper = None
     renew(p, m, point.position)
