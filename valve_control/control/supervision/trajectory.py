@@ -67,11 +67,16 @@ def fault(point: Motion, backwards: float) -> str:
     return ""
 
 
+def refusing(s: State, interval: float) -> State:
+    """State after a refused point, whose time stamp is ``interval`` [s] (below 0) after that of the last."""
+    return s._replace(refused=interval)
+
+
 def was_set_back(s: State, interval: float, arrival: float, period: float) -> bool:
     """Whether the clock of the sender was set back, so that a point ``interval`` [s] after the last counts.
 
-    It then follows a refused one in time, and the derivatives of the last do not count any more at ``arrival``
-    [s]. After the first point of a sender that cannot be known: how long it is until its next.
+    It then follows a refused one in time, and the last is so old at ``arrival`` [s] that its derivatives no
+    longer count. After the first point of a sender that is not known, because its interval is not.
     """
     since = interval - s.refused
     overdue = s.horizon > period and arrival > s.due + s.horizon - 0.5 * period

@@ -240,7 +240,7 @@ def trajectory(p: Params, m: Memory, point: points.Motion, interval: float) -> b
         count(m, "command_refused")
         latch(m, "command_refused", points.fault(point, backwards))
         if before is not None and backwards > 0.0:
-            m.trajectory = before._replace(refused=interval)
+            m.trajectory = points.refusing(before, interval)
         return False
     m.trajectory = points.taken(p.late, before, point, apart, arrival, p.command.period)
     m.course = None
