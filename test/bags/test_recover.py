@@ -126,6 +126,7 @@ import os, signal, sys
 from io import FileIO
 from pathlib import Path
 from valve_control.recordings.bags import repair
+from valve_control.recordings.bags.salvage import Salvage
 
 left = int(sys.argv[2])
 
@@ -136,8 +137,9 @@ def write(output, data):
     if left <= 0:
         os.kill(os.getpid(), signal.SIGKILL)
 
-repair._write = write
-repair.repair(Path(sys.argv[1]))
+repair.put = write
+path = Path(sys.argv[1])
+repair.repair(path, repair.scan(Salvage(path)))
 """
 
 

@@ -3,6 +3,7 @@
 """Bags that the libraries of others read back."""
 
 import sqlite3
+import os
 import subprocess
 import sys
 import tempfile
@@ -388,3 +389,26 @@ def test_a_file_that_may_not_grow_is_closed_whole(tmp_path, storage, limit):
     with Reader(folder) as reader:
         assert reader.message_count == flushed == len(list(reader.messages()))
     assert {p.name for p in folder.iterdir()} == {file.path, metadata.NAME}
+
+
+COMPILED = """
+import resource
+import numpy as np
+from valve_control.recordings.bags.mcap import records
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+print(records(np.zeros(100, np.uint8), 0, 100)[0])
+"""
+
+
+def test_a_full_disk_does_not_keep_functions_from_being_compiled(tmp_path):
+    """The recorder compiles the walk over its file when it ends a bag that found no room."""
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILED],
+        env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (0, "99\n"), done.stderr

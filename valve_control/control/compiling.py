@@ -146,8 +146,17 @@ def _compile(
         # numba's cache tells functions apart by name and types, not by what their globals are.
         names = ",".join(f"{value.__module__}.{value.__qualname__}" for _, value in replace)
         rebuilt.__qualname__ += f"_{hashlib.sha256(names.encode()).hexdigest()[:12]}"
-    make = numba.njit(cache=True, error_model="numpy", forceinline=True, nogil=nogil)
-    return make(rebuilt)  # type: ignore[no-any-return]
+    compiled = numba.njit(cache=True, error_model="numpy", forceinline=True, nogil=nogil)(rebuilt)
+    cache = getattr(compiled, "_cache", None)  # None: numba is told to compile nothing
+    if cache is not None:
+        save = cache.save_overload
+
+        def save_if_there_is_room(*entry: Any) -> None:
+            with contextlib.suppress(OSError):  # on a full disk a recorder still ends its bag
+                save(*entry)
+
+        cache.save_overload = save_if_there_is_room
+    return compiled  # type: ignore[no-any-return]
 
 
 @functools.cache

@@ -38,7 +38,9 @@ from valve_control.recordings.bags.messages import (
 MAGIC = b"\x89MCAP0\r\n"
 WINDOW = 100_000  # messages, records
 DOUBTFUL = "valve_control.doubtful"  # metadata record: which messages were recovered from damaged chunks
-CHUNK_HEAD = struct.Struct("<16xQII")  # times; uncompressed size, checksum, length of the compression's name
+FRAME = struct.Struct("<BQ")  # opcode, length
+CHUNK_HEAD = struct.Struct("<QQQII")  # times, uncompressed size, checksum, length of the compression's name
+MESSAGE_HEAD = 31  # bytes of a message record before its data
 # Raised for a damaged chunk; OverflowError: its size has more than 63 bits.
 DAMAGE = (zstandard.ZstdError, struct.error, RuntimeError, ValueError, EOFError, MemoryError, OverflowError)
 
@@ -327,7 +329,7 @@ class McapFile:
         """Uncompressed records of a chunk; None, and a note in ``problems``, if it is damaged."""
         where = f"{self.path}: the chunk at byte {place.begin}"
         try:
-            size, crc, name_length = CHUNK_HEAD.unpack_from(self._buffer.data, place.begin)
+            _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(self._buffer.data, place.begin)
             at = place.begin + CHUNK_HEAD.size
             compression = bytes(self._buffer[at : at + name_length]).decode()
             at += name_length + 8

@@ -11,6 +11,7 @@ from mcap.writer import CompressionType, Writer
 
 from valve_control.recordings.bags import metadata, repair
 from valve_control.recordings.bags.metadata import TopicMetadata
+from valve_control.recordings.bags.salvage import Salvage
 from valve_control.recordings.bags.storage import OVERHEAD, PENDING
 
 COMPRESSION = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
@@ -119,4 +120,4 @@ class McapStorage:
             self._output.take_back()
         if not ours:
             raise FileExistsError(errno.EEXIST, "another file took its place")
-        repair.repair(self.path)
+        repair.repair(self.path, repair.scan(Salvage(self.path)))

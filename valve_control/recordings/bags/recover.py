@@ -23,7 +23,7 @@ from mcap.records import Channel, Schema, Statistics
 from valve_control.recordings.bags import metadata, repair
 from valve_control.recordings.bags.bag import KINDS, ZSTD, Bag, in_order, times
 from valve_control.recordings.bags.errors import BagError, NothingError
-from valve_control.recordings.bags.mcap import McapFile
+from valve_control.recordings.bags.mcap import MAGIC, McapFile
 from valve_control.recordings.bags.messages import CDR, Integers, absolute, full_type
 from valve_control.recordings.bags.metadata import Counted, File, Metadata, TopicMetadata
 from valve_control.recordings.bags.pages import read_log
@@ -519,7 +519,7 @@ def _examine_mcap(path: Path, told: Metadata | None, keep: bool) -> _State:
     expected = _told_count(told, path)
     if path.stat().st_size == 0:
         lost = _lost(expected, 0)
-        return _State(lambda: _ended(path)._replace(lost=lost, empty=True))
+        return _State(lambda: _ended(path, repair.Contents())._replace(lost=lost, empty=True))
     salvage = Salvage(
         path, {counted.topic.name: counted.topic.type for counted in told.topics} if told else None
     )
@@ -530,14 +530,13 @@ def _examine_mcap(path: Path, told: Metadata | None, keep: bool) -> _State:
     expected = survey.expected if survey.expected is not None else expected
     if survey.unfinished:
         # Its end can be written in place, unless more can be read than what is whole before the tear.
-        with contextlib.suppress(BagError), path.open("rb") as stream:
-            contents = repair.scan(stream, path.stat().st_size, path)
-            if contents.counts.total() == survey.messages:
-                return _State(lambda: _ended(path)._replace(lost=_lost(expected, survey.messages)))
+        contents = repair.scan(salvage)
+        if contents.counts.total() == survey.messages:
+            return _State(lambda: _ended(path, contents)._replace(lost=_lost(expected, survey.messages)))
     if not salvage.channels:
         raise NothingError(
             f"{path} has no topic that can be read, and so no message: it is no MCAP file or damaged all over"
-            if salvage.raw(0, len(repair.MAGIC)) == repair.MAGIC
+            if salvage.raw(0, len(MAGIC)) == MAGIC
             else f"{path} is not an MCAP file: it does not begin with MCAP's magic bytes, and has no topic"
         )
 
@@ -552,9 +551,8 @@ def _examine_mcap(path: Path, told: Metadata | None, keep: bool) -> _State:
     return _State(lambda: _replaced(path, keep, write))
 
 
-def _ended(path: Path) -> RecoveredFile:
-    repaired = repair.repair(path)
-    return RecoveredFile(path.name, repaired.messages, True, repaired.cut)
+def _ended(path: Path, contents: repair.Contents) -> RecoveredFile:
+    return RecoveredFile(path.name, contents.counts.total(), True, repair.repair(path, contents))
 
 
 def _read_mcap(path: Path) -> _Inventory:
@@ -564,8 +562,7 @@ def _read_mcap(path: Path) -> _Inventory:
         summary = make_reader(stream).get_summary()
         if summary is not None and summary.statistics is not None:
             return _mcap_inventory(path, summary.statistics, summary.channels, summary.schemas, head)
-        stream.seek(0)
-        contents = repair.scan(stream, path.stat().st_size, path)
+    contents = repair.scan(Salvage(path))
     return _mcap_inventory(path, contents.statistics(), contents.channels, contents.schemas, head)
 
 

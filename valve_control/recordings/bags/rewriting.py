@@ -3,25 +3,21 @@
 """Writes a new MCAP file from what can still be read in a damaged one."""
 
 import json
-import struct
-import zlib
-from collections import Counter
 from io import FileIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, Header, Metadata, MetadataIndex
+from mcap.records import Header, Metadata, MetadataIndex
 
-from valve_control.recordings.bags.mcap import DOUBTFUL, MAGIC, doubtful
+from valve_control.recordings.bags.mcap import DOUBTFUL, MAGIC, MESSAGE_HEAD, doubtful
 from valve_control.recordings.bags.messages import Bytes, Integers
-from valve_control.recordings.bags.repair import Contents, end_file, written
-from valve_control.recordings.bags.salvage import FRAME, MESSAGE_HEAD, Piece, Salvage
+from valve_control.recordings.bags.repair import Contents, chunk_head, end_file, put, written
+from valve_control.recordings.bags.salvage import Piece, Salvage
 
 CHUNK = 1 << 22  # bytes of loose messages that make a chunk
-INDEX_HEAD = struct.Struct("<BQHI")  # opcode, length, channel, bytes of the entries
 
 
 class Rewritten(NamedTuple):
@@ -53,8 +49,8 @@ class _Rewriting:
         contents.schemas, contents.channels = dict(self._salvage.schemas), dict(self._salvage.channels)
         self._begin()
         for piece in self._salvage.pieces():
-            if piece.opcode == Opcode.CHUNK:
-                self._chunk(piece)
+            if piece.opcode == Opcode.CHUNK and piece.sound and piece.messages is not None:
+                self._indexed(self._salvage.raw(piece.begin, piece.end), piece.messages)
             elif piece.messages is not None and piece.content is not None:
                 self._unsure(piece)
                 self._messages(piece.content, piece.messages)
@@ -72,9 +68,7 @@ class _Rewriting:
         return Rewritten(contents.counts.total(), sum(count for count, _, _ in self._doubtful))
 
     def _put(self, data: bytes) -> None:
-        rest = memoryview(data)
-        while rest:
-            rest = rest[self._output.write(rest) :]
+        put(self._output, data)
         self._contents.end += len(data)
 
     def _begin(self) -> None:
@@ -86,20 +80,6 @@ class _Rewriting:
         for record in (*self._contents.schemas.values(), *self._contents.channels.values()):
             record.write(builder)
         self._put(written(builder))
-
-    def _chunk(self, piece: Piece) -> None:
-        rows, content = piece.messages, piece.content
-        if rows is None or content is None:
-            return
-        if not piece.sound:
-            self._unsure(piece)
-            self._messages(content, rows)
-            return
-        data = self._salvage.raw(piece.begin, piece.end)
-        first, last, size, _, name = struct.unpack_from("<QQQII", data, FRAME.size)
-        at = FRAME.size + 32
-        compression = data[at : at + name].decode()
-        self._indexed(data, rows, (first, last), compression, len(data) - at - name - 8, size)
 
     def _unsure(self, piece: Piece) -> None:
         rows = piece.messages
@@ -120,47 +100,14 @@ class _Rewriting:
             )
             data = b"".join(content[start:stop].tobytes() for start, stop in places)
             part[:, 4] = np.cumsum(part[:, 5] + MESSAGE_HEAD) - part[:, 5]
-            first, last = int(part[:, 1].min()), int(part[:, 1].max())
-            head = struct.pack("<QQQIIQ", first, last, len(data), zlib.crc32(data), 0, len(data))
-            frame = FRAME.pack(Opcode.CHUNK, len(head) + len(data))
-            self._indexed(frame + head + data, part, (first, last), "", len(data), len(data))
+            self._indexed(chunk_head(data, part) + data, part)
             begin = end
 
-    def _indexed(
-        self, data: bytes, rows: Integers, times: tuple[int, int], compression: str, packed: int, size: int
-    ) -> None:
+    def _indexed(self, chunk: bytes, rows: Integers) -> None:
         """Write a chunk and its message indexes."""
-        contents = self._contents
-        start = contents.end
-        self._put(data)
-        offsets: dict[int, int] = {}
-        begun = contents.end
-        for channel in np.unique(rows[:, 0]).tolist():
-            chosen = rows[rows[:, 0] == channel]
-            entries = np.column_stack((chosen[:, 1], chosen[:, 4] - MESSAGE_HEAD)).astype("<u8").tobytes()
-            offsets[channel] = contents.end
-            self._put(
-                INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries
-            )
-        contents.chunks.append(
-            ChunkIndex(
-                chunk_length=len(data),
-                chunk_start_offset=start,
-                compression=compression,
-                compressed_size=packed,
-                message_end_time=times[1],
-                message_index_length=contents.end - begun,
-                message_index_offsets=offsets,
-                message_start_time=times[0],
-                uncompressed_size=size,
-            )
-        )
-        if len(rows):
-            contents.counts += Counter(dict(zip(*_counted(rows[:, 0]), strict=True)))
-            first = int(rows[:, 1].min())
-            known = contents.start_time
-            contents.start_time = first if known is None else min(known, first)
-            contents.end_time = max(contents.end_time, int(rows[:, 1].max()))
+        entry = self._contents.add_chunk(chunk, self._contents.end, len(chunk), rows)
+        self._put(chunk)
+        self._put(self._contents.message_indexes(entry))
 
     def _attachment(self, piece: Piece) -> None:
         self._contents.attach(piece.record, self._contents.end, piece.end - piece.begin)
@@ -169,8 +116,3 @@ class _Rewriting:
     def _metadata(self, data: bytes, name: str) -> None:
         self._contents.metadata.append(MetadataIndex(self._contents.end, len(data), name))
         self._put(data)
-
-
-def _counted(channels: Any) -> tuple[list[int], list[int]]:
-    numbers, counts = np.unique(channels, return_counts=True)
-    return numbers.tolist(), counts.tolist()

@@ -38,17 +38,15 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from valve_control.recordings.bags.mcap import MAGIC, records
+from valve_control.recordings.bags.mcap import CHUNK_HEAD, FRAME, MAGIC, MESSAGE_HEAD, records
 from valve_control.recordings.bags.messages import Bytes, Integers
 
-FRAME = struct.Struct("<BQ")  # opcode, length
-CHUNK_HEAD = struct.Struct("<QQQII")  # times, uncompressed size, checksum, length of the compression's name
 COMPRESSIONS = ("", "zstd", "lz4")
 CANDIDATE = re.compile(
     rb"(?=[\x01-\x0f].{5}\0\0\0)", re.DOTALL
 )  # where a record of less than 1 TiB may begin
 LONGEST = 1 << 40  # bytes of a record
-MESSAGE_HEAD = 31  # bytes of a message record before its data
+LONGEST_HEADER = 1000  # bytes
 LARGEST = 1 << 28  # bytes of a damaged chunk that are decompressed at most
 PIECE = 4096  # bytes that are decompressed at once of a damaged chunk
 MARGIN = 3_600 * 10**9  # ns before and after all sound chunks from which messages of damaged ones may be
@@ -138,6 +136,7 @@ class Salvage:
 
     def __init__(self, path: Path, types: Mapping[str, str] | None = None) -> None:
         """``types``: of topics, for channels whose schemas are lost."""
+        self.path = path
         self._data: Bytes = np.empty(0, np.uint8)
         if path.stat().st_size:
             self._data = np.memmap(path, dtype=np.uint8, mode="r")
@@ -146,7 +145,7 @@ class Salvage:
         self.channels: dict[int, Channel] = {}
         self._lengths: dict[int, set[int]] = {}  # channel → lengths of its messages
         self._times = (1 << 63, 0)  # in which messages are that can be trusted [ns]
-        if not self._take_summary(path):
+        if not self._take_summary():
             self._take_all()
             self._complete(types or {})
 
@@ -165,9 +164,7 @@ class Salvage:
         for piece in self.pieces():
             whole = whole and piece.sound and not footer
             # What follows the data is made anew; before, only a record that the file's end tore may be wrong.
-            unfinished = unfinished and (
-                ended or piece.sound or piece.torn or (piece.opcode == 0 and self._is_torn(piece))
-            )
+            unfinished = unfinished and (ended or piece.sound or self.is_torn(piece))
             skipped += piece.skipped
             channels = np.unique(piece.messages[:, 0]).tolist() if piece.messages is not None else []
             if piece.messages is not None and channels:
@@ -208,15 +205,18 @@ class Salvage:
         expected = messages if footer and not (skipped or doubtful) else None
         if statistics is not None:
             expected = statistics.message_count
-        return Survey(messages, doubtful, expected, skipped, whole, unfinished and not doubtful)
+        unfinished = unfinished and not doubtful and (ended or not footer)
+        return Survey(messages, doubtful, expected, skipped, whole, unfinished)
 
-    def _is_torn(self, piece: Piece) -> bool:
-        """Whether a stretch without records may have been left by a killed writer or its file system."""
-        if piece.end < self._size:
+    def is_torn(self, piece: Piece) -> bool:
+        """Whether a piece that is not sound may have been left by a killed writer or its file system."""
+        if piece.end < self._size or piece.begin == len(MAGIC) < self._size - LONGEST_HEADER:
             return False
         rest = self._data[piece.begin :]
-        if not rest.any() or len(rest) < FRAME.size:
+        if piece.torn or not rest.any():
             return True
+        if len(rest) < FRAME.size:
+            return MAGIC.startswith(rest.tobytes()) if piece.begin == 0 else bool(rest[0] <= Opcode.DATA_END)
         opcode, length = FRAME.unpack_from(rest.data)
         return bool(0 < opcode <= Opcode.DATA_END and len(rest) - FRAME.size < length < LONGEST)
 
@@ -257,10 +257,10 @@ class Salvage:
         summary = self._data[start : self._size - len(MAGIC) - 4]
         return bool(checksum == 0 or zlib.crc32(summary.data) == checksum)
 
-    def _take_summary(self, path: Path) -> bool:
+    def _take_summary(self) -> bool:
         """Take in schemas and channels of a sound summary; returns whether there is one."""
         try:
-            with path.open("rb") as stream:
+            with self.path.open("rb") as stream:
                 summary = make_reader(stream, validate_crcs=True).get_summary()
         except Exception:  # the library has no common error for what it cannot read
             return False
@@ -276,10 +276,8 @@ class Salvage:
         """Take in schemas and channels from anywhere in the file; those in sound chunks win."""
         found: dict[bool, list[Any]] = {True: [], False: []}
         for piece in self.pieces():
-            if piece.record is not None:
-                found[True].append(piece.record)
+            found[piece.sound].extend(self.definitions(piece))
             if piece.opcode == Opcode.CHUNK and piece.content is not None:
-                found[piece.sound].extend(self._definitions(piece.content))
                 _, rows, _ = records(piece.content, 0, len(piece.content))
                 if piece.sound and len(rows):
                     first, last = int(rows[:, 1].min()), int(rows[:, 1].max())
@@ -301,9 +299,13 @@ class Salvage:
             else:
                 channel.schema_id = 0
 
-    def _definitions(self, content: Bytes) -> Iterator[Any]:
+    def definitions(self, piece: Piece) -> Iterator[Any]:
+        """Yield the record of a piece, of a chunk its schemas and channels."""
+        if piece.record is not None:
+            yield piece.record
+        content = piece.content if piece.opcode == Opcode.CHUNK else None
         at = 0
-        while at < len(content):
+        while content is not None and at < len(content):
             at, _, others = records(content, at, len(content))
             for opcode, begin, length in others.tolist():
                 if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
