@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags that the libraries of others read back."""
 
-import sqlite3
 import os
+import sqlite3
 import subprocess
 import sys
 import tempfile
