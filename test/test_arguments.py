@@ -185,6 +185,29 @@ def test_values_of_a_command_line_are_those_that_ros_would_give_the_node(tmp_pat
             values_of(["--ros-args", "-p", wrong], "valve_driver", VALVE_DRIVER)
 
 
+@pytest.mark.parametrize(
+    ("words", "value"),
+    [
+        ("-p watchdog:=0.1 --params-file own", 0.2),
+        ("--params-file own -p watchdog:=0.1", 0.1),
+        ("-p watchdog:=0.1 --params-file all", 0.3),
+        ("-p watchdog:=0.1 --params-file own -p watchdog:=0.4", 0.2),
+        ("--params-file own --params-file all", 0.3),
+        ("-p valve_driver:watchdog:=0.1 --params-file all", 0.3),
+        ("-r __name:=d -p d:watchdog:=0.5", 0.5),
+        ("-r valve_driver:__ns:=/a -r __ns:=/b --params-file a", 0.6),
+    ],
+)
+def test_words_of_a_command_line_count_in_their_order(tmp_path, monkeypatch, words, value):
+    """As rclpy gives them to a node: a pattern has its place from where it first came."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own").write_text("/**/valve_driver: {ros__parameters: {watchdog: 0.2}}\n")
+    (tmp_path / "a").write_text("/a/valve_driver: {ros__parameters: {watchdog: 0.6}}\n")
+    (tmp_path / "all").write_text("/**: {ros__parameters: {watchdog: 0.3}}\n")
+    found = values_of(["--ros-args", *words.split()], "valve_driver", VALVE_DRIVER)
+    assert found["watchdog"] == value
+
+
 def test_values_for_a_node_are_those_of_its_sections_the_last_one_counting(tmp_path):
     path = tmp_path / "p.yaml"
     path.write_text(

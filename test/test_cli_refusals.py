@@ -102,8 +102,13 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
     refused(run("simulate", "--params-file", "typing.yaml"), "controler", "did you mean controller")
     refused(run("simulate", "--params-file", "other.yaml"), "camera", "alone")
     refused(run("identify", "--params-file", "other.yaml"), "camera", "alone")
-    status, _, err = run("simulate", "--duration", "0.1", "--params-file", "both.yaml")
-    assert status == 0 and "note: both.yaml" in err and "camera" in err
+    for path, words in (
+        ("both.yaml", ["camera", "left out"]),
+        (ROOT / "config/axis/bench.yaml", ["/**/axis_simulator", "left out"]),
+        (ROOT / "config/manifold.yaml", ["/**/boom/controller, /**/arm/controller", "the last one counts"]),
+    ):
+        status, _, err = run("simulate", "--duration", "0.1", "--params-file", path)
+        assert status == 0 and f"note: {path}" in err and all(word in err for word in words), err
 
 
 @pytest.mark.parametrize(
@@ -175,6 +180,8 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
         (["study", "--set", "realtime.priority=3"], ["realtime.priority", "running nodes alone"]),
         (["compare", "--set", "autostart=false"], ["autostart", "running nodes alone"]),
         (["identify", "--set", "fault.lvdt=jump"], ["fault.lvdt", "running nodes alone"]),
+        (["axis", "--set", "error_limit=0.01"], ["error_limit", "running nodes alone"]),
+        (["axis", "--set", "fault.position=jump"], ["fault.position", "running nodes alone"]),
         (["export", "--controller", "pid", "--output", "e.fmu"], ["e.fmu", "--fmu 2 or --fmu 3"]),
         (["export", "--plant", "valve", "--output", "E.FMU"], ["E.FMU", "--fmu 2 or --fmu 3"]),
         (["export", "--output", "e/", "--json", "e"], ["e is given for two outputs"]),

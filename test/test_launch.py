@@ -298,6 +298,9 @@ def test_a_file_of_the_user_reaches_the_nodes_that_it_is_for(own):
     valve = str(ROOT / "config" / "d3fxe.yaml")
     assert launching.parameters_of(mine, "d3fxe.yaml", "valve_simulator") == valve
     assert (launching.file_option(""), launching.file_value("")) == ("-r", "__node:=controller")
+    mine = own("valve_simulator: {ros__parameters: {gain_scale: 0.9}}")  # in the process of axis_simulator
+    for name in ("axis.launch.xml", "arm.launch.xml"):
+        assert variables(ROOT / "launch" / name, params_file=mine)["axis_simulator_file"] == mine
 
 
 def test_controller_and_valve_have_one_period_also_if_the_file_names_it_for_one(own):
@@ -360,6 +363,7 @@ def test_what_tune_wrote_can_be_launched(name):
         ({"scenario": "sine"}, "command_source: {ros__parameters: {scenario: sine}}"),
         ({"rate": "3000"}, "controller: {ros__parameters: {sample_period: 0.000333333}}"),
         ({}, "controller: {ros__parameters: {controller: pid}}"),
+        ({"duration": "7"}, "axis_controller: {ros__parameters: {duration: 3.0}}"),  # not launched here
     ],
 )
 def test_an_argument_may_say_what_the_file_of_the_user_says(own, setting, text):

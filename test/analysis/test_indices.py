@@ -29,6 +29,8 @@ def test_final_error_is_that_of_the_last_two_seconds():
 def test_unequal_arrays():
     with pytest.raises(ValueError, match="one length"):
         indices(np.zeros(3), np.zeros(4), 0.001)
+    with pytest.raises(ValueError, match="0 errors"):
+        indices(np.empty(0), np.empty(0), 0.001, time=np.empty(0))
 
 
 def test_of_some_samples_in_the_head():

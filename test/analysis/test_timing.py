@@ -90,6 +90,14 @@ def test_too_few_readings_have_no_period():
     assert np.isnan(true_period(time, sequence)) and deviating(time, sequence, 1e-3) == []
 
 
+@pytest.mark.parametrize("numbered", [True, False])
+def test_readings_that_share_their_stamps_have_no_period(numbered):
+    """Of a clock that stood still: the period was 0, or the analysis ended in a traceback."""
+    time = np.maximum(0, np.arange(2400) - 1500) * 1_000_000
+    sequence = np.arange(2400) if numbered else np.zeros(2400, dtype=np.int64)
+    assert np.isnan(true_period(time, sequence)) and deviating(time, sequence, 1e-3) == []
+
+
 def test_a_publisher_that_began_anew_has_its_period():
     time, sequence = readings(count=4000)
     assert true_period(time, np.where(sequence < 2500, sequence + 1, sequence - 2499)) == pytest.approx(1e-3)

@@ -218,10 +218,11 @@ def test_a_stopped_tune_goes_on_with_the_same_bits(run, tmp_path):
     assert not (tmp_path / "kept").exists()
 
 
-@pytest.mark.parametrize("command", ["study", "tune"])
-def test_unreachable_cluster_is_one_sentence(run, tmp_path, command, monkeypatch):
+@pytest.mark.parametrize(("command", "address"), [("study", "tcp"), ("tune", "tcp"), ("study", "tls")])
+def test_unreachable_cluster_is_one_sentence(run, tmp_path, command, address, monkeypatch):
     monkeypatch.setattr(cluster, "MEET", 0.5)
-    status, _, err = run(command, "--cluster", "tcp://127.0.0.1:9", "--json", "-")
-    assert status == 2 and "--cluster tcp://127.0.0.1:9: no scheduler answers there" in err
+    address += "://127.0.0.1:9"
+    status, _, err = run(command, "--cluster", address, "--json", "-")
+    assert status == 2 and f"--cluster {address}: no scheduler answers there" in err
     assert len([line for line in err.splitlines() if line.startswith("valve-control:")]) == 1
     assert "Traceback" not in err

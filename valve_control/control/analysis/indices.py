@@ -55,7 +55,7 @@ def indices(
         follow &= kept[1:] & kept[:-1]
         error, voltage = error[kept], voltage[kept]
     elif time is not None:
-        recent = int(np.count_nonzero(time >= time[-1] - 2.0 - 0.5 * period))
+        recent = int(np.count_nonzero(time >= time[-1:] - 2.0 - 0.5 * period))
     steps = steps[follow]
     if len(error) == 0 or len(error) != len(voltage):
         raise ValueError(

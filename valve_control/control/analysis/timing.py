@@ -107,7 +107,8 @@ def _slopes_without_gaps(time: Integers) -> Floats:
     intervals = np.diff(time) * 1e-9
     usual = float(np.median(intervals))
     everywhere = _slopes(time, count, APART)
-    if abs(usual / float(np.median(everywhere)) - 1.0) > REGULAR:
+    middle = float(np.median(everywhere))
+    if abs(usual - middle) > REGULAR * middle:
         # Whole multiples of the shortest interval are losses. Of messages that come in bursts no interval
         # tells whether one is missing in it.
         ratio = intervals / usual if usual > 0.0 else np.zeros(1)
@@ -130,15 +131,15 @@ def true_period(time: Integers, sequence: Integers) -> float:
 
     The median slope of time against number over APART readings: jitter is divided by that, lost readings
     count by their numbers (without numbers only stretches without a gap count), and a pause touches few
-    slopes. NaN for less than LEAST readings.
+    slopes. NaN for less than LEAST readings, and where most of them share their stamps.
     """
     if len(time) < LEAST:
         return np.nan
-    if lost_messages(sequence) is None:
-        return float(np.median(_slopes_without_gaps(time)))
-    slopes = _slopes(time, sequence, APART)
+    numbered = lost_messages(sequence) is not None
+    slopes = _slopes(time, sequence, APART) if numbered else _slopes_without_gaps(time)
     slopes = slopes[np.isfinite(slopes)]
-    return float(np.median(slopes)) if len(slopes) else np.nan
+    period = float(np.median(slopes)) if len(slopes) else 0.0
+    return period if period > 0.0 else np.nan
 
 
 def leaps(time: Integers, number: Integers, period: float) -> Integers:

@@ -8,7 +8,7 @@ controller that runs with its default because a name is misspelt is a danger to 
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from valve_control.control.parameters import files
 from valve_control.control.parameters.axis_parameters import ROS_NODES
@@ -31,13 +31,22 @@ class Given(NamedTuple):
     """The parameters, files and other words of a command line."""
 
     stray: list[str]  # that no part of ROS takes
-    settings: list[Setting]
-    paths: list[str]  # of parameter files
+    in_order: list[Setting | str]  # parameters, and paths of parameter files
+
+    @property
+    def settings(self) -> list[Setting]:
+        """Its parameters."""
+        return [one for one in self.in_order if isinstance(one, Setting)]
+
+    @property
+    def paths(self) -> list[str]:
+        """Paths of its parameter files."""
+        return [one for one in self.in_order if isinstance(one, str)]
 
 
 def given(arguments: Sequence[str]) -> Given:
     """Parse a command line, without the name of the program."""
-    found = Given([], [], [])
+    found = Given([], [])
     words = iter(arguments)
     inside = False
     for word in words:
@@ -48,11 +57,11 @@ def given(arguments: Sequence[str]) -> Given:
         elif word == "--":
             inside = False
         elif word == "--params-file":
-            found.paths.append(next(words, ""))
+            found.in_order.append(next(words, ""))
         elif word in OPTIONS:
             text = next(words, "")
             node, _, name = text.partition(":=")[0].rpartition(":")
-            found.settings.append(Setting(text, node, name))
+            found.in_order.append(Setting(text, node, name))
     return found
 
 
@@ -67,9 +76,35 @@ def written(arguments: Sequence[str], node: str, name: str) -> str | None:
 
 
 def _own_name(arguments: Sequence[str], name: str) -> str:
-    """Full name of the node ``name`` under a command line."""
-    remapped = dict(text.split(":=", 1) for text in arguments if text.startswith(("__ns:=", "__node:=")))
-    return f"{remapped.get('__ns', '').rstrip('/')}/{remapped.get('__node', name)}"
+    """Full name of the node ``name`` under a command line, of which the first rule counts."""
+    parts = {"__ns": "", "__name": name}
+    for text in reversed(arguments):
+        rule, _, value = text.partition(":=")
+        node, _, part = rule.rpartition(":")
+        if node in ("", name):
+            parts["__name" if part == "__node" else part] = value
+    return f"{parts['__ns'].rstrip('/')}/{parts['__name']}"
+
+
+def _in_force(arguments: Sequence[str], node: str) -> dict[str, tuple[str, Any]]:
+    """What a command line and its files give ``node`` (full name): file and value by parameter.
+
+    A value of -p is its text, with the file "". As in rcl a section joins the first one of its pattern, -p
+    without a node is of /**, and the later of two patterns wins. Raises ParameterError.
+    """
+    merged: dict[str, dict[str, tuple[str, Any]]] = {}
+    for one in given(arguments).in_order:
+        if isinstance(one, Setting):
+            pattern = f"/{one.node.lstrip('/')}" if one.node else "/**"
+            merged.setdefault(pattern, {})[one.name] = "", one.text.partition(":=")[2]
+            continue
+        for section in files.sections(one):
+            values = {name: (one, value) for name, value in section.values.items()}
+            merged.setdefault(section.pattern, {}).update(values)
+    found: dict[str, tuple[str, Any]] = {}
+    for pattern, values in merged.items():
+        found.update(values if matches(pattern, node) else {})
+    return found
 
 
 def looked_up(arguments: Sequence[str], name: str, parameter: str) -> object:
@@ -79,16 +114,10 @@ def looked_up(arguments: Sequence[str], name: str, parameter: str) -> object:
 
 def value_given(arguments: Sequence[str], node: str, parameter: str) -> object:
     """What a command line and its files give a ``parameter`` of ``node`` (full name), None: nothing."""
-    found: object = written(arguments, node, parameter)
-    for path in given(arguments).paths if found is None else ():
-        try:
-            sections = files.sections(path)
-        except ParameterError:
-            continue  # told when the node starts
-        for section in sections:
-            if matches(section.pattern, node):
-                found = section.values.get(parameter, found)
-    return found
+    try:
+        return _in_force(arguments, node).get(parameter, ("", None))[1]
+    except ParameterError:
+        return None  # told when the node starts
 
 
 def values_of(arguments: Sequence[str], name: str, table: Table) -> Values:
@@ -96,13 +125,14 @@ def values_of(arguments: Sequence[str], name: str, table: Table) -> Values:
     node = _own_name(arguments, name)
     check(arguments, {node: table})
     values = defaults(table)
-    for path in given(arguments).paths:
-        if any(matches(section.pattern, node) for section in files.sections(path)):
-            values.update(addressed(path, node, table))
+    found = _in_force(arguments, node)
     for parameter in table:
-        text = written(arguments, node, parameter.name)
-        if text is not None:
-            values[parameter.name] = files.from_text(parameter, text)
+        path, value = found.get(parameter.name, ("", None))
+        if parameter.name in found:
+            try:
+                values[parameter.name] = (files.from_yaml if path else files.from_text)(parameter, value)
+            except ParameterError as error:
+                raise ParameterError(f"{path}: {error}" if path else f"{error}") from error
     return values
 
 

@@ -210,7 +210,7 @@ AXIS_CONTROLLER: Table = (
         "message",
         "command",
         "",
-        "node: command: numbers on spool_command; trajectory: points with derivatives on spool_trajectory",
+        "command: numbers on spool_command; trajectory: points with derivatives on spool_trajectory",
         choices=("command", "trajectory"),
     ),
     Parameter("lockstep", False, "", "node: answer each reading when all listeners are there"),

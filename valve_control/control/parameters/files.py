@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from valve_control import inputs, outputs
-from valve_control.control.parameters.table import NODE_ONLY, NODES, is_of_ros
+from valve_control.control.parameters.table import NODE_ONLY, NODES, OTHERS, is_of_ros
 from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, lookup, word
 
 OF_ALL = {"sample_period", "u_max", "command_limit"}  # of the machine: a file of one law has them for all
@@ -236,7 +236,17 @@ def load(path: str, notes: list[str] | None = None, nodes: Mapping[str, Table] =
             except ParameterError as error:
                 raise ParameterError(f"{path}: {error}") from error
     _tell_others(path, others, len(others) == len(found), notes, nodes)
+    if notes is not None:
+        notes += _several(path, found, nodes)
     return result
+
+
+def _several(path: str, found: Sequence[Section], nodes: Mapping[str, Table]) -> Iterator[str]:
+    """Sentences about nodes of which a file has sections in several namespaces."""
+    for node in nodes:
+        patterns = [section.pattern for section in found if section.node == node]
+        if len(patterns) > 1:
+            yield f"{path}: of {', '.join(patterns)} the last one counts where they differ"
 
 
 def _tell_others(
@@ -244,14 +254,15 @@ def _tell_others(
 ) -> None:
     """Raise ParameterError for sections that were meant for one of ``nodes``; note the others."""
     for section in others:
-        near = difflib.get_close_matches(section.split("/")[-1], nodes, n=1, cutoff=0.7)
-        if near:
+        name = section.split("/")[-1]
+        near = difflib.get_close_matches(name, nodes, n=1, cutoff=0.7)
+        if near and name not in (*NODES, *OTHERS):
             raise ParameterError(f"{path}: there is no node '{section}'; did you mean {near[0]}?")
     told = ", ".join(f"'{section}'" for section in others)
     if alone:
         raise ParameterError(f"{path} has parameters for {told} alone; the nodes are {', '.join(nodes)}")
     if others and notes is not None:
-        notes.append(f"{path}: {told} is no node of this package; its parameters are left out")
+        notes.append(f"{path}: the parameters of {told} are left out; the nodes are {', '.join(nodes)}")
 
 
 def _assign(result: dict[str, Values], targets: Mapping[str, Table], name: str, value: Any) -> None:
@@ -292,7 +303,7 @@ def given(
     told: dict[str, str] = {}
     for text in settings:
         name, by_node = parse_setting(text, nodes)
-        if name in NODE_ONLY:
+        if name in NODE_ONLY or lookup(_joined(nodes), name).text.startswith(("node: ", "node, ")):
             raise ParameterError(f"--set {text} has no effect here, because running nodes alone read {name}")
         if told.setdefault(name, text) != text:
             raise ParameterError(f"--set {told[name]} and --set {text} contradict each other")

@@ -70,7 +70,7 @@ def checked(file: str, **values: str) -> str:
         )
     if given is not None:  # of a file that is included another part may be for nodes of the one around it
         _refuse_useless(file, values["params_file"])
-    _refuse_contradictions(values["params_file"], values, declared)
+    _refuse_contradictions(file, values, declared)
     return file
 
 
@@ -93,7 +93,8 @@ def _takers(file: str) -> set[str]:
     nodes = {node.get("exec", "") for node in root.iter("node")} - {"recorder", "dashboard"}
     for include in root.iter("include"):
         nodes |= _takers(include.get("file", "").rsplit("/", 1)[-1])
-    return nodes | ({"controller"} if "manifold" in nodes else set())
+    beside = {"manifold": "controller", "axis_simulator": "valve_simulator"}  # in the same process
+    return nodes | {other for node, other in beside.items() if node in nodes}
 
 
 def _refuse_useless(file: str, path: str) -> None:
@@ -123,11 +124,16 @@ def _refuse_unknown(file: str, given: Iterable[str], declared: Mapping[str, str]
             raise ParameterError(f"{file} has no argument '{name}'; {hint}")
 
 
-def _refuse_contradictions(path: str, values: Mapping[str, str], declared: Mapping[str, str]) -> None:
-    """Raise ParameterError if a file sets what an argument, other than its default, sets otherwise."""
-    for _, name, value in _named(path):
+def _refuse_contradictions(file: str, values: Mapping[str, str], declared: Mapping[str, str]) -> None:
+    """Raise ParameterError if the user's file sets what an argument, other than its default, sets otherwise.
+
+    Of nodes that ``file`` does not launch the sample period alone counts: it is that of all nodes.
+    """
+    path, takers = values["params_file"], _takers(file)
+    for section, name, value in _named(path):
         argument = "rate" if name == "sample_period" else name
-        if argument not in values:
+        node = section.rsplit("/", 1)[-1]
+        if argument not in values or not (node in takers or "*" in node or argument == "rate"):
             continue
         text = values[argument]
         if text != declared[argument] and not _says(argument, text, value):

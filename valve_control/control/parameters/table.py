@@ -448,6 +448,7 @@ NODES: dict[str, Table] = {
     "recorder": RECORDER,
     "dashboard": DASHBOARD,
 }
+OTHERS = ("axis_simulator", "axis_controller", "valve_driver")  # nodes of this package with other tables
 
 # What running nodes alone read, so that it does nothing offline.
 NODE_ONLY = frozenset(

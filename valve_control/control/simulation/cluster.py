@@ -121,7 +121,7 @@ def connected(address: str) -> Iterator[Cluster]:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=MEET, set_as_default=False)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:  # TypeError: tls:// and ucx:// that are not set up
         raise ParameterError(
             f"--cluster {address}: no scheduler answers there ({str(error).splitlines()[0]})"
         ) from error
