@@ -12,6 +12,7 @@ import scipy.linalg
 import scipy.signal
 from changed import controller
 from changed import valve as simulated
+from grids import grid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -142,6 +143,14 @@ def test_inner_states_move_as_the_differential_equation_says(model, time):
     assert np.allclose(dcarc.moved(move, state, reference, rate)[:m], exact, rtol=1e-7, atol=1e-15)
 
 
+def last_of_riccati(a, g, h):
+    """X after 2¹⁶ steps of X ← h + aᵀX(I + gX)⁻¹a from 0, by doubling (Anderson 1978)."""
+    for _ in range(16):
+        w = np.linalg.inv(np.eye(len(a)) + g @ h)
+        a, g, h = a @ w @ a, g + a @ w @ g @ a.T, h + a.T @ h @ w @ a
+    return h
+
+
 @pytest.mark.parametrize(
     ("model", "delay"),
     [
@@ -150,17 +159,13 @@ def test_inner_states_move_as_the_differential_equation_says(model, time):
     ],
 )
 def test_kalman_gain_is_where_the_riccati_recursion_ends(model, delay):
-    """The stationary equation of the design against the time-varying filter, run until it stands still."""
+    """The stationary equation of the design against the time-varying filter after 65,536 samples."""
     o = dcarc_design.observed(model, PERIOD, delay, **NOISES)
     n = len(o.a)
     order = len(model.denominator) - 1
     scale = np.concatenate([100.0 ** np.arange(order), np.ones(n - order)])
     gain = dcarc_design.kalman(o, scale)
-    p = np.diag(scale**2) * 1e-2
-    for _ in range(6000):
-        k = p @ o.c / (o.c @ p @ o.c + o.reading)
-        left = np.eye(n) - np.outer(k, o.c)
-        p = o.a @ (left @ p @ left.T + o.reading * np.outer(k, k)) @ o.a.T + o.process
+    p = last_of_riccati(o.a.T, np.outer(o.c, o.c) / o.reading, o.process)
     k = p @ o.c / (o.c @ p @ o.c + o.reading)
     assert np.allclose(gain / scale, k / scale, rtol=1e-5, atol=1e-7)
 
@@ -181,11 +186,8 @@ def test_lqr_gain_is_where_the_backward_recursion_ends(model, weight):
     gain = dcarc_design.regulator(a, b, weight, scale)
     q = np.zeros((n, n))
     q[0, 0] = 1.0
-    s = q
-    for _ in range(20000):
-        k = b @ s @ a / (weight + b @ s @ b)
-        s = q + a.T @ s @ (a - np.outer(b, k))
-    assert np.allclose(gain, k, rtol=1e-6)
+    s = last_of_riccati(a, np.outer(b, b) / weight, q)
+    assert np.allclose(gain, b @ s @ a / (weight + b @ s @ b), rtol=1e-6)
 
     def cost(k):
         loop = (a - np.outer(b, k)) * scale / scale[:, None]
@@ -209,8 +211,9 @@ def test_nominal_valve_follows_the_reference_up_to_the_square_of_the_period(mode
         own = {"sample_period": period, **STILL, **FAST}
         rows, _ = runs(params(model, **own), plant(model, period), command)
         left.append(rms(rows[:, 0] - wanted) / rms(wanted))
-        pushed, _ = runs(params(model, **own), plant(model, period, flow_force=0.3), command)
-        assert rms(pushed[:, 0] - wanted) > 5.0 * rms(rows[:, 0] - wanted)
+        if period == PERIOD:
+            pushed, _ = runs(params(model, **own), plant(model, period, flow_force=0.3), command)
+            assert rms(pushed[:, 0] - wanted) > 5.0 * rms(rows[:, 0] - wanted)
     assert left[0] < 3e-3 and left[1] < left[0] / 8.0
 
 
@@ -539,8 +542,7 @@ def test_it_halves_the_error_of_oarc_on_a_fast_sine(simulate):
     assert error["dcarc"] < 0.5 * error["oarc"]
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.0007])
-@pytest.mark.parametrize("weight", [0.01, 0.17])
+@grid("delay, weight", [0.0, 0.0007], [0.01, 0.17], strength=1)
 def test_jitter_is_the_speed_at_which_noise_shakes_a_spool_without_friction(delay, weight):
     """The Lyapunov equation of the design against 60 s of the law's own steps at rest."""
     noise = math.hypot(0.0056, 0.0037 / math.sqrt(12.0))

@@ -71,7 +71,7 @@ def test_a_hum_leaves_the_motion_of_a_solenoid_valve(hum, most):
         valve = updated(VALVE, valve, {"solenoid.hum": amplitude, "solenoid.hum_frequency": 50.1})
         wanted = comparison.motions()["sine 10 Hz"][:2502]
         sent = comparison.unreshaped(dcarc.build(values).reshaping, wanted)
-        run = offline.simulate(values, valve, sent, compiled=False, alone=True)
+        run = offline.simulate(values, valve, sent, alone=True)
         return rms((run.position - wanted[:-2])[1000:]), run.indices.c_u
 
     (plain, restless), (error, chatter), (quiet, _) = found(0.0, hum), found(50.0, hum), found(0.0, 0.0)

@@ -175,8 +175,8 @@ def stepped_sine(set_at=None, by=0.0, numbered=True, lost=(), publish=True, seed
     random = np.random.default_rng(seed)
     decays = [math.exp(-2.0 * math.pi * pole * 1e-3) for pole in (FIRST_POLE, SECOND_POLE)]
     messages, spool, k = [], [0.0, 0.0], 0
-    for frequency in np.geomspace(0.5, 60.0, 12):
-        for i in range(round(1000 * max(2.0, 6.0 / frequency))):
+    for frequency in np.geomspace(1.0, 60.0, 10):
+        for i in range(round(1000 * max(1.5, 4.0 / frequency))):
             time = BEGIN + k * PERIOD + (round(by * 1e9) if set_at is not None and k >= set_at else 0)
             voltage = 2.0 * math.sin(2.0 * math.pi * frequency * i * 1e-3)
             for topic, value, late in (
@@ -200,14 +200,14 @@ def stepped_sine(set_at=None, by=0.0, numbered=True, lost=(), publish=True, seed
 
 HARD = {
     "nothing": ({}, False),
-    "set by +2 s": ({"set_at": 25_000, "by": 2.0}, True),
-    "set by +2 s, without numbers": ({"set_at": 25_000, "by": 2.0, "numbered": False}, True),
-    "set by -20 ms": ({"set_at": 22_000, "by": -0.02}, True),
-    "set by -3 s": ({"set_at": 15_000, "by": -3.0}, True),
-    "1970 to 2026": ({"set_at": 9_000, "by": 56 * 365 * 86_400.0}, True),
-    "2 s missing": ({"lost": (25_000, 27_000)}, False),
-    "2 s missing, without numbers": ({"lost": (25_000, 27_000), "numbered": False, "publish": False}, True),
-    "three missing, without numbers": ({"lost": (25_000, 25_003), "numbered": False}, False),
+    "set by +2 s": ({"set_at": 10_500, "by": 2.0}, True),
+    "set by +2 s, without numbers": ({"set_at": 10_500, "by": 2.0, "numbered": False}, True),
+    "set by -20 ms": ({"set_at": 9_300, "by": -0.02}, True),
+    "set by -3 s": ({"set_at": 6_300, "by": -3.0}, True),
+    "1970 to 2026": ({"set_at": 3_800, "by": 56 * 365 * 86_400.0}, True),
+    "2 s missing": ({"lost": (10_500, 12_500)}, False),
+    "2 s missing, without numbers": ({"lost": (10_500, 12_500), "numbered": False, "publish": False}, True),
+    "three missing, without numbers": ({"lost": (10_500, 10_503), "numbered": False}, False),
 }
 
 

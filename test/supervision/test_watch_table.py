@@ -170,7 +170,7 @@ folder.write(folder.refuse_taken(sys.argv[1]), files)
 def test_a_new_watch_is_one_file_and_one_row(tmp_path, kind, mode):
     """In a copy of the package: its sentence, its mode, its state in a snapshot, and its C."""
     package = tmp_path / "valve_control"
-    shutil.copytree(ROOT / "valve_control", package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "valve_control", package)
     rooms = package / "control" / "supervision"
     (rooms / "far_watch.py").write_text(NEW.replace("MODE", mode.lower()), encoding="utf-8")
     table = rooms / "watch_table.py"
@@ -194,12 +194,11 @@ def test_a_new_watch_is_one_file_and_one_row(tmp_path, kind, mode):
     assert said and all(re.fullmatch(r"LVDT is far out at [\d.]+ V", sentence) for sentence in said)
     source = (tmp_path / "made" / "pid.c").read_text(encoding="utf-8")
     assert ("far_watch" in source) == (kind == "STOPS")
-    checked = subprocess.run(
-        ["make", "check"], cwd=tmp_path / "made", capture_output=True, text=True, timeout=120
-    )
-    assert checked.returncode == 0 and "equal to the last bit" in checked.stdout, (
-        checked.stdout + checked.stderr
-    )
+    if kind == "STOPS":  # the other C is that of test_watched.py
+        checked = subprocess.run(
+            ["make", "check"], cwd=tmp_path / "made", capture_output=True, text=True, timeout=120
+        )
+        assert checked.returncode == 0 and "equal to the last bit" in checked.stdout, checked
 
 
 def main():
