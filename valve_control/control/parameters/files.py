@@ -39,8 +39,11 @@ def _flat(tree: dict[Any, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _number(value: Any) -> Any:
-    """Turn a word into a number if it is one: YAML 1.1 reads 1.44e6 as a word, ROS as a number."""
-    if isinstance(value, str):
+    """Turn a word into a number if it is one: YAML 1.1 reads 1.44e6 as a word, ROS as a number.
+
+    1_000, which Python takes for a number too, stays a word as in ROS.
+    """
+    if isinstance(value, str) and "_" not in value:
         try:
             return float(value)
         except ValueError:
@@ -128,7 +131,7 @@ def _turns(value: Value) -> bool:
     word 1e-05, which the nodes take for the number.
     """
     try:
-        again = inputs.from_yaml(str(value))
+        again = inputs.from_yaml(str(value), of_python=True)
     except ValueError:
         return True
     again = "" if again is None else again
