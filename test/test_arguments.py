@@ -138,10 +138,13 @@ def test_nested_namespaces_are_read_as_ros_reads_them(tmp_path):
 
 
 def test_wildcard_for_several_nodes_warns_of_what_no_node_of_the_package_has(tmp_path):
-    text = "/**:\n  ros__parameters: {use_sim_time: true, amplitude: 1.0, controler: pid, robot: x}\n"
+    text = (
+        "/**:\n  ros__parameters: {use_sim_time: true, amplitude: 1.0, controler: pid, robot: x, "
+        "signal_decimation: 2}\n"
+    )
     (warning,) = judged(tmp_path, ONE, text)
     assert "'controler' (did you mean 'controller'" in warning and "'robot'" in warning
-    assert "amplitude" not in warning and "use_sim_time" not in warning
+    assert all(name not in warning for name in ("amplitude", "use_sim_time", "signal_decimation"))
 
 
 def test_file_for_other_nodes_warns(tmp_path):

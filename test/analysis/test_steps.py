@@ -40,5 +40,6 @@ def test_the_worst_of_several_steps_and_positions_counts_and_motions_have_none()
     bad[200:] = 0.45
     found = steps.answer(command, np.stack([good, bad]), PERIOD)
     assert found.overshoot == pytest.approx([0.0, 0.1]) and list(found.settling) == [0.0, math.inf]
+    assert steps.answer(command, np.full(300, np.nan), PERIOD).settling == math.inf
     assert steps.answer(np.sin(TIMES), np.sin(TIMES), PERIOD) is None
     assert steps.answer(np.zeros(100), np.zeros(100), PERIOD) is None

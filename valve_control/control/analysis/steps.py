@@ -45,7 +45,7 @@ def answer(command: Array, position: Array, period: float) -> Answer | None:
         height = command[first] - command[first - 1]
         beyond = (position[..., first:end] - command[first]) / height
         overshoot = np.maximum(overshoot, np.max(beyond, axis=-1))
-        outside = np.abs(beyond) > BAND
+        outside = ~(np.abs(beyond) <= BAND)  # NaN too
         last = (end - first) - np.argmax(outside[..., ::-1], axis=-1)
         time = np.where(np.any(outside, axis=-1), last * period, 0.0)
         settling = np.maximum(settling, np.where(outside[..., -1], np.inf, time))

@@ -243,7 +243,7 @@ def _check_file(path: str, nodes: Mapping[str, Table]) -> list[str]:
         reached = reached or bool(tables)
         several = "*" in section.node
         if several and tables:
-            tables = [tuple(parameter for table in ROS_NODES.values() for parameter in table)]
+            tables = [tuple(parameter for table in (*ROS_NODES.values(), DEVICE) for parameter in table)]
         for table in tables:
             if unknown := _unknown(table, section.values):
                 text = f"section '{section.pattern}' of {path}: {missing(table, unknown)}"
