@@ -35,6 +35,8 @@ TWO = {"/manifold": MANIFOLD, "/boom/controller": CONTROLLER, "/arm/controller":
         ("/*/controller", "/boom/controller", True),
         ("/**", "/boom/controller", True),
         ("/**/valve_simulator", "/controller", False),
+        ("/b.om/controller", "/boom/controller", False),
+        ("/(/controller", "/boom/controller", False),  # was a traceback
     ],
 )
 def test_sections_reach_the_nodes_that_ros_gives_them_to(pattern, node, whether):

@@ -192,7 +192,8 @@ def check(arguments: Sequence[str], nodes: Mapping[str, Table]) -> list[str]:
 def matches(pattern: str, node: str) -> bool:
     """Whether ROS applies a section to ``node`` (full name); ``*`` is one part of a name, ``**`` any."""
     rule = pattern if pattern.startswith("/") else f"/{pattern}"
-    return re.fullmatch(rule.replace("/*", r"(/\w+)"), node) is not None
+    regular = re.escape(rule).replace(r"/\*", r"(/\w+)").replace(r"\*", "*")
+    return re.fullmatch(regular, node) is not None
 
 
 def addressed(path: str, node: str, table: Table) -> Values:
