@@ -299,8 +299,15 @@ def test_a_file_of_the_user_reaches_the_nodes_that_it_is_for(own):
     assert launching.parameters_of(mine, "d3fxe.yaml", "valve_simulator") == valve
     assert (launching.file_option(""), launching.file_value("")) == ("-r", "__node:=controller")
     mine = own("valve_simulator: {ros__parameters: {gain_scale: 0.9}}")  # in the process of axis_simulator
-    for name in ("axis.launch.xml", "arm.launch.xml"):
-        assert variables(ROOT / "launch" / name, params_file=mine)["axis_simulator_file"] == mine
+    assert variables(ROOT / "launch" / "axis.launch.xml", params_file=mine)["axis_simulator_file"] == mine
+    # A node that gets a file with a section for another namespace alone does not start.
+    mine = own(
+        "/**/boom/axis_controller: {ros__parameters: {kp: 2.0}}\n"
+        "/**/arm/valve_simulator: {ros__parameters: {seed: 2}}"
+    )
+    found = variables(ROOT / "launch" / "arm.launch.xml", params_file=mine, namespace="crane")
+    got = {name for name, value in found.items() if name.endswith("_file") and value == mine}
+    assert got == {"params_file", "boom_controller_file", "arm_simulator_file"}
 
 
 def test_controller_and_valve_have_one_period_also_if_the_file_names_it_for_one(own):

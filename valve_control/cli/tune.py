@@ -151,7 +151,11 @@ def _search_options(group: Any) -> None:
     )
     fix_option(group)
     group.add_argument(
-        "--budget", type=int, default=4000, metavar="N", help="number of sets of gains of each law, for the PID of each form (4000)"
+        "--budget",
+        type=int,
+        default=4000,
+        metavar="N",
+        help="number of sets of gains of each law, for the PID of each form (4000)",
     )
     group.add_argument("--alone", action="store_true", help="tune no PID beside the requested laws")
     group.add_argument(

@@ -166,13 +166,14 @@ def _load(path: str) -> dict[str, dict[str, Value]]:
     return files.load(path, nodes={**ROS_NODES, **LAUNCHED}) if path else {}
 
 
-def parameters_of(params_file: str, otherwise: str, *nodes: str) -> str:
+def parameters_of(params_file: str, otherwise: str, *nodes: str, beside: str = "") -> str:
     """Path of ``params_file`` if it has anything for ``nodes``, else of ``otherwise``, a file in config/.
 
+    Sections of the namespace ``beside`` do not count: a node that finds nothing but these does not start.
     A node that gets a file of its own twice takes no harm; launch files have no parameter that is left out.
     Raises ParameterError.
     """
-    return _given(params_file, nodes) or str(files.config_folder() / otherwise)
+    return _given(params_file, nodes, beside) or str(files.config_folder() / otherwise)
 
 
 def file_option(params_file: str) -> str:
@@ -188,14 +189,15 @@ def file_value(params_file: str) -> str:
     return _given(params_file, ["controller"]) or "__node:=controller"
 
 
-def _given(params_file: str, nodes: Iterable[str]) -> str:
-    """Path of ``params_file``, "" if it has nothing for ``nodes``."""
+def _given(params_file: str, nodes: Iterable[str], beside: str = "") -> str:
+    """Path of ``params_file``, "" if it has nothing for ``nodes``, or only in the namespace ``beside``."""
     values = _load(params_file)
-    return (
-        str(inputs.expanded(params_file, "parameter file").absolute())
-        if any(values.get(node) for node in nodes)
-        else ""
-    )
+    sections = files.sections(params_file) if params_file else []
+    for node in nodes:
+        own = [section.pattern for section in sections if section.node == node or "*" in section.node]
+        if values.get(node) and not all(pattern.endswith(f"/{beside}/{node}") for pattern in own):
+            return str(inputs.expanded(params_file, "parameter file").absolute())
+    return ""
 
 
 def _device(driver: str, params_file: str) -> str:
