@@ -3,10 +3,26 @@
 import forked
 import pytest
 import rclpy
+from xdist.scheduler import LoadScopeScheduling
 
 from valve_control.nodes.harness import processes
 
 processes.start = forked.start
+# One worker has all tests of such a file: they share what a fixture has built, or a set of domains.
+TOGETHER = ("test_installed.py", "test_commission.py")
+
+
+class Together(LoadScopeScheduling):
+    """As `--dist loadgroup`, of which xdist 3.8 cannot tell the groups with pytest 9.2."""
+
+    def _split_scope(self, nodeid):
+        file = nodeid.partition("::")[0]
+        return file if file.endswith(TOGETHER) else nodeid
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    return Together(config, log) if config.getvalue("dist") == "loadgroup" else None
 
 
 @pytest.fixture

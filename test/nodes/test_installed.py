@@ -23,7 +23,6 @@ COLCON = shutil.which("colcon", path=f"{BIN}{os.pathsep}{os.environ['PATH']}")
 pytestmark = [
     pytest.mark.skipif(COLCON is None, reason="colcon is not installed"),
     pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no clone: git knows the files of a build"),
-    pytest.mark.xdist_group("installed"),
 ]
 PROGRAMS = sorted(
     entry.name for entry in distribution("valve_control").entry_points if entry.group == "console_scripts"
