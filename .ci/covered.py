@@ -37,7 +37,6 @@ CONTROLLER = (
         "adapter",
         "cascade",
         "controller_node",
-        "disagreement",
         "lifecycle",
         "lockstep",
         "overload",

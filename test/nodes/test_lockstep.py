@@ -67,6 +67,18 @@ def test_other_commands_and_valves_equal_offline(ros, tmp_path, law, settings):
     assert run.result["equal"] and run.result["samples"] == 500, run.result["first_difference"]
 
 
+def test_an_lvdt_of_wrong_sign_is_named_and_held_off(ros, tmp_path):
+    settings = {
+        "valve_simulator": {"fault.lvdt": "flipped"},
+        "command_source": {"scenario": "sine", "frequency": 1.5, "amplitude": 2.0, "duration": 2.0},
+    }
+    run = run_lockstep("flipped", CONFIG, settings, tmp_path)
+    said = (tmp_path / "lockstep_flipped_controller.log").read_text()
+    assert "safe: LVDT readings disagree with the voltage: wrong sign" in said
+    voltage = np.array(run.samples["valve_voltage"])
+    assert np.mean(np.abs(voltage) == 10.0) < 0.05 and np.mean(voltage == 0.0) > 0.5
+
+
 class Disturbance:
     """Stops a node for a while in the middle of a run, when the command moves (from 0.25 s on)."""
 
