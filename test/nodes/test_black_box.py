@@ -22,7 +22,7 @@ from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.modes import Mode
 from valve_control.recordings.recording import load
 
-SECONDS, AFTER = 0.5, 0.25
+SECONDS, AFTER = 1.0, 0.25
 MOVING = [
     "-p", "scenario:=sine", "-p", "amplitude:=2.0", "-p", "frequency:=1.5", "-p", "start:=0.0",
     "-p", "duration:=200.0", "-p", "delay:=0.0",

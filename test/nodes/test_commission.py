@@ -86,7 +86,7 @@ class Everything:
         assert self.limited[0][1] == VOLTAGE
         stamps = np.array(self.listener.stamps[self.topic])
         given = np.abs(self.listener.values[self.topic])[stamps > self.limited[0][0]]
-        assert len(given) > 300
+        assert len(given) > 100  # an end in the noise at rest comes after 200
         return np.max(given)
 
     @property
