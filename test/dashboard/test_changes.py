@@ -60,6 +60,8 @@ def test_a_slider_that_is_drawn_is_one_change():
     changes.add(Change(6.5, {"k2": 1.0}, {"k2": 2.0}, "here"))
     changes.add(Change(9.0, {"k2": 2.0}, {"k2": 3.0}, "here"))
     assert [change.after for change in changes.done] == [{"k1": 21.0}, {"k2": 2.0}, {"k2": 3.0}]
+    changes.add(Change(9.5, {"k2": 3.0}, {"k2": 2.0}, "here"))  # and back: undo has nothing to take back
+    assert len(changes.done) == 2
 
 
 def test_a_node_tells_late_what_was_set_here_and_it_is_not_taken_for_others():
@@ -87,6 +89,10 @@ def test_a_node_that_comes_back_with_other_values_is_found_out():
     state.asked({"k1": 5.0}, "", 0.1, "here")
     state.answered(state.fields, {"k1": 1.0, "k2": 2.0})
     assert state.lost == {"k1": 5.0}
+    state.answered(state.fields, {"k1": 1.0, "k2": 2.0})  # a second time, before anybody looked
+    assert state.lost == {"k1": 5.0}
+    state.asked({"k1": 3.0}, "", 0.2, "here")  # somebody has decided otherwise
+    assert state.lost == {}
 
 
 def test_the_key_goes_to_the_other_set():

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.dashboard.entry import STEPS, EntryError, Field, number, parse, scale, shown
+from valve_control.dashboard.entry import STEPS, EntryError, Field, number, parse, scale, shown, slid
 
 GAIN = Field("k", "double", low=0.001, high=1e5)
 FROM_ZERO = Field("ki", "double", low=0.0, high=1e9)
@@ -42,6 +42,7 @@ def test_values_of_each_kind():
     assert parse(Field("b", "bool"), "True") is True
     assert parse(Field("t", "doubles"), "1,5; 2; 3") == [1.5, 2.0, 3.0]
     assert parse(Field("t", "doubles"), "[1.5 2 3]") == [1.5, 2.0, 3.0]
+    assert parse(Field("t", "doubles"), "[2.0, 110.0, 5]") == [2.0, 110.0, 5.0]  # as in a parameter file
     assert parse(Field("s", "strings"), "a, b") == ["a", "b"]
     for field, text, words in [
         (COUNT, "1,5", "no whole number"), (GAIN, "0", "out of range: 0.001 to 100000"),
@@ -65,6 +66,13 @@ def test_a_slider_stays_where_it_is_put(field, place):
     s = scale(field)
     assert field.low <= s.value(place) <= field.high
     assert s.place(s.value(place)) == place
+
+
+@pytest.mark.parametrize("high", [99, 999])
+def test_a_slider_of_whole_numbers_gives_the_number_at_which_it_stands(high):
+    field = Field("n", "integer", low=0, high=high)
+    s = scale(field)
+    assert [slid(field, s, s.place(n)) for n in range(100)] == list(range(100))
 
 
 def test_ranges_over_decades_are_logarithmic_and_reach_both_ends():

@@ -98,10 +98,11 @@ def test_a_clock_that_was_set_back_does_not_disorder_the_past():
 def test_indices_over_the_last_seconds_are_those_of_the_analysis():
     error, time, e = filled(9000, values=np.random.default_rng(1).standard_normal(9000))
     voltage, _, u = filled(9000, values=np.random.default_rng(2).standard_normal(9000))
-    found = recent_indices(error, voltage, 5.0, 0.001)
+    found = recent_indices(error, voltage, 5.0, 0.001, time[-1] + 0.9)
     expected = indices(e[-5001:], u[-5001:], 0.001)
     assert found == pytest.approx(expected)
     late, _, _ = filled(9000)
     late.append(time[-1:] + 10.0, np.zeros(1))
-    assert recent_indices(late, voltage, 5.0, 0.001) is None  # they do not belong together
-    assert recent_indices(History(), voltage, 5.0, 0.001) is None
+    assert recent_indices(late, voltage, 5.0, 0.001, time[-1]) is None  # they do not belong together
+    assert recent_indices(History(), voltage, 5.0, 0.001, time[-1]) is None
+    assert recent_indices(error, voltage, 5.0, 0.001, time[-1] + 1.1) is None  # the loop has fallen silent

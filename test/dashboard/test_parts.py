@@ -7,6 +7,7 @@ import json
 import math
 import time
 from concurrent.futures import Future
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,8 +20,9 @@ from valve_control.dashboard.entry import Field
 from valve_control.dashboard.frames import ViewError, frame, sample, view
 from valve_control.dashboard.generator import check, fastest, largest, paced
 from valve_control.dashboard.latency import Latencies
-from valve_control.dashboard.machine import Machine
+from valve_control.dashboard.machine import Answer, Machine
 from valve_control.dashboard.programs import Program
+from valve_control.dashboard.tuning import Tuning
 from valve_control.dashboard.valve import SIGNALS, NodeState, Valve
 from valve_control.dashboard.writers import GONE, Writer, right
 from valve_control.parameter import ParameterError, defaults, updated
@@ -169,6 +171,39 @@ def test_changes_follow_one_another_while_an_answer_is_awaited():
         assert len(node.changes.done) == 1 and len(node.changes.undone) == 1
 
     asyncio.run(asyncio.wait_for(run(), 10.0))
+
+
+def test_a_stop_asks_controllers_that_are_said_to_rest_too():
+    """One was activated elsewhere since its diagnostics; the other one refuses, for it does rest."""
+    answers = {
+        "/a/controller": Answer(True, ""),
+        "/b/controller": Answer(False, "/b/controller refused to deactivate"),
+    }
+    asked = []
+
+    class Link:
+        def transition(self, node, name):
+            asked.append(node)
+            answer = Future()
+            answer.set_result(answers[node])
+            return answer
+
+    machine = Machine(Link())
+    for space in ("/a", "/b"):
+        machine.valve(space).controller = NodeState(f"{space}/controller")
+        machine.valve(space).controller.state = "inactive"
+    assert asyncio.run(machine.stop()) == [] and asked == list(answers)
+    assert len(machine.valve("/a").marks) == 1 and not machine.valve("/b").marks
+
+
+def test_a_value_of_a_slider_goes_to_no_other_valve():
+    """It waits for the answer of its own node, and meanwhile another valve was chosen."""
+    form = Tuning.__new__(Tuning)
+    form._page = SimpleNamespace(
+        valve=Valve("/b"), controller=NodeState("/b/controller"), allowed=lambda: True
+    )
+    asyncio.run(form.enter(Field("kp", "double"), "2.0", NodeState("/a/controller")))
+    assert not form._page.controller.drafts and not form._page.controller.version
 
 
 def test_a_command_tells_which_files_it_wrote(tmp_path):

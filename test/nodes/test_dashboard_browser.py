@@ -219,6 +219,12 @@ def test_several_changes_are_applied_together_or_not_at_all(page, ros):
     page.press("#apply")
     page.wait_for("#refusal", "none of the 2 was changed")
     assert kp(ros) == 1.0
+    chosen = "[data-name='controller'] .q-select"
+    page.choose(chosen, "arc")  # a choice waits in its field too
+    page.wait_for("#apply", "Apply 3 together")
+    assert "arc" in page.text(chosen)
+    page.choose(chosen, "pid")
+    page.wait_for("#apply", "Apply 2 together")
     # A reload loses nothing: what was typed is there, and not applied.
     page.open(page.driver.current_url)
     page.wait_for("#standing", "This window writes")
@@ -425,6 +431,9 @@ def test_commands_recordings_and_faults(page, tmp_path, folder):
         page.fill("command-amplitude", "5")
         page.press("#start")
         page.wait_for("#command-refusal", "this sine reaches 5 V; the limit is 3 V; nothing was sent")
+        page.fill("command-amplitude", "x")
+        page.press("#start")
+        page.wait_for("#command-refusal", "amplitude: 'x' is no number; nothing was sent")
         page.fill("command-amplitude", "0,8")
         page.press("#record")
         page.wait_for("#record-state", "messages")

@@ -48,7 +48,9 @@ class Changes:
         """Remember ``change``, asked for at ``asked`` [s]; what was undone before cannot be redone."""
         self.undone.clear()
         whole = joined(self.done[-1] if self.done else None, change, change.time if asked is None else asked)
-        if whole is not None:
+        if whole is not None and whole.before == whole.after:
+            self.done.pop()  # a slider that was drawn back to where it was
+        elif whole is not None:
             self.done[-1] = whole
         else:
             self.done.append(change)

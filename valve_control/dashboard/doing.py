@@ -21,7 +21,7 @@ from valve_control.dashboard.generator import check, paced
 from valve_control.dashboard.programs import Program
 from valve_control.dashboard.valve import Valve
 from valve_control.dashboard.window import Window
-from valve_control.parameter import ParameterError, Value, Values, defaults, lookup, updated
+from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
 
 GENERATOR, RECORDER, REPORT, RUN = "generator", "recorder", "report", "run"  # places of programs
 SHAPE = (
@@ -96,16 +96,16 @@ class Doing:
 
     def _shape(self, valve: Valve) -> Values:
         """Parameters of the command source inside the limits. Raises ParameterError."""
-        changes: dict[str, Value] = {"scenario": str(self._scenario.value)}
+        typed: dict[str, float] = {}
         try:
-            for name, field in self._fields.items():
-                changes[name] = number(str(field.value))
-            limits = [number(str(field.value)) for field in self._limits.values()]
+            for name, field in (self._fields | self._limits).items():
+                typed[name] = number(str(field.value))
         except EntryError as error:
-            raise ParameterError(str(error)) from error
+            raise ParameterError(f"{name}: {error}") from error
+        limits = [typed.pop(title) for title in LIMITS]
         node = valve.controller
         values = node.values if node is not None else {}
-        changes |= paced(valve)
+        changes: Values = {"scenario": str(self._scenario.value), **typed, **paced(valve)}
         made = updated(COMMAND, defaults(COMMAND), changes)
         bound = values.get("command_limit", limits[0])
         assert isinstance(bound, (int, float))
@@ -261,9 +261,11 @@ class Doing:
         if valve is None or node is None or not self._page.allowed():
             return
         try:
-            values = {name: parse(node.fields[name], str(box.value)) for name, box in self._faults.items()}
+            values: Values = {}
+            for name, box in self._faults.items():
+                values[name] = parse(node.fields[name], str(box.value))
         except EntryError as error:
-            self._fault_answer.set_text(str(error))
+            self._fault_answer.set_text(f"{name}: {error}")
             return
         self._fault_answer.set_text(await self._page.machine.change(valve, node, values))
 

@@ -69,8 +69,8 @@ def parse(field: Field, text: str) -> Value:
     if field.kind == "strings":
         return [part.strip() for part in re.split(r"[;,]", word)]
     if field.kind == "doubles":
-        # Entries are separated by semicolons, or by spaces, since a comma may be a decimal one.
-        return [number(part) for part in re.split(r"\s*;\s*|\s+", word.strip("[]").strip()) if part]
+        # Entries are separated by semicolons, or by spaces, since a comma without one may be a decimal one.
+        return [number(part) for part in re.split(r"\s*;\s*|,?\s+", word.strip("[]").strip()) if part]
     value = number(word)
     if field.bounded and not field.low <= value <= field.high:
         raise EntryError(f"{value:g} is out of range: {field.range_text}")
@@ -126,6 +126,12 @@ class Scale(NamedTuple):
         else:
             value, digits = self.low + share * (self.high - self.low), 6
         return min(max(float(f"{value:.{digits}g}"), self.low), self.high)
+
+
+def slid(field: Field, scale: Scale, place: float) -> float:
+    """Value of ``field`` where its slider stands at ``place``."""
+    value = scale.value(place)
+    return round(value) if field.kind == "integer" else value
 
 
 def scale(field: Field) -> Scale | None:

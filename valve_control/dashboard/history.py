@@ -147,13 +147,16 @@ class History:
         return Course((edges[filled] + 0.5 * width)[sound], lows[sound], highs[sound])
 
 
-def recent_indices(error: History, voltage: History, seconds: float, period: float) -> Indices | None:
+def recent_indices(
+    error: History, voltage: History, seconds: float, period: float, now: float
+) -> Indices | None:
     """I1 to I5 over the last ``seconds`` of ``error`` [V] and ``voltage`` [V], sampled every ``period`` [s].
 
-    None while there are less than ten samples of both, or if the newest ones are older than a second.
+    None while there are less than ten samples of both, or if the newest of one is more than a second older
+    than that of the other or than ``now`` [s].
     """
     end = min(error.newest, voltage.newest)
-    if not np.isfinite(end) or abs(error.newest - voltage.newest) > 1.0:
+    if not np.isfinite(end) or max(error.newest, voltage.newest, now) > end + 1.0:
         return None
     _, e = error.between(end - seconds, np.nextafter(end, np.inf))
     _, u = voltage.between(end - seconds, np.nextafter(end, np.inf))

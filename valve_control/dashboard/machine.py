@@ -13,6 +13,8 @@ from valve_control.dashboard.changes import Change, differing
 from valve_control.dashboard.valve import NodeState, Valve
 from valve_control.parameter import Values
 
+REFUSED = "refused to deactivate"  # end of the answer of a node that is not active
+
 
 class Answer(NamedTuple):
     """Answer to a request: whether it was done, and one sentence."""
@@ -162,16 +164,19 @@ class Machine:
         """Switch every controller off, which gives 0 V; a sentence for each that did not do so."""
         with self.lock:
             nodes = [(v, v.controller) for v in self.valves.values() if v.controller is not None]
+        # Also one that is known to rest: somebody may have activated it since it said so.
         asked = [
             (valve, node, self.link.transition(node.name, "deactivate"))
             for valve, node in nodes
-            if node.present and node.state != "inactive"
+            if node.present
         ]
         said = []
         for valve, node, future in asked:
             answer = await asyncio.wrap_future(future)
             with self.lock:
                 now = time.time()
+                if node.state in ("inactive", "unconfigured") and answer.text.endswith(REFUSED):
+                    continue
                 valve.mark(now, "stop")
                 if answer.done:
                     node.state = "inactive"

@@ -343,7 +343,9 @@ class Page:
         if valve is None:
             return
         with self.machine.lock:
-            found = recent_indices(valve.signals["error"], valve.signals["voltage"], 5.0, valve.period)
+            found = recent_indices(
+                valve.signals["error"], valve.signals["voltage"], 5.0, valve.period, time.time()
+            )
             histogram = valve.latencies.histogram()
             missing = valve.missing
             counts = {name: valve.figures.get(name, "") for name in ("lvdt_lost", "overruns")}

@@ -10,7 +10,7 @@ from typing import Any
 from nicegui import events, ui
 
 from valve_control.dashboard.changes import differing
-from valve_control.dashboard.entry import EntryError, Field, parse, scale, shown
+from valve_control.dashboard.entry import EntryError, Field, parse, scale, shown, slid
 from valve_control.dashboard.valve import LAW, NodeState, Valve
 from valve_control.dashboard.window import Window
 from valve_control.parameter import Value
@@ -72,7 +72,7 @@ class Row:
             if not self._typing and self._entered is None:
                 self._entry.set_value(shown(value) if draft is None else draft)
         else:
-            self._entry.value = value
+            self._entry.value = value if draft is None else parse(self.field, draft)
         if self._scale is not None and not self._busy and isinstance(value, (int, float)):
             self._slider.set_value(self._scale.place(value))
         reason = self._node.refusals.get(name, "")
@@ -103,29 +103,29 @@ class Row:
             if text.strip() == shown(value) and self.field.name not in self._node.drafts:
                 self._node.refusals.pop(self.field.name, None)
             elif text != self._node.drafts.get(self.field.name) or self._form.at_once:
-                await self._form.enter(self.field, text)
+                await self._form.enter(self.field, text, self._node)
         finally:
             if self._entered == text:
                 self._entered = None
         self.refresh()
 
     async def _chosen(self, event: events.ValueChangeEventArguments[Any]) -> None:
-        if event.value != self._node.values.get(self.field.name):
-            await self._form.enter(self.field, shown(event.value))
+        text, node = shown(event.value), self._node
+        if text != node.drafts.get(self.field.name, shown(node.values[self.field.name])):
+            await self._form.enter(self.field, text, node)
             self.refresh()
 
     async def _slid(self, event: events.GenericEventArguments) -> None:
         """Apply the newest place; those that come while an answer is awaited are passed over but the last."""
         assert self._scale is not None
-        value = self._scale.value(float(event.args))
-        self._wanted = int(value) if self.field.kind == "integer" else value
+        self._wanted = slid(self.field, self._scale, float(event.args))
         if self._busy:
             return
         self._busy = True
         try:
             while self._wanted is not None:
                 wanted, self._wanted = self._wanted, None
-                await self._form.enter(self.field, shown(wanted))
+                await self._form.enter(self.field, shown(wanted), self._node)
         finally:
             self._busy = False
         self.refresh()
@@ -239,7 +239,9 @@ class Tuning:
             return f"set {next(iter(sets))} is kept"
         differ = differing(sets["A"], sets["B"])
         text = ", ".join(f"{name} {sets['A'][name]} / {value}" for name, value in sorted(differ.items())[:6])
-        return f"set {node.comparison.active} is in force; A / B differ in {len(differ)}: {text}"
+        active = node.comparison.active
+        state = "was changed since" if differing(node.tuned(), sets[active]) else "is in force"
+        return f"set {active} {state}; A / B differ in {len(differ)}: {text}"
 
     def _clear(self) -> None:
         self._list.clear()
@@ -296,12 +298,15 @@ class Tuning:
 
     # Changing
 
-    async def enter(self, field: Field, text: str) -> None:
-        """Take in what was typed for a parameter: apply it, or keep it until ``Apply``."""
+    async def enter(self, field: Field, text: str, node: NodeState) -> None:
+        """Take in what was typed for a parameter of ``node``: apply it, or keep it until ``Apply``.
+
+        A slider that waits for an answer has its next value when another valve is shown: that is dropped.
+        """
         place = self._place
-        if place is None or not self._page.allowed():
+        if place is None or place[1] is not node or not self._page.allowed():
             return
-        valve, node = place
+        valve = place[0]
         try:
             value = parse(field, text)
         except EntryError as error:

@@ -80,7 +80,7 @@ class NodeState:
 
     def answered(self, fields: Mapping[str, Field], values: Mapping[str, Value]) -> None:
         """Take in what the node has told of itself after its start, or after it was first seen."""
-        before = self.tuned()
+        before = {**self.tuned(), **self.lost}  # it may have been started twice before anybody looked
         self.fields, self.values, self.asking = dict(fields), dict(values), False
         self.lost = differing(self.tuned(), before)
         self.changes.forget()
@@ -118,6 +118,7 @@ class NodeState:
         for name in after:
             self.drafts.pop(name, None)
             self.refusals.pop(name, None)
+            self.lost.pop(name, None)
         tuned = {name: value for name, value in after.items() if name not in NOT_TUNED}
         if not tuned:
             return None
