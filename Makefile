@@ -33,7 +33,7 @@ $(STAMP): requirements.txt $(ROS_WHEELS) setup.py
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .; \
 	touch $@
 
-demo: $(STAMP)  ## the cascade over DDS: ARC, OARC, PID and the compensator; figure in out/
+demo: $(STAMP)  ## the cascade over DDS with the gains of the paper and tuned ones; figure in out/
 	@$(PYTHON) -m valve_control.nodes.harness.demo $(ARGS)
 
 faults: $(STAMP)  ## fault campaign over DDS: reaction times, out/faults.json (about 9 min)
