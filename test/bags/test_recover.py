@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import Reader
 from test_writer import EPOCH, HASH, MS, STORAGES, fill, opened, read, read_mcap, read_sqlite, volts
 
@@ -110,7 +111,7 @@ def test_topics_come_back_with_their_qos(tmp_path, whole):
     topics = {t.topic.name: t.topic for t in metadata.read(tmp_path / "bag").topics}
     assert set(topics) == {"/spool_position", "/valve_voltage"}
     assert topics["/spool_position"].type_description_hash == HASH
-    assert topics["/spool_position"].offered_qos_profiles[0].reliability == "best_effort"
+    assert topics["/spool_position"].offered_qos_profiles[0].reliability == QosReliability.BEST_EFFORT
 
 
 @pytest.mark.parametrize("zeros", [1, 100, 5000])

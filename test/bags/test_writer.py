@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.metadata import Qos, Span
 from valve_control.recordings.bags.recover import recover
 from valve_control.recordings.bags.writer import BagWriter
 
@@ -27,7 +27,12 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 FLOAT = "std_msgs/msg/Float64"
 DEFINITION, _ = STORE.generate_msgdef(FLOAT, ros_version=2)
 HASH = STORE.hash_rihs01(FLOAT)
-QOS = Qos(depth=7, reliability="best_effort", deadline=Span(1, 5))
+LONG = QosTime(9223372036, 854775807)
+USUAL = Qos(
+    QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, QosDurability.VOLATILE, LONG, LONG,
+    QosLiveliness.AUTOMATIC, LONG, False,
+)  # fmt: skip
+QOS = USUAL._replace(depth=7, reliability=QosReliability.BEST_EFFORT, deadline=QosTime(1, 5))
 STORAGES = ["mcap", "sqlite3"]
 EPOCH = 1_700_000_000_000_000_000  # ns
 MS = 1_000_000  # ns
@@ -45,7 +50,7 @@ def fill(writer, count, first=0):
 def opened(folder, **options):
     writer = BagWriter(folder, **options)
     writer.add_topic("/spool_position", FLOAT, DEFINITION, HASH, [QOS])
-    writer.add_topic("/valve_voltage", FLOAT, DEFINITION, HASH, [QOS, Qos()])
+    writer.add_topic("/valve_voltage", FLOAT, DEFINITION, HASH, [QOS, USUAL])
     return writer
 
 
@@ -142,7 +147,7 @@ def test_metadata_is_of_version_9_and_comes_back(tmp_path):
         ("/spool_position", 10),
         ("/valve_voltage", 0),
     ]
-    assert got.topics[1].topic.offered_qos_profiles == (QOS, Qos())
+    assert got.topics[1].topic.offered_qos_profiles == (QOS, USUAL)
     assert got.files == (metadata.File("bag_0.mcap", EPOCH, 9 * MS, 10),)
 
 
@@ -198,7 +203,7 @@ nsec: 4294967295\\n  avoid_ros_namespace_conventions: false"
     got = metadata.read(tmp_path)
     assert got.version == 4 and got.files == () and got.relative_file_paths == ("bag_0.db3",)
     (qos,) = got.topics[0].topic.offered_qos_profiles
-    assert (qos.history, qos.reliability, qos.durability) == ("unknown", "reliable", "volatile")
+    assert qos[0] is QosHistory.UNKNOWN and qos[2:4] == (QosReliability.RELIABLE, QosDurability.VOLATILE)
     text = (tmp_path / metadata.NAME).read_text()
     lines = text.replace("version: 4", "version: 1").splitlines()
     old = [line for line in lines if "compression" not in line and "offered" not in line]

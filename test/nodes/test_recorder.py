@@ -305,8 +305,8 @@ def test_what_publishers_offer_is_taken(ros, tmp_path):
     assert sorted(deserialize_message(m[2], Float64).data for m in found["/mixed"]) == [0.0, 1.0]
     assert "/other" not in found
     qos = {t.topic.name: t.topic.offered_qos_profiles for t in metadata.read(folder).topics}
-    assert qos["/fast"][0].reliability == "best_effort"
-    assert qos["/latched"][0].durability == "transient_local"
+    assert qos["/fast"][0].reliability.name == "BEST_EFFORT"
+    assert qos["/latched"][0].durability.name == "TRANSIENT_LOCAL"
 
 
 @pytest.mark.alone

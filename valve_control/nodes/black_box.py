@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Parameter, ParameterEvent
 from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.interfaces import Qos
 
 from valve_control.nodes.parameter_capture import EVENTS, applied
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.metadata import NAME, Qos
+from valve_control.recordings.bags.metadata import NAME
 from valve_control.recordings.bags.writer import BagWriter
 
 OVERHEAD = 250  # bytes that a message takes in memory beside its own

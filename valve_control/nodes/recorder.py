@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, NoReturn, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from std_srvs.srv import Trigger
 
 from valve_control import parameter
@@ -36,7 +37,6 @@ from valve_control.nodes.loop import Failure, Worker, run
 from valve_control.nodes.parameter_capture import EVENTS, ParameterCapture
 from valve_control.parameter import ParameterError, Values, items, word
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.metadata import Qos, Span
 from valve_control.recordings.bags.writer import BagWriter, check, usual
 
 T = TypeVar("T", bound=tuple[Any, ...])
@@ -139,22 +139,21 @@ def unused(name: str) -> Path:
     return next(path for n in count(1) if not (path := Path(f"{name}_{n}" if n > 1 else name)).exists())
 
 
-def span(duration: Duration) -> Span:
-    """A duration in the form of rosbag2's metadata."""
-    return Span(*divmod(duration.nanoseconds, 10**9))
-
-
 def offered(profile: QoSProfile) -> Qos:
     """A publisher's QoS profile in the form of rosbag2's metadata."""
+    deadline, lifespan, lease = (
+        QosTime(*divmod(duration.nanoseconds, 10**9))
+        for duration in (profile.deadline, profile.lifespan, profile.liveliness_lease_duration)
+    )
     return Qos(
-        history=profile.history.name.lower(),
+        history=QosHistory[profile.history.name],
         depth=profile.depth,
-        reliability=profile.reliability.name.lower(),
-        durability=profile.durability.name.lower(),
-        deadline=span(profile.deadline),
-        lifespan=span(profile.lifespan),
-        liveliness=profile.liveliness.name.lower(),
-        liveliness_lease_duration=span(profile.liveliness_lease_duration),
+        reliability=QosReliability[profile.reliability.name],
+        durability=QosDurability[profile.durability.name],
+        deadline=deadline,
+        lifespan=lifespan,
+        liveliness=QosLiveliness[profile.liveliness.name],
+        liveliness_lease_duration=lease,
         avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
     )
 

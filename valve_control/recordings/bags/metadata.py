@@ -7,7 +7,7 @@ from pathlib import Path, PurePath
 from typing import Any, NamedTuple, TypeVar
 
 import yaml
-from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
 from valve_control import inputs, outputs
 from valve_control.recordings.bags.errors import BagError
@@ -20,41 +20,14 @@ DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 # Names that version 9 writes, at the numbers that older versions write. rosbags' parse_qos would read them,
 # but it takes any depth and time, and raises KeyError, TypeError or AttributeError for what is no profile.
-POLICIES: Mapping[str, tuple[str, ...]] = {
-    policy: tuple(member.name.lower() for member in numbers)
-    for policy, numbers in (
-        ("history", QosHistory),
-        ("reliability", QosReliability),
-        ("durability", QosDurability),
-        ("liveliness", QosLiveliness),
-    )
+POLICIES: Mapping[str, Any] = {
+    "history": QosHistory,
+    "reliability": QosReliability,
+    "durability": QosDurability,
+    "liveliness": QosLiveliness,
 }
 
 T = TypeVar("T")
-
-
-class Span(NamedTuple):
-    """A duration in a QoS profile."""
-
-    sec: int  # s
-    nsec: int  # ns
-
-
-INFINITE = Span(9223372036, 854775807)
-
-
-class Qos(NamedTuple):
-    """QoS profile that a publisher offered; policies have the names of version 9."""
-
-    history: str = "keep_last"
-    depth: int = 10
-    reliability: str = "reliable"
-    durability: str = "volatile"
-    deadline: Span = INFINITE
-    lifespan: Span = INFINITE
-    liveliness: str = "automatic"
-    liveliness_lease_duration: Span = INFINITE
-    avoid_ros_namespace_conventions: bool = False
 
 
 class TopicMetadata(NamedTuple):
@@ -142,9 +115,8 @@ def _dump(tree: Any) -> str:
 
 
 def _qos_tree(qos: Qos) -> dict[str, Any]:
-    return {
-        name: value._asdict() if isinstance(value, Span) else value for name, value in qos._asdict().items()
-    }
+    times = {name: value._asdict() for name, value in qos._asdict().items() if isinstance(value, QosTime)}
+    return qos._asdict() | {name: getattr(qos, name).name.lower() for name in POLICIES} | times
 
 
 def _tree(metadata: Metadata) -> dict[str, Any]:
@@ -319,24 +291,22 @@ def _qos(tree: object) -> Qos:
         depth=_get(tree, "depth", int),
         reliability=_policy(tree, "reliability"),
         durability=_policy(tree, "durability"),
-        deadline=_span(tree, "deadline"),
-        lifespan=_span(tree, "lifespan"),
+        deadline=_time(tree, "deadline"),
+        lifespan=_time(tree, "lifespan"),
         liveliness=_policy(tree, "liveliness"),
-        liveliness_lease_duration=_span(tree, "liveliness_lease_duration"),
+        liveliness_lease_duration=_time(tree, "liveliness_lease_duration"),
         avoid_ros_namespace_conventions=bool(
             isinstance(tree, dict) and tree.get("avoid_ros_namespace_conventions")
         ),
     )
 
 
-def _policy(tree: object, key: str) -> str:
+def _policy(tree: object, key: str) -> Any:
     value = _get(tree, key, object)
-    names = POLICIES[key]
-    if isinstance(value, int):
-        return names[value] if 0 <= value < len(names) else "unknown"
-    return str(value) if value in names else "unknown"
+    members = POLICIES[key]
+    return next((one for one in members if value in (one.value, one.name.lower())), members.UNKNOWN)
 
 
-def _span(tree: object, key: str) -> Span:
+def _time(tree: object, key: str) -> QosTime:
     span = _get(tree, key, dict)
-    return Span(_get(span, "sec", int), _get(span, "nsec", int))
+    return QosTime(_get(span, "sec", int), _get(span, "nsec", int))

@@ -19,6 +19,7 @@ import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Schema, Statistics
+from rosbags.interfaces import Qos
 
 from valve_control.recordings.bags import metadata, repair
 from valve_control.recordings.bags.bag import KINDS, ZSTD, Bag, in_order, times
@@ -589,7 +590,7 @@ def _mcap_inventory(
     return _Inventory(file, tuple(Counted(topic, count) for topic, count in counts.items()), head)
 
 
-def _qos(text: object) -> tuple[metadata.Qos, ...]:
+def _qos(text: object) -> tuple[Qos, ...]:
     """QoS profiles from their text, none if it is damaged."""
     try:
         return metadata.parse_qos(text)

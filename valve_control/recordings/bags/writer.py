@@ -13,9 +13,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import NoReturn, Self
 
+from rosbags.interfaces import Qos
+
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.metadata import Counted, File, Qos, TopicMetadata
+from valve_control.recordings.bags.metadata import Counted, File, TopicMetadata
 from valve_control.recordings.bags.storage import PENDING, SqliteStorage, Storage
 
 COMPRESSIONS = ("none", "zstd", "lz4")
