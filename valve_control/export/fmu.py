@@ -209,6 +209,12 @@ def _attributes(reference: int, v: Variable) -> dict[str, Any]:
     }
 
 
+def _value(v: Variable) -> dict[str, Any]:
+    """Attributes of the number itself."""
+    start = None if v.start is None else repr(v.start)
+    return {"unit": v.unit, "min": v.low, "max": v.high, "start": start}
+
+
 _MODEL = string.Template("""/* Variables and sampled step of ${name} for the wrapper of FMI. */
 #include <math.h>
 #include <stdbool.h>
@@ -327,6 +333,16 @@ def _add(parent: ElementTree.Element, tag: str, **attributes: object) -> Element
     return ElementTree.SubElement(parent, tag, given)
 
 
+def _root(unit: Unit, **attributes: str) -> ElementTree.Element:
+    """The description, with the ``attributes`` of its version."""
+    attributes |= {
+        "description": unit.text,
+        "generationTool": f"valve_control {__version__}",
+        "variableNamingConvention": "flat",
+    }
+    return ElementTree.Element("fmiModelDescription", attributes)
+
+
 def _common(unit: Unit, root: ElementTree.Element, variables: list[Variable], *more: str) -> None:
     """Units and the default experiment."""
     units = sorted({v.unit for v in variables if v.unit} | set(more))
@@ -338,12 +354,7 @@ def _common(unit: Unit, root: ElementTree.Element, variables: list[Variable], *m
 
 
 def _fmi2(unit: Unit, variables: list[Variable], token: str, compiled: list[str]) -> ElementTree.Element:
-    root = ElementTree.Element("fmiModelDescription", fmiVersion="2.0", modelName=unit.name, guid=token)
-    root.attrib |= {
-        "description": unit.text,
-        "generationTool": f"valve_control {__version__}",
-        "variableNamingConvention": "flat",
-    }
+    root = _root(unit, fmiVersion="2.0", modelName=unit.name, guid=token)
     kind = _add(
         root, "CoSimulation", modelIdentifier=unit.name, canHandleVariableCommunicationStepSize="true"
     )
@@ -354,8 +365,7 @@ def _fmi2(unit: Unit, variables: list[Variable], token: str, compiled: list[str]
     parent = _add(root, "ModelVariables")
     for i, v in enumerate(variables, 1):
         variable = _add(parent, "ScalarVariable", **_attributes(i, v))
-        start = None if v.start is None else repr(v.start)
-        _add(variable, "Real", unit=v.unit, min=v.low, max=v.high, start=start)
+        _add(variable, "Real", **_value(v))
     structure = _add(root, "ModelStructure")
     outputs = [i for i, v in enumerate(variables, 1) if v.causality == "output"]
     for part in ("Outputs", "InitialUnknowns"):
@@ -366,14 +376,7 @@ def _fmi2(unit: Unit, variables: list[Variable], token: str, compiled: list[str]
 
 
 def _fmi3(unit: Unit, variables: list[Variable], token: str, compiled: list[str]) -> ElementTree.Element:
-    root = ElementTree.Element(
-        "fmiModelDescription", fmiVersion="3.0", modelName=unit.name, instantiationToken=token
-    )
-    root.attrib |= {
-        "description": unit.text,
-        "generationTool": f"valve_control {__version__}",
-        "variableNamingConvention": "flat",
-    }
+    root = _root(unit, fmiVersion="3.0", modelName=unit.name, instantiationToken=token)
     _add(
         root,
         "CoSimulation",
@@ -393,15 +396,7 @@ def _fmi3(unit: Unit, variables: list[Variable], token: str, compiled: list[str]
         unit="s",
     )
     for i, v in enumerate(variables, 1):
-        _add(
-            parent,
-            "Float64",
-            **_attributes(i, v),
-            unit=v.unit,
-            min=v.low,
-            max=v.high,
-            start=None if v.start is None else repr(v.start),
-        )
+        _add(parent, "Float64", **_attributes(i, v), **_value(v))
     structure = _add(root, "ModelStructure")
     for tag in ("Output", "InitialUnknown"):
         for i, v in enumerate(variables, 1):
