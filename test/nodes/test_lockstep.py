@@ -18,8 +18,9 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Float64
 
+from valve_control.control.laws.registry import LAWS
 from valve_control.nodes.adapter import SAMPLES
-from valve_control.nodes.harness.lockstep import CONFIG, CONTROLLERS, run_lockstep
+from valve_control.nodes.harness.lockstep import CONFIG, run_lockstep
 from valve_control.nodes.harness.processes import process
 
 SHORT = "0.3"  # s of valve time, in which the command has begun to move
@@ -27,7 +28,7 @@ SHORT = "0.3"  # s of valve time, in which the command has begun to move
 
 @pytest.mark.parametrize(
     ("laws", "seconds"),
-    [(("dcarc",), 0.5), pytest.param(CONTROLLERS, sizes.LOCKSTEP, marks=pytest.mark.campaign)],
+    [(("dcarc",), 0.5), pytest.param(tuple(LAWS), sizes.LOCKSTEP, marks=pytest.mark.campaign)],
     ids=["quick", "all"],
 )
 def test_the_motion_equals_offline_for_every_controller(tmp_path, laws, seconds):

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 from valve_control import outputs
 from valve_control.cli import moved
 from valve_control.cli.common import check_outputs, deliver, parameter_options, tell_notes, write_json, wrote
-from valve_control.control.parameters.table import NODES
-from valve_control.parameter import Values, lookup, updated
+from valve_control.control.laws.registry import LAWS
+from valve_control.parameter import Values, updated
 
 if TYPE_CHECKING:
     from valve_control.control.axis.run import Run, Setup
-
-CONTROLLERS = lookup(NODES["controller"], "controller").choices
 
 
 def add_commands(commands: Any) -> None:
@@ -28,7 +26,7 @@ def add_commands(commands: Any) -> None:
         "parameters' lists the parameters of axis_simulator and axis_controller.",
     )
     group = axis.add_argument_group("simulation")
-    group.add_argument("--controller", choices=CONTROLLERS, help="law of the valve (default: arc)")
+    group.add_argument("--controller", choices=LAWS, help="law of the valve (default: arc)")
     group.add_argument("--upper", metavar="LEVEL", help="upper level: axis_pid or axis_arc (axis_pid)")
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (3.0)")
     group.add_argument("--seed", type=int, metavar="N", help="seed of the sensors' noise (1)")

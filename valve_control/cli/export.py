@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from valve_control.cli.common import check_outputs, parameter_options, tell_notes, write_json, wrote
+from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import NODES
-from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
-
-CONTROLLERS = lookup(NODES["controller"], "controller").choices
+from valve_control.parameter import ParameterError, Values, defaults, updated
 
 
 def add_commands(commands: Any) -> None:
@@ -24,7 +23,7 @@ def add_commands(commands: Any) -> None:
         "write an FMU for co-simulation (Linux, x86-64) that contains the C.",
     )
     group = options.add_argument_group("export")
-    group.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
+    group.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
     group.add_argument(
         "--plant",
         choices=("valve", "axis"),

@@ -8,8 +8,9 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from valve_control.cli.common import check_outputs, write_json
-from valve_control.cli.simulate import CONTROLLERS, settings_of, valve_options
+from valve_control.cli.simulate import settings_of, valve_options
 from valve_control.cli.study import box_of
+from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, word
 
@@ -30,7 +31,7 @@ def add_commands(commands: Any) -> None:
         "loop, and the largest oscillation about rest that friction sustains. With --box also the worst "
         "of each over the box of valves of `study` and `tune`.",
     )
-    margins.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
+    margins.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
     margins.add_argument(
         "--box",
         action="store_true",

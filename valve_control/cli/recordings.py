@@ -20,8 +20,9 @@ from valve_control.cli.common import (
     wrote,
 )
 from valve_control.control.analysis.tables import HEADER, index_row
+from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import NODES
-from valve_control.parameter import ParameterError, lookup
+from valve_control.parameter import ParameterError
 from valve_control.recordings.bags.errors import BagError
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from valve_control.recordings.bags.recover import RecoveredFile
     from valve_control.recordings.recording import Recording
 
-CONTROLLERS = lookup(NODES["controller"], "controller").choices
 SHOW_PROGRESS = 20_000_000  # bytes of a bag from which on reading it shows progress
 
 
@@ -120,7 +120,7 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
     )
     replay.add_argument("--of", metavar="VALVE", help="valve to replay, if the bag has several")
     group = replay.add_argument_group("shadow and what-if: instead of the recorded parameters")
-    group.add_argument("--controller", choices=CONTROLLERS, help="control law")
+    group.add_argument("--controller", choices=LAWS, help="control law")
     group.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="a parameter; again for more"
     )

@@ -25,6 +25,7 @@ from valve_control.cli.common import (
     wrote,
 )
 from valve_control.control.analysis.tables import HEADER, index_row
+from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from valve_control.control.simulation.delivery import Delivery
     from valve_control.control.simulation.offline import Run
 
-CONTROLLERS = lookup(NODES["controller"], "controller").choices
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
 SIMULATED = (
     "valve", "scenario", "command", "sample_period", "duration", "seed", "command_period", "command_jitter",
@@ -112,7 +112,7 @@ def add_commands(commands: Any) -> None:
         help="run one controller on one valve with one command",
         description="Run one controller on one simulated valve; print the indices I1-I5 of the paper.",
     )
-    simulate.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
+    simulate.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
     simulate.add_argument("--csv", metavar="FILE", help="traces as CSV")
     simulate.add_argument("--npz", metavar="FILE", help="traces as NPZ")
     simulate.set_defaults(run=_simulate)
@@ -311,7 +311,7 @@ def _compare(arguments: argparse.Namespace) -> None:
     command = _command(arguments, settings["command_source"])
     _tell_owners(arguments.params_file)
     runs = []
-    for controller in CONTROLLERS:
+    for controller in LAWS:
         own = settings_of(arguments, controller)["controller"]
         values = updated(NODES["controller"], own, {"controller": controller})
         delivered = delivery_of(arguments, values)

@@ -22,8 +22,9 @@ from valve_control.cli.common import (
     write_json,
     wrote,
 )
-from valve_control.cli.simulate import CONTROLLERS, settings_of, setup_options
+from valve_control.cli.simulate import settings_of, setup_options
 from valve_control.control.analysis.tables import HEADER, index_row
+from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, number, updated, word
 
@@ -41,7 +42,7 @@ def add_commands(commands: Any) -> None:
         "forces, drifts, noise, dead times and sample periods. Ctrl-C stops it; the same command resumes "
         "it.",
     )
-    study.add_argument("--controller", choices=CONTROLLERS, help="control law (default: arc)")
+    study.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
     group = study.add_argument_group("study")
     group.add_argument("--valves", type=int, default=100_000, metavar="N", help="number of valves (100000)")
     fix_option(group)

@@ -29,7 +29,6 @@ from valve_control.cli.common import (
     wrote,
 )
 from valve_control.cli.simulate import (
-    CONTROLLERS,
     delivery_of,
     delivery_options,
     settings_of,
@@ -403,9 +402,9 @@ def _laws(names: str | None, usual: str) -> list[str]:
     for name in asked:
         if name in LEFT_OUT:
             raise ParameterError(LEFT_OUT[name])
-        if name not in CONTROLLERS:
+        if name not in LAWS:
             raise ParameterError(
-                f"--controller {names}: there is no law '{name}'; there are {', '.join(CONTROLLERS)}, and all"
+                f"--controller {names}: there is no law '{name}'; there are {', '.join(LAWS)}, and all"
             )
         if not LAWS[name].free:
             raise ParameterError(f"{name} has no gains to choose; there is nothing to tune")

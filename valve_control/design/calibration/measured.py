@@ -10,11 +10,10 @@ from typing import Any
 
 from valve_control import inputs
 from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices
-from valve_control.control.parameters.table import CONTROLLER
-from valve_control.parameter import ParameterError, lookup
+from valve_control.control.laws.registry import LAWS
+from valve_control.parameter import ParameterError
 
-CONTROLLERS = lookup(CONTROLLER, "controller").choices
-ROWS = f"one row for each of {', '.join(CONTROLLERS)} or some of them"
+ROWS = f"one row for each of {', '.join(LAWS)} or some of them"
 COLUMNS = f"the columns {', '.join(Indices._fields)}"
 
 
@@ -73,7 +72,7 @@ def _checked(rows: dict[str, dict[str, Any]]) -> dict[str, Indices]:
         raise ValueError(f"is empty; it must hold {ROWS}")
     table = {}
     for name, row in rows.items():
-        if name not in CONTROLLERS:
+        if name not in LAWS:
             raise ValueError(f"has a row '{name}'; it must hold {ROWS}")
         unknown = [key for key in row if key not in Indices._fields]
         if unknown:

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control import outputs
+from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
-from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation import offline
 from valve_control.control.simulation.offline import Run
 from valve_control.nodes.adapter import needs_numbers
@@ -29,11 +29,9 @@ from valve_control.nodes.harness.processes import (
     tool_options,
     wait_until,
 )
-from valve_control.parameter import lookup
 
 Array = npt.NDArray[np.float64]
 
-CONTROLLERS = lookup(CONTROLLER, "controller").choices
 CONFIG = ("d3fxe.yaml", "command_source.yaml")
 # Controller, source and this tool listen to the reading; the source waits for the controller alone.
 FIXED: dict[str, dict[str, Any]] = {
@@ -178,7 +176,7 @@ def check(results: Sequence[Mapping[str, Any]]) -> bool:
 
 def main() -> int:
     """Entry point of `make lockstep` and of `ros2 run valve_control lockstep`."""
-    options = tool_options("lockstep", __doc__, CONTROLLERS)
+    options = tool_options("lockstep", __doc__, tuple(LAWS))
     options.add_argument("--duration", type=float, default=60.0, metavar="S", help="valve time [s] (60)")
     options.add_argument(
         "--starts", type=int, default=1, metavar="N", help="runs of each controller, in new processes (1)"
@@ -192,7 +190,7 @@ def main() -> int:
 
     def work() -> int:
         results = []
-        for controller in arguments.only or CONTROLLERS:
+        for controller in arguments.only or LAWS:
             settings = {
                 "controller": {"controller": controller},
                 "command_source": {"duration": arguments.duration},
