@@ -178,3 +178,4 @@ def test_help_shows_examples_and_defaults(run):
     assert done.status == 0 and "examples:" in done.out
     assert "--params-file" in run("simulate", "--help").out
     assert "arc.epsilon" in run("parameters", "arc").out
+    assert "valve_driver: serial.port" in run("parameters", "serial.port").out

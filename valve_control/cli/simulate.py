@@ -26,7 +26,7 @@ from valve_control.cli.common import (
 )
 from valve_control.control.analysis.tables import HEADER, index_row
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters.axis_parameters import AXIS_NODES
+from valve_control.control.parameters.axis_parameters import ROS_NODES
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
 
@@ -350,14 +350,13 @@ def _tell_owners(paths: Sequence[str]) -> None:
 
 
 def _parameters(arguments: argparse.Namespace) -> None:
-    nodes = {**NODES, **AXIS_NODES}
-    names = [parameter.name for table in nodes.values() for parameter in table]
+    names = [parameter.name for table in ROS_NODES.values() for parameter in table]
     if not any(arguments.match in name for name in names):
         words = sorted({word for name in names for word in (name, *name.split("."))})
         near = difflib.get_close_matches(arguments.match, words, n=3)
         meant = f"; did you mean {', '.join(near)}?" if near else ""
         raise ParameterError(f"no parameter has '{arguments.match}' in its name{meant}")
-    for node, table in nodes.items():
+    for node, table in ROS_NODES.items():
         for parameter in table:
             if arguments.match in parameter.name:
                 print(f"{node}: {parameter.described}")
