@@ -489,9 +489,13 @@ def links(page):
 
 def test_a_run_shows_its_progress_and_what_it_wrote(page):
     page.click("#tab-do")
+    typed = "--set steps=3 cycles=3 --set step_time=0.1 --output valve.yaml"
+    page.fill("arguments", typed)
     page.choose("#run", "tune")
-    page.choose("#run", "identify")
-    page.fill("arguments", "--set steps=3 cycles=3 --set step_time=0.1 --output valve.yaml")
+    page.choose("#run", "identify")  # what was typed is there again
+    until(
+        lambda: page.js("return document.querySelector('#arguments input').value") == typed, "the arguments"
+    )
     page.press("#start-run")
     page.wait_for("#run-state", "ended with status 2")
     assert "unrecognized" in page.text("#output") or "valve-control" in page.text("#output")

@@ -282,8 +282,13 @@ class Doing:
         ui.label("Runs").classes("vc-title")
         self._run = ui.select(list(RUNS), value=RUNS[0], on_change=self._example)
         self._run.props('dense outlined id=run aria-label="run"')
+        self._typed: dict[str, str] = {}  # arguments by run
         with named("arguments"):
-            self._arguments = ui.input("arguments, as after valve-control", value=EXAMPLES[RUNS[0]])
+            self._arguments = ui.input(
+                "arguments, as after valve-control",
+                value=EXAMPLES[RUNS[0]],
+                on_change=lambda event: self._typed.update({str(self._run.value): str(event.value or "")}),
+            )
         self._arguments.props('dense outlined autocomplete="off"')
         self._explained = ui.label(EXPLAINED[RUNS[0]]).classes("vc-help").props("id=run-explained")
         with ui.element("div").classes("vc-buttons"):
@@ -299,12 +304,12 @@ class Doing:
         self._files_of: Program | None = None
 
     def _example(self) -> None:
-        """Offer the arguments of the chosen run, and say what it does."""
+        """Offer the arguments of the chosen run, and say what it does. Those that move are for this valve."""
         name, valve = str(self._run.value), self._page.valve
         node = valve.controller.name if valve is not None and valve.controller is not None else "/controller"
         space = valve.namespace.strip("/").replace("/", "_") if valve is not None else ""
         text = EXAMPLES[name].format(node=node, valve=f"_{space}" if space else "")
-        self._arguments.set_value(text)
+        self._arguments.set_value(text if name in MOVING else self._typed.get(name, text))
         self._explained.set_text(EXPLAINED[name])
 
     def _start_run(self) -> None:
