@@ -119,6 +119,7 @@ def draw_plots(
 
     height = 1.2 + 2.4 * len(plots)
     figure, axes = plt.subplots(len(plots), 1, figsize=(9.0, height), sharex=True, squeeze=False)
+    told: set[str] = set()  # lines that a legend above explains
     for axis, plot in zip(axes[:, 0], plots, strict=True):
         for i, line in enumerate(plot.lines):
             axis.plot(
@@ -135,8 +136,10 @@ def draw_plots(
             axis.set_yscale("log")
         if logarithmic_x:
             axis.set_xscale("log")
-    if len(plots[0].lines) > 1:
-        axes[0, 0].legend(fontsize="small", ncols=2)
+        labels = {line.label for line in plot.lines}
+        if len(plot.lines) > 1 and not labels <= told:
+            axis.legend(fontsize="small", ncols=2)
+        told |= labels
     axes[-1, 0].set_xlabel(x_title)
     figure.suptitle(title)
     figure.tight_layout()
