@@ -8,8 +8,7 @@ from xdist.scheduler import LoadScopeScheduling
 from valve_control.nodes.harness import processes
 
 processes.start = forked.start
-# One worker has all tests of such a file: they share what a fixture has built, or a set of domains.
-TOGETHER = ("test_installed.py", "test_commission.py")
+TOGETHER = "test_installed.py"  # what its fixture builds is built once, in the worker that has all its tests
 
 
 class Together(LoadScopeScheduling):

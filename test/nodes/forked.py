@@ -3,7 +3,7 @@
 """Nodes as processes that are forked from one that has imported all of them.
 
 Such a node begins 0.5 s earlier than by `python -m`, without its imports; all else is the same. The tests of
-exits, of refused starts, of installed programs and of the tools (`run_tool`) start nodes as users do.
+exits, of installed programs and of the tools (`run_tool`) start nodes as users do.
 """
 
 import multiprocessing
@@ -23,8 +23,9 @@ _context.set_forkserver_preload(["pytest", *MODULES.values()])
 class Child:
     """A forked process, with the methods of subprocess.Popen."""
 
-    def __init__(self, *words):
-        self._process = _context.Process(target=_run, args=words)
+    def __init__(self, node, words, log, folder="."):
+        given = (node, words, str(log), os.path.abspath(folder), dict(os.environ))
+        self._process = _context.Process(target=_run, args=given)
         self._process.start()
         self.pid = self._process.pid
 
@@ -53,20 +54,21 @@ class Child:
 
 def start(node, arguments, output):
     """As ``processes.start``."""
-    return Child(node, arguments, output.name, os.getcwd(), dict(os.environ))
+    return Child(node, ["--ros-args", *arguments], output.name)
 
 
-def _run(node, arguments, log, folder, environment):
+def _run(node, words, log, folder, environment):
     nodes.leave_quietly(0)
     os.setsid()
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(environment)
-    for path, flags, numbers in ((os.devnull, os.O_RDONLY, (0,)), (log, os.O_WRONLY, (1, 2))):
+    anew = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+    for path, flags, numbers in ((os.devnull, os.O_RDONLY, (0,)), (log, anew, (1, 2))):
         opened = os.open(path, flags)
         for number in numbers:
             os.dup2(opened, number)
         os.close(opened)
     module = import_module(MODULES[node])
-    sys.argv = [module.__file__, "--ros-args", *arguments]
+    sys.argv = [module.__file__, *words]
     sys.exit(module.main())

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """valve-control commission over DDS: to its end, undone, stopped at random moments, killed."""
 
+import itertools
 import json
 import os
 import random
@@ -11,6 +12,7 @@ import sys
 import time
 from contextlib import ExitStack, contextmanager
 
+import domains
 import numpy as np
 import pytest
 import rclpy
@@ -47,10 +49,13 @@ BEFORE = ["-p", "controller:=arc", "-p", "arc.k1:=77.0", "-p", "u_max:=9.0", "-p
 QUICK = ["--budget", "60", "--valves", "3", "--unseen", "8", "--max-chatter", "0.4"]
 
 
+NUMBERS = itertools.count(domains.RUN + 8 * domains.WORKER)
+
+
 @pytest.fixture
-def ros(monkeypatch, request):
+def ros(monkeypatch):
     """A node in a domain that no other test uses: what was killed stays in its graph for a while."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(215 + (os.getpid() + hash(request.node.name)) % 17))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(215 + next(NUMBERS) % 17))
     rclpy.init()
     node = rclpy.create_node("test")
     yield node

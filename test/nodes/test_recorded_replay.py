@@ -70,25 +70,25 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage
         spin_until(
             ros, lambda: "parameters of /controller\n" in log.read_text(), "parameters of the controller"
         )
-        moved(800)
+        moved(400)
         assert set_parameters(ros, arc__k1=90.0).successful
-        moved(400)
+        moved(200)
         assert set_parameters(ros, controller="oarc").successful
-        moved(400)
+        moved(200)
         assert set_parameters(ros, controller="pid", pid__form="plain").successful
-        moved(400)
+        moved(200)
         for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
             request = ChangeState.Request(transition=Transition(id=transition))
             assert call(ros, ChangeState, "/controller/change_state", request).success
-        moved(400)
+        moved(200)
         for node in ("controller", "recorder"):
             running[node].send_signal(signal.SIGINT)
             spin_until(ros, lambda node=node: running[node].poll() is not None, f"end of the {node}")
             assert running[node].returncode == 0, (tmp_path / f"{node}.log").read_text()
     recording = load(bag, journals=True)
     result = shadow.replay(recording.valves["valve"], {})
-    # 2400 voltages were waited for once everything was recorded.
-    assert result.faithful and len(result.voltage) > 2200
+    # 1200 voltages were waited for once everything was recorded.
+    assert result.faithful and len(result.voltage) > 1100
     assert result.differing == 0, (result.first_difference, result.left_out)
     assert not any("its account" in text or "missing" in text for text in result.left_out)
     if shutil.which("cc") is not None:
@@ -102,7 +102,7 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage
     # The topic's messages are the journal's, one for one, since the recorder heard both until the last 0 V.
     heard = recording.valves["valve"].recorded["valve_voltage"].value
     both = min(len(heard), len(result.recorded))
-    assert both > 2200 and np.array_equal(heard[-both:], result.recorded[-both:])
+    assert both > 1100 and np.array_equal(heard[-both:], result.recorded[-both:])
     about = as_dict(analyze(load(bag)))["valves"]["valve"]
     assert [c["values"] for c in about["changes"] if c["node"] == "/controller"] == [
         {"arc.k1": 90.0}, {"controller": "oarc"}, {"controller": "pid", "pid.form": "plain"}

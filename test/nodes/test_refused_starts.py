@@ -2,40 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes that are started wrongly say so in one sentence, and end without having made anything."""
 
-import json
-import subprocess
-import sys
+import forked
 
 from valve_control.control.parameters import files
 
-# Each start is a fork of a process that has imported all nodes; it writes status and words of each.
-FORKS = """
-import importlib, json, os, sys, tempfile, traceback
-starts = json.load(sys.stdin)
-modules = {node: importlib.import_module("valve_control.nodes." + node) for node, _ in starts}
-ends = []
-for node, words in starts:
-    with tempfile.TemporaryFile("w+") as said:
-        child = os.fork()
-        if child == 0:
-            os.dup2(said.fileno(), 1)
-            os.dup2(said.fileno(), 2)
-            sys.argv = [modules[node].__file__, *words]
-            status = 70
-            try:
-                status = modules[node].main()
-            except SystemExit as end:
-                status = end.code
-            except BaseException:
-                traceback.print_exc()
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(status)
-        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        said.seek(0)
-        ends.append((status, said.read()))
-json.dump(ends, sys.stdout)
-"""
 DEVICE = ["valves:=[a,b]", "driver:=simulated"]
 BENCH = str(files.config_folder() / "axis" / "bench.yaml")
 PARAMETERS = (  # node, its parameters, words of the sentence, exit status if it is not 2
@@ -102,18 +72,15 @@ def starts():
 
 
 def test_each_wrong_start_is_one_sentence(tmp_path):
-    (tmp_path / "here").mkdir()
-    (tmp_path / "boom.yaml").write_text("/boom/controller:\n  ros__parameters: {u_max: 5.0}\n")
-    (tmp_path / "a.yaml").write_text(files.as_yaml({"/a/controller": {"driver": "simulated"}}))
-    done = subprocess.run(
-        [sys.executable, "-c", FORKS], input=json.dumps([start for start, *_ in starts()]),
-        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    for (start, words, status), end in zip(starts(), json.loads(done.stdout), strict=True):
-        *logged, sentence = end[1].splitlines()
-        assert end[0] == status and words in sentence and "Traceback" not in end[1], (start, end)
-        logs = start[0] != "valve_driver" and any(word.startswith("driver:=") for word in start[1])
-        assert logs or not logged, (start, end)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.yaml", "boom.yaml", "here"]
-    assert not list((tmp_path / "here").iterdir())
+    folder, log = tmp_path / "folder", tmp_path / "log"
+    (folder / "here").mkdir(parents=True)
+    (folder / "boom.yaml").write_text("/boom/controller:\n  ros__parameters: {u_max: 5.0}\n")
+    (folder / "a.yaml").write_text(files.as_yaml({"/a/controller": {"driver": "simulated"}}))
+    for (node, given), words, status in starts():
+        ended, said = forked.Child(node, given, log, folder).wait(30.0), log.read_text()
+        *logged, sentence = said.splitlines()
+        assert ended == status and words in sentence and "Traceback" not in said, (node, given, ended, said)
+        logs = node != "valve_driver" and any(word.startswith("driver:=") for word in given)
+        assert logs or not logged, (node, given, said)
+    assert sorted(path.name for path in folder.iterdir()) == ["a.yaml", "boom.yaml", "here"]
+    assert not list((folder / "here").iterdir())
