@@ -49,24 +49,16 @@ def test_the_example_does_what_the_package_s_own_laws_do(installed):
 
 
 def test_the_example_on_the_command_line(installed, tmp_path):
-    listed = run(installed, "parameters", "lead.")
-    assert listed.returncode == 0 and "lead.gain = 2.0 V/V" in listed.stdout
-    done = run(installed, "simulate", "--controller", "lead", "--set", "lead.gain=3.0", "--json", "-")
-    assert done.returncode == 0 and json.loads(done.stdout)["indices"]["e_rms"] < 0.2, done.stderr
-    study = run(
+    lead = ("--controller", "lead", "--json")
+    told, said = each(
         installed,
-        "study",
-        "--controller",
-        "lead",
-        "--valves",
-        16,
-        "--folder",
-        tmp_path / "kept",
-        "--json",
-        "-",
+        ["parameters", "lead."],
+        ["simulate", *lead, str(tmp_path / "run.json"), "--set", "lead.gain=3.0"],
+        ["study", *lead, str(tmp_path / "study.json"), "--valves", "16", "--folder", str(tmp_path / "kept")],
     )
-    assert study.returncode == 0 and json.loads(study.stdout)["controller"] == "lead", study.stderr
-    assert run(ROOT, "simulate", "--controller", "lead").returncode == 2
+    assert "lead.gain = 2.0 V/V" in " ".join(told) and told.count("0") >= 3, said
+    assert json.loads((tmp_path / "run.json").read_text())["indices"]["e_rms"] < 0.2
+    assert json.loads((tmp_path / "study.json").read_text())["controller"] == "lead"
 
 
 def test_the_example_can_be_launched(installed):

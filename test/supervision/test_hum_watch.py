@@ -47,6 +47,7 @@ def test_hum_of_20_mv_is_named_at_rest_and_in_slow_motion(config, law, shipped):
     TUNED,
     SENSORS,
     [rest, sine(1.0, 3.0), sine(0.3, 10.0), lambda t: 0.1 * round(50.0 * (t % 0.6))],
+    strength=1,
 )
 def test_no_hum_is_found_on_a_clean_sensor(config, tuned, sensor, command):
     """A 10 Hz sine has its fifth harmonic at 50 Hz, a staircase of 50 Hz its first."""
