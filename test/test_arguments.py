@@ -251,6 +251,9 @@ def test_words_that_yaml_cannot_make_a_value_of_are_refused(word, tmp_path):
     path.write_text(f"controller:\n  ros__parameters: {{arc.k1: {word}}}\n")
     with pytest.raises(ParameterError, match=r"is not YAML|arc.k1"):
         files.load(str(path))
+    path.write_text("controller: &whole {ros__parameters: {arc: *whole}}\n")
+    with pytest.raises(ParameterError, match="alias"):
+        files.load(str(path))
     # As the name of a file such a word is one, and is written in quotes.
     path.write_text(files.as_yaml({"controller": {"save_file": word}}))
     assert files.load(str(path))["controller"] == {"save_file": word}

@@ -199,7 +199,10 @@ def sections(path: str) -> list[Section]:
         raise ParameterError(f"parameter file {path} is not YAML: {error}") from error
     if not isinstance(tree, dict) or not tree:
         raise ParameterError(f"parameter file {path} must hold 'node: ros__parameters: …' sections")
-    return list(_sections(path, tree, ""))
+    try:
+        return list(_sections(path, tree, ""))
+    except RecursionError as error:
+        raise ParameterError(f"parameter file {path} has an alias of a part within that part") from error
 
 
 def _sections(path: str, tree: dict[Any, Any], above: str) -> Iterator[Section]:
