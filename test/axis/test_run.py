@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The cascade of an axis: same bits compiled or not and alone or in a batch, its course, its upper level."""
 
+import math
+
 import changed
 import numpy as np
 import pytest
@@ -50,6 +52,16 @@ def test_plain_python_and_batches_give_the_bits_of_a_compiled_run(level):
     assert run.simulate_many(mixed, threads=2)[1] == one.indices
     assert run.simulate(made).indices == one.indices  # a run leaves nothing behind
     assert one.indices.e_rms > 0.0 and one.indices.chatter > 0.0
+
+
+def test_c_u_of_an_axis_is_that_of_its_voltage_as_the_paper_defines_it():
+    """N steps between N + 1 samples, (I5)."""
+    made = run.setup(settings(**NOISY, duration=0.1, pause=0.02, course="step"))
+    one = run.simulate(made)
+    volts = one.signals["voltage"]
+    steps = [float(b - a) ** 2 for a, b in zip(volts, volts[1:], strict=False)]
+    expected = math.sqrt(sum(steps) / len(steps)) / math.sqrt(sum(v * v for v in volts) / len(volts))
+    assert one.indices.chatter == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_step_that_would_come_after_the_end_of_the_run_is_refused():

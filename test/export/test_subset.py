@@ -112,6 +112,18 @@ def whole(a: float, b: float) -> float:
     return math.floor(a) + math.ceil(b) * 0.5
 
 
+def floored(a: float, b: float) -> float:
+    return math.floor(a)
+
+
+def ceiled(a: float, b: float) -> float:
+    return math.ceil(a)
+
+
+def whole_times_real(a: float, b: float) -> float:
+    return math.floor(a) * -1.5
+
+
 def power(a: float, b: float) -> float:
     return abs(a) ** b + math.copysign(a, b)
 
@@ -152,6 +164,7 @@ def taken(a: float, b: float) -> float:
 
 TRANSLATED = (
     *(peculiar, looped, named, mapped, least, most, rest_of),
+    *(floored, ceiled, whole_times_real),
     *(whole, power, integers, remembers, maybe, taken),
 )
 LIBRARIES = [name for name in LIBRARY if name != "atan2"]

@@ -12,8 +12,10 @@ from ``math``; ``all(map(math.isfinite, …))``; ``map`` where arguments are tak
 Each operation stays where it is, in the order of Python, so that a compiler that keeps to IEEE 754 gives
 the same bits. Where Python goes its own way, C goes along: ``min`` and ``max`` keep the first of equals and
 of what cannot be compared, ``floor`` has no negative zero, ``%`` has the sign of the divisor, ``**`` and
-what else the C library computes is not evaluated by the compiler. ``math.hypot``, ``math.fsum`` and others
-for which Python does not call the C library are no part of the subset.
+what else the C library computes is not evaluated by the compiler. One thing differs: what ``floor`` and
+``ceil`` return is an integer in Python and a double in C, so that its negative, its product with an integer
+and its remainder may be -0.0 there, where an integer has no sign of 0. ``math.hypot``, ``math.fsum`` and
+others for which Python does not call the C library are no part of the subset.
 
 ``terms.py`` has the terms of C, ``emission.py`` the program; ``values.py``, ``calls.py``, ``expressions.py``
 and ``statements.py`` translate a function, from its values to the whole.

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Computes the performance indices I1 to I5 of section 4.1: errors and voltages of a run."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,17 @@ PAPER_TABLE_1 = {
 def rms(values: Array) -> float:
     """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def variation(steps: Any, squares: Any, samples: int) -> Any:
+    """c_u (I5) of runs of so many ``samples``: rms of their steps, one fewer than samples, over u_rms.
+
+    ``steps`` [V²]: sum of the squared steps of the voltage, ``squares`` [V²]: of the voltage; c_u is 0 where
+    the voltage is 0 throughout.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u_rms = np.sqrt(squares / samples)
+        return np.where(u_rms == 0.0, 0.0, np.sqrt(steps / max(1, samples - 1)) / u_rms)
 
 
 def indices(

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.control import closed_loop
+from valve_control.control.analysis.indices import variation
 from valve_control.control.axis import cascade
 from valve_control.control.compiling import bind, compile_function
 from valve_control.control.laws import command_lead, linearisation, reshaping
@@ -52,7 +53,7 @@ class Indices(NamedTuple):
     e_max: float  # m
     e_end: float  # m  largest in the last second
     u_rms: float  # V
-    chatter: float  # -  steps of the voltage from sample to sample, rms, over u_rms
+    chatter: float  # -  c_u (I5) of the voltage
     energy: float  # J  taken from the supply
 
 
@@ -173,14 +174,12 @@ def indices_of(s: Setup, signals: Array, compiled: bool = True) -> Indices:
         np.zeros((0, 3)),
     )
     t = end.measure
-    u_rms = float(np.sqrt(t.voltage_squares / n))
-    steps = float(np.sqrt(t.voltage_steps / n))
     return Indices(
         e_rms=float(np.sqrt(t.squares / n)),
         e_max=t.peak,
         e_end=t.last,
-        u_rms=u_rms,
-        chatter=steps / u_rms if u_rms > 0.0 else 0.0,
+        u_rms=float(np.sqrt(t.voltage_squares / n)),
+        chatter=float(variation(t.voltage_steps, t.voltage_squares, n)),
         energy=t.energy,
     )
 

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.control.analysis.indices import variation
+
 Array = npt.NDArray[np.float64]
 
 
@@ -88,14 +90,12 @@ def results(tallies: Array, samples: int) -> Results:
     t = Tally(*tallies)
     with np.errstate(divide="ignore", invalid="ignore"):
         finite = np.isfinite(t.e_squares + t.true_squares + t.u_squares)
-        u_rms = np.sqrt(t.u_squares / samples)
-        change = np.sqrt(t.change_squares / max(1, samples - 1))
         numbers = (
             t.e_max,
             t.e_final,
             np.sqrt(t.e_squares / samples),
-            u_rms,
-            np.where(u_rms == 0.0, 0.0, change / u_rms),
+            np.sqrt(t.u_squares / samples),
+            variation(t.change_squares, t.u_squares, samples),
             t.true_max,
             np.sqrt(t.true_squares / samples),
             t.saturated / samples,
