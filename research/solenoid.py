@@ -61,7 +61,8 @@ def measured(path: Path) -> Measured:
     x = _positions(p, u)
     width = float(x[2 * n] - x[4 * n])
     step = _positions(p, np.full(round(STEP / PERIOD), HEIGHT))
-    frequency = np.geomspace(LOWEST, HIGHEST, FREQUENCIES)
+    cycles = np.round(1.0 / (PERIOD * np.geomspace(LOWEST, HIGHEST, FREQUENCIES)))  # whole samples
+    frequency = 1.0 / (PERIOD * cycles)
     response = np.array([_response(p, float(f)) for f in frequency])
     gain = 20.0 * np.log10(np.abs(response) / np.abs(response[0]))
     phase = np.degrees(np.unwrap(np.angle(response)))
@@ -100,7 +101,7 @@ def _response(p: solenoid.Params, frequency: float) -> complex:
     """First harmonic of the position over a sine of SINE at ``frequency`` [Hz]."""
     import numpy as np
 
-    cycle = max(8, round(1.0 / (frequency * PERIOD)))
+    cycle = round(1.0 / (frequency * PERIOD))
     turns = 2.0 * np.pi * np.arange(CYCLES * cycle) / cycle
     x = _positions(p, SINE * np.sin(turns))
     half = CYCLES * cycle // 2

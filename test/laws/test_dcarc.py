@@ -291,6 +291,14 @@ def test_the_check_of_stability_has_the_poles_of_filter_and_regulator(model):
     assert abs(found) == pytest.approx(expected, abs=1e-5)
 
 
+def test_half_a_pair_of_poles_is_no_part_of_the_model_that_readings_are_judged_by():
+    """Coil slower than the spool: voltage of a ramp, (1 + τs)(1 + 2ζs/ω + …)/K to the first power of s."""
+    w, tau, gain = 2.0 * math.pi * 60.0, 0.006, 0.9
+    poles = np.polymul([1.0, 1.4 * w, w * w], [tau, 1.0])
+    a1, a0, b0 = dcarc_design.equivalent(TransferFunction((gain * w * w,), tuple(poles.tolist())))
+    assert (b0 / a0, a1 / a0) == pytest.approx((gain, tau + 1.4 / w))
+
+
 def test_offset_and_flow_force_are_learned():
     wanted, command = sine(1.0, 3.0, 4000)
     rows, states = runs(params(**FAST), plant(offset=0.3, flow_force=0.25), command)

@@ -26,7 +26,7 @@ from valve_control.control.laws.dcarc_parts import (
     Turn,
     Wave,
 )
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.models import TransferFunction, slow_motion
 from valve_control.control.plant.valve import observability_form
 
 Array = npt.NDArray[np.float64]
@@ -480,9 +480,15 @@ def waiting(model: TransferFunction, period: float, coil: float, dead_time: floa
 
 @functools.lru_cache(maxsize=32)
 def equivalent(model: TransferFunction) -> Equivalent:
-    """Second-order model with the static gain and the two slowest poles of ``model``."""
+    """Second-order model with the static gain and the two slowest poles of ``model``.
+
+    Where one of these is half of a pair, that of its slow motion, if there is one.
+    """
     poles = np.roots(model.denominator)
     slow = poles[np.argsort(np.abs(poles))[:2]]
+    own = slow_motion(model) if np.sum(slow).imag != 0.0 else None
+    if own is not None:
+        return Equivalent(*own)
     a1, a0 = float(-np.sum(slow).real), float(np.prod(np.abs(slow)))
     return Equivalent(a1, a0, a0 * model.static_gain)
 

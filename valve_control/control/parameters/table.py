@@ -93,7 +93,7 @@ CONTROLLER: Table = (
         1.0,
         "V",
         "least amplitude of a sustained oscillation of the voltage that is reported, unless the command "
-        "explains it; 0.0: no report",
+        "explains it; 0.0: neither this report nor the stop of cycles at the limit of the voltage",
         0.0,
         1000.0,
     ),
