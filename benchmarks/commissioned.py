@@ -255,6 +255,9 @@ def main() -> int:
     options.add_argument("--budget", type=int, default=200, help="sets of gains (200)")
     options.add_argument("--out", default="out/commissioned", metavar="FOLDER", help="(out/commissioned)")
     arguments = options.parse_args()
+    period, longest = 1e3 * arguments.sample_period, 1 if arguments.solenoid else 100
+    if abs(period - round(period)) > 1e-9 or not 1 <= round(period) <= longest:
+        options.error("--sample-period must be 0.001 to 0.1 in whole milliseconds, and 0.001 with --solenoid")
     os.environ.setdefault(RANGE, "LOCALHOST")
     use_own_profile(os.environ)
     wanted = ["--controller", arguments.controller, "--budget", str(arguments.budget)]
