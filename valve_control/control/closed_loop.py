@@ -10,13 +10,10 @@ import types
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from valve_control.arrays import Floats
 from valve_control.control.compiling import bind, compile_function
 from valve_control.control.plant import registry
 
-Array = npt.NDArray[np.float64]
 SIGNALS = ("position", "measurement", "voltage")
 
 
@@ -78,7 +75,7 @@ def sample(p: Any, source: Any, law: Any, plant: Any, measure: Any, given: float
     return now, source, law, measure, over
 
 
-def run_loop(p: Any, s: Any, given: Array, noise: Array, signals: Array, terms: Array) -> Any:
+def run_loop(p: Any, s: Any, given: Floats, noise: Floats, signals: Floats, terms: Floats) -> Any:
     """Run one period for each entry of ``given``, or until the measures end it; returns the last states.
 
     ``signals`` (n×m) receives what ``shown`` returns at each sample, ``terms`` (n×l, or 0×l for none) the
@@ -144,10 +141,10 @@ def run_valve(
     law: types.ModuleType,
     p: Parts,
     begin: Parts,
-    commands: Array,
-    noise: Array,
-    signals: Array,
-    terms: Array,
+    commands: Floats,
+    noise: Floats,
+    signals: Floats,
+    terms: Floats,
     compiled: bool = True,
 ) -> Parts:
     """Run ``law`` on a plant from the states ``begin``, one sample per command [V]; returns the last states.

@@ -5,11 +5,9 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices, indices
-
-Array = npt.NDArray[np.float64]
 
 KEPT = 600.0  # s
 BLOCK = 64  # samples whose minimum and maximum are kept ready
@@ -20,9 +18,9 @@ MOST_ROOM = 1 << 21  # samples, of one signal; what is older than these is forgo
 class Course(NamedTuple):
     """A signal to be drawn: at each time the least and the largest value, equal where it is one sample."""
 
-    time: Array  # s
-    low: Array
-    high: Array
+    time: Floats  # s
+    low: Floats
+    high: Floats
 
 
 EMPTY = Course(np.empty(0), np.empty(0), np.empty(0))
@@ -47,7 +45,7 @@ class History:
         """Time [s] of the last sample, -inf if there is none."""
         return float(self._time[self._end - 1]) if self._end else -np.inf
 
-    def append(self, time: Array, value: Array) -> None:
+    def append(self, time: Floats, value: Floats) -> None:
         """Add samples. Those older than the newest are left out: a publisher whose clock was set back."""
         later = np.maximum.accumulate(np.append(self.newest, time))
         sound = time >= later[:-1]
@@ -56,7 +54,7 @@ class History:
         for at in range(0, len(time), FIRST_ROOM // 2):
             self._append(time[at : at + FIRST_ROOM // 2], value[at : at + FIRST_ROOM // 2])
 
-    def _append(self, time: Array, value: Array) -> None:
+    def _append(self, time: Floats, value: Floats) -> None:
         end = self._end + len(time)
         if end > len(self._time):
             self._make_room(len(time))
@@ -98,7 +96,7 @@ class History:
         self._end = size
         self._blocks -= first
 
-    def between(self, start: float, end: float) -> tuple[Array, Array]:
+    def between(self, start: float, end: float) -> tuple[Floats, Floats]:
         """Times [s] and values from ``start`` to ``end`` [s]."""
         a, b = np.searchsorted(self._time[: self._end], (start, end))
         return self._time[a:b], self._value[a:b]

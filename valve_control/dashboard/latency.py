@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from valve_control.arrays import Floats
 
 KEPT = 10_000  # voltages
 LEAST, MOST, BINS = 0.02, 50.0, 34  # ms; a tenth of a decade each
@@ -16,7 +16,7 @@ LEAST, MOST, BINS = 0.02, 50.0, 34  # ms; a tenth of a decade each
 class Histogram(NamedTuple):
     """Counts of latencies between the borders [ms]; what lies beyond the ends is counted in the last bins."""
 
-    borders: Array  # ms, one more than counts
+    borders: Floats  # ms, one more than counts
     counts: npt.NDArray[np.int64]
     p50: float  # ms
     p99: float  # ms
@@ -30,7 +30,7 @@ class Latencies:
         self._values = np.empty(KEPT)
         self._count = 0
 
-    def pair(self, readings: Array, voltages: Array) -> None:
+    def pair(self, readings: Floats, voltages: Floats) -> None:
         """Add the time from the last reading to each voltage; both are times of sending [s] in order.
 
         A voltage more than a second after it answers no reading.

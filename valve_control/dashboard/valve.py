@@ -9,15 +9,13 @@ from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.dashboard.changes import Change, Changes, Comparison, differing, joined
 from valve_control.dashboard.entry import Field
 from valve_control.dashboard.history import History
 from valve_control.dashboard.latency import Latencies
 from valve_control.parameter import Value, Values
-
-Array = npt.NDArray[np.float64]
 
 LOG = 1000  # lines
 MARKS = 500
@@ -190,11 +188,11 @@ class Valve:
             period = 1e-3 * float(figures.get("period_ms", ""))
             self.period = period if 0.0 < period < np.inf else self.period
 
-    def commanded(self, time: Array, value: Array) -> None:
+    def commanded(self, time: Floats, value: Floats) -> None:
         """Add commands [V] with their times [s]."""
         self.signals["command"].append(time, value)
 
-    def read(self, time: Array, value: Array) -> None:
+    def read(self, time: Floats, value: Floats) -> None:
         """Add readings [V]; the error is reading minus the command that holds at that time."""
         if len(time) == 0:
             return
@@ -207,12 +205,12 @@ class Valve:
         known = np.isfinite(held)
         self.signals["error"].append(time[known], (value - held)[known])
 
-    def answered(self, time: Array, value: Array) -> None:
+    def answered(self, time: Floats, value: Floats) -> None:
         """Add voltages [V], each the answer to a reading."""
         self.signals["voltage"].append(time, value)
         self.latencies.pair(self._readings, time)
 
-    def told(self, labels: tuple[str, ...], time: Array, rows: Array) -> None:
+    def told(self, labels: tuple[str, ...], time: Floats, rows: Floats) -> None:
         """Add rows of the controller's state, one column for each label."""
         if labels != self.labels:
             self.labels = labels
@@ -221,7 +219,7 @@ class Valve:
         for at, label in enumerate(labels):
             self.terms[label].append(time, rows[:, at])
 
-    def moved(self, name: str, time: Array, value: Array) -> None:
+    def moved(self, name: str, time: Floats, value: Floats) -> None:
         """Add readings of the axis that the valve moves: a position or goal [m], or a pressure [bar]."""
         self.axis.setdefault(name, History()).append(time, value)
 

@@ -9,9 +9,9 @@ from time import monotonic
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from sensor_msgs.msg import FluidPressure, JointState
 
+from valve_control.arrays import Floats
 from valve_control.control.compiling import compile_function
 from valve_control.control.parameters import axis_parameters as parameters
 from valve_control.control.parameters.axis_parameters import AXIS
@@ -23,7 +23,6 @@ from valve_control.nodes.loop import Worker, run
 from valve_control.nodes.valve_simulator import ValveSimulator
 from valve_control.parameter import ParameterError, Values, number, word
 
-Array = npt.NDArray[np.float64]
 NANO = 10**9
 LEAP = 0.1  # of the stroke, a position that jumps
 BEYOND = 1.5  # times the stroke, a position out of range
@@ -97,9 +96,9 @@ class AxisSimulator(Worker):
         """Move the axis over a period, in which the valve came from ``before`` to ``after``."""
         self._state = self._follow(self._machine, self._state._replace(valve=before), after)
 
-    def measure(self, params: valve.Params, feeding: valve.State, nanoseconds: int) -> Array:
+    def measure(self, params: valve.Params, feeding: valve.State, nanoseconds: int) -> Floats:
         """Publish the readings of a sample; returns its standard normal numbers, the first for the LVDT."""
-        noise: Array = self._random.standard_normal(machine.NOISES)
+        noise: Floats = self._random.standard_normal(machine.NOISES)
         self._machine = self._machine._replace(valve=params)
         self._state = self._state._replace(valve=feeding)
         reading = machine.read(self._machine, self._state, noise)
@@ -148,7 +147,7 @@ class FeedingValve(ValveSimulator):
 
     def __init__(self, fed: AxisSimulator, **options: Any) -> None:
         self._fed = fed
-        self._row: Array = np.zeros(machine.NOISES)
+        self._row: Floats = np.zeros(machine.NOISES)
         super().__init__(alone=False, **options)
 
     def _build(self, values: Values) -> tuple[Any, realtime.Request]:

@@ -10,13 +10,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 from tqdm import tqdm
 
+from valve_control.arrays import Integers
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
 from valve_control.nodes.definitions import message_class
 from valve_control.nodes.transport import check_log_folder
@@ -29,7 +29,6 @@ from valve_control.recordings.recording import ValveRecording, align, chosen, lo
 from valve_control.recordings.stamps import fields, retimed
 from valve_control.recordings.ties import untied
 
-Integers = npt.NDArray[np.int64]
 PLAYED = ("spool_command", "spool_position")
 MEET = 10.0  # s to wait for somebody who listens
 SETTLE = 0.5  # s in which discovery becomes mutual

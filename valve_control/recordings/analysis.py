@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import PAUSE, Indices, indices
 from valve_control.control.analysis.segments import Segment, motions
 from valve_control.control.analysis.spectra import Spectrum, spectrum
@@ -37,7 +38,6 @@ from valve_control.recordings.recording import (
     at_time,
 )
 
-Floats = npt.NDArray[np.float64]
 EPOCH = 10**17  # ns; a table whose times begin before it (1973) has its own zero
 LEAPS = 5  # of one recording that are named
 NONE = Indices(np.nan, np.nan, np.nan, np.nan, np.nan)

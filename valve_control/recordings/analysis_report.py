@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from valve_control import outputs
 from valve_control.control.analysis.figures import Band, Line, Plot
@@ -30,7 +29,6 @@ from valve_control.recordings.cleaning import seconds
 from valve_control.recordings.modes import Mode
 from valve_control.recordings.recording import at_time
 
-Floats = npt.NDArray[np.float64]
 LISTED = 12  # motions, and intervals of modes, in the terminal; all of them are in JSON and HTML
 REASONS = 3  # of one interval in the terminal
 BANDS = 500  # in one figure

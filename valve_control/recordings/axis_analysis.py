@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags.bag import Bag, Series
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import unusable
 from valve_control.recordings.parameters import Node
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 GOAL, JOINTS, ROOMS = "axis_goal", "joint_states", ("pressure_a", "pressure_b")
 # Parameters of axis_simulator that the energies need; it is known by the first.
 MACHINE = ("cylinder.area_a", "cylinder.area_b", "supply.kind", "supply.pressure", "relief.pressure")

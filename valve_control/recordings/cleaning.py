@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags.bag import FAR, Series, edges
 from valve_control.recordings.clocks import MANY, SMALL_DISORDER, in_order, steps_back
 from valve_control.recordings.mapping import Source
 from valve_control.recordings.ties import Ties, untied
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 LEAD = ("spool_position", "valve_voltage", "spool_command")  # whose part is chosen where time was set back
 CLOCK_STEPS = 3  # times that a clock may have been set back; more means a file that is not sorted
 PUBLISHERS = 8  # that are told apart on one topic

@@ -10,12 +10,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
+from valve_control.arrays import Integers
 from valve_control.recordings.bags.bag import FAR, Series, edges, stretch
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.table import TableFile
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 SMALL_DISORDER = 0.1  # s by which messages may be out of order
 BACK = 2.0  # usual intervals by which time goes back, between messages in order, where the clock was set

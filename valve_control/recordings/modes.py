@@ -7,13 +7,11 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags.bag import Bag, Series
 from valve_control.recordings.bags.cdr import UNDECODABLE, jazzy
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 SILENT = 3.0  # s without a word, of which there is at least one a second, after which the mode is not known
 LEAD = 0.1  # s before its first word in which a controller counts as in that mode

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Floats, Integers
 from valve_control.control.analysis.timing import LATE
 from valve_control.control.supervision.journal import Block, block
 from valve_control.control.supervision.state_snapshot import Account, account
@@ -22,8 +23,6 @@ from valve_control.recordings.clocks import Clock, decide, of_table, without_str
 from valve_control.recordings.mapping import STATE_TYPE, ValveTopics, find_valves
 from valve_control.recordings.stamps import fields, retimed
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 ESTIMATES = ("a1", "a0", "b0", "b0dn")
 V = TypeVar("V")
 LAG_ROWS = 200  # accounts on ~/state by which answers are matched with readings

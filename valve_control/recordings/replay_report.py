@@ -5,8 +5,8 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.analysis import limit_cycle
 from valve_control.control.analysis.figures import Line, Plot
 from valve_control.control.analysis.indices import indices, rms
@@ -17,8 +17,6 @@ from valve_control.recordings.analysis import segment_indices
 from valve_control.recordings.analysis_report import index_table
 from valve_control.recordings.shadow import Shadow
 from valve_control.recordings.what_if import WhatIf
-
-Floats = npt.NDArray[np.float64]
 
 
 def _effort(voltage: Floats) -> dict[str, float]:

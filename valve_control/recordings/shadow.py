@@ -14,9 +14,9 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from valve_control import parameter
+from valve_control.arrays import Floats, Integers
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.supervision.journal import COLUMNS, COUNTED, Block, Event, observe
@@ -28,8 +28,6 @@ from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import Samples, seconds
 from valve_control.recordings.recording import ValveRecording
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 Row = tuple[int, float, float, float, float]  # time [ns], command, reading, recorded and shadow voltage [V]
 EVENT, COMMAND, READING, NUMBER, ELAPSED, VOLTAGE = range(1, len(COLUMNS))
 TAKING = 60_000  # ns from taking commands to publishing the voltage, about

@@ -5,14 +5,13 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Integers
 from valve_control.recordings.bags.bag import Bag, Series
 from valve_control.recordings.bags.cdr import Decoder
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import Clock
 
-Integers = npt.NDArray[np.int64]
 HEADER = "header"
 SIMULATED = "/clock"
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")

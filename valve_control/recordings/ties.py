@@ -10,13 +10,12 @@ from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import median_filter
 
+from valve_control.arrays import Integers
 from valve_control.control.analysis.timing import LATE, true_period
 from valve_control.recordings.clocks import MANY, in_order, shared
 
-Integers = npt.NDArray[np.int64]
 BOTH = 0.2  # of the voltages that have the stamp of a reading where the clock is coarse
 INTERLEAVED = 0.8  # of the messages of two topics that alternate where their order in the file counts
 SAME_RATE = 0.1  # by which numbers may go on faster or slower than those of the readings, one for each

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import rms
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.simulation import offline
@@ -15,8 +15,6 @@ from valve_control.parameter import Values, defaults, updated
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.parameters import Node
 from valve_control.recordings.recording import Aligned, ValveRecording
-
-Floats = npt.NDArray[np.float64]
 
 
 class WhatIf(NamedTuple):

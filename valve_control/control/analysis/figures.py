@@ -6,30 +6,27 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from valve_control import outputs
+from valve_control.arrays import Floats
 
-Array = npt.NDArray[np.float64]
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 
 
 class Trace(NamedTuple):
     """Signals of one run, as a figure shows them."""
 
-    time: Array  # s
-    command: Array  # V
-    position: Array  # V
-    voltage: Array  # V
+    time: Floats  # s
+    command: Floats  # V
+    position: Floats  # V
+    voltage: Floats  # V
 
 
 class Line(NamedTuple):
     """One line of a plot, with its style."""
 
     label: str
-    x: Array
-    y: Array
+    x: Floats
+    y: Floats
     colour: str = ""
     dashed: bool = False
 

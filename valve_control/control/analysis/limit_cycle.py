@@ -5,12 +5,10 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.compiling import compile_function
 from valve_control.control.supervision import oscillation
-
-Array = npt.NDArray[np.float64]
 
 
 class LimitCycle(NamedTuple):
@@ -22,7 +20,7 @@ class LimitCycle(NamedTuple):
     end: float  # s
 
 
-def survey(p: oscillation.Params, voltage: Array, command: Array, longest: Array) -> None:
+def survey(p: oscillation.Params, voltage: Floats, command: Floats, longest: Floats) -> None:
     """Step through all samples; ``longest`` receives frequency [Hz], amplitude [V], start and end [s]."""
     s = oscillation.NOTHING
     for k in range(voltage.shape[0]):
@@ -40,7 +38,7 @@ def survey(p: oscillation.Params, voltage: Array, command: Array, longest: Array
 
 
 def limit_cycle(
-    voltage: Array, command: Array, period: float, amplitude: float, compiled: bool = True
+    voltage: Floats, command: Floats, period: float, amplitude: float, compiled: bool = True
 ) -> LimitCycle | None:
     """The limit cycle of at least ``amplitude`` [V] in ``voltage`` [V] under ``command`` [V], or None."""
     longest = np.zeros(4)
@@ -51,13 +49,13 @@ def limit_cycle(
     return LimitCycle(*map(float, longest)) if longest[0] > 0.0 else None
 
 
-def survey_all(p: oscillation.Params, voltages: Array, command: Array, longest: Array) -> None:
+def survey_all(p: oscillation.Params, voltages: Floats, command: Floats, longest: Floats) -> None:
     """``survey`` of each row of ``voltages`` (N×n), whose ``longest`` is a row of that (N×4)."""
     for i in range(voltages.shape[0]):
         survey(p, voltages[i], command, longest[i])
 
 
-def ends_at_rest(voltages: Array, period: float, amplitude: float) -> Array:
+def ends_at_rest(voltages: Floats, period: float, amplitude: float) -> Floats:
     """Times [s] at which the limit cycles in N ``voltages`` [V] (N×n) end, at a command of 0 V; 0.0: none.
 
     They are those that ``limit_cycle`` finds, of at least ``amplitude`` [V].

@@ -5,13 +5,12 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import correlate, correlation_lags, find_peaks
 
+from valve_control.arrays import Floats
 from valve_control.control.analysis.segments import motions
 
-Floats = npt.NDArray[np.float64]
 SMOOTH = 0.02  # s over which a signal is averaged before its rate is taken
 ALIKE = 0.5  # correlation of the rates from which on two motions are the same
 AS_GOOD = 0.98  # part of the best correlation from which on another place fits as well

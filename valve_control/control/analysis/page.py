@@ -7,11 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.analysis.figures import COLOURS, Band, Plot
 
-Floats = npt.NDArray[np.float64]
 MARKS = 50  # vertical lines at most
 POINTS = 8000  # of one line; more are drawn as the envelope of their extremes
 STYLE = """

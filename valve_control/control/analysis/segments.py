@@ -5,10 +5,10 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-Floats = npt.NDArray[np.float64]
+from valve_control.arrays import Floats
+
 REST = 0.1  # s for which a command that has come to rest stays
 STILL = 0.002  # part of the command's range within which it counts as at rest
 LEAST = 1e-3  # V, likewise, at least

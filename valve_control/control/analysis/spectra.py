@@ -5,10 +5,10 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import welch
 
-Floats = npt.NDArray[np.float64]
+from valve_control.arrays import Floats
+
 WINDOW = 4096  # samples of one stretch
 
 

@@ -5,9 +5,9 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from valve_control.arrays import Floats
+
 BAND = 0.02  # of the height of a step, within which the position has settled
 SMALL = 0.1  # of the largest step of a command
 LEAST = 0.05  # s  that a command stands after a step, at least
@@ -16,11 +16,11 @@ LEAST = 0.05  # s  that a command stands after a step, at least
 class Answer(NamedTuple):
     """How N positions answer the steps of one command, the worst step of each."""
 
-    overshoot: Array  # -  of the height of the step, beyond its end
-    settling: Array  # s  until the position stays within BAND; inf: it does not
+    overshoot: Floats  # -  of the height of the step, beyond its end
+    settling: Floats  # s  until the position stays within BAND; inf: it does not
 
 
-def places(command: Array, period: float) -> list[tuple[int, int]]:
+def places(command: Floats, period: float) -> list[tuple[int, int]]:
     """First sample of each step of ``command`` (n) [V], and that of the next one.
 
     [] for one that moves otherwise. A step of less than SMALL of the largest one is none to judge.
@@ -34,7 +34,7 @@ def places(command: Array, period: float) -> list[tuple[int, int]]:
     return [(first, end) for first, end in zip(changes.tolist(), ends, strict=True) if large[first - 1]]
 
 
-def answer(command: Array, position: Array, period: float) -> Answer | None:
+def answer(command: Floats, position: Floats, period: float) -> Answer | None:
     """How ``position`` (…×n) [V] answers the steps of ``command`` (n) [V]; None for one without steps."""
     found = places(command, period)
     if not found:

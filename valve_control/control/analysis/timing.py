@@ -5,13 +5,11 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import median_filter
 
+from valve_control.arrays import Floats, Integers
 from valve_control.control.analysis.indices import PAUSE
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 LATE = 1.5  # periods between two messages from which on it is a gap
 APART = 100  # readings between the two whose distance in time is measured
 LEAP = 5.0  # periods by which time leaps away from the readings' numbers where it is not jitter

@@ -5,16 +5,13 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from valve_control.arrays import Floats
 from valve_control.control.closed_loop import Sample
 from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.motion.course import Goal
 from valve_control.control.plant import axis, machine
 from valve_control.control.plant.amplifier import saturate
 
-Array = npt.NDArray[np.float64]
 SIGNALS = (
     "goal",  # m
     "position",  # m
@@ -85,7 +82,7 @@ def valve_law_step(p: Any, s: Any, command: float, reading: float, offset: float
     raise NotImplementedError
 
 
-def goal_given(params: float, state: float, given: Array) -> tuple[Goal, float]:
+def goal_given(params: float, state: float, given: Floats) -> tuple[Goal, float]:
     """Command source of a run whose course is known: ``given`` is its row of this sample."""
     return Goal(given[0], given[1], given[2]), state
 

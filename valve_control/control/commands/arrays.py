@@ -10,19 +10,19 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control import inputs
+from valve_control.arrays import Floats
 from valve_control.control.commands import scenarios
 from valve_control.parameter import ParameterError
 
-Array = npt.NDArray[np.float64]
 LARGEST = 1e6  # V  in a file, whose commands a controller limits to command_limit
 
 
-def sampled(shape: scenarios.Shape, period: float, samples: int) -> Array:
+def sampled(shape: scenarios.Shape, period: float, samples: int) -> Floats:
     """Command [V] at each of ``samples`` samples, ``period`` [s] apart."""
     return np.array([scenarios.command(shape, k * period) for k in range(samples)])
 
 
-def read(path: str) -> Array:
+def read(path: str) -> Floats:
     """One column of commands [V] from a CSV or NPY file. Raises ParameterError."""
     if not path:
         raise ParameterError("scenario 'array' needs command_file, a CSV or NPY file")
@@ -47,7 +47,7 @@ def read(path: str) -> Array:
     if np.iscomplexobj(array):
         raise ParameterError(f"command file {path} holds complex numbers; it must hold real ones")
     try:
-        numbers: Array = np.asarray(array, dtype=np.float64)
+        numbers: Floats = np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ParameterError(f"command file {path} must hold numbers, not {array.dtype}") from error
     if numbers.ndim == 2 and 1 in numbers.shape:

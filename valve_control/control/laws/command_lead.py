@@ -16,14 +16,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.laws import reshaping
 from valve_control.control.laws.projection import clip
 from valve_control.control.plant.amplifier import saturate
 from valve_control.parameter import Values, number
-
-Array = npt.NDArray[np.float64]
 
 
 class Params(NamedTuple):
@@ -103,7 +101,7 @@ def led(p: Params, s: State, command: float) -> float:
     return saturate(command + p.time * s.rate + bend * s.accel, p.limit)
 
 
-def applied(p: Params | None, commands: Array) -> Array:
+def applied(p: Params | None, commands: Floats) -> Floats:
     """The ``commands`` [V], one a sample, as the law gets them."""
     if p is None or len(commands) == 0:
         return commands
@@ -112,7 +110,7 @@ def applied(p: Params | None, commands: Array) -> Array:
     return result
 
 
-def fill(p: Params, commands: Sequence[float] | Array, result: Array) -> None:
+def fill(p: Params, commands: Sequence[float] | Floats, result: Floats) -> None:
     """Write at least one of the ``commands`` [V] with their lead into ``result``."""
     s = initial(commands[0])
     for k in range(len(commands)):

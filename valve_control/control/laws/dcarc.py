@@ -15,8 +15,8 @@ import sys
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.laws import dcarc_valve, least_squares, magnet, reshaping
 from valve_control.control.laws.dcarc_parts import (
     Combination,
@@ -46,7 +46,6 @@ from valve_control.control.plant import models
 from valve_control.control.plant.amplifier import saturate
 from valve_control.parameter import Parameter, ParameterError, Table, Values, defaults, number, numbers
 
-Array = npt.NDArray[np.float64]
 WEIGHTS = (
     "[gain -, bristle V, bristle V, bristle V, standstill V, flow force V/V, offset V, damping V/(V/s), "
     "inertia V/(V/s²)]"
@@ -831,7 +830,7 @@ def model(p: Params) -> tuple[float, float, float]:
     return p.equivalent.a1, p.equivalent.a0, p.equivalent.b0
 
 
-def sampled_model(p: Params) -> tuple[Array, Array] | None:
+def sampled_model(p: Params) -> tuple[Floats, Floats] | None:
     """The model itself, with the voltages on their way to it as more states; None: ``model`` will do.
 
     That is the case with two more poles than zeros, order 2 to 4 and no dead time of the actuator.

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from valve_control.arrays import Floats
+
 Points = npt.NDArray[Any]  # in the complex plane; real where all of them are
 
 # Poles of Bessel low-passes with -3 dB at 1 rad/s by order, those with a negative imaginary part left out.
@@ -34,7 +35,7 @@ def bessel_poles(order: int, frequency: float) -> Points:
     return frequency * np.concatenate([upper, upper[upper.imag > 0.0][::-1].conj()])
 
 
-def zeros_poles_gain(numerator: Array, denominator: Array) -> tuple[Points, Points, float]:
+def zeros_poles_gain(numerator: Floats, denominator: Floats) -> tuple[Points, Points, float]:
     """Zeros, poles and gain of a transfer function in s; coefficients with the highest power first."""
     a = np.trim_zeros(denominator, "f")
     b, a = numerator / a[0], a / a[0]
@@ -71,7 +72,7 @@ def _worst(poles: Points) -> int:
     return int(np.argmin(np.abs(1.0 - np.abs(poles))))
 
 
-def sections(zeros: Points, poles: Points, gain: float) -> Array:
+def sections(zeros: Points, poles: Points, gain: float) -> Floats:
     """Rows (b0, b1, b2, 1, a1, a2) of as many zeros as poles in z.
 
     Each pole goes with the zeros nearest to it; the last row has the poles nearest to the unit circle.

@@ -8,9 +8,7 @@ import types
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, get_type_hints
 
-import numpy as np
-import numpy.typing as npt
-
+from valve_control.arrays import Floats
 from valve_control.control.laws import reshaping
 from valve_control.control.laws.free import Free, entries_of
 from valve_control.control.laws.projection import Theta
@@ -18,7 +16,6 @@ from valve_control.control.laws.signals import Start
 from valve_control.control.plant.models import Scale, TransferFunction
 from valve_control.parameter import Table, Value, Values, defaults
 
-Array = npt.NDArray[np.float64]
 PACKAGE = "valve_control"
 FIELDS = {"Params": ("u_max", "period"), "Terms": ("reference", "z1", "unsaturated_voltage")}
 FORMS = {
@@ -74,7 +71,7 @@ class Law(NamedTuple):
     model: Callable[[Any], tuple[float, float, float]] | None = None
     # transition matrix (n×n) and input column (n) of the sampled model that a set of Params believes in,
     # position first, where (1) leaves out what the loop needs; None: (1) with what ``model`` gives will do
-    sampled_model: Callable[[Any], tuple[Array, Array] | None] = by_slow_motion
+    sampled_model: Callable[[Any], tuple[Floats, Floats] | None] = by_slow_motion
     reshapes: Callable[[Any], bool] = always  # whether a set of Params follows a reshaped reference
     # command under which the law goes on as it is, from which a takeover lets the real one fade in
     steady_command: Callable[[Any, Start], float] = reshaped_steady_command

@@ -21,19 +21,17 @@ Coulomb friction is ahead by the first of these alone. Stribeck's addition is le
 import math
 
 import numpy as np
-import numpy.typing as npt
 import scipy.special
 
+from valve_control.arrays import Complexes, Floats
 from valve_control.control.compiling import compile_function
 
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 AHEAD = 1.5  # periods by which the sampled bristles are ahead of the position in small swings
 RUBBING_AHEAD = 1.0  # the same of Coulomb friction
 DEFLECTIONS = np.geomspace(1e-3, 1e3, 600)  # α that are tabulated; beyond, n(α) is that of Coulomb friction
 
 
-def describing_function(deflection: Array) -> Complex:
+def describing_function(deflection: Floats) -> Complexes:
     """n(α) of the ``deflection`` α = A/δ > 0, in parts of F/δ."""
     a = np.asarray(deflection, dtype=float)
     spring = 4.0 * scipy.special.i1e(a) / (a * (1.0 + np.exp(-2.0 * a)))
@@ -46,7 +44,7 @@ _TABLE = describing_function(DEFLECTIONS)
 _PHASE, _SIZE = np.angle(_TABLE), np.abs(_TABLE)
 
 
-def swings(loop: Complex, position: Complex, z: Complex, coulomb: Array, presliding: Array) -> Array:
+def swings(loop: Complexes, position: Complexes, z: Complexes, coulomb: Floats, presliding: Floats) -> Floats:
     """Amplitude [V] of the largest swing about rest that friction sustains on each of N valves; 0.0: none.
 
     ``loop`` (N×F): C·G of the reading, at ``z`` (F) of ascending frequency. ``position`` (N×F): G [V/V]
@@ -63,16 +61,16 @@ def swings(loop: Complex, position: Complex, z: Complex, coulomb: Array, preslid
 
 
 def _largest(
-    loop: Complex,
-    position: Complex,
-    ahead: Complex,
-    rubbing_ahead: Complex,
-    coulomb: Array,
-    presliding: Array,
-    phases: Array,
-    sizes: Array,
-    deflections: Array,
-    amplitudes: Array,
+    loop: Complexes,
+    position: Complexes,
+    ahead: Complexes,
+    rubbing_ahead: Complexes,
+    coulomb: Floats,
+    presliding: Floats,
+    phases: Floats,
+    sizes: Floats,
+    deflections: Floats,
+    amplitudes: Floats,
 ) -> None:
     """Fill ``amplitudes`` (N) as ``swings``; ``phases``, ``sizes`` and ``deflections``: table of n(α).
 
@@ -100,7 +98,7 @@ def _largest(
         amplitudes[i] = largest
 
 
-def _between(x: float, places: Array, values: Array) -> float:
+def _between(x: float, places: Floats, values: Floats) -> float:
     """``values`` at ``x`` between ascending ``places``, interpolated; beyond them, the one at the end."""
     after = np.searchsorted(places, x)
     if after == 0:

@@ -13,35 +13,34 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Complexes, Floats
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant import registry
 
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 SCALE = 1e-6  # first disturbance of a state; the unit is that of the state
 SMALL = 1e-3  # V  by which a disturbance moves the voltage at most: far from saturation
 FINER = 1e-3  # factor to a smaller disturbance
-Steps = Callable[[Law, Any, Any, Array], Array]  # see ``stepped``
+Steps = Callable[[Law, Any, Any, Floats], Floats]  # see ``stepped``
 SETTLING = 2  # samples at rest, after which the law has begun
 
 
 class LinearLaw(NamedTuple):
     """x⁺ = a·x + b·y and u = c·x + d·y, of the states through which the reading y gets to the voltage u."""
 
-    a: Array  # n×n
-    b: Array  # n
-    c: Array  # n  V
+    a: Floats  # n×n
+    b: Floats  # n
+    c: Floats  # n  V
     d: float  # V/V
 
 
 class LinearValves(NamedTuple):
     """x⁺ = a·x + b·u and y(k + late) = now·x(k) + before·x(k-1), for each of N valves."""
 
-    a: Array  # N×m×m, with the flow force
-    b: Array  # N×m
-    now: Array  # N×m
-    before: Array  # N×m
+    a: Floats  # N×m×m, with the flow force
+    b: Floats  # N×m
+    now: Floats  # N×m
+    before: Floats  # N×m
     late: npt.NDArray[np.int64]  # N  whole periods of dead time
 
 
@@ -59,7 +58,7 @@ def unflatten(like: Any, numbers: list[float]) -> Any:
     return numbers.pop(0)
 
 
-def stepped(law: Law, params: Any, like: Any, points: Array) -> Array:
+def stepped(law: Law, params: Any, like: Any, points: Floats) -> Floats:
     """Next state and voltage [V] (M×n) from states and readings [V] (M×n), at a command of 0 V.
 
     ``like``: a state of the law.
@@ -131,13 +130,13 @@ def linear_valves(given: Sequence[Any]) -> LinearValves:
     return LinearValves(a, held, now, before, late)
 
 
-def undelayed(a: Array, b: Array) -> LinearValves:
+def undelayed(a: Floats, b: Floats) -> LinearValves:
     """One valve x⁺ = a·x + b·u whose reading is its first state."""
     first = np.eye(len(b))[:1]
     return LinearValves(a[None], b[None], first, np.zeros_like(first), np.zeros(1, dtype=np.int64))
 
 
-def transitions(law: LinearLaw, valves: LinearValves) -> Array:
+def transitions(law: LinearLaw, valves: LinearValves) -> Floats:
     """Transition matrices (N×m×m) of the loops of ``law`` around each of N valves.
 
     States: m of the valve, before·x(k-1), the readings on their way through the dead time, the law's.
@@ -165,15 +164,15 @@ def transitions(law: LinearLaw, valves: LinearValves) -> Array:
     return matrix
 
 
-def dominant_poles(law: LinearLaw, valves: LinearValves) -> Complex:
+def dominant_poles(law: LinearLaw, valves: LinearValves) -> Complexes:
     """The pole of largest modulus of the loop around each of N valves, shape (N)."""
     poles = np.linalg.eigvals(transitions(law, valves)).astype(complex)
     largest = np.argmax(np.abs(poles), axis=1)
-    found: Complex = poles[np.arange(len(poles)), largest]
+    found: Complexes = poles[np.arange(len(poles)), largest]
     return found
 
 
-def law_response(law: LinearLaw, z: Complex) -> Complex:
+def law_response(law: LinearLaw, z: Complexes) -> Complexes:
     """Voltage over reading at the points ``z`` (F) of the z-plane."""
     if len(law.b) == 0:
         return np.full(len(z), law.d, dtype=complex)
@@ -184,7 +183,7 @@ def law_response(law: LinearLaw, z: Complex) -> Complex:
     )
 
 
-def valve_responses(valves: LinearValves, z: Complex) -> tuple[Complex, Complex]:
+def valve_responses(valves: LinearValves, z: Complexes) -> tuple[Complexes, Complexes]:
     """Position and reading over voltage of N valves at the points ``z`` (F) of the z-plane, shapes (N, F)."""
     position, reading = np.empty((2, len(valves.b), len(z)), dtype=complex)
     for i, (a, b) in enumerate(zip(valves.a, valves.b, strict=True)):

@@ -8,13 +8,11 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.compiling import LANES, compile_function, explained
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.places import law_step
-
-Array = npt.NDArray[np.float64]
 
 
 class StatePoint(NamedTuple):
@@ -24,17 +22,17 @@ class StatePoint(NamedTuple):
     number: float
 
 
-def load(like: Any, block: Array, lane: int) -> Any:
+def load(like: Any, block: Floats, lane: int) -> Any:
     """Placeholder for ``simd_layout.load``."""
     raise NotImplementedError
 
 
-def store(value: Any, block: Array, lane: int) -> None:
+def store(value: Any, block: Floats, lane: int) -> None:
     """Placeholder for ``simd_layout.store``."""
     raise NotImplementedError
 
 
-def step_blocks(p: Any, like: StatePoint, before: Array, after: Array) -> None:
+def step_blocks(p: Any, like: StatePoint, before: Floats, after: Floats) -> None:
     """One step at a command of 0 V from the LANES points in each row of ``before`` to those of ``after``."""
     for i in range(before.shape[0]):
         for j in range(LANES):
@@ -55,7 +53,7 @@ def _compiled(law: types.ModuleType) -> Callable[..., None]:
     return compile_function(step_blocks, parts, nogil=True)
 
 
-def stepped(law: Law, params: Any, like: Any, points: Array) -> Array:
+def stepped(law: Law, params: Any, like: Any, points: Floats) -> Floats:
     """Next state and voltage [V] (M×n) from states and readings [V] (M×n), at a command of 0 V.
 
     ``like``: a state of the law, whose numbers come in the order of ``linear_loop.flatten``.

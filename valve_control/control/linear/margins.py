@@ -14,14 +14,13 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Complexes, Floats
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws.law import Law
 from valve_control.control.linear import friction_swing, linear_loop, many_states
 from valve_control.control.plant import registry
 
-Array = npt.NDArray[np.float64]
 LOWEST = 0.05  # Hz  of the frequencies looked at; the highest is half the sampling rate
 FREQUENCIES = 500
 GROWN = 1.6  # times a valve's own swing, from which on that in the loop is all the loop's
@@ -31,15 +30,15 @@ EDGE = 1e-9  # by which a pole may lie outside of the unit circle: rounding
 class Margins(NamedTuple):
     """What the loop around each of N valves has left until it breaks; unstable: nothing, and peaks inf."""
 
-    radius: Array  # -   largest modulus of the loop's poles
-    gain_db: Array  # dB  by which the valve's gain may rise; inf: without end
-    reduction_db: Array  # dB  by which it may fall; inf: to nothing
-    phase_deg: Array  # deg
-    delay_s: Array  # s   of more dead time
-    sensitivity_db: Array  # dB  peak of 1/(1 + L)
-    response_db: Array  # dB  peak of L/(1 + L)
+    radius: Floats  # -   largest modulus of the loop's poles
+    gain_db: Floats  # dB  by which the valve's gain may rise; inf: without end
+    reduction_db: Floats  # dB  by which it may fall; inf: to nothing
+    phase_deg: Floats  # deg
+    delay_s: Floats  # s   of more dead time
+    sensitivity_db: Floats  # dB  peak of 1/(1 + L)
+    response_db: Floats  # dB  peak of L/(1 + L)
     swing_v: (
-        Array  # V   amplitude of the largest swing about rest that friction sustains, as far as by the loop
+        Floats  # V   amplitude of the largest swing about rest that friction sustains, as far as by the loop
     )
 
 
@@ -47,13 +46,13 @@ class Box(NamedTuple):
     """Valves prepared for many laws and gains."""
 
     valves: linear_loop.LinearValves
-    omega: Array  # F  rad/s
-    z: linear_loop.Complex  # F
-    position: linear_loop.Complex  # N×F  V/V  over the voltage
-    response: linear_loop.Complex  # N×F  V/V  of the reading
-    coulomb: Array  # N  V
-    presliding: Array  # N  V
-    own_swing: Array  # N  V  of the valve at a constant voltage
+    omega: Floats  # F  rad/s
+    z: Complexes  # F
+    position: Complexes  # N×F  V/V  over the voltage
+    response: Complexes  # N×F  V/V  of the reading
+    coulomb: Floats  # N  V
+    presliding: Floats  # N  V
+    own_swing: Floats  # N  V  of the valve at a constant voltage
 
 
 def prepared(given: Sequence[Any]) -> Box:
@@ -73,7 +72,7 @@ def prepared(given: Sequence[Any]) -> Box:
 
 
 @cache
-def _omega(period: float) -> Array:
+def _omega(period: float) -> Floats:
     return np.geomspace(2.0 * np.pi * LOWEST, np.pi / period, FREQUENCIES)
 
 
@@ -91,7 +90,7 @@ def margins(law: Law, params: Any, box: Box) -> Margins:
     return _without_unstable(found)
 
 
-def _blame(swing: Array, own: Array) -> Array:
+def _blame(swing: Floats, own: Floats) -> Floats:
     """Share of a ``swing`` [V] for which the loop is to blame, not the valve, which alone has ``own`` [V].
 
     0 if the loop makes it no larger, 1 from GROWN times as large on.
@@ -128,7 +127,7 @@ def _without_unstable(found: Margins) -> Margins:
     return found._replace(**peaks, **left)
 
 
-def _sweep(loop: linear_loop.Complex, omega: Array, rows: Array) -> None:
+def _sweep(loop: Complexes, omega: Floats, rows: Floats) -> None:
     """Fill ``rows`` (N×6) from the responses ``loop`` (N×F) at ``omega`` [rad/s], F ascending.
 
     Gain margin and reduction [dB] are where a response crosses the negative real axis, phase margin [deg] and

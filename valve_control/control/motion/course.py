@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.parameter import ParameterError
-
-Array = npt.NDArray[np.float64]
 
 
 class Goal(NamedTuple):
@@ -49,7 +47,7 @@ def planned(wanted: Any) -> Any:
 
 def point_to_point(
     start: float, goals: Sequence[float], pause: float, limits: MotionLimits, period: float, duration: float
-) -> Array:
+) -> Floats:
     """Jerk-limited motions from ``start`` to one of ``goals`` [m] after the other, each as fast as it can.
 
     Before each there is a ``pause`` [s]. Returns rows of Goal, one a ``period`` [s] over ``duration`` [s]; by
@@ -86,7 +84,7 @@ def point_to_point(
     return rows
 
 
-def sine(centre: float, amplitude: float, frequency: float, period: float, duration: float) -> Array:
+def sine(centre: float, amplitude: float, frequency: float, period: float, duration: float) -> Floats:
     """A sine [m] that begins at rest: its amplitude rises over the first two cycles (at most 0.5 s each)."""
     t = np.arange(max(1, round(duration / period))) * period
     w = 2.0 * np.pi * frequency

@@ -11,12 +11,11 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.motion.course import Goal, MotionLimits, planned
 from valve_control.parameter import ParameterError
 
-Array = npt.NDArray[np.float64]
 MOST = 100_000  # points
 LOOKS = 9  # at each piece of a path, before its extremes
 SLACK = 1e-9  # relative, of a limit
@@ -91,7 +90,7 @@ def goal_of(path: Path, time: int) -> Goal:
     return path.at(max(0, time))
 
 
-def _velocities(points: Sequence[PathPoint], times: Array) -> Array:
+def _velocities(points: Sequence[PathPoint], times: Floats) -> Floats:
     given = [p.velocity for p in points]
     x = np.array([p.position for p in points])
     slopes = np.zeros(len(points))
@@ -100,7 +99,7 @@ def _velocities(points: Sequence[PathPoint], times: Array) -> Array:
     return np.array([slope if v is None else v for v, slope in zip(given, slopes, strict=True)])
 
 
-def _pieces(points: Sequence[PathPoint], times: Array) -> Array:
+def _pieces(points: Sequence[PathPoint], times: Floats) -> Floats:
     """Coefficients (n-1, 6), constant first, of the polynomials between the points."""
     x = np.array([p.position for p in points])
     v = _velocities(points, times)
@@ -123,7 +122,7 @@ def _pieces(points: Sequence[PathPoint], times: Array) -> Array:
     return pieces
 
 
-def _evaluated(c: Array, t: Array | float) -> tuple[Array, Array]:
+def _evaluated(c: Floats, t: Floats | float) -> tuple[Floats, Floats]:
     """Position and velocity of pieces ``c`` (…, 6) at ``t`` [s] from their beginning."""
     c0, c1, c2, c3, c4, c5 = np.moveaxis(c, -1, 0)
     x = c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5))))
@@ -185,7 +184,7 @@ def through(points: Sequence[PathPoint], present: Goal, able: Range) -> Path:
     return Path(at, int(nanoseconds[-1]), last)
 
 
-def _check_extremes(pieces: Array, lengths: Array, able: Range) -> None:
+def _check_extremes(pieces: Floats, lengths: Floats, able: Range) -> None:
     """Check the course on its pieces, at its extremes too where it may leave the limits between two looks."""
     looks = [_evaluated(pieces, share * lengths) for share in np.linspace(0.0, 1.0, LOOKS)]
     x, v = np.array(looks).transpose(1, 0, 2)
@@ -208,7 +207,7 @@ def _check_extremes(pieces: Array, lengths: Array, able: Range) -> None:
     _check(float(x.min()), float(x.max()), float(v.min()), float(v.max()), able, "the trajectory")
 
 
-def _roots(rates: Array) -> Array:
+def _roots(rates: Floats) -> Floats:
     """Real parts (n, k) of the roots of n polynomials (n, k+1), constant first, as eigenvalues.
 
     A leading coefficient below TINY of the largest is replaced by that: a root between 0 and 1 moves by about

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from valve_control.arrays import Floats
 from valve_control.control.commands import arrays
-from valve_control.control.commands.arrays import Array
 from valve_control.control.commands.scenarios import Shape, steps_of, stroke_time
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.plant import registry
@@ -81,7 +81,7 @@ def check_memory(samples: float, numbers: int = OF_A_RUN) -> None:
         )
 
 
-def commands(values: Values) -> Array:
+def commands(values: Values) -> Floats:
     """Command [V] of each sample from the command source's values. Raises ParameterError."""
     period = number(values, "sample_period")
     n = max(1, round(number(values, "duration") / period))
@@ -105,7 +105,7 @@ def highest_frequency(values: Values) -> float:
     return number(values, "frequency") if scenario in ("sine", "triangle") else 0.0
 
 
-def derivatives(commands: Array, period: float) -> tuple[Array, Array]:
+def derivatives(commands: Floats, period: float) -> tuple[Floats, Floats]:
     """Rates [V/s] and accelerations [V/s²] of ``commands`` [V], by central differences, at rest at ends."""
     padded = np.concatenate([commands[:1], commands, commands[-1:]])
     rates = (padded[2:] - padded[:-2]) / (2.0 * period)

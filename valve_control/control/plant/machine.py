@@ -9,12 +9,11 @@ The voltage moves the spool of the valve (``control/plant/valve.py``), the spool
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.plant import axis, valve
 from valve_control.control.plant.sensor import Lvdt, reading
 
-Array = npt.NDArray[np.float64]
 NOISES = 4  # numbers of noise a sample: LVDT, position, two pressures
 
 
@@ -42,7 +41,7 @@ class State(NamedTuple):
 
     valve: valve.State
     axis: axis.State
-    history: Array
+    history: Floats
     newest: int
 
 
@@ -55,7 +54,7 @@ class Reading(NamedTuple):
     pressure_b: float  # Pa
 
 
-def _remember(p: Params, s: axis.State, history: Array, newest: int) -> None:
+def _remember(p: Params, s: axis.State, history: Floats, newest: int) -> None:
     now = axis.pressures(p.axis, s)
     valve.remember(history, newest, valve.Row(s.x, s.v, 0.0, 0.0), p.axis.period)
     history[newest, 2] = now.a
@@ -76,7 +75,7 @@ def copied(s: State) -> State:
     return s._replace(valve=s.valve._replace(history=s.valve.history.copy()), history=s.history.copy())
 
 
-def _delayed(delay: float, history: Array, newest: int, column: int) -> float:
+def _delayed(delay: float, history: Floats, newest: int, column: int) -> float:
     """Entry of ``column`` ``delay`` periods ago, on a straight line between two samples."""
     whole = int(delay)
     part = delay - whole
@@ -86,7 +85,7 @@ def _delayed(delay: float, history: Array, newest: int, column: int) -> float:
     return later + part * (earlier - later)
 
 
-def read(p: Params, s: State, noise: Array) -> Reading:
+def read(p: Params, s: State, noise: Floats) -> Reading:
     """Readings of all sensors; ``noise``: NOISES standard normal numbers."""
     return sensed(p, s, noise[0], noise[1], noise[2], noise[3])
 

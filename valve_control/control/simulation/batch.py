@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control import closed_loop
 from valve_control.control.compiling import LANES, compile_function, explained
 from valve_control.control.laws import linearisation
@@ -31,7 +32,6 @@ from valve_control.control.plant.plant import Plant
 from valve_control.control.simulation import measures, singly
 from valve_control.control.simulation.measures import INDICES, Measures
 
-Array = npt.NDArray[np.float64]
 Valves = npt.NDArray[np.int64]
 Records = npt.NDArray[np.void]  # one row a valve, fields as in the NamedTuple, all float64
 SPAN = 256  # samples of noise made at a time: they stay in the nearest cache
@@ -87,22 +87,22 @@ class Batch(NamedTuple):
     law_params: Records | tuple[Any, ...]  # N rows, or one for all valves; of ``linearisation.behind``, too
     valve_params: Records | Any  # N rows, or one for all: Params of any plant
     seeds: Sequence[int] | npt.NDArray[np.int64]  # of the LVDTs' noise
-    commands: Array
+    commands: Floats
     measures: Measures = INDICES
-    led: Array | None = None  # V, of the same shape: with the lead of ``command_lead``; None: ``commands``
+    led: Floats | None = None  # V, of the same shape: with the lead of ``command_lead``; None: ``commands``
 
 
-def load(like: Any, block: Array, lane: int) -> Any:
+def load(like: Any, block: Floats, lane: int) -> Any:
     """Placeholder for ``simd_layout.load``."""
     raise NotImplementedError
 
 
-def store(value: Any, block: Array, lane: int) -> None:
+def store(value: Any, block: Floats, lane: int) -> None:
     """Placeholder for ``simd_layout.store``."""
     raise NotImplementedError
 
 
-def fill(generators: Any, noise: Array) -> None:
+def fill(generators: Any, noise: Floats) -> None:
     """Placeholder for ``noise.fill``."""
     raise NotImplementedError
 
@@ -130,7 +130,7 @@ def counted(p: measures.Now, tally: Any, now: closed_loop.Sample, position: floa
     return count(tally, here), False
 
 
-def begin(like: Lane, block: Array, noise: Array) -> None:
+def begin(like: Lane, block: Floats, noise: Floats) -> None:
     """Put the valves of ``block`` at rest and start their laws from the first readings."""
     for j in range(LANES):
         lane = load(like, block, j)
@@ -167,16 +167,16 @@ def sample(lane: Lane, first: bool, final: bool) -> Work:
 
 def run_block(
     like: Lane,
-    block: Array,
+    block: Floats,
     generators: Any,
-    noise: Array,
-    commands: Array,
-    led: Array,
+    noise: Floats,
+    commands: Floats,
+    led: Floats,
     stride: int,
     valves: Valves,
-    history: Array,
+    history: Floats,
     last_begin: int,
-    traces: Array,
+    traces: Floats,
 ) -> None:
     """Run the ``valves`` of one block, whose parameters are in ``block``.
 
@@ -266,7 +266,7 @@ def records(params: Sequence[tuple[Any, ...]]) -> Records:
     return made
 
 
-def _rows(name: str, params: Records | tuple[Any, ...], like: Any, count: int) -> Array:
+def _rows(name: str, params: Records | tuple[Any, ...], like: Any, count: int) -> Floats:
     """Numbers of ``params``, one row per valve, of the fields of ``like``."""
     rows = params if isinstance(params, np.ndarray) else records([params])
     kind = type(like)
@@ -311,18 +311,18 @@ class Prepared(NamedTuple):
     width: int  # numbers of a lane
     law: types.ModuleType
     measures: Measures
-    law_rows: Array
-    valve_rows: Array
+    law_rows: Floats
+    valve_rows: Floats
     seeds: Valves
-    delays: Array  # periods, of the LVDTs of linear valves
-    commands: Array  # V  one after the other
-    led: Array  # V  likewise
+    delays: Floats  # periods, of the LVDTs of linear valves
+    commands: Floats  # V  one after the other
+    led: Floats  # V  likewise
     stride: int  # between the commands of one valve and the next
     samples: int
     period: float  # s
 
 
-def _commands(given: Array, count: int) -> Array:
+def _commands(given: Floats, count: int) -> Floats:
     commands = np.asarray(given, dtype=np.float64)
     if commands.ndim not in (1, 2) or commands.shape[:-1] not in ((), (count,)) or commands.size == 0:
         raise ValueError(f"commands of {count} valves have shape (n) or ({count}, n), not {commands.shape}")
@@ -377,7 +377,7 @@ def _prepared(batch: Batch) -> Prepared:
     )
 
 
-def _run_lanes(ready: Prepared, start: int, traces: Array) -> Array:
+def _run_lanes(ready: Prepared, start: int, traces: Floats) -> Floats:
     """Tallies of up to LANES valves from ``start`` on; a block with fewer repeats the last valve."""
     valves = np.minimum(np.arange(start, start + LANES), len(ready.seeds) - 1)
     if ready.plant.module is not valve:
@@ -404,7 +404,7 @@ def _run_lanes(ready: Prepared, start: int, traces: Array) -> Array:
     return block[at : at + len(ready.measures.tally._fields)].T[: len(ready.seeds) - start]
 
 
-def _run_singly(ready: Prepared, valves: Valves, traces: Array) -> Array:
+def _run_singly(ready: Prepared, valves: Valves, traces: Floats) -> Floats:
     """Tallies of ``valves``, whose plant has no loop over several at once."""
     samples = traces.shape[1]
     tallies = []
@@ -432,7 +432,7 @@ def _last_begin(ready: Prepared) -> int:
     return ready.samples - max(1, min(ready.samples, round(2.0 / ready.period) + 1))
 
 
-def simulate(batch: Batch, threads: int | None = None, traces: Array | None = None) -> Any:
+def simulate(batch: Batch, threads: int | None = None, traces: Floats | None = None) -> Any:
     """Simulate every valve of ``batch`` on ``threads`` threads (default: all cores).
 
     ``traces`` (N×n×3) takes position, measurement and voltage [V] of each valve; without it memory does not

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.commands.scenarios import command, strokes
 from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.registry import LAWS
@@ -28,7 +28,6 @@ from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.simulation import batch
 from valve_control.parameter import ParameterError, Value, Values, defaults, numbers, updated, word
 
-Array = npt.NDArray[np.float64]
 PERIOD = 0.001  # s
 DURATION = 6.0  # s
 ADAPTED = 3.0  # s  from where on a law has learned
@@ -54,22 +53,22 @@ class Setup(NamedTuple):
 class Errors(NamedTuple):
     """Measured on N valves: shapes (4, N)."""
 
-    rms: Array  # V  of the true position
-    adapted: Array  # V  the same from ADAPTED on
-    chatter: Array  # -  c_u
+    rms: Floats  # V  of the true position
+    adapted: Floats  # V  the same from ADAPTED on
+    chatter: Floats  # -  c_u
 
 
 @functools.cache
-def motions() -> dict[str, Array]:
+def motions() -> dict[str, Floats]:
     """The four commands [V], with two samples more than a run."""
     t = np.arange(round(DURATION / PERIOD) + 2) * PERIOD - BEGIN
     swell = 0.5 - 0.5 * np.cos(math.pi * np.clip(t / SWELL, 0.0, 1.0))
 
-    def sine(frequency: float) -> Array:
-        wave: Array = np.sin(2.0 * math.pi * frequency * t)
+    def sine(frequency: float) -> Floats:
+        wave: Floats = np.sin(2.0 * math.pi * frequency * t)
         return wave
 
-    def stroke(*shape: float) -> Array:
+    def stroke(*shape: float) -> Floats:
         wanted = strokes(*shape)
         return np.array([command(wanted, float(time)) for time in t])
 
@@ -130,7 +129,7 @@ def undisturbed() -> valve.Params:
     )
 
 
-def unreshaped(p: reshaping.Params, wanted: Array) -> Array:
+def unreshaped(p: reshaping.Params, wanted: Floats) -> Floats:
     """Command [V] whose reshaped reference (8)-(11) is ``wanted``, which has two samples more.
 
     Where a filter behind (8), or a dead time of the actuator, asks for more, ``wanted`` goes on straight.
@@ -149,7 +148,7 @@ def unreshaped(p: reshaping.Params, wanted: Array) -> Array:
     if p.braking > 0.0:
         rows = zip(wanted[:-2].tolist(), rate[:-1].tolist(), accel.tolist(), strict=True)
         return np.array([reshaping.command_of(p, x, v - 0.5 * p.period * a, a) for x, v, a in rows])
-    made: Array = (
+    made: Floats = (
         wanted[:-2] + 2.0 * p.damping / p.natural_frequency * rate[:-1] + accel / p.natural_frequency**2
     )
     return made
@@ -197,7 +196,7 @@ def measured(
     return Errors(*(np.array(column) for column in zip(*found, strict=True)))
 
 
-def geometric(values: Array) -> float:
+def geometric(values: Floats) -> float:
     """Geometric mean."""
     return float(np.exp(np.mean(np.log(values))))
 
@@ -206,7 +205,7 @@ def summary(errors: Errors) -> dict[str, Any]:
     """Numbers in mV, by command."""
     names = list(motions())
 
-    def by_command(values: Array) -> dict[str, float]:
+    def by_command(values: Floats) -> dict[str, float]:
         return {
             **{name: round(1e3 * float(v), 2) for name, v in zip(names, values, strict=True)},
             "geometric mean": round(1e3 * geometric(values), 2),

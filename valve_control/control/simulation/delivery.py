@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead
 from valve_control.control.supervision import command_course, late_commands
 from valve_control.parameter import ParameterError, Values, number, word
 
-Array = npt.NDArray[np.float64]
 TOGETHER = 1e-9  # s  within which a message counts as come at the time of a sample
 
 
@@ -34,8 +34,8 @@ class Delivery(NamedTuple):
 class Received(NamedTuple):
     """Commands as the controller has them at each sample, before their lead."""
 
-    values: Array  # V
-    rates: Array | None  # V/s of commands that are joined; None: of those that are held
+    values: Floats  # V
+    rates: Floats | None  # V/s of commands that are joined; None: of those that are held
 
 
 def check(values: Values, delivery: Delivery) -> None:
@@ -60,7 +60,7 @@ def of_each_sample(values: Values) -> Delivery | None:
     return Delivery(number(values, "sample_period"))
 
 
-def received(values: Values, wanted: Array, delivery: Delivery) -> Received:
+def received(values: Values, wanted: Floats, delivery: Delivery) -> Received:
     """Commands at each sample for the ``wanted`` motion [V], one entry a sample; not limited yet."""
     kind, limit = word(values, "command.interpolation"), number(values, "command_limit")
     period, bridging = number(values, "sample_period"), late_commands.design(values)
@@ -109,8 +109,8 @@ def _received(
 
 
 def _bridged(
-    p: late_commands.Params, taken_at: npt.NDArray[np.int64], commands: Array, interval: float, n: int
-) -> Array:
+    p: late_commands.Params, taken_at: npt.NDArray[np.int64], commands: Floats, interval: float, n: int
+) -> Floats:
     """The ``commands`` [V], taken at these samples, at each of ``n`` samples; late ones are bridged."""
     values = np.empty(n)
     state: late_commands.State | None = None
@@ -126,15 +126,15 @@ def _bridged(
 
 
 def given(
-    lead: command_lead.Params | None, values: Values, command: Array, delivered: Delivery | None
-) -> Array:
+    lead: command_lead.Params | None, values: Values, command: Floats, delivered: Delivery | None
+) -> Floats:
     """Commands [V] as a law gets them at each sample, with the ``lead``, of those ``delivered``."""
     if delivered is None:
         return command_lead.applied(lead, command)
     return led(lead, received(values, command, delivered))
 
 
-def led(lead: command_lead.Params | None, got: Received) -> Array:
+def led(lead: command_lead.Params | None, got: Received) -> Floats:
     """``got`` with the ``lead`` as a node has it, one entry a sample [V]."""
     if lead is None:
         return got.values
@@ -146,7 +146,7 @@ def led(lead: command_lead.Params | None, got: Received) -> Array:
     return made
 
 
-def _fill(lead: command_lead.Params, values: Array, rates: Array, result: Array) -> None:
+def _fill(lead: command_lead.Params, values: Floats, rates: Floats, result: Floats) -> None:
     """Write the ``values`` [V] of commands whose ``rates`` [V/s] are known with their lead."""
     state = command_lead.initial(values[0])
     for k in range(len(values)):

@@ -16,9 +16,9 @@ import numpy.typing as npt
 from numba.core import types
 from numba.experimental import structref
 
+from valve_control.arrays import Floats
 from valve_control.control.compiling import LANES
 
-Array = npt.NDArray[np.float64]
 _of_thread = threading.local()
 
 
@@ -38,7 +38,7 @@ class Generators(structref.StructRefProxy):  # type: ignore[misc]
 structref.define_proxy(Generators, GeneratorsType, ["each"])
 
 
-def fill(generators: Any, noise: Array) -> None:
+def fill(generators: Any, noise: Floats) -> None:
     """Fill every row of ``noise`` (LANES×n) with standard normal numbers of its own generator."""
     each = generators.each
     for j in range(noise.shape[0]):

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control import closed_loop
 from valve_control.control.analysis import steps
 from valve_control.control.analysis.indices import Indices, indices, rms
@@ -25,7 +26,6 @@ from valve_control.control.simulation import delivery
 from valve_control.control.simulation.delivery import Delivery
 from valve_control.parameter import ParameterError, Values, number, word
 
-Array = npt.NDArray[np.float64]
 PROBES = (0.3, 1.0)  # V  steps with which a valve is tried
 PROBE = 1.0  # s  length of a trial, and how long a limit cycle has to be there at its end
 PROBE_END = 0.2  # s
@@ -38,11 +38,11 @@ class Run(NamedTuple):
 
     controller: str
     period: float  # s
-    command: Array  # V, of the upper level
-    position: Array  # V, true
-    measurement: Array  # V
-    voltage: Array  # V
-    terms: dict[str, Array]  # of the law, by name
+    command: Floats  # V, of the upper level
+    position: Floats  # V, true
+    measurement: Floats  # V
+    voltage: Floats  # V
+    terms: dict[str, Floats]  # of the law, by name
     theta: list[float] | None  # θ̂ at the end, of laws that adapt
     indices: Indices  # error from the measurement, as in the paper
     true_error: dict[str, float]  # from the true position
@@ -52,7 +52,7 @@ class Run(NamedTuple):
     steps: tuple[float, float] | None = None  # overshoot [-], settling time [s] of the worst; None: no steps
 
     @property
-    def time(self) -> Array:
+    def time(self) -> Floats:
         """Time [s] of each sample."""
         return np.arange(len(self.command), dtype=np.float64) * self.period
 
@@ -79,7 +79,7 @@ def check_agreement(controller_values: Values, valve_values: Values) -> None:
 def simulate(
     controller_values: Values,
     valve_values: Values,
-    command: Array,
+    command: Floats,
     compiled: bool = True,
     noise_start: int = 0,
     told: Callable[[int], None] | None = None,
@@ -138,7 +138,7 @@ def simulate(
     )
 
 
-def _at_limit(voltage: Array, law: Any, plant: Any) -> npt.NDArray[np.bool_]:
+def _at_limit(voltage: Floats, law: Any, plant: Any) -> npt.NDArray[np.bool_]:
     """Whether ``voltage`` [V] of the amplifier is at its limit by the Params of ``law`` and ``plant``."""
     if not isinstance(law, linearisation.Params):
         at_limit: npt.NDArray[np.bool_] = np.abs(voltage) >= plant.u_max
@@ -147,7 +147,7 @@ def _at_limit(voltage: Array, law: Any, plant: Any) -> npt.NDArray[np.bool_]:
     return (voltage <= low) | (voltage >= high)
 
 
-def _cut(law: Law, params: Any, terms: Array, model: TransferFunction) -> str:
+def _cut(law: Law, params: Any, terms: Floats, model: TransferFunction) -> str:
     """One sentence if limits far below what the valve can do cut the reference in a run with these ``terms``.
 
     ``terms``: n×m, as the law names them.
@@ -171,15 +171,15 @@ def _cut(law: Law, params: Any, terms: Array, model: TransferFunction) -> str:
     return "; ".join(said)
 
 
-def _led(loop: _Loop, values: Values, command: Array, delivered: Delivery | None) -> Array:
+def _led(loop: _Loop, values: Values, command: Floats, delivered: Delivery | None) -> Floats:
     """Commands [V] as the law gets them, with the lead of the controller's ``values``."""
     lead = command_lead.build(values, loop.law.reshapes(loop.params))
     return delivery.given(lead, values, command, delivered)
 
 
 def _ran(
-    loop: _Loop, led: Array, noise: Array, terms: Array, compiled: bool, told: Callable[[int], None] | None
-) -> tuple[Array, Any]:
+    loop: _Loop, led: Floats, noise: Floats, terms: Floats, compiled: bool, told: Callable[[int], None] | None
+) -> tuple[Floats, Any]:
     """Signals (n×3) of the ``loop`` from rest under the commands ``led`` [V], n, and its last state.
 
     ``terms``: n rows for those of the law, or none.

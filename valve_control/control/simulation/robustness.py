@@ -21,6 +21,7 @@ import numpy.typing as npt
 import scipy.stats
 
 from valve_control import outputs, parameter
+from valve_control.arrays import Floats
 from valve_control.control.commands import arrays
 from valve_control.control.compiling import LANES, sources_digest
 from valve_control.control.laws import command_lead, linearisation
@@ -32,7 +33,6 @@ from valve_control.control.simulation import batch, delivery, measures, offline
 from valve_control.control.simulation.cluster import Cluster
 from valve_control.parameter import ParameterError, Values, lookup, updated, word
 
-Array = npt.NDArray[np.float64]
 Settings = Mapping[str, Values]  # by node
 Told = Callable[[int], None]  # valves done
 CHUNK = 1024  # most valves of a file
@@ -82,8 +82,8 @@ class Study(NamedTuple):
 class StudyResult(NamedTuple):
     """Results of a study; row i is valve number i."""
 
-    points: Array  # N×quantities
-    period: Array  # s
+    points: Floats  # N×quantities
+    period: Floats  # s
     results: measures.Results
 
     def unstable(self, limit: float) -> npt.NDArray[np.bool_]:
@@ -102,7 +102,7 @@ def check_numbers(study: Study, first: int, count: int) -> None:
         raise ParameterError(f"there is no valve {last}; with the seed {study.seed} the last one is {most}")
 
 
-def draw(study: Study, first: int, count: int) -> tuple[Array, Array]:
+def draw(study: Study, first: int, count: int) -> tuple[Floats, Floats]:
     """Quantities (count×quantities) and sample periods [s] of ``count`` valves from number ``first`` on.
 
     Scrambled Sobol sequence (Sobol 1967, Owen 1998). Raises ParameterError for numbers that it has not.
@@ -118,7 +118,7 @@ def draw(study: Study, first: int, count: int) -> tuple[Array, Array]:
     return low + unit[:, :-1] * (high - low), np.asarray(study.periods, dtype=float)[choice]
 
 
-def valve_of(study: Study, number: int, point: Array, period: float) -> Values:
+def valve_of(study: Study, number: int, point: Floats, period: float) -> Values:
     """Simulator's parameters of valve ``number``. Raises ParameterError."""
     named = {q.name: float(value) for q, value in zip(study.box, point, strict=True)}
     base = study.settings["valve_simulator"]
@@ -292,7 +292,7 @@ def _made(
         yield missing[i], found
 
 
-def _kept(path: Path, shape: tuple[int, int]) -> tuple[Array, Array, Array]:
+def _kept(path: Path, shape: tuple[int, int]) -> tuple[Floats, Floats, Floats]:
     """Points (of ``shape``), periods [s] and results of one file. Raises ParameterError."""
     try:
         with np.load(path, allow_pickle=False) as kept:

@@ -8,15 +8,13 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control import closed_loop
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws.signals import Start
 from valve_control.control.simulation import measures
 from valve_control.control.simulation.measures import Measures
-
-Array = npt.NDArray[np.float64]
 
 
 class Run(NamedTuple):
@@ -27,15 +25,15 @@ class Run(NamedTuple):
     plant: types.ModuleType
     plant_params: Any
     seed: int  # of the reading's noise
-    commands: Array  # V
-    led: Array  # V  with their lead
+    commands: Floats  # V
+    led: Floats  # V  with their lead
     last_begin: int  # sample at which the last two seconds begin
 
 
 class Known(NamedTuple):
     """What the measures take in besides the loop's own signals."""
 
-    commands: Array  # V  without their lead
+    commands: Floats  # V  without their lead
     last_begin: int
     u_max: float  # V
     period: float  # s
@@ -84,7 +82,7 @@ def _compiled(law: types.ModuleType, plant: types.ModuleType, chosen: Measures) 
     return closed_loop.build(functions, nogil=True)
 
 
-def simulate(run: Run, chosen: Measures, tally: Any, signals: Array) -> Any:
+def simulate(run: Run, chosen: Measures, tally: Any, signals: Floats) -> Any:
     """Tally of one valve, from ``tally`` on; ``signals`` (n×3) receives ``closed_loop.SIGNALS`` [V]."""
     noise = np.random.default_rng(run.seed).standard_normal(len(signals))
     state = run.plant.initial(run.plant_params)

@@ -8,15 +8,14 @@ from functools import partial
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from valve_control import interrupts
+from valve_control.arrays import Floats
 from valve_control.design.calibration import objective
 from valve_control.design.calibration.objective import Fit
 from valve_control.design.calibration.search import Problem, cost_at, runs_at
 from valve_control.design.calibration.space import changed, values_at
 
-Array = npt.NDArray[np.float64]
 T = TypeVar("T")
 Done = Callable[[], None]
 SHARES = (0.0, 0.15, 0.35, 0.65, 0.85, 1.0)  # of a range, at which its profile is taken
@@ -65,7 +64,7 @@ class Absence(NamedTuple):
     fit: Fit
 
 
-def _refined(problem: Problem, start: Array, evaluations: int) -> tuple[Array, float]:
+def _refined(problem: Problem, start: Floats, evaluations: int) -> tuple[Floats, float]:
     """Best point near ``start`` in the quantities that are not held."""
     import cma
 
@@ -90,7 +89,7 @@ def _refined(problem: Problem, start: Array, evaluations: int) -> tuple[Array, f
     return best, cost
 
 
-def _held(problem: Problem, point: Array, index: int, value: float) -> tuple[Problem, Array]:
+def _held(problem: Problem, point: Floats, index: int, value: float) -> tuple[Problem, Floats]:
     """The problem with quantity ``index`` held at ``value``, and the rest of ``point``."""
     dimension = problem.dimensions[index]
     base = changed(problem.base, [dimension], {dimension.name: value})
@@ -98,7 +97,7 @@ def _held(problem: Problem, point: Array, index: int, value: float) -> tuple[Pro
     return problem._replace(base=base, dimensions=others), np.delete(point, index)
 
 
-def _profile(problem: Problem, point: Array, evaluations: int, index: int) -> Profile:
+def _profile(problem: Problem, point: Floats, evaluations: int, index: int) -> Profile:
     dimension = problem.dimensions[index]
     own = float(point[index])
     found = {own: cost_at(problem, point)}
@@ -114,13 +113,13 @@ def _profile(problem: Problem, point: Array, evaluations: int, index: int) -> Pr
     return Profile(dimension.name, [dimension.from_unit(s) for s in ordered], [found[s] for s in ordered])
 
 
-def profiles(problem: Problem, point: Array, evaluations: int, processes: int, done: Done) -> list[Profile]:
+def profiles(problem: Problem, point: Floats, evaluations: int, processes: int, done: Done) -> list[Profile]:
     """Compute the profile of each quantity, with ``evaluations`` valves for each of its points."""
     work = partial(_profile, problem, point, evaluations)
     return _together(work, range(len(problem.dimensions)), processes, done)
 
 
-def _absence(problem: Problem, point: Array, evaluations: int, index: int) -> Absence:
+def _absence(problem: Problem, point: Floats, evaluations: int, index: int) -> Absence:
     name = problem.dimensions[index].name
     reduced, others = _held(problem, point, index, ABSENT[name])
     others, _ = _refined(reduced, others, evaluations)
@@ -128,7 +127,7 @@ def _absence(problem: Problem, point: Array, evaluations: int, index: int) -> Ab
     return Absence(name, objective.NOT_RUN if runs is None else objective.fit(runs, problem.table))
 
 
-def absences(problem: Problem, point: Array, evaluations: int, processes: int, done: Done) -> list[Absence]:
+def absences(problem: Problem, point: Floats, evaluations: int, processes: int, done: Done) -> list[Absence]:
     """Compute the best fit without each effect that can be absent."""
     which = [i for i, d in enumerate(problem.dimensions) if d.name in ABSENT]
     return _together(partial(_absence, problem, point, evaluations), which, processes, done)
@@ -143,7 +142,7 @@ def _together(work: Callable[[int], T], indices: Sequence[int], processes: int, 
     return results
 
 
-def scatter(problem: Problem, point: Array, seeds: Sequence[int]) -> dict[str, Array]:
+def scatter(problem: Problem, point: Floats, seeds: Sequence[int]) -> dict[str, Floats]:
     """Standard deviation of the log indices over ``seeds`` of the noise, by controller."""
     settings = changed(problem.base, problem.dimensions, values_at(problem.dimensions, point))
     found = objective.run(settings, list(problem.table), seeds)

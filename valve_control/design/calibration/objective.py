@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control import closed_loop
 from valve_control.control.analysis.indices import Indices, indices
 from valve_control.control.commands import scenarios
@@ -21,7 +21,6 @@ from valve_control.control.plant import registry
 from valve_control.design.calibration.space import Settings
 from valve_control.parameter import number, updated
 
-Array = npt.NDArray[np.float64]
 Table = Mapping[str, Indices]  # by controller; NaN where nothing was measured
 WITHIN, BEYOND = 0.045, 1.0  # log ratio beyond which a number counts by itself, and how much
 ORDER, GAP = 0.003, 1.0  # cost of two controllers in the wrong order, and of the log ratio by which they are
@@ -46,7 +45,7 @@ class Fit(NamedTuple):
 NOT_RUN = Fit(FAILED, FAILED, 0, 0.0)
 
 
-def sampled_strokes(shape: scenarios.Shape, period: float, commands: Array) -> None:
+def sampled_strokes(shape: scenarios.Shape, period: float, commands: Floats) -> None:
     """Point-to-point commands [V], one every ``period`` [s]."""
     for k in range(commands.shape[0]):
         t = k * period - shape.start
@@ -56,7 +55,7 @@ def sampled_strokes(shape: scenarios.Shape, period: float, commands: Array) -> N
         commands[k] = value
 
 
-def commands_of(settings: Settings) -> Array:
+def commands_of(settings: Settings) -> Floats:
     """Command [V] of each sample; compiled where a search varies it."""
     values = settings["command_source"]
     if values["scenario"] != "point_to_point":
@@ -92,7 +91,7 @@ def run(settings: Settings, controllers: Sequence[str], seeds: Sequence[int]) ->
     return found
 
 
-def log_ratios(found: Mapping[str, Sequence[Indices]], table: Table) -> dict[str, Array]:
+def log_ratios(found: Mapping[str, Sequence[Indices]], table: Table) -> dict[str, Floats]:
     """log(index/table), the mean over seeds, by controller; NaN where the table has nothing."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return {

@@ -16,10 +16,10 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.stats
 
 from valve_control import interrupts
+from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices
 from valve_control.design import evolution
 from valve_control.design.calibration import objective
@@ -27,7 +27,6 @@ from valve_control.design.calibration.objective import Table
 from valve_control.design.calibration.space import Dimension, Settings, changed, values_at
 from valve_control.parameter import ParameterError
 
-Array = npt.NDArray[np.float64]
 Told = Callable[[int, float], None]  # evaluations so far, best cost
 SCATTERED = 9  # log2 of the points of the beginning
 MOST = 128  # valves of a generation
@@ -45,13 +44,13 @@ class Problem(NamedTuple):
 class CalibrationResult(NamedTuple):
     """Result of a search: the best point and its cost."""
 
-    point: Array  # in the unit cube
+    point: Floats  # in the unit cube
     cost: float
     evaluations: int
     seconds: float
 
 
-def runs_at(problem: Problem, point: Array) -> dict[str, list[Indices]] | None:
+def runs_at(problem: Problem, point: Floats) -> dict[str, list[Indices]] | None:
     """Indices of each controller with each seed at ``point`` of the unit cube, None if it cannot be run."""
     values = values_at(problem.dimensions, np.clip(point, 0.0, 1.0))
     try:
@@ -61,7 +60,7 @@ def runs_at(problem: Problem, point: Array) -> dict[str, list[Indices]] | None:
         return None
 
 
-def cost_at(problem: Problem, point: Array) -> float:
+def cost_at(problem: Problem, point: Floats) -> float:
     """Cost at ``point``; outside of the unit cube it rises with the distance.
 
     Half of it is that of the mean over the seeds, half that of the first: extreme errors scatter by some per
@@ -85,7 +84,7 @@ def search(
     population: int,
     processes: int,
     told: Told,
-    start: Array | None = None,
+    start: Floats | None = None,
     step: float = 0.25,
 ) -> CalibrationResult:
     """Find the best point with ``evaluations`` valves; after Ctrl-C, the best one so far.
@@ -100,7 +99,7 @@ def search(
     count, cost, best = 0, np.inf, np.full(n, 0.5)
     with interrupts.pool(processes) as pool, contextlib.suppress(KeyboardInterrupt):
 
-        def judged(points: Sequence[Array]) -> list[float]:
+        def judged(points: Sequence[Floats]) -> list[float]:
             nonlocal count, cost, best
             costs = list(pool.map(evaluate, points, chunksize=max(1, len(points) // (4 * processes))))
             count += len(points)

@@ -6,14 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from valve_control.arrays import Floats
 from valve_control.control.laws.registry import ADAPTIVE
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import Values, number, numbers, updated
 
-Array = npt.NDArray[np.float64]
 Settings = dict[str, Values]  # by node
 
 
@@ -108,7 +105,7 @@ DIMENSIONS = (
 )
 
 
-def values_at(dimensions: Sequence[Dimension], point: Array) -> dict[str, float]:
+def values_at(dimensions: Sequence[Dimension], point: Floats) -> dict[str, float]:
     """Value of each dimension at ``point`` of the unit cube."""
     return {d.name: d.from_unit(float(share)) for d, share in zip(dimensions, point, strict=True)}
 

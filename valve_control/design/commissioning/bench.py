@@ -5,12 +5,9 @@
 from collections.abc import Callable, Generator, Mapping
 from typing import NamedTuple, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from valve_control.arrays import Floats
 from valve_control.parameter import Value, Values
 
-Floats = npt.NDArray[np.float64]
 Told = Callable[[float], None]  # s of a course that are over
 Progress = Callable[
     [float, float], None

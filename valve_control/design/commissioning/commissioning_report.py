@@ -5,8 +5,8 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Complexes, Floats
 from valve_control.control.analysis import page as pages
 from valve_control.control.analysis.figures import Line, Plot
 from valve_control.control.linear import margins
@@ -17,8 +17,6 @@ from valve_control.design.commissioning.sequence import Result
 from valve_control.design.identification import bode, result
 from valve_control.design.tuning import limit_cycles, pauses, verification
 
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 THIN = 5  # every n-th sample of the slow triangle is drawn
 
 

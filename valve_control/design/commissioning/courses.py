@@ -8,13 +8,10 @@ While the law is ``open_loop`` with a static gain of 1 a command is the voltage 
 import math
 from collections.abc import Callable, Sequence
 
-import numpy as np
-import numpy.typing as npt
-
+from valve_control.arrays import Floats
 from valve_control.control.commands.scenarios import Step
 from valve_control.design.commissioning.bench import Course, SafetyLimits
 
-Floats = npt.NDArray[np.float64]
 REACH = 0.8  # of the travel, at which a course turns round
 CLOSE = 0.9  # of the travel, that a spool may go on to after a turn
 LOWER = 0.9  # factor by which a sine is made smaller where the reading reaches that

@@ -12,9 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.optimize
 
+from valve_control.arrays import Floats
 from valve_control.control.plant import solenoid
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
@@ -23,7 +23,6 @@ from valve_control.design.commissioning.statics import Friction
 from valve_control.design.identification.characteristic import TOLD_OVERLAP
 from valve_control.parameter import Values
 
-Floats = npt.NDArray[np.float64]
 STRIBECK = 0.03  # V/s  which the tests do not show
 PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.15  # V  first guess and bounds
 WIDTH = 0.3  # of the friction, full width of the hysteresis with which a search begins

@@ -5,8 +5,8 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.commands import scenarios
 from valve_control.control.commands.arrays import sampled
 from valve_control.control.laws.dcarc_design import MOST_DELAY
@@ -23,7 +23,6 @@ from valve_control.design.identification.response import Response
 from valve_control.design.tuning.trial import TuningMotion
 from valve_control.parameter import ParameterError, Values
 
-Floats = npt.NDArray[np.float64]
 FREQUENCIES = 40
 LOWEST, HIGHEST = 0.5, 100.0  # Hz
 FASTEST = 0.2  # of the sampling frequency

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.optimize
 
+from valve_control.arrays import Floats
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant import registry
@@ -27,7 +28,6 @@ from valve_control.design.identification import dead_time, lvdt
 from valve_control.design.identification.experiment import Experiment, held
 from valve_control.parameter import ParameterError, Values, number, updated
 
-Floats = npt.NDArray[np.float64]
 LONGEST = 90.0  # s  of a recording that are looked at: those with the most motion
 BLOCK = 0.1  # s  over which a voltage is averaged to tell motion from chatter
 START = 0.3  # s  in which the simulated valve, which begins at rest, moves as the spool did

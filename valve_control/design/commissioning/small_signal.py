@@ -11,7 +11,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from valve_control.control.commands import scenarios
 from valve_control.design.commissioning import statics
@@ -23,7 +22,6 @@ from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response, Segment
 from valve_control.parameter import ParameterError
 
-Floats = npt.NDArray[np.float64]
 FIRST, LAST, STEPS = 0.8, 100.0, 20  # Hz, Hz, -
 HIGHEST = 0.2  # of the sampling frequency
 CYCLES, STEP_TIME = 3, 0.8  # -, s  least length of a step

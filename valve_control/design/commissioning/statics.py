@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.design.commissioning.bench import Record, SafetyLimits
 from valve_control.design.identification import lvdt
 from valve_control.parameter import ParameterError
 
-Floats = npt.NDArray[np.float64]
 WINDOW = 0.02  # s  over which readings are averaged
 SLIDING = 0.2  # of the stroke after a turn, from which on the spool is taken to slide
 MOVED = 0.03  # of the stroke, from which on it has moved after a turn ...

@@ -8,14 +8,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.signal
 
+from valve_control.arrays import Complexes, Floats
 from valve_control.control.laws import biquads
 from valve_control.control.plant.models import TransferFunction
 
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 LOWEST, HIGHEST = 1e-5, 1e4  # Hz between which corners are looked for
 GRID = 4000  # frequencies of that search
 APART = 1e-6  # of a pole, by which the poles of partial fractions are apart at least

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.laws import biquads, design
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
@@ -15,7 +16,6 @@ from valve_control.design.identification import bode
 from valve_control.design.identification.bode import Corners, Root
 from valve_control.parameter import ParameterError
 
-Floats = npt.NDArray[np.float64]
 LIGHT = 0.3  # damping below which a cancellation needs an exact model
 WRONG = 0.1  # by which the valve's frequency may be off, for that warning
 LOUD = 20.0  # times the static gain, amplification of the command's noise that is warned of

@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.optimize
 import scipy.stats
 
 from valve_control import outputs
+from valve_control.arrays import Floats
 from valve_control.control.analysis.figures import COLOURS
 from valve_control.control.laws import linearisation
 from valve_control.design.identification.experiment import Experiment, held
@@ -32,7 +32,6 @@ from valve_control.design.identification.friction import (
 )
 from valve_control.parameter import ParameterError, Values
 
-Floats = npt.NDArray[np.float64]
 Stroke = tuple[int, int, float]  # first sample, number of samples, direction 1.0 or -1.0
 POINTS = 100
 STRAIGHT = (0.15, 0.8)  # of the end of a stroke, between which a side is a straight line

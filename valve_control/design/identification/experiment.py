@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.commands import scenarios
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND, CONTROLLER
@@ -18,7 +18,6 @@ from valve_control.design.identification.rational import Fit, measured_corners
 from valve_control.design.identification.response import Response, Segment
 from valve_control.parameter import ParameterError, Values, number, updated
 
-Floats = npt.NDArray[np.float64]
 DEFAULTS = {"scenario": "stepped_sine", "frequency": 0.5, "end_frequency": 100.0, "sweep_time": 60.0}
 ROOM = 0.4  # times the sampling frequency, above which no frequency is tried unasked
 STILL = 1e-6  # V within which a voltage does not move

@@ -11,15 +11,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.optimize
 
+from valve_control.arrays import Floats
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.identification.experiment import Experiment, held
 from valve_control.design.identification.response import Response, Segment, phasor
 from valve_control.parameter import ParameterError
 
-Floats = npt.NDArray[np.float64]
 TEST: dict[str, object] = {
     "scenario": "triangle",
     "amplitude": 4.0,

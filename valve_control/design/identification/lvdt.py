@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from valve_control.arrays import Floats
+
 DIFFERENCE = 4  # order of the differences that noise is told by: of a motion of 10 Hz at 1 kHz 1.6e-5 is left
 WINDOW = 100  # differences in one of the windows whose median counts
 LEAST_VALUES = 5  # different readings, to tell a step

@@ -22,6 +22,7 @@ import numpy.typing as npt
 import scipy.optimize
 import scipy.stats
 
+from valve_control.arrays import Complexes, Floats
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.identification.bode import (
     LOWEST,
@@ -34,8 +35,6 @@ from valve_control.design.identification.bode import (
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
 
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 CONFIDENCE = 0.95
 VAGUE = 0.5  # of the static gain, a bound beyond which a fit says nothing
 CANCELLED = 0.02  # of a pole, a distance of a zero from it that no test's frequencies show

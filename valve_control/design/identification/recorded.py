@@ -5,14 +5,14 @@
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats, Integers
 from valve_control.control.analysis.timing import leaps, numbered_by_time, true_period
 from valve_control.control.commands import scenarios
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
 from valve_control.design.identification import response
-from valve_control.design.identification.experiment import Experiment, Floats, held
+from valve_control.design.identification.experiment import Experiment, held
 from valve_control.design.identification.response import Segment
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import in_order
@@ -25,7 +25,6 @@ from valve_control.recordings.recording import (
     voltages_before,
 )
 
-Integers = npt.NDArray[np.int64]
 STILL = 1e-6  # V within which a voltage does not move
 LOOSE = 0.5  # of a sine's amplitude that jitter of a wall clock may leave
 MOSTLY = 0.5  # share of the readings that a voltage answers, of a controller that answers each

@@ -15,10 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
+from valve_control.arrays import Complexes, Floats
 from valve_control.parameter import ParameterError
 
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 LEAST_CYCLES = 2
 LEAST_SAMPLES = 8  # of a sine
 COVERED = 0.5  # of a motion, by stretches of one frequency, from which on it is a stepped sine

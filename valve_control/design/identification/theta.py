@@ -5,15 +5,14 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.identification.bode import held_response
 from valve_control.design.identification.rational import Fit, fit
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
 
-Floats = npt.NDArray[np.float64]
 BANDS = (1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0)  # times the frequency of -90°
 GAINS = (0.67, 1.5)  # of a valve over that of its model, 3.5 dB
 SPEEDS = (0.8, 1.25)  # likewise

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.laws import pid, reshaping
 from valve_control.control.laws.law import Law
 from valve_control.control.linear import margins
@@ -25,7 +25,6 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.design.tuning.trial import Problem
 from valve_control.parameter import ParameterError, Value, Values, number, updated, word
 
-Array = npt.NDArray[np.float64]
 SHARES = (0.4, 0.65, 0.95)  # of the highest natural frequency of the reference filter
 SLOW, QUICK = 0.2, 1.0  # of the frequency at which the valve is 90° late: where 1/G is matched
 # Of a PID: times c0, as viscous friction in c1, and times the gain that the worst valve bears.
@@ -56,7 +55,7 @@ def starts(law: Law, problem: Problem, box: margins.Box) -> list[Values]:
     return _shaped(law, problem)
 
 
-def _viscous(box: margins.Box, wanted: Sequence[Array], period: float) -> float:
+def _viscous(box: margins.Box, wanted: Sequence[Floats], period: float) -> float:
     """Voltage over velocity [s] that is nearest to Coulomb friction, on the motion where it is least."""
     rates = [np.gradient(motion, period) for motion in wanted]
     moved = [float(np.mean(np.abs(v)) / np.mean(v * v)) for v in rates if np.any(v)]

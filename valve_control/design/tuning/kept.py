@@ -20,13 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from valve_control import outputs
+from valve_control.arrays import Floats
 from valve_control.control.simulation.cluster import Cluster
 from valve_control.parameter import ParameterError
 
-Array = npt.NDArray[np.float64]
 REQUEST, OUTCOMES = "stopped_search.json", "stopped_search.npz"
 AGAIN = "delete it, and the same command begins anew"
 EVERY = 10.0  # s  from one time that it is written to the next; what is over sooner leaves no file
@@ -76,7 +75,7 @@ class Kept:
         self._request = json.dumps(request, indent=2, sort_keys=True) + "\n"
         self.workers = workers
         self._keys: list[str] = []
-        self._made: list[Array] = []
+        self._made: list[Floats] = []
         self._asked = 0
         self._written = time.monotonic()
         self._ours = folder is not None and (folder / REQUEST).exists()  # whether the files are this search's
@@ -89,7 +88,7 @@ class Kept:
         """Whether what comes next is kept already."""
         return self._asked < self.found
 
-    def outcomes(self, key: str, make: Callable[[], Array]) -> Array:
+    def outcomes(self, key: str, make: Callable[[], Floats]) -> Floats:
         """What is kept for ``key``, else what ``make`` gives; what is kept for another one is dropped."""
         if self.known and self._keys[self._asked] != key:
             del self._keys[self._asked :], self._made[self._asked :]
@@ -157,7 +156,7 @@ class Kept:
             raise ParameterError(f"{path} is damaged; {AGAIN}") from error
 
 
-def _parts(shapes: Sequence[Any], numbers: Array) -> list[Array]:
+def _parts(shapes: Sequence[Any], numbers: Floats) -> list[Floats]:
     made, first = [], 0
     for shape in shapes:
         end = first + int(np.prod(shape))

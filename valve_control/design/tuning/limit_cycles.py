@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.analysis.limit_cycle import ends_at_rest
 from valve_control.control.laws import linearisation
 from valve_control.control.laws.law import Law
@@ -26,7 +27,6 @@ from valve_control.design.tuning import trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningLimits, TuningMotion, Workers
 from valve_control.parameter import Values, number, updated
 
-Array = npt.NDArray[np.float64]
 Valves = npt.NDArray[np.int64]  # numbers of valves
 STEPS_NAME = "steps"
 STEPS = (0.3, -1.0)  # V  with which a loop is tried; each is held for HELD
@@ -94,7 +94,7 @@ def restless_shares(
     return [float(share.item()) for share in trial.shared(_shares, law, problem, several, workers)]
 
 
-def _shares(law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None) -> list[Array]:
+def _shares(law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None) -> list[Floats]:
     hard = stressed(problem.box, problem.limits)
     found = _restless(law, problem, several, hard, _tried(problem, HELD, FARTHER), HELD, threads)
     return [np.full((1, 1, 1), len(cycling) / len(hard)) for cycling in found]
@@ -193,7 +193,7 @@ def _restless(
     return [kept[kept // n == j] % n for j in range(len(several))]
 
 
-def restless(traces: Array, period: float, least: float) -> npt.NDArray[np.bool_]:
+def restless(traces: Floats, period: float, least: float) -> npt.NDArray[np.bool_]:
     """Which of N loops still swing at the end of ``traces`` (N×n×3) at one command, or are not finite.
 
     ``least`` [V]: amplitude of the voltage from which on an oscillation of it counts; 0.0: none does.
@@ -201,7 +201,7 @@ def restless(traces: Array, period: float, least: float) -> npt.NDArray[np.bool_
     return _swings(traces, period) | _reported(traces, period, least)
 
 
-def _swings(traces: Array, period: float) -> npt.NDArray[np.bool_]:
+def _swings(traces: Floats, period: float) -> npt.NDArray[np.bool_]:
     """Which spools swing at the end of ``traces``, or are not finite."""
     finite = np.all(np.isfinite(traces), axis=(1, 2))
     swing = _about_a_line(np.where(finite[:, None], traces[:, -round(RESTING / period) :, 0], 0.0))
@@ -210,31 +210,31 @@ def _swings(traces: Array, period: float) -> npt.NDArray[np.bool_]:
     return np.asarray(~finite | np.array(turning, dtype=bool))
 
 
-def _reported(traces: Array, period: float, least: float) -> npt.NDArray[np.bool_]:
+def _reported(traces: Floats, period: float, least: float) -> npt.NDArray[np.bool_]:
     """Of which ``traces`` a controller node would still report an oscillation at the end."""
     return np.asarray(ends_at_rest(traces[:, :, 2], period, least) > HELD - RESTING, dtype=bool)
 
 
-def _swing(trace: Array, period: float, reported: bool) -> _Swing:
+def _swing(trace: Floats, period: float, reported: bool) -> _Swing:
     """Of the end of a ``trace`` (n×3) at one command."""
     last = trace[-round(RESTING / period) :]
     amplitude = float(_amplitude(_about_a_line(last[:, 0])))
     return _Swing(amplitude if math.isfinite(amplitude) else math.inf, float(np.mean(last[:, 2])), reported)
 
 
-def _amplitude(swing: Array) -> Array:
+def _amplitude(swing: Floats) -> Floats:
     """Amplitude of the sine that is as large, root mean square, as a ``swing`` about 0 V (…×n)."""
     return np.asarray(math.sqrt(2.0) * np.std(swing, axis=-1), dtype=float)
 
 
-def _about_a_line(position: Array) -> Array:
+def _about_a_line(position: Floats) -> Floats:
     times = np.linspace(-1.0, 1.0, position.shape[-1])
     swing = position - np.mean(position, axis=-1, keepdims=True)
-    made: Array = swing - (swing @ times / (times @ times))[..., None] * times
+    made: Floats = swing - (swing @ times / (times @ times))[..., None] * times
     return made
 
 
-def _turns(swing: Array, beyond: float) -> int:
+def _turns(swing: Floats, beyond: float) -> int:
     """How often a ``swing`` about 0 V (n) goes from ``beyond`` [V] on one side to that on the other."""
     return int(np.count_nonzero(np.diff(np.signbit(swing[np.abs(swing) > beyond]))))
 

@@ -10,8 +10,8 @@ back, since estimates that have moved at a position answer the way back otherwis
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.analysis import steps
 from valve_control.control.laws import linearisation
 from valve_control.control.laws.law import Law
@@ -21,7 +21,6 @@ from valve_control.design.tuning import limit_cycles, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion, Workers
 from valve_control.parameter import number
 
-Array = npt.NDArray[np.float64]
 HEIGHTS = (0.1, -0.4, 0.0, 0.4, 0.0, 1.0, 0.4)  # of the reach of the motions; each is held for HELD
 
 
@@ -36,14 +35,14 @@ def answers(
     return [(float(row[0, 0, 0]), float(row[1, 0, 0])) for row in found]
 
 
-def tried(period: float, motions: Sequence[TuningMotion]) -> Array:
+def tried(period: float, motions: Sequence[TuningMotion]) -> Floats:
     """The steps [V], one entry a sample ``period`` [s]; they reach as far as the ``motions``."""
     n = round(limit_cycles.HELD / period)
     reach = max(float(np.max(np.abs(motion.wanted))) for motion in motions)
     return np.concatenate([np.zeros(n // 10), *(np.full(n, height * reach) for height in HEIGHTS)])
 
 
-def _here(law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None) -> list[Array]:
+def _here(law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None) -> list[Floats]:
     period = number(problem.values, "sample_period")
     motion = tried(period, problem.motions)
     first, _ = steps.places(motion, period)[1]

@@ -13,8 +13,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.laws.law import Law
@@ -22,7 +22,6 @@ from valve_control.design.tuning import trial
 from valve_control.design.tuning.trial import GainSet, Problem
 from valve_control.parameter import Values, number
 
-Array = npt.NDArray[np.float64]
 EVERY = 0.41  # s  from one pause to the next
 OFFSETS = 8  # places of the first one
 SEEN = 0.1  # s  before the next pause, in which the reference has to be back
@@ -48,7 +47,7 @@ def shortest(law: Law, problem: Problem, gains: GainSet, longest: float = LONGES
     fill = compile_function(_fill, nogil=True)
     every, seen = round(EVERY / period), round(SEEN / period)
 
-    def reference(commands: Array, pause: int, first: int) -> Array:
+    def reference(commands: Floats, pause: int, first: int) -> Floats:
         made = np.empty_like(commands)
         fill(params.reshaping, lead, commands, pause, first, every, made)
         return made
@@ -101,11 +100,11 @@ def _none(values: Values) -> command_lead.Params:
 def _fill(
     p: reshaping.Params,
     lead: command_lead.Params,
-    commands: Array,
+    commands: Floats,
     pause: int,
     first: int,
     every: int,
-    result: Array,
+    result: Floats,
 ) -> None:
     """Write the reference [V] under ``commands`` [V] into ``result``.
 

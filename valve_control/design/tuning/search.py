@@ -28,9 +28,9 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.stats
 
+from valve_control.arrays import Floats
 from valve_control.control.compiling import CompileError
 from valve_control.control.laws.free import Free, present
 from valve_control.control.laws.law import Law
@@ -41,9 +41,8 @@ from valve_control.design.tuning import designs, limit_cycles, overshoot, pauses
 from valve_control.design.tuning.trial import AHEAD, GainSet, Problem, TrialResult, Workers
 from valve_control.parameter import ParameterError, Values
 
-Array = npt.NDArray[np.float64]
 Told = Callable[[int], None]  # sets of gains tried so far
-Judge = Callable[[Sequence[Array], float, float], "Judged"]  # under a limit of the chatter, with a wall
+Judge = Callable[[Sequence[Floats], float, float], "Judged"]  # under a limit of the chatter, with a wall
 POPULATION, LONE_POPULATION = 12, 20  # the other one of a single run that has the time to use it
 SCATTERED = 120  # sets of gains all over the ranges at the beginning, at most
 STARTS = 4  # places at which a search begins, at most
@@ -130,7 +129,7 @@ class _Trials:
         self._alert_until = 0  # number of the set of gains up to which those near the best are asked too
         self._least: dict[float, tuple[int, float]] = {}  # by limit: points looked at, and their least cost
 
-    def judged(self, several: Sequence[Array], chatter: float, wall: float = WALL) -> Judged:
+    def judged(self, several: Sequence[Floats], chatter: float, wall: float = WALL) -> Judged:
         """Costs of sets of gains under a limit of the chatter; ``wall`` is the cost of missing a margin."""
         costs = np.full(len(several), NOT_RUN)
         inside = [tuple(float(v) for v in np.clip(shares, 0.0, 1.0)) for shares in several]
@@ -239,7 +238,7 @@ class _Run:
     """One run of CMA-ES. It does not move the gain at the index ``held``, but tries LEVELS of it at times."""
 
     def __init__(
-        self, start: Array, held: int | None, step: float, seed: int, population: int = POPULATION
+        self, start: Floats, held: int | None, step: float, seed: int, population: int = POPULATION
     ) -> None:
         moved = start if held is None else np.delete(start, held)
         self._strategy = evolution.strategy(moved, step, seed, population)
@@ -275,10 +274,10 @@ class _Run:
         self._keep_best(others, judge(others, chatter, self._wall))
         self._level = float(self.best[self._held])
 
-    def _with_level(self, moved: Array, level: float) -> Array:
+    def _with_level(self, moved: Floats, level: float) -> Floats:
         return moved if self._held is None else np.insert(moved, self._held, level)
 
-    def _keep_best(self, whole: Sequence[Array], judged: Judged) -> None:
+    def _keep_best(self, whole: Sequence[Floats], judged: Judged) -> None:
         scores = np.where(judged.keep, judged.costs, np.add(judged.costs, BEYOND))
         i = int(np.argmin(scores))
         if scores[i] < self.least:
@@ -304,7 +303,7 @@ def search(
         raise ParameterError(f"{law.name} has no gains to choose; there is nothing to tune")
     trials = _Trials(law, problem, free, workers)
 
-    def judge(several: Sequence[Array], chatter: float, wall: float = WALL) -> Judged:
+    def judge(several: Sequence[Floats], chatter: float, wall: float = WALL) -> Judged:
         found = trials.judged(several, chatter, wall)
         told(min(trials.tried, budget))
         return found
@@ -339,7 +338,7 @@ class _Search:
         self._trials, self._judge, self._plan, self._budget = trials, judge, plan, budget
         self._seed, self._held = seed, held
 
-    def go(self, scattered: Sequence[Array], costs: Sequence[float]) -> None:
+    def go(self, scattered: Sequence[Floats], costs: Sequence[float]) -> None:
         """Search for all phases of the plan, from the sets of gains ``scattered`` on, of these ``costs``."""
         winner = self._begun(scattered, costs)
         self._let(winner, self._plan[0], self._plan[0].share * self._budget)
@@ -358,7 +357,7 @@ class _Search:
                     winner = again
                 restart += 1
 
-    def _begun(self, scattered: Sequence[Array], costs: Sequence[float]) -> _Run:
+    def _begun(self, scattered: Sequence[Floats], costs: Sequence[float]) -> _Run:
         """The main run, from the best of a few places if the budget is large enough for these."""
         moved = len(scattered[0]) - (self._held is not None)
         fitting = self._budget // max(EACH, EACH_COVARIANCE * moved * moved)
@@ -382,9 +381,9 @@ class _Search:
         run.go(self._judge, phase.chatter, self._trials, until, LATE * self._budget)
 
 
-def _starts(scattered: Sequence[Array], costs: Sequence[float], count: int) -> list[Array]:
+def _starts(scattered: Sequence[Floats], costs: Sequence[float], count: int) -> list[Floats]:
     """Up to ``count`` of the places ``scattered``, the best first, that are APART from each other."""
-    chosen: list[Array] = []
+    chosen: list[Floats] = []
     for i in np.argsort(costs):
         if all(math.sqrt(np.mean((scattered[i] - other) ** 2)) > APART for other in chosen):
             chosen.append(scattered[i])

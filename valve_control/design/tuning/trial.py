@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.free import Free, placed
@@ -24,7 +24,6 @@ from valve_control.control.simulation.delivery import Delivery
 from valve_control.design.tuning.kept import Kept, digest
 from valve_control.parameter import Value, Values, number, updated
 
-Array = npt.NDArray[np.float64]
 Workers = int | Cluster | Kept | None  # threads here (None: all cores), a cluster, or what was done before
 AHEAD = Free("preview", 0.0, 0.03, logarithmic=False)  # s  by which a known motion is sent ahead, unreshaped
 TAIL = 95  # %
@@ -34,7 +33,7 @@ class TuningMotion(NamedTuple):
     """One wanted motion of the spool, which the upper level commands."""
 
     name: str
-    wanted: Array  # V  one entry a sample
+    wanted: Floats  # V  one entry a sample
 
 
 class TuningLimits(NamedTuple):
@@ -87,10 +86,10 @@ class GainSet(NamedTuple):
 class TrialResult(NamedTuple):
     """One set of gains on N valves and M motions: arrays M×N; NaN where a run did not stay finite."""
 
-    e_rms: Array  # V  of the true position
-    e_max: Array  # V  likewise
-    c_u: Array  # -  chatter
-    saturated: Array  # -  share of the samples
+    e_rms: Floats  # V  of the true position
+    e_max: Floats  # V  likewise
+    c_u: Floats  # -  chatter
+    saturated: Floats  # -  share of the samples
 
     @property
     def chatter(self) -> float:
@@ -98,10 +97,10 @@ class TrialResult(NamedTuple):
         return float(np.mean(self.c_u))
 
 
-Here = Callable[[Law, Problem, Sequence[GainSet], int | None], list[Array]]  # on threads of this machine
+Here = Callable[[Law, Problem, Sequence[GainSet], int | None], list[Floats]]  # on threads of this machine
 
 
-def typical(errors: Array) -> float:
+def typical(errors: Floats) -> float:
     """One number [V] for errors M×N: geometric mean over M of that of median and 95th percentile over N.
 
     Infinite if one of them is not finite.
@@ -156,7 +155,7 @@ def _built(build: Callable[[Values], Any], items: tuple[tuple[str, Any], ...]) -
     return build({name: list(value) if isinstance(value, tuple) else value for name, value in items})
 
 
-def given(law: Law, params: Any, values: Values, gains: GainSet, problem: Problem, wanted: Array) -> Array:
+def given(law: Law, params: Any, values: Values, gains: GainSet, problem: Problem, wanted: Floats) -> Floats:
     """Commands [V] as the law gets them for the motion ``wanted`` [V]."""
     limit = number(values, "command_limit")
     if not problem.preview:
@@ -190,7 +189,7 @@ def run(law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers
 
 def shared(
     here: Here, law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers
-) -> list[Array]:
+) -> list[Floats]:
     """What ``here`` computes for each of ``several``: on threads, on a cluster, or from what is kept."""
     if isinstance(workers, Kept):
         key = digest((here.__name__, law.name, problem.values, problem.seed, len(problem.plants), several))
@@ -200,20 +199,20 @@ def shared(
         return here(law, problem, several, threads_of(workers))
     each = -(-len(several) // workers.slots)
     parts = [several[first : first + each] for first in range(0, len(several), each)]
-    made: list[list[Array]] = [[] for _ in parts]
+    made: list[list[Floats]] = [[] for _ in parts]
     for i, rows in workers.completed(_there, [(here, law.name, problem, part) for part in parts]):
         made[i] = rows
     return [row for part in made for row in part]
 
 
-def _there(here: Here, law: str, problem: Problem, several: Sequence[GainSet]) -> list[Array]:
+def _there(here: Here, law: str, problem: Problem, several: Sequence[GainSet]) -> list[Floats]:
     """``here`` on a worker, on one thread."""
     return here(LAWS[law], problem, several, 1)
 
 
 def run_here(
     law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None = None
-) -> list[Array]:
+) -> list[Floats]:
     """Rows of the results (4×M×N) of all plants of ``problem`` with each of ``several`` gains.
 
     All sets go through the compiled loop together, and the result does not depend on the number of

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.analysis import page as pages
 from valve_control.control.analysis.figures import COLOURS, Line, Plot
 from valve_control.control.laws import linearisation
@@ -21,7 +21,6 @@ from valve_control.design.tuning.trial import Problem, TuningMotion
 from valve_control.design.tuning.tuner import Aim, Tuned
 from valve_control.parameter import number, updated
 
-Array = npt.NDArray[np.float64]
 SINE = (10.0, 0.3, 1.0)  # Hz, V, s  of the sine that is shown
 
 
@@ -257,7 +256,7 @@ def _responses(unseen: Problem, found: Mapping[str, Tuned]) -> str:
             batch.simulate(
                 batch.Batch(name, loop, batch.records(plants), seeds, motion.wanted, led=led), 1, traces
             )
-            times: Array = np.arange(len(led), dtype=np.float64) * period
+            times: Floats = np.arange(len(led), dtype=np.float64) * period
             positions = [Line("wanted", times, motion.wanted, "#888888", True)]
             voltages = []
             for i, (text, trace) in enumerate(zip(shown, traces, strict=True)):

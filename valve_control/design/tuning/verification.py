@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.laws.law import Law
 from valve_control.control.linear import margins
 from valve_control.control.simulation.delivery import Delivery
@@ -15,7 +16,6 @@ from valve_control.design.tuning import limit_cycles, overshoot, pauses, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TrialResult, TuningMotion, Workers
 from valve_control.parameter import number
 
-Array = npt.NDArray[np.float64]
 SLOWER = 1.1  # times as long: a motion of the search, turned over, as one that it did not see
 UNEVEN = 0.7  # sample periods, by which commands that nobody said how they come are early or late
 OVERSHOT = 1.2  # times the limit of the overshoot, which valves that were not seen may have
@@ -149,7 +149,7 @@ def _margins_missed(limits: trial.TuningLimits, worst: dict[str, float | None]) 
 def as_dict(v: Verified) -> dict[str, Any]:
     """For JSON: errors [V], geometric mean of the motions at median and 95th percentile of the valves."""
 
-    def percentiles(errors: Array) -> dict[str, float | None]:
+    def percentiles(errors: Floats) -> dict[str, float | None]:
         if not np.all(np.isfinite(errors)):
             return {"median": None, "p95": None}
         middle, tail = np.exp(np.mean(np.log(np.percentile(errors, [50, trial.TAIL], axis=1)), axis=1))

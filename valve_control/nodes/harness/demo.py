@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from tqdm import tqdm
 
 from valve_control import outputs
+from valve_control.arrays import Floats
 from valve_control.control.analysis import limit_cycle
 from valve_control.control.analysis.figures import Trace, draw_traces
 from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices, indices
@@ -32,7 +32,6 @@ from valve_control.nodes.harness.processes import (
 )
 from valve_control.parameter import Values
 
-Array = npt.NDArray[np.float64]
 SHIFT_SAMPLES = 200  # over which readings and voltages are matched
 PARTIES = ("controller", "valve_simulator", "command_source")
 MOST_OFF = 0.2  # share of the time at 0 V up to which a run shows its law; a slow sine is at rest at first
@@ -79,10 +78,10 @@ class Measured(NamedTuple):
     """What the listener received during the command, and its latencies."""
 
     period: float  # s
-    command: Array  # V
-    measurement: Array  # V
-    voltage: Array  # V
-    latency: Array  # s, from publication of the reading to publication of its voltage
+    command: Floats  # V
+    measurement: Floats  # V
+    voltage: Floats  # V
+    latency: Floats  # s, from publication of the reading to publication of its voltage
     lost: int  # LVDT readings without a voltage
     rate: float  # LVDT readings per second
     lead: int  # voltages that the controller had published before the first command
@@ -96,7 +95,7 @@ def values_of(run: DemoRun) -> dict[str, Values]:
     return {node: node_values(node, run.files, run.settings) for node in PARTIES}
 
 
-def answer_shift(reading_times: Array, voltage_times: Array) -> int:
+def answer_shift(reading_times: Floats, voltage_times: Floats) -> int:
     """By how many entries the first of ``reading_times`` [s] lies before its answer in ``voltage_times``.
 
     One voltage answers one reading, so the shift is constant as long as none is lost; it is the one with

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from valve_control import outputs
+from valve_control.arrays import Floats
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
 from valve_control.control.simulation import offline
@@ -29,8 +29,6 @@ from valve_control.nodes.harness.processes import (
     tool_options,
     wait_until,
 )
-
-Array = npt.NDArray[np.float64]
 
 CONFIG = ("d3fxe.yaml", "command_source.yaml")
 # Controller, source and this tool listen to the reading; the source waits for the controller alone.
@@ -57,7 +55,7 @@ class Heard(NamedTuple):
     """Signals of a lockstep run of the nodes, and the same run offline."""
 
     twin: Run
-    samples: dict[str, Array]  # V, by topic, NaN where no message was heard
+    samples: dict[str, Floats]  # V, by topic, NaN where no message was heard
     result: dict[str, Any]  # for JSON
 
 

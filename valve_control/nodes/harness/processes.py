@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-import numpy.typing as npt
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -23,6 +22,7 @@ from rclpy.utilities import remove_ros_args
 from tqdm import tqdm
 
 from valve_control import interrupts
+from valve_control.arrays import Floats
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.arguments import matches
 from valve_control.control.parameters.axis_parameters import ROS_NODES
@@ -34,7 +34,6 @@ from valve_control.nodes.adapter import (
 from valve_control.nodes.transport import RANGE, check_log_folder, use_own_profile
 from valve_control.parameter import ParameterError, Values, defaults, updated
 
-Array = npt.NDArray[np.float64]
 TOPICS = ("spool_command", "spool_position", "valve_voltage")
 
 
@@ -120,7 +119,7 @@ class Listener(Node):
                 self.stamps[topic].append(info["source_timestamp"])
                 self.sequence[topic].append(number_of(info))
 
-    def arrays(self, topic: str) -> tuple[Array, Array]:
+    def arrays(self, topic: str) -> tuple[Floats, Floats]:
         """Values [V] and source times [s] of ``topic``."""
         return np.array(self.values[topic]), np.array(self.stamps[topic]) * 1e-9
 

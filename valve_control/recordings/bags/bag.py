@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags import metadata as bag_metadata
 from valve_control.recordings.bags.cdr import Decoder
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.messages import CDR, Block, Integers, Topic, absolute
+from valve_control.recordings.bags.messages import CDR, Block, Topic, absolute
 from valve_control.recordings.bags.placeholders import PlaceholderError, refuse
 from valve_control.recordings.bags.sqlite import HEAD, SqliteFile
 from valve_control.recordings.bags.table import KINDS as TABLES
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
     File = McapFile | SqliteFile | TableFile
 
-Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
 KINDS = {".mcap": "mcap", ".db3": "sqlite3"}  # storage by suffix
 ZSTD = (".zstd", ".zst")

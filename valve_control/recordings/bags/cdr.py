@@ -20,9 +20,10 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from valve_control.arrays import Bytes, Floats, Integers
 from valve_control.control.compiling import compile_function
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.messages import Bytes, Integers, Topic, full_type
+from valve_control.recordings.bags.messages import Topic, full_type
 
 SIZES = {
     "bool": 1, "octet": 1, "byte": 1, "char": 1, "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4,
@@ -38,7 +39,6 @@ HEADER = 4  # bytes before the message proper
 EMPTY = "structure_needs_at_least_one_member"  # a byte that stands in messages without fields
 HOPELESS = 100  # undecodable messages of one size in a block after which the rest is not tried
 UNDECODABLE = (SerdeError, struct.error, ValueError, IndexError)  # what rosbags raises for damaged messages
-Floats = npt.NDArray[np.float64]
 
 
 class AbsentError(BagError):

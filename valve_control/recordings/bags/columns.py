@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.recordings.bags.errors import BagError
 
-Floats = npt.NDArray[np.float64]
 SEPARATORS = (";", "\t", ",", None)  # None: white space
 HEAD = 300  # lines that tell of what form a text is
 HEAD_BYTES = 1 << 16

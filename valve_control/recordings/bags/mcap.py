@@ -23,17 +23,10 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
+from valve_control.arrays import Bytes, Integers
 from valve_control.control.compiling import compile_function
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.messages import (
-    Block,
-    Bytes,
-    Integers,
-    Topic,
-    absolute,
-    full_type,
-    qos_profiles,
-)
+from valve_control.recordings.bags.messages import Block, Topic, absolute, full_type, qos_profiles
 
 MAGIC = b"\x89MCAP0\r\n"
 WINDOW = 100_000  # messages, records

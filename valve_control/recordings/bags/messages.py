@@ -4,13 +4,11 @@
 
 from typing import Any, NamedTuple
 
-import numpy as np
 import numpy.typing as npt
 
 from valve_control import inputs
+from valve_control.arrays import Bytes, Integers
 
-Bytes = npt.NDArray[np.uint8]
-Integers = npt.NDArray[np.int64]
 CDR = "cdr"  # the serialization of ROS 2 messages, the only one that is read
 
 

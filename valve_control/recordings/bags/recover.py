@@ -21,11 +21,12 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Schema, Statistics
 from rosbags.interfaces import Qos
 
+from valve_control.arrays import Integers
 from valve_control.recordings.bags import metadata, repair
 from valve_control.recordings.bags.bag import KINDS, ZSTD, Bag, in_order, times
 from valve_control.recordings.bags.errors import BagError, NothingError
 from valve_control.recordings.bags.mcap import MAGIC, McapFile
-from valve_control.recordings.bags.messages import CDR, Integers, absolute, full_type
+from valve_control.recordings.bags.messages import CDR, absolute, full_type
 from valve_control.recordings.bags.metadata import Counted, File, Metadata, TopicMetadata
 from valve_control.recordings.bags.pages import read_log
 from valve_control.recordings.bags.placeholders import refuse

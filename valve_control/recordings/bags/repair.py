@@ -26,9 +26,9 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from valve_control.arrays import Integers
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.mcap import CHUNK_HEAD, FRAME, MAGIC, MESSAGE_HEAD, records
-from valve_control.recordings.bags.messages import Integers
 from valve_control.recordings.bags.salvage import INSIDE, PRIVATE, Piece, Salvage
 
 WHOLE_HEAD = struct.Struct("<BQQQQIIQ")  # of a chunk without compression, up to its records

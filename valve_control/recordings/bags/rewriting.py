@@ -12,8 +12,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Header, Metadata, MetadataIndex
 
+from valve_control.arrays import Bytes, Integers
 from valve_control.recordings.bags.mcap import DOUBTFUL, MAGIC, MESSAGE_HEAD, doubtful
-from valve_control.recordings.bags.messages import Bytes, Integers
 from valve_control.recordings.bags.repair import Contents, chunk_head, end_file, put, written
 from valve_control.recordings.bags.salvage import Piece, Salvage
 

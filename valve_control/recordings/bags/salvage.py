@@ -38,8 +38,8 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from valve_control.arrays import Bytes, Integers
 from valve_control.recordings.bags.mcap import CHUNK_HEAD, FRAME, MAGIC, MESSAGE_HEAD, records
-from valve_control.recordings.bags.messages import Bytes, Integers
 
 COMPRESSIONS = ("", "zstd", "lz4")
 CANDIDATE = re.compile(

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Integers
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.messages import Block, Integers, Topic, absolute, full_type, qos_profiles
+from valve_control.recordings.bags.messages import Block, Topic, absolute, full_type, qos_profiles
 
 MAGIC = b"SQLite format 3\0"
 LOGGED = b"\2\2"  # two bytes behind magic and page size: changes go into a write-ahead log

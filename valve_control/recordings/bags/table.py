@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from valve_control.arrays import Integers
 from valve_control.recordings.bags import columns, matlab
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.messages import Block, Integers, Topic, absolute
+from valve_control.recordings.bags.messages import Block, Topic, absolute
 from valve_control.recordings.bags.placeholders import refuse
 
 FLOAT = "std_msgs/msg/Float64"
