@@ -160,6 +160,25 @@ def test_the_turn_tells_play_from_friction(half, coulomb, presliding):
     assert "half of the hysteresis: play 0." in characteristic.text(found)
 
 
+@pytest.mark.parametrize(("presliding", "told"), [(0.0, True), (0.02, False)])
+def test_friction_without_presliding_is_not_taken_for_play_alone(presliding, told):
+    """A linear valve without play whose spool swings at the turns: it stands still behind them too."""
+    w = 2.0 * np.pi * 6.0
+    valve = {"valve": "custom", "numerator": [0.9 * w * w], "denominator": [1.0, 0.2 * w, w * w]}
+    rubbing = {"friction.coulomb": 0.3, "friction.presliding": presliding, "lvdt.noise": 0.003}
+    done = experiment.simulated(
+        defaults(CONTROLLER),
+        updated(VALVE, defaults(VALVE), {**valve, **rubbing}),
+        {**experiment.test_values(friction.TEST, PERIOD), "scenario": "array"},
+        triangle(),
+    )
+    found = characteristic.characteristic(done, 0.2 / w)
+    assert found.hysteresis.value == pytest.approx(0.6, abs=0.01)
+    said = " ".join(characteristic.notes(found, 10.0))
+    assert ("or friction without presliding, which looks the same" in said) == told
+    assert ("play" in said) == told
+
+
 @pytest.mark.parametrize(("positive", "overlap"), [(1.05, 0.0), (0.85, 0.0), (1.05, 0.3)])
 def test_unequal_gains_and_overlap_hide_no_play(positive, overlap):
     """A turn of the voltage lies on one side alone, far from the middle; friction is a force."""

@@ -169,6 +169,7 @@ FAULTS = (
     Fault(1.10, 40, "jump"),
     Fault(1.50, 300, "trajectory"),
     Fault(1.90, 200, "trajectory"),
+    Fault(1.65, 20, "set_back"),  # the clock of the trajectory
     Fault(2.05, 1, "no_trajectory"),
     Fault(2.30, 60, "beyond"),
     Fault(2.70, 200, "frozen"),
@@ -216,7 +217,8 @@ def faulty(
             yield "command", (wanted,), supervisor, 0.0
         if spoken and "trajectory" in now:
             backwards = -1.0 if k % 100 == 0 else 1.0
-            given = (*swing(t), backwards * 3.0 * plant.period)
+            interval = t - 7.0 if "set_back" in now else backwards * 3.0 * plant.period
+            given = (*swing(t), interval)
             taken = supervisor.trajectory(Motion(*given[:3]), given[3])
             yield "point", given, supervisor, float(taken)
         if "no_trajectory" in now:

@@ -47,6 +47,7 @@ BEYOND = 1.2  # times that half, which the friction of a fit may have
 BEGUN = (0.005, 0.02, 0.08)  # V  preslidings from which its search begins
 SAME = 0.1  # of the friction, by which that of the curve may differ where its presliding is to count
 TOLD_PLAY = 0.05  # V
+HARDLY = 1.01  # times the least presliding that is looked for, up to which none was seen
 DEAD = 0.05  # of the gain, slope of the table in an overlap: its inverse is steep there, and no step
 STOPPED = 0.02  # of the gain, slope of the table behind a stop
 TOLD_NULL = 0.02  # of u_max, from which on a null offset is told
@@ -276,9 +277,12 @@ def notes(found: Characteristic, u_max: float) -> list[str]:
             "the model has one gain and no overlap"
         )
     if found.shares is not None and found.shares.play > TOLD_PLAY:
+        unseen = found.shares.presliding <= HARDLY * PRESLIDING[0]
+        either = ", or friction without presliding, which looks the same" if unseen else ""
         made.append(
-            f"{found.shares.play:.2g} V of the friction are play (hysteresis of the magnet): the spool "
-            "stands still after a turn of the voltage; the model has no play and takes both for friction"
+            f"{found.shares.play:.2g} V of the friction are play (hysteresis of the magnet){either}: "
+            "the spool stands still after a turn of the voltage; "
+            "the model has no play and takes both for friction"
         )
     if abs(found.null.value) > max(TOLD_NULL * u_max, found.null.bound):
         made.append(
