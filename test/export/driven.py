@@ -20,7 +20,8 @@ from valve_control.parameter import ParameterError, defaults
 
 DRIVE = Path(__file__).with_name("drive.c")
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror")
-SANITIZERS = ("-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+# Compiled without optimisation in a third of the time; as users compile it, it runs without them.
+SANITIZERS = ("-O0", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 BOTH = ("gcc", "clang")
 COMPILERS = [name for name in BOTH if shutil.which(name)]
 EACH_COMPILER = pytest.mark.parametrize(
