@@ -325,7 +325,7 @@ def test_friction_comes_from_a_triangle_and_goes_into_simulate(run, tmp_path):
     assert json.loads(out)["true_error"]["e_rms"] < 0.05
 
 
-@pytest.mark.parametrize("coulomb", [0.0, 0.6])
+@pytest.mark.parametrize("coulomb", [pytest.param(0.0, marks=pytest.mark.campaign), 0.6])
 def test_a_coil_is_no_friction(run, coulomb):
     """Before: order 2 alone, which missed by 44 %, with a static gain of 0.753 for 0.85."""
     omega, lag = 2.0 * np.pi * 9.0, 0.004
@@ -388,7 +388,7 @@ def test_friction_without_its_own_test_is_refused(run, arguments, text):
     assert text in err
 
 
-@pytest.mark.parametrize("seed", [5, 6])
+@pytest.mark.parametrize("seed", [5, pytest.param(6, marks=pytest.mark.campaign)])
 def test_one_step_gives_no_bounds_and_no_order_that_nobody_asked_for(run, tmp_path, seed):
     """Before: order 4, with 95 % bounds that the truth missed in 6 of 7 coefficients."""
     np.savetxt(tmp_path / "step.csv", np.where(np.arange(3000) < 300, 0.0, 2.0))

@@ -699,7 +699,7 @@ def random_value(p, rng):
     return float(p.default * rng.uniform(0.3, 3.0))
 
 
-@pytest.mark.parametrize("sets", [5_000, pytest.param(sizes.PARAMETER_SETS, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("sets", [2_000, pytest.param(sizes.PARAMETER_SETS, marks=pytest.mark.campaign)])
 def test_random_parameter_sets_and_messages(sets):
     """No exception, no voltage that is not finite or beyond u_max, no half-applied set."""
     rng = np.random.default_rng(sets)
