@@ -27,7 +27,18 @@ SUPERVISION = ROOT / "valve_control" / "control" / "supervision"
 MODES = ROOT / "docs" / "reference" / "modes.md"
 HEAD = "| condition | diagnostic | mode | meaning | action |\n|---|---|---|---|---|\n"
 OTHERS = {  # slots of the memory that belong to no watch: law, takeover, course of the command, node
-    *("samples", "now", "voltage", "sequence", "measurement", "velocity", "used", "effective", "transfer"),
+    *(
+        "samples",
+        "now",
+        "voltage",
+        "sequence",
+        "skipped",
+        "measurement",
+        "velocity",
+        "used",
+        "effective",
+        "transfer",
+    ),
     *("course", "trajectory", "lead", "law", "former", "kept", "said", "motion", "fading", "name", "changed"),
     "counts",
 }
