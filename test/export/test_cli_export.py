@@ -12,13 +12,13 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from c_library import Library
 from driven import COMPILERS
 
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear.linear_loop import flatten
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.export import folder, settable, sources, unit
-from valve_control.export.library import Library
 from valve_control.export.unit import leaves
 from valve_control.parameter import ParameterError, defaults, updated
 

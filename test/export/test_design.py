@@ -10,13 +10,13 @@ import struct
 import changed
 import numpy as np
 import pytest
+from c_library import Library
 from driven import random_value
 
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear.linear_loop import flatten
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.export import design, samples, settable, unit
-from valve_control.export.library import Library
 from valve_control.parameter import ParameterError, defaults
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")

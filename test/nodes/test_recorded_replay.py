@@ -9,6 +9,7 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 from bench import call, set_parameters, spin_until
+from c_library import Library
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Float64
@@ -16,7 +17,6 @@ from std_msgs.msg import Float64
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.export import unit
-from valve_control.export.library import Library
 from valve_control.nodes.harness.processes import node_arguments, process
 from valve_control.parameter import defaults
 from valve_control.recordings import shadow

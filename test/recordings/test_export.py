@@ -6,12 +6,12 @@ import shutil
 
 import numpy as np
 import pytest
+from c_library import Library
 from made import Run, write
 
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.export import unit
-from valve_control.export.library import Library
 from valve_control.parameter import defaults
 from valve_control.recordings import shadow
 from valve_control.recordings.recording import load

@@ -18,15 +18,15 @@ DOUBLE = ctypes.POINTER(ctypes.c_double)
 class Library:
     """A law in C, in double, with the functions of its module: ``initial``, ``step`` and ``hold``."""
 
-    def __init__(self, unit: Unit, folder: Path | None = None, options: tuple[str, ...] = ()) -> None:
-        """Translate, compile and load ``unit``; ``folder``: where the sources stay. Raises ParameterError."""
+    def __init__(self, unit: Unit) -> None:
+        """Translate, compile and load ``unit``. Raises ParameterError."""
         with tempfile.TemporaryDirectory(prefix="valve_control-export-") as name:
-            place = Path(name) if folder is None else folder
+            place = Path(name)
             made = sources.make(unit)
             (place / f"{unit.name}.h").write_text(made.header, encoding="utf-8")
             (place / f"{unit.name}.c").write_text(made.source, encoding="utf-8")
             built = place / f"{unit.name}.so"
-            compiler.build([place / f"{unit.name}.c"], built, ["-fPIC", "-shared", *options])
+            compiler.build([place / f"{unit.name}.c"], built, ["-fPIC", "-shared"])
             self.functions = ctypes.CDLL(str(built))
         self.Params, self.State, self.Terms = unit.module.Params, unit.module.State, unit.module.Terms
         self._state = unit.module.initial(unit.params, Start(0.0, 0.0, 0.0, 0.0, 0.0))
