@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from valve_control.arrays import Floats
+
 PAUSE = 100.0  # periods without a message from which on none was sent, or the clock was set
 
 
@@ -29,7 +30,7 @@ PAPER_TABLE_1 = {
 }
 
 
-def rms(values: Array) -> float:
+def rms(values: Floats) -> float:
     """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
@@ -46,11 +47,11 @@ def variation(steps: Any, squares: Any, samples: int) -> Any:
 
 
 def indices(
-    error: Array,
-    voltage: Array,
+    error: Floats,
+    voltage: Floats,
     period: float,
     kept: npt.NDArray[np.bool_] | None = None,
-    time: Array | None = None,
+    time: Floats | None = None,
 ) -> Indices:
     """Compute I1 to I5 of ``error`` [V] and ``voltage`` [V], both sampled every ``period`` [s].
 

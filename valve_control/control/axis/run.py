@@ -10,8 +10,8 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control import closed_loop
 from valve_control.control.analysis.indices import variation
 from valve_control.control.axis import cascade
@@ -26,7 +26,6 @@ from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.control.plant import axis, machine
 from valve_control.parameter import ParameterError, Values, defaults, number, word
 
-Array = npt.NDArray[np.float64]
 LAST = 1.0  # s  the end of a run, within which the axis has settled
 NUMBERS = 44  # that a run keeps of a sample: goal, noise, signals, pressures on their way
 
@@ -41,7 +40,7 @@ class Setup(NamedTuple):
     cascade: cascade.Params
     machine: machine.Params
     begin: machine.State
-    goals: Array  # rows of Goal
+    goals: Floats  # rows of Goal
     seed: int
     level: str  # the upper level, of upper.LEVELS
 
@@ -60,8 +59,8 @@ class Indices(NamedTuple):
 class Run(NamedTuple):
     """One run with its signals."""
 
-    time: Array  # s
-    signals: dict[str, Array]  # by cascade.SIGNALS
+    time: Floats  # s
+    signals: dict[str, Floats]  # by cascade.SIGNALS
     indices: Indices
 
 
@@ -70,7 +69,7 @@ def default_settings() -> dict[str, Values]:
     return {node: defaults(table) for node, table in AXIS_NODES.items()}
 
 
-def goals_of(values: Values, position: float) -> Array:
+def goals_of(values: Values, position: float) -> Floats:
     """Course from values of ``axis_controller``, for an axis at ``position`` [m]: rows of Goal.
 
     Raises ParameterError.
@@ -151,7 +150,7 @@ def _loop(law: types.ModuleType, level: types.ModuleType, compiled: bool) -> Cal
     return closed_loop.build({**cascade.FUNCTIONS, "law_step": both}, compiled, nogil=True)
 
 
-def indices_of(s: Setup, signals: Array, compiled: bool = True) -> Indices:
+def indices_of(s: Setup, signals: Floats, compiled: bool = True) -> Indices:
     """Run ``s``; ``signals`` (n×11) receives what ``cascade.shown`` returns at each sample."""
     law, level = linearisation.module_of(LAWS[s.law].module, s.cascade.valve_law), upper.LEVELS[s.level]
     n = len(s.goals)

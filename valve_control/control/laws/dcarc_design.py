@@ -10,9 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
+from valve_control.arrays import Floats
 from valve_control.control.laws.dcarc_parts import (
     Combination,
     Equivalent,
@@ -29,7 +29,6 @@ from valve_control.control.laws.dcarc_parts import (
 from valve_control.control.plant.models import TransferFunction, slow_motion
 from valve_control.control.plant.valve import observability_form
 
-Array = npt.NDArray[np.float64]
 MOST_DELAY = 4  # sample periods
 MOST_POLES = 6
 EXCESS = (2, 3)  # more poles than zeros, as many as the reference has derivatives
@@ -71,10 +70,10 @@ class Design(NamedTuple):
 class Observed(NamedTuple):
     """What is observed: x⁺ = A·x + b·u + w, y = c·x + v, of model, disturbance and past positions."""
 
-    a: Array
-    b: Array
-    c: Array
-    process: Array  # covariance of w
+    a: Floats
+    b: Floats
+    c: Floats
+    process: Floats  # covariance of w
     reading: float  # V²  variance of v
 
 
@@ -82,17 +81,17 @@ class Readings(NamedTuple):
     """What of ``Observed`` follows from the model and its dead time alone; not to be changed."""
 
     order: int  # of the model
-    a: Array
-    b: Array
-    c: Array
+    a: Floats
+    b: Floats
+    c: Floats
 
 
 class Inverted(NamedTuple):
     """Rows of coefficients of (ζ, …, its highest inner derivative, r, ṙ, r̈, …), e = n - m derivatives."""
 
-    rate: Array  # of the inner states, m×(m + e + 1)
-    voltage: Array  # u_r
-    state: Array  # x_r, n×(m + e + 1)
+    rate: Floats  # of the inner states, m×(m + e + 1)
+    voltage: Floats  # u_r
+    state: Floats  # x_r, n×(m + e + 1)
 
 
 class Reference(NamedTuple):
@@ -105,7 +104,7 @@ class Reference(NamedTuple):
     moving: Rest
 
 
-def sampled(a: Array, b: Array, period: float, scale: Array) -> tuple[Array, Array]:
+def sampled(a: Floats, b: Floats, period: float, scale: Floats) -> tuple[Floats, Floats]:
     """A and b of x' = a·x + b·u over one ``period`` [s] with u held, exactly; ``scale``: sizes of x."""
     n = len(b)
     whole = np.zeros((n + 1, n + 1))
@@ -154,7 +153,7 @@ def balanced(model: TransferFunction) -> bool:
     return n > 4 or excess(model) > EXCESS[0]
 
 
-def scale_of(model: TransferFunction) -> Array:
+def scale_of(model: TransferFunction) -> Floats:
     """Sizes of the states of the observability form: powers of a speed of the model's poles."""
     a, _ = observability_form(model)
     speeds = np.abs(np.linalg.eigvals(a))
@@ -258,7 +257,7 @@ def observed(
     return Observed(a, b, c, process, reading**2)
 
 
-def humming(o: Observed, gain: Array, angle: float, period: float) -> Observed:
+def humming(o: Observed, gain: Floats, angle: float, period: float) -> Observed:
     """``o`` with a hum in its reading that turns by ``angle`` [rad] in one ``period`` [s].
 
     ``gain``: of the Kalman filter without it. Its innovation has the variance s = r/(1 - c·gain) and has the
@@ -282,7 +281,7 @@ def humming(o: Observed, gain: Array, angle: float, period: float) -> Observed:
     )
 
 
-def kalman(o: Observed, scale: Array) -> Array:
+def kalman(o: Observed, scale: Floats) -> Floats:
     """Gain of the steady-state Kalman filter, P·c/(c·P·c + R) with P of the Riccati equation.
 
     ``scale``: sizes of the states, which put the equation's numbers close to 1. Raises DesignError.
@@ -301,11 +300,11 @@ def kalman(o: Observed, scale: Array) -> Array:
             f"dcarc has no Kalman filter with these noises: its largest pole would be {radius:.6f}; raise "
             "dcarc.disturbance_rate or dcarc.input_noise, or lower dcarc.lvdt_noise"
         )
-    gained: Array = gain * scale
+    gained: Floats = gain * scale
     return gained
 
 
-def regulator(a: Array, b: Array, weight: float, scale: Array) -> Array:
+def regulator(a: Floats, b: Floats, weight: float, scale: Floats) -> Floats:
     """Gain K of the LQR that minimises Σ x_1² + ``weight``·u². Raises DesignError."""
     a = a * scale / scale[:, None]
     b = (b / scale)[:, None]
@@ -324,7 +323,7 @@ def regulator(a: Array, b: Array, weight: float, scale: Array) -> Array:
         raise DesignError(
             f"dcarc has no LQR with dcarc.voltage_weight {weight:g}: its largest pole would be {radius:.6f}"
         )
-    gained: Array = gain / scale
+    gained: Floats = gain / scale
     return gained
 
 
@@ -332,14 +331,14 @@ def _reason(error: Exception) -> str:
     return "the Riccati equation has no finite solution" if not str(error) else str(error).rstrip(".")
 
 
-def mean_lag(o: Observed, gain: Array, at: int) -> float:
+def mean_lag(o: Observed, gain: Floats, at: int) -> float:
     """Samples, at least 1, by which the estimate of ``at`` is late: sum of its errors after a step of 1."""
     correction = np.eye(len(gain)) - np.outer(gain, o.c)
     errors = correction @ np.linalg.inv(np.eye(len(gain)) - o.a @ correction)
     return float(errors[at, at])
 
 
-def jitter(o: Observed, gain: Array, feedback: Array, scale: Array, waves: int = 0) -> float:
+def jitter(o: Observed, gain: Floats, feedback: Floats, scale: Floats, waves: int = 0) -> float:
     """Mean speed [V/s] at which the noise of the reading shakes the spool through ``feedback``.
 
     √(2/π) of the velocity's standard deviation on the model without friction, from the Lyapunov equation
@@ -372,26 +371,26 @@ def jitter(o: Observed, gain: Array, feedback: Array, scale: Array, waves: int =
     return math.sqrt(2.0 / math.pi * max(variance, 0.0)) * float(scale[1])
 
 
-def _row(numbers: Array) -> Row:
+def _row(numbers: Floats) -> Row:
     return Row(*(float(v) for v in np.concatenate([numbers, np.zeros(MOST_POLES - len(numbers))])))
 
 
-def _past(numbers: Array) -> Past:
+def _past(numbers: Floats) -> Past:
     return Past(*(float(v) for v in np.concatenate([numbers, np.zeros(MOST_DELAY - len(numbers))])))
 
 
-def _inverse(numbers: Array) -> Inverse:
+def _inverse(numbers: Floats) -> Inverse:
     return Inverse(*(float(v) for v in np.concatenate([numbers, np.zeros(MOST_ZEROS - len(numbers))])))
 
 
-def _combination(row: Array, zeros: int) -> Combination:
+def _combination(row: Floats, zeros: int) -> Combination:
     """``row`` of coefficients as in ``Inverted``, of a model with so many ``zeros``."""
     inner = np.concatenate([row[:zeros], np.zeros(MOST_ZEROS - zeros)])
     reference = np.concatenate([row[zeros:], np.zeros(EXCESS[1] + 1 - len(row) + zeros)])
     return Combination(*(float(v) for v in (*inner, *reference)))
 
 
-def _move(rate: Array, time: float) -> Move:
+def _move(rate: Floats, time: float) -> Move:
     """Inner states after ``time`` [s] with a reference that moves in a straight line, exactly."""
     m = len(rate)
     whole = np.zeros((m + 2, m + 2))
@@ -431,13 +430,13 @@ class Waiting(NamedTuple):
     """The way of the voltage to the valve: periods that it waits, and what it does then."""
 
     periods: int  # whole ones
-    input: Array  # n  column of the voltage that acts at the end of a period
-    early: Array  # n  of the one before, which acts at its beginning
+    input: Floats  # n  column of the voltage that acts at the end of a period
+    early: Floats  # n  of the one before, which acts at its beginning
     late: float  # of the first on the position that is the first of the past ones
     passing_early: float  # of the one before
-    transition: Array  # n×n  over the dead time
-    held: Array  # n×MOST_DELAY  of the voltages before, until the one of now begins to act
-    pushed: Array  # n  of the disturbance until then
+    transition: Floats  # n×n  over the dead time
+    held: Floats  # n×MOST_DELAY  of the voltages before, until the one of now begins to act
+    pushed: Floats  # n  of the disturbance until then
 
 
 def waiting(model: TransferFunction, period: float, coil: float, dead_time: float, age: float) -> Waiting:

@@ -37,9 +37,7 @@ class Margins(NamedTuple):
     delay_s: Floats  # s   of more dead time
     sensitivity_db: Floats  # dB  peak of 1/(1 + L)
     response_db: Floats  # dB  peak of L/(1 + L)
-    swing_v: (
-        Floats  # V   amplitude of the largest swing about rest that friction sustains, as far as by the loop
-    )
+    swing_v: Floats  # V   amplitude of the largest swing about rest that friction sustains, if by the loop
 
 
 class Box(NamedTuple):

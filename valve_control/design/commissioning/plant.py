@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.optimize
 
+from valve_control.arrays import Floats
 from valve_control.control import closed_loop
 from valve_control.control.laws import biquads, design
 from valve_control.control.laws.signals import Start
@@ -34,7 +35,6 @@ from valve_control.design.commissioning.statics import Friction, Rest
 from valve_control.design.identification.rational import Fit
 from valve_control.parameter import Values
 
-Floats = npt.NDArray[np.float64]
 MODEL_ERROR = 0.03  # of a stretch's motion, that a model of the valve is allowed beside the noise
 QUIET = 1e-3  # V  noise that is assumed at least
 STRETCH = 0.8  # s  over which motion and noise are weighed against each other
