@@ -28,6 +28,9 @@ Floats = npt.NDArray[np.float64]
 WORSE = 1.5  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
 CONTENDS = 1.5  # times the error of the new gains, up to which others are tried on the valve too
+LOUD = 1.1  # times its limit, c_u of the simulated verification run beyond which a quieter search follows
+PAUSE = 0.3  # s  after each motion of the verification run
+REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
 SATURATED = 0.5  # share of samples at the limit of the voltage, from which on a simulated loop is unstable
 VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
 
@@ -158,6 +161,28 @@ def tuned(
     return TunedGains(best, list(made.problem.motions), made.valve, chosen)
 
 
+def loudness(plan: Plan, before: Values, made: TunedGains) -> float:
+    """c_u of the simulated verification run with the gains ``made``.
+
+    The search knows the mean of valves and motions; a single run can have more. Raises ParameterError.
+    """
+    wanted = verifying_motion(made, number(before, "sample_period"))
+    return offline.simulate(_limited(plan, before, made), made.valve, wanted).indices.c_u
+
+
+def verifying_motion(made: TunedGains, period: float) -> Floats:
+    """Commands [V], n, of the verification run: the motions of the search, each with a pause behind it."""
+    pause = np.zeros(round(PAUSE / period))
+    parts = [part for motion in made.motions for part in (motion.wanted, pause)]
+    return np.concatenate([*parts, np.zeros(round(REST / period))])
+
+
+def _limited(plan: Plan, before: Values, made: TunedGains) -> Values:
+    """The controller's parameters with the gains ``made`` and the limits of the commissioning."""
+    limited = {"u_max": plan.limits.voltage, "command_limit": plan.limits.travel}
+    return updated(CONTROLLER, before, {**made.chosen, **limited})
+
+
 def judged(plan: Plan, before: Values, gains: TunedGains, wanted: Floats, record: Record) -> Verification:
     """Judge the ``record`` of a verification run by the simulation of the same commands.
 
@@ -168,7 +193,7 @@ def judged(plan: Plan, before: Values, gains: TunedGains, wanted: Floats, record
     chatter = plan.chatter if gains.tuned.chatter is None else gains.tuned.chatter
     measured = _indices(record)
     limited = {"u_max": plan.limits.voltage, "command_limit": plan.limits.travel}
-    values = updated(CONTROLLER, before, {**gains.chosen, **limited})
+    values = _limited(plan, before, gains)
     made = offline.simulate(values, gains.valve, record.command)
     punctual = offline.simulate(values, gains.valve, wanted)
     former: Indices | None = None

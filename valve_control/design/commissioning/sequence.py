@@ -7,6 +7,7 @@ that of the travel, and a command that falls silent leads to neutral. So they ho
 process.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -34,8 +35,6 @@ STILL, NOISE = 2.0, 2.0  # s and windows of readings that tell the noise: at res
 RATE = 0.4  # 1/s  times the limit of the voltage: rate of the triangle
 TURNS = 4  # of the triangle
 HOME = 1.0  # s  before the motion of a verification run
-PAUSE = 0.3  # s  after each motion of the verification run
-REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
 # Times as wide as usual, the boxes of valves around the model that gains are sought for: the second one where
 # those for the first do not hold.
 BOXES = (1.0, 2.0)
@@ -298,7 +297,7 @@ class _Commissioning:
     def _tuned(
         self, found: Plant, known: model.Known, rest: Rest, wider: float, refusals: list[str]
     ) -> tuple[list[TunedGains], list[str]]:
-        """Gains of the law and of a PID beside it, the better first, and a sentence about each that failed.
+        """Gains of the law and of a PID beside it, the better first, and sentences about the searches.
 
         Raises ParameterError, where both failed.
         """
@@ -311,29 +310,54 @@ class _Commissioning:
         self._ask(f"{tried}; the valve stays at 0 V")
         made: list[TunedGains] = []
         failed: dict[str, ParameterError] = {}
+        notes: list[str] = []
         for law in dict.fromkeys((self._plan.law, *([] if self._plan.alone else [PID]))):
-            step = "tuning" if law == self._plan.law else f"tuning {law}"
-
-            def told(done: float, total: float, step: str = step) -> None:
-                self._bench.watch(self._limits)
-                self._steps.progress(step, done, total)
-
             with self._timed("tuning"):
                 try:
-                    made.append(
-                        gains.tuned(
-                            self._plan._replace(law=law), self._before, found, known, rest, wider, told
-                        )
-                    )
+                    one, quieter = self._searched(law, found, known, rest, wider)
                 except ParameterError as error:
                     failed[law] = error
+                else:
+                    made.append(one)
+                    notes += quieter
         if not made:
             first = failed[self._plan.law]
             if not refusals:
                 raise first
             raise ParameterError(_not_accepted([*refusals, str(first)], wider)) from first
-        missing = [f"{law} has no gains: {error}" for law, error in failed.items()]
-        return sorted(made, key=gains.promised), missing
+        notes += [f"{law} has no gains: {error}" for law, error in failed.items()]
+        return sorted(made, key=gains.promised), notes
+
+    def _searched(
+        self, law: str, found: Plant, known: model.Known, rest: Rest, wider: float
+    ) -> tuple[TunedGains, list[str]]:
+        """Gains of ``law``, and a sentence if a second search made them quieter. Raises ParameterError."""
+        step = "tuning" if law == self._plan.law else f"tuning {law}"
+
+        def searched(plan: Plan, step: str) -> TunedGains:
+            def told(done: float, total: float) -> None:
+                self._bench.watch(self._limits)
+                self._steps.progress(step, done, total)
+
+            return gains.tuned(plan, self._before, found, known, rest, wider, told)
+
+        plan = self._plan._replace(law=law)
+        made = searched(plan, step)
+        loud = gains.loudness(plan, self._before, made)
+        limit = plan.chatter if made.tuned.chatter is None else made.tuned.chatter
+        if made.tuned.chosen.verified.reasons or not gains.LOUD * limit < loud < math.inf:
+            return made, []
+        try:
+            again = searched(plan._replace(chatter=limit * limit / loud), f"{step} again")
+        except ParameterError:  # the limit cannot be lower
+            return made, []
+        quiet = gains.loudness(plan, self._before, again)
+        if again.tuned.chosen.verified.reasons or quiet >= loud:
+            return made, []
+        return again, [
+            f"a second search of {law} brought c_u of the simulated verification run from {loud:.3g} to "
+            f"{quiet:.3g}"
+        ]
 
     def _verified(self, made: TunedGains, doubted: bool) -> tuple[Verification | None, list[str]]:
         """The verification run, None if it ended early, and why the gains are not accepted.
@@ -341,9 +365,7 @@ class _Commissioning:
         ``doubted``: the model does not explain the readings, so that the parameters from before are tried
         whatever the simulation says of them.
         """
-        pause = np.zeros(round(PAUSE / self._period))
-        parts = [part for motion in made.motions for part in (motion.wanted, pause)]
-        wanted = np.concatenate([*parts, np.zeros(round(REST / self._period))])
+        wanted = gains.verifying_motion(made, self._period)
         length = HOME + len(wanted) * self._period
         self._ask(
             f"the new gains of {made.tuned.law} are set, and the valve moves for {length:.0f} s in closed "
