@@ -232,13 +232,15 @@ def test_a_damaged_backup_is_told(tmp_path):
 
 @pytest.mark.campaign
 def test_a_verification_run_that_would_be_loud_is_tuned_again(monkeypatch):
-    """The bound of LOUD is below each c_u: a second search has a lower limit, and its gains are quieter."""
-    monkeypatch.setattr(gains, "LOUD", 0.5)
+    """Of a run with half as much c_u again: a second search has a lower limit, and its gains are quieter."""
+    simulated = gains.loudness
+    monkeypatch.setattr(gains, "loudness", lambda *given: 1.5 * simulated(*given))
     valve = SupervisedValve({"friction.coulomb": 0.6, "lvdt.noise": 0.004}, BEFORE)
     before, steps = valve.values(), Steps()
     with sequence.reversible(valve, before, nothing):
         found = sequence.run(valve, PLAN._replace(law="dcarc", alone=True), before, steps)
     (note,) = [note for note in found.notes if note.startswith("a second search of dcarc brought c_u")]
-    first, second = (float(word) for word in re.findall(r"\d\.\d+", note))
-    assert second == pytest.approx(found.verification.punctual.c_u, rel=0.1) and second < first
+    first, second = (float(word) for word in re.findall(r"0\.\d+", note))
+    assert first > gains.LOUD * PLAN.chatter and second < 0.95 * first
+    assert found.tuned.chatter == pytest.approx(PLAN.chatter**2 / first, rel=0.01)
     assert {"tuning", "tuning again"} <= {step for step, *_ in steps.told}

@@ -17,6 +17,9 @@ from valve_control.control.analysis.indices import variation
 Array = npt.NDArray[np.float64]
 
 
+HOMING = 0.5  # s  in which a law brings a spool that stood elsewhere to its first command
+
+
 class Now(NamedTuple):
     """The signals at one sample, from which measures are computed."""
 
@@ -103,4 +106,12 @@ def results(tallies: Array, samples: int) -> Results:
     return Results._make([*(np.where(finite, column, np.nan) for column in numbers), finite])
 
 
+def count_after_homing(t: Tally, now: Now) -> Tally:
+    """``t`` after one more sample; only the voltage of those within HOMING is remembered."""
+    if now.time < HOMING - 0.5 * now.period:
+        return Tally(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, now.voltage)
+    return count(t, now)
+
+
 INDICES = Measures(Tally, count, results)
+HOMED = Measures(Tally, count_after_homing, results)  # of all samples, so that means of squares are low

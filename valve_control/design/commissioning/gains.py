@@ -13,6 +13,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.plant.models import scale_of
 from valve_control.control.simulation import offline
+from valve_control.control.simulation.singly import Standing
 from valve_control.design.commissioning import model, plant
 from valve_control.design.commissioning.bench import Progress, Record
 from valve_control.design.commissioning.plan import Plan
@@ -31,6 +32,8 @@ CONTENDS = 1.5  # times the error of the new gains, up to which others are tried
 LOUD = 1.1  # times its limit, c_u of the simulated verification run beyond which a quieter search follows
 PAUSE = 0.3  # s  after each motion of the verification run
 REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
+HELD = 0.5  # of the friction, that holds a spool off the centre
+ROOM = 0.5  # of the travel, in which it does
 SATURATED = 0.5  # share of samples at the limit of the voltage, from which on a simulated loop is unstable
 VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
 
@@ -112,12 +115,23 @@ def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Res
         seed=plan.seed,
         strict=wider > 1.0,
         scale=scale_of(found.model),
+        standing=_standing(found, limits.travel),
     )
     unseen = problem._replace(
         plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + box.UNSEEN_SEED
     )
     starts = [before] if before["controller"] == plan.law else []
     return Task(plan.law, problem, unseen, valve, own, starts)
+
+
+def _standing(found: Plant, travel: float) -> Standing | None:
+    """How far the spool may stand off when a law is switched on, and with which remanence of the magnet.
+
+    A law that learns quickly takes the friction that holds it for other friction, and errs for seconds.
+    """
+    remanent = 0.0 if found.magnet is None else 0.5 * found.magnet.hysteresis
+    held = abs(found.model.static_gain) * (remanent + HELD * found.friction.coulomb)
+    return Standing(min(held, ROOM * travel), remanent) if held > 0.0 else None
 
 
 def _forgotten(before: Values, law: str) -> Values:
