@@ -12,10 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import variation
-
-Array = npt.NDArray[np.float64]
-
 
 HOMING = 0.5  # s  in which a law brings a spool that stood elsewhere to its first command
 
@@ -39,7 +37,7 @@ class Measures(NamedTuple):
 
     tally: Any  # type of what is kept up
     update: Callable[[Any, Now], Any]
-    results: Callable[[Array, int], Any]  # of tallies (fields×N) and the number of samples
+    results: Callable[[Floats, int], Any]  # of tallies (fields×N) and the number of samples
 
 
 class Tally(NamedTuple):
@@ -59,14 +57,14 @@ class Tally(NamedTuple):
 class Results(NamedTuple):
     """Indices, one entry per valve; NaN where a run did not stay finite."""
 
-    e_M: Array  # V  (I2)
-    e_F: Array  # V  (I3)
-    e_rms: Array  # V  (I1)
-    u_rms: Array  # V  (I4)
-    c_u: Array  # -  (I5)
-    true_e_M: Array  # V  of the true position
-    true_e_rms: Array  # V
-    saturated: Array  # -  share of the samples at ±u_max
+    e_M: Floats  # V  (I2)
+    e_F: Floats  # V  (I3)
+    e_rms: Floats  # V  (I1)
+    u_rms: Floats  # V  (I4)
+    c_u: Floats  # -  (I5)
+    true_e_M: Floats  # V  of the true position
+    true_e_rms: Floats  # V
+    saturated: Floats  # -  share of the samples at ±u_max
     finite: npt.NDArray[np.bool_]
 
 
@@ -88,7 +86,7 @@ def count(t: Tally, now: Now) -> Tally:
     )
 
 
-def results(tallies: Array, samples: int) -> Results:
+def results(tallies: Floats, samples: int) -> Results:
     """Indices I1 to I5 from ``tallies`` (fields×N) of runs with ``samples`` samples."""
     t = Tally(*tallies)
     with np.errstate(divide="ignore", invalid="ignore"):

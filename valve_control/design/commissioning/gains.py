@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices, indices
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER, NODES
@@ -25,7 +25,6 @@ from valve_control.design.tuning.trial import Problem, TuningMotion
 from valve_control.design.tuning.tuner import Aim, Tuned
 from valve_control.parameter import Values, defaults, number, updated
 
-Floats = npt.NDArray[np.float64]
 WORSE = 1.5  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
 CONTENDS = 1.5  # times the error of the new gains, up to which others are tried on the valve too

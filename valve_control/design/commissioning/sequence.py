@@ -14,9 +14,9 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from valve_control import interrupts
+from valve_control.arrays import Floats
 from valve_control.design.commissioning import backup, courses, gains, model, plant, small_signal, statics
 from valve_control.design.commissioning.bench import Bench, Course, Fault, Record, Swings
 from valve_control.design.commissioning.gains import TunedGains, Verification
@@ -29,7 +29,6 @@ from valve_control.design.tuning import tuner, verification
 from valve_control.design.tuning.tuner import Tuned
 from valve_control.parameter import ParameterError, Values, number
 
-Floats = npt.NDArray[np.float64]
 SPRING = 0.5  # s  in which the spring centres the spool
 STILL, NOISE = 2.0, 2.0  # s and windows of readings that tell the noise: at rest, the larger of both
 RATE = 0.4  # 1/s  times the limit of the voltage: rate of the triangle
