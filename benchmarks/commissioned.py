@@ -11,11 +11,9 @@ on a solenoid valve the four motions of benchmarks.solenoid, with preview and wi
 """
 
 import argparse
-import contextlib
 import json
 import math
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -179,9 +177,13 @@ def gone_through(
                     [*command, "--travel", str(travel), *wanted], stdout=said, stderr=said,
                     stdin=subprocess.DEVNULL,
                 )  # fmt: skip
+                hung = False
                 try:
-                    with contextlib.suppress(RuntimeError):  # it hangs, and is killed
-                        wait_until(lambda: seen.look() and child.poll() is not None, "its end", (), LONGEST)
+                    wait_until(lambda: seen.look() and child.poll() is not None, "its end", (), LONGEST)
+                except RuntimeError:
+                    hung = time.monotonic() - began > LONGEST
+                    if not hung:
+                        raise
                 finally:
                     child.kill()
                     child.wait()
@@ -194,8 +196,8 @@ def gone_through(
             seen.destroy_node()
     if about["status"] != 0:
         lines = (folder / "said.log").read_text().strip().splitlines()
-        hung = f"it was not over after {LONGEST:g} s"
-        about["reason"] = hung if about["status"] == -signal.SIGKILL else lines[-1]
+        last = lines[-1] if lines else f"it ended with status {about['status']}"
+        about["reason"] = f"it was not over after {LONGEST:g} s" if hung else last
         about["as_before"] = after == before
         return about
     found = json.loads((kept / "commission.json").read_text())

@@ -93,3 +93,21 @@ def test_progress_of_the_model_takes_nothing_back():
     for percent in (25.0, 88.0, 48.0, 95.0):
         run._modelled(percent)
     assert [done for _, done, _ in steps.told] == [25.0, 88.0, 88.0, 95.0]
+
+
+def test_a_loud_run_is_tuned_again_with_a_lower_limit(monkeypatch):
+    """Of a simulated run with twice the limit: half the limit follows, whose gains count if they are quieter."""
+    limits, loud = [], iter([0.5, 0.2, 0.5, 0.6])
+
+    def tuned(plan, *others):
+        limits.append(plan.chatter)
+        good = SimpleNamespace(verified=SimpleNamespace(reasons=[]))
+        return gains.TunedGains(SimpleNamespace(chatter=None, chosen=good, turn=len(limits)), [], {}, {})
+
+    monkeypatch.setattr(gains, "tuned", tuned)
+    monkeypatch.setattr(gains, "loudness", lambda *given: next(loud))
+    run = sequence._Commissioning(SupervisedValve(), PLAN, defaults(CONTROLLER), Steps())
+    made, notes = run._searched("dcarc", None, None, None, 1.0)
+    assert limits == [0.25, 0.125] and made.tuned.turn == 2 and "from 0.5 to 0.2" in notes[0]
+    made, notes = run._searched("dcarc", None, None, None, 1.0)
+    assert limits[2:] == [0.25, 0.125] and made.tuned.turn == 3 and not notes

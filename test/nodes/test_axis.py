@@ -350,11 +350,14 @@ def axis_in_this_process(ros):
         node.destroy_node()
 
 
-def test_an_axis_whose_process_stood_still_while_readings_waited_stops_and_a_busy_one_does_not(ros):
+def test_an_axis_whose_process_stood_still_while_readings_waited_stops_and_a_busy_one_does_not(
+    ros, monkeypatch
+):
+    monkeypatch.setattr(loop, "STALL", 10.0)
     with axis_in_this_process(ros) as (node, _, answer):
         for waited in (0.0, 0.0, 0.5 * loop.STALL):
             assert answer(0.2, waited)[0] is Mode.OK
-        mode, text = answer(0.2, 1.0)
+        mode, text = answer(0.2, 2.0 * loop.STALL)
         assert mode is Mode.SAFE and "stalled: the axis controller's process stood still for" in text
         assert node._state.command == 0.0
         node._on_reset(None, Trigger.Response())

@@ -80,6 +80,10 @@ QUICK = (
     ("controller", signal.SIGTERM),
     ("command_source", signal.SIGTERM),
     ("recorder", signal.SIGINT),
+    ("manifold", signal.SIGTERM),
+    ("valve_driver", signal.SIGINT),
+    ("axis_simulator", signal.SIGTERM),
+    ("axis_controller", signal.SIGINT),
 )
 
 

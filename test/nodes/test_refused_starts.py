@@ -77,7 +77,12 @@ def test_each_wrong_start_is_one_sentence(tmp_path):
     (folder / "boom.yaml").write_text("/boom/controller:\n  ros__parameters: {u_max: 5.0}\n")
     (folder / "a.yaml").write_text(files.as_yaml({"/a/controller": {"driver": "simulated"}}))
     for (node, given), words, status in starts():
-        ended, said = forked.Child(node, given, log, folder).wait(30.0), log.read_text()
+        child = forked.Child(node, given, log, folder)
+        try:
+            ended = child.wait(30.0)
+        finally:
+            child.kill()
+        said = log.read_text()
         *logged, sentence = said.splitlines()
         assert ended == status and words in sentence and "Traceback" not in said, (node, given, ended, said)
         logs = node != "valve_driver" and any(word.startswith("driver:=") for word in given)

@@ -181,7 +181,7 @@ folder.write(folder.refuse_taken(sys.argv[1]), files)
 def test_a_new_watch_is_one_file_and_one_row(tmp_path, kind, mode):
     """In a copy of the package: its sentence, its mode, its state in a snapshot, and its C."""
     package = tmp_path / "valve_control"
-    shutil.copytree(ROOT / "valve_control", package)
+    shutil.copytree(ROOT / "valve_control", package, ignore=shutil.ignore_patterns("*.pyc.*"))
     rooms = package / "control" / "supervision"
     (rooms / "far_watch.py").write_text(NEW.replace("MODE", mode.lower()), encoding="utf-8")
     table = rooms / "watch_table.py"

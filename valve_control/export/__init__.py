@@ -11,6 +11,5 @@
 ``sources.py``   header and source
 ``samples.py``   a recorded run with which the C is compared
 ``folder.py``    the folder with sources, comparison, Makefile and README
-``library.py``   the C compiled and loaded, in the form of a law's module
 ``fmu.py``       the same C as an FMU
 """
