@@ -101,13 +101,14 @@ def test_a_loud_run_is_tuned_again_with_a_lower_limit(monkeypatch):
 
     def tuned(plan, *others):
         limits.append(plan.chatter)
-        good = SimpleNamespace(verified=SimpleNamespace(reasons=[]))
+        seen = SimpleNamespace(e_rms=np.array([[0.01]]))
+        good = SimpleNamespace(verified=SimpleNamespace(reasons=[], seen=seen))
         return gains.TunedGains(SimpleNamespace(chatter=None, chosen=good, turn=len(limits)), [], {}, {})
 
     monkeypatch.setattr(gains, "tuned", tuned)
     monkeypatch.setattr(gains, "loudness", lambda *given: next(loud))
     run = sequence._Commissioning(SupervisedValve(), PLAN, defaults(CONTROLLER), Steps())
-    made, notes = run._searched("dcarc", None, None, None, 1.0)
-    assert limits == [0.25, 0.125] and made.tuned.turn == 2 and "from 0.5 to 0.2" in notes[0]
-    made, notes = run._searched("dcarc", None, None, None, 1.0)
-    assert limits[2:] == [0.25, 0.125] and made.tuned.turn == 3 and not notes
+    made = run._searched("dcarc", None, None, None, 1.0)
+    assert limits == [0.25, 0.125] and made.tuned.turn == 2 and "from 0.5 to 0.2" in made.note
+    made = run._searched("dcarc", None, None, None, 1.0)
+    assert limits[2:] == [0.25, 0.125] and made.tuned.turn == 3 and not made.note

@@ -43,6 +43,7 @@ def test_values_of_each_kind():
     assert parse(Field("t", "doubles"), "1,5; 2; 3") == [1.5, 2.0, 3.0]
     assert parse(Field("t", "doubles"), "[1.5 2 3]") == [1.5, 2.0, 3.0]
     assert parse(Field("t", "doubles"), "[2.0, 110.0, 5]") == [2.0, 110.0, 5.0]  # as in a parameter file
+    assert parse(Field("t", "doubles"), "[2.0,110.0]") == [2.0, 110.0]
     assert parse(Field("s", "strings"), "a, b") == ["a", "b"]
     for field, text, words in [
         (COUNT, "1,5", "no whole number"), (GAIN, "0", "out of range: 0.001 to 100000"),

@@ -381,6 +381,18 @@ def test_to_plan_a_motion_is_no_standstill_of_the_process(ros, monkeypatch):
         assert answer(0.2) == (Mode.OK, "follows its path")
 
 
+def test_messages_of_another_joint_are_no_lost_readings(ros):
+    """Without stamps the time goes on by a period a reading, also if the publisher sends another joint's too."""
+    with axis_in_this_process(ros) as (node, axis, _):
+        times = []
+        for name in ("axis", "other") * 4:
+            axis.sensor.publish(JointState(name=[name], position=[0.2]))
+            wait_for_message(node, node._joints)
+            node.work()
+            times.append(node._state.time)
+        assert set(np.diff(times[2::2])) == {round(node._params.period * 1e9)}
+
+
 def test_axis_arc_waits_for_its_first_pressures_after_each_start(ros, tmp_path):
     axis = Played(ros)
     rooms = [ros.create_publisher(FluidPressure, f"pressure_{room}", SAMPLES) for room in "ab"]

@@ -21,6 +21,7 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND, CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.simulation import offline
+from valve_control.control.supervision import bumpless_transfer
 from valve_control.control.supervision.cache_warming import CacheWarming
 from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
@@ -824,3 +825,5 @@ def test_estimates_of_a_law_without_ranges_are_told_as_they_are():
     assert loop.supervisor.theta[2] == loop.supervisor._params.law.theta_min.b0
     loop.supervisor._params = loop.supervisor._params._replace(law=Unbounded(theta))
     assert loop.supervisor.theta == tuple(theta)
+    former = loop.supervisor.memory.law
+    assert bumpless_transfer.resumed(Unbounded(theta._replace(b0=2.0)), former) == Unbounded(theta)

@@ -69,8 +69,9 @@ def parse(field: Field, text: str) -> Value:
     if field.kind == "strings":
         return [part.strip() for part in re.split(r"[;,]", word)]
     if field.kind == "doubles":
-        # Entries are separated by semicolons, or by spaces, since a comma without one may be a decimal one.
-        return [number(part) for part in re.split(r"\s*;\s*|,?\s+", word.strip("[]").strip()) if part]
+        # Without brackets a comma may be a decimal one, if no space follows.
+        between = r"[;,\s]+" if word.startswith("[") else r"\s*;\s*|,?\s+"
+        return [number(part) for part in re.split(between, word.strip("[]").strip()) if part]
     value = number(word)
     if field.bounded and not field.low <= value <= field.high:
         raise EntryError(f"{value:g} is out of range: {field.range_text}")

@@ -236,6 +236,8 @@ class AxisController(Managed):
         return True
 
     def _answer(self, reading: JointState, number: int) -> None:
+        lost = number - self._number - 1 if 0 < self._number < number else None
+        self._number = number  # messages of other joints have numbers too
         joint = word(self._values, "joint")
         if joint not in reading.name or len(reading.position) <= list(reading.name).index(joint):
             foreign = ", ".join(f"'{name}'" for name in reading.name) or "no joint"
@@ -247,8 +249,6 @@ class AxisController(Managed):
         if not self._lockstep:
             self._take_pressures(None)
         self._heard = now
-        lost = number - self._number - 1 if 0 < self._number < number else None
-        self._number = number
         stamp = self._stamp = reading.header.stamp.sec * NANO + reading.header.stamp.nanosec
         self._watch_at = NEVER if self._lockstep else now + self._timeout
         if self._needs_pressures and not self._lockstep and not self._watch_pressures(now):

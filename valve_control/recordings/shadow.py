@@ -243,6 +243,8 @@ class _ByJournal(_Replay):
                     # It is the bag that lacks rows: no reading was lost, and the spool has moved meanwhile.
                     return supervisor.sample(row[READING], None, elapsed + apart)
                 return supervisor.sample(row[READING], number, elapsed)
+            case Event.STALL if not math.isnan(row[NUMBER]):
+                return supervisor.skip(row[ELAPSED])
             case Event.SILENCE | Event.STALL:
                 return supervisor.silence(row[ELAPSED], event is Event.STALL)
             case Event.START | Event.STOP:

@@ -136,7 +136,7 @@ def draw_plots(
         labels = {line.label for line in plot.lines}
         if len(plot.lines) > 1 and not labels <= told:
             axis.legend(fontsize="small", ncols=2)
-        told |= labels
+            told |= labels
     axes[-1, 0].set_xlabel(x_title)
     figure.suptitle(title)
     figure.tight_layout()

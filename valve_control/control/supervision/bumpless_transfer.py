@@ -71,6 +71,8 @@ def resumed(params: Any, former: Any) -> Any:
     kind: Any = type(getattr(params, "theta_initial", None))
     if estimates is None or not isinstance(estimates, kind):
         return params
+    if not hasattr(params, "theta_min") or not hasattr(params, "theta_max"):
+        return params._replace(theta_initial=estimates)
     theta = kind(*map(clip, estimates, params.theta_min, params.theta_max))
     return params._replace(theta_initial=theta)
 

@@ -783,7 +783,7 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
     """
     module = law.module
     hints = get_type_hints(module.Params)
-    adapts = law.adapts and "theta_initial" in hints
+    adapts = law.adapts and {"theta_initial", "theta_min", "theta_max"} <= hints.keys()
     watches = collections.namedtuple("Watches", [w.slot for w in STOPPING])  # type: ignore[misc]
     watches.__annotations__ = {w.slot: w.module.Params for w in STOPPING}
     params = _record(

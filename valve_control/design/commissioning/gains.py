@@ -44,6 +44,7 @@ class TunedGains(NamedTuple):
     motions: list[TuningMotion]
     valve: Values  # of the simulated valve, with the limit of the voltage that is in force
     chosen: Values  # the controller's parameters that are set
+    note: str = ""  # on a second search
 
 
 class Verification(NamedTuple):
@@ -180,7 +181,8 @@ def loudness(plan: Plan, before: Values, made: TunedGains) -> float:
     The search knows the mean of valves and motions; a single run can have more. Raises ParameterError.
     """
     wanted = verifying_motion(made, number(before, "sample_period"))
-    return offline.simulate(_limited(plan, before, made), made.valve, wanted).indices.c_u
+    with np.errstate(over="ignore", invalid="ignore"):
+        return offline.simulate(_limited(plan, before, made), made.valve, wanted).indices.c_u
 
 
 def verifying_motion(made: TunedGains, period: float) -> Floats:
@@ -203,7 +205,7 @@ def judged(plan: Plan, before: Values, gains: TunedGains, wanted: Floats, record
 
     Raises ParameterError.
     """
-    chatter = plan.chatter if gains.tuned.chatter is None else gains.tuned.chatter
+    chatter = max(plan.chatter, gains.tuned.chatter or 0.0)
     measured = _indices(record)
     limited = {"u_max": plan.limits.voltage, "command_limit": plan.limits.travel}
     values = _limited(plan, before, gains)

@@ -9,7 +9,6 @@ determine stays as it was known, and in the box as wide as before. Readings tell
 solenoids as a whole: the sensor keeps what is known of it, and the rest is the actuator's.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -255,8 +254,9 @@ def _standing(reading: Floats, period: float) -> float | None:
     """
     first = reading[: round(START / period)]
     first = first[np.isfinite(first)]
-    noise = max(QUIET, float(np.std(np.diff(first))) / math.sqrt(2.0)) if len(first) > 1 else QUIET
-    return first_reading(reading, period) if len(first) and np.ptp(first) <= SPREAD * noise else None
+    seen = lvdt.observe(reading)
+    most = SPREAD * max(QUIET, seen.noise) + seen.resolution
+    return first_reading(reading, period) if len(first) and np.ptp(first) <= most else None
 
 
 def _alike(rest: Floats, period: float) -> float:

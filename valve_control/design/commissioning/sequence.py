@@ -283,6 +283,7 @@ class _Commissioning:
                     if verified is not None and not reasons:
                         told = [_taken_at_last(wider, text) for text in refusals]
                         told += [_taken_instead(made.tuned.law, text) for text in texts]
+                        told += [made.note] if made.note else []
                         return made, verified, [*missing, *told, *gains.beside(several)]
                     self._bench.off()
                     if wider != boxes[-1] or made is not several[-1]:
@@ -296,7 +297,7 @@ class _Commissioning:
     def _tuned(
         self, found: Plant, known: model.Known, rest: Rest, wider: float, refusals: list[str]
     ) -> tuple[list[TunedGains], list[str]]:
-        """Gains of the law and of a PID beside it, the better first, and sentences about the searches.
+        """Gains of the law and of a PID beside it, the better first, and a sentence about each that failed.
 
         Raises ParameterError, where both failed.
         """
@@ -309,28 +310,22 @@ class _Commissioning:
         self._ask(f"{tried}; the valve stays at 0 V")
         made: list[TunedGains] = []
         failed: dict[str, ParameterError] = {}
-        notes: list[str] = []
         for law in dict.fromkeys((self._plan.law, *([] if self._plan.alone else [PID]))):
             with self._timed("tuning"):
                 try:
-                    one, quieter = self._searched(law, found, known, rest, wider)
+                    made.append(self._searched(law, found, known, rest, wider))
                 except ParameterError as error:
                     failed[law] = error
-                else:
-                    made.append(one)
-                    notes += quieter
         if not made:
             first = failed[self._plan.law]
             if not refusals:
                 raise first
             raise ParameterError(_not_accepted([*refusals, str(first)], wider)) from first
-        notes += [f"{law} has no gains: {error}" for law, error in failed.items()]
-        return sorted(made, key=gains.promised), notes
+        missing = [f"{law} has no gains: {error}" for law, error in failed.items()]
+        return sorted(made, key=gains.promised), missing
 
-    def _searched(
-        self, law: str, found: Plant, known: model.Known, rest: Rest, wider: float
-    ) -> tuple[TunedGains, list[str]]:
-        """Gains of ``law``, and a sentence if a second search made them quieter. Raises ParameterError."""
+    def _searched(self, law: str, found: Plant, known: model.Known, rest: Rest, wider: float) -> TunedGains:
+        """Gains of ``law``, of a second search if those of the first would be loud. Raises ParameterError."""
         step = "tuning" if law == self._plan.law else f"tuning {law}"
 
         def searched(plan: Plan, step: str) -> TunedGains:
@@ -342,21 +337,23 @@ class _Commissioning:
 
         plan = self._plan._replace(law=law)
         made = searched(plan, step)
+        if made.tuned.chosen.verified.reasons:
+            return made
         loud = gains.loudness(plan, self._before, made)
         limit = plan.chatter if made.tuned.chatter is None else made.tuned.chatter
-        if made.tuned.chosen.verified.reasons or not gains.LOUD * limit < loud < math.inf:
-            return made, []
+        if not gains.LOUD * limit < loud < math.inf:
+            return made
         try:
-            again = searched(plan._replace(chatter=limit * limit / loud), f"{step} again")
+            again = searched(plan._replace(chatter=limit * limit / loud, firm=True), f"{step} again")
         except ParameterError:  # the limit cannot be lower
-            return made, []
+            return made
         quiet = gains.loudness(plan, self._before, again)
-        if again.tuned.chosen.verified.reasons or quiet >= loud:
-            return made, []
-        return again, [
-            f"a second search of {law} brought c_u of the simulated verification run from {loud:.3g} to "
+        if again.tuned.chosen.verified.reasons or quiet >= loud or not gains.rivals(again, made):
+            return made
+        return again._replace(
+            note=f"a second search of {law} brought c_u of the simulated verification run from {loud:.3g} to "
             f"{quiet:.3g}"
-        ]
+        )
 
     def _verified(self, made: TunedGains, doubted: bool) -> tuple[Verification | None, list[str]]:
         """The verification run, None if it ended early, and why the gains are not accepted.

@@ -235,5 +235,7 @@ def _estimate(experiment: Experiment, settle: float, band: tuple[float, float] |
     low, high = band or (DEFAULTS["frequency"], min(100.0, ROOM / experiment.period))
     assert isinstance(low, float) and isinstance(high, float)
     known = np.flatnonzero(np.isfinite(position))
+    if not len(known):
+        raise ParameterError("no reading came after the first voltage")
     position = np.interp(np.arange(len(voltage)), known, position[known])
     return response.spectral(voltage, position, experiment.period, low, high)
