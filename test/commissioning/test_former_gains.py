@@ -96,7 +96,7 @@ def test_progress_of_the_model_takes_nothing_back():
 
 
 def test_a_loud_run_is_tuned_again_with_a_lower_limit(monkeypatch):
-    """Of a simulated run with twice the limit: half the limit follows, whose gains count if they are quieter."""
+    """With twice the limit in simulation, half the limit follows; its gains count if they are quieter."""
     limits, loud = [], iter([0.5, 0.2, 0.5, 0.6])
 
     def tuned(plan, *others):

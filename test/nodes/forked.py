@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes as processes that are forked from one that has imported all of them.
 
-Such a node begins 0.5 s earlier than by `python -m`, without its imports. It ends by os._exit, without the exit
-of the interpreter, and the modules of all nodes are loaded. The tests of exits (test_exit.py), of installed
-programs and of the tools (`run_tool`) start nodes as users do.
+Such a node begins 0.5 s earlier than by `python -m`, without its imports. It ends by os._exit, without the
+exit of the interpreter, and the modules of all nodes are loaded. The tests of exits (test_exit.py), of
+installed programs and of the tools (`run_tool`) start nodes as users do.
 """
 
 import multiprocessing

@@ -336,7 +336,7 @@ def test_aborted_at_random_moments(ros, tmp_path):
 @pytest.mark.alone
 @pytest.mark.campaign
 def test_an_invented_valve(ros, tmp_path):
-    """One of the five of benchmarks.commissioned, from the paper's gains to tuned ones with a small budget."""
+    """One of the five of benchmarks.commissioned, from the paper's gains to tuned ones; a small budget."""
     wanted = ["--controller", "dcarc", "--max-voltage", "4", *QUICK]
     row = commissioned.gone_through(tmp_path, 11, FASTER, wanted, 2.0)
     assert row["status"] == 0, row
