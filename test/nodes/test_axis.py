@@ -382,7 +382,7 @@ def test_to_plan_a_motion_is_no_standstill_of_the_process(ros, monkeypatch):
 
 
 def test_messages_of_another_joint_are_no_lost_readings(ros):
-    """Without stamps the time goes on by a period a reading, also if another joint's messages come between."""
+    """Without stamps the time goes on by a period a reading, also with another joint's messages between."""
     with axis_in_this_process(ros) as (node, axis, _):
         times = []
         for name in ("axis", "other") * 4:
