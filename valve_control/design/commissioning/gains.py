@@ -33,9 +33,6 @@ PAUSE = 0.3  # s  after each motion of the verification run
 REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
 HELD = 0.5  # of the friction, that holds a spool off the centre
 ROOM = 0.5  # of the travel, in which it does
-APART = (
-    3  # from one valve of the first search that stands off to the next: gains for all of them learn slowly
-)
 SATURATED = 0.5  # share of samples at the limit of the voltage, from which on a simulated loop is unstable
 VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
 
@@ -119,7 +116,6 @@ def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Res
         strict=wider > 1.0,
         scale=scale_of(found.model),
         standing=_standing(found, limits.travel),
-        apart=APART if wider == 1.0 else 1,
     )
     unseen = problem._replace(
         plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + box.UNSEEN_SEED

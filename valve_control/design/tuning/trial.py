@@ -77,7 +77,6 @@ class Problem(NamedTuple):
     scale: Scale = D3FXE  # of the valve, with which the ranges go
     delivery: Delivery | None = None  # of commands that are not previewed; None: one a sample, in time
     standing: Standing | None = None  # farthest that spools stand off before a run; None: at rest, centred
-    apart: int = 1  # from one valve whose spool stands off to the next
 
 
 class GainSet(NamedTuple):
@@ -204,7 +203,6 @@ def shared(
                 problem.values,
                 problem.seed,
                 problem.standing,
-                problem.apart,
                 len(problem.plants),
                 several,
             )
@@ -276,11 +274,9 @@ def _standing(problem: Problem) -> list[Standing] | None:
     """How the spool of each valve stands before a run: to either side, at several shares of the farthest."""
     if problem.standing is None:
         return None
-    far, made = problem.standing, [Standing(0.0, 0.0)] * len(problem.plants)
-    for i in range(0, len(made), problem.apart):
-        share = (-1.0) ** i * (1.0 - (i * GOLDEN) % 1.0)
-        made[i] = Standing(share * far.position, math.copysign(far.voltage, share))
-    return made
+    shares = [(-1.0) ** i * (1.0 - (i * GOLDEN) % 1.0) for i in range(len(problem.plants))]
+    far = problem.standing
+    return [Standing(share * far.position, math.copysign(far.voltage, share)) for share in shares]
 
 
 def violation(limits: TuningLimits, found: margins.Margins, share: float = 1.0) -> float:
