@@ -233,9 +233,9 @@ def test_a_damaged_backup_is_told(tmp_path):
 
 @pytest.mark.campaign
 def test_a_verification_run_that_would_be_loud_is_tuned_again(monkeypatch):
-    """Of a run with three times the c_u: a second search has a lower limit, and its gains are quieter."""
+    """Of a run with 2.2 times the c_u: a second search has a lower limit, and its gains are quieter."""
     simulated = gains.loudness
-    monkeypatch.setattr(gains, "loudness", lambda *given: 3.0 * simulated(*given))
+    monkeypatch.setattr(gains, "loudness", lambda *given: 2.2 * simulated(*given))
     valve = SupervisedValve({"friction.coulomb": 0.6, "lvdt.noise": 0.004}, BEFORE)
     before, steps = valve.values(), Steps()
     with sequence.reversible(valve, before, nothing):
