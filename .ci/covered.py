@@ -42,6 +42,7 @@ CONTROLLER = (
         "overload",
         "realtime",
         "reception",
+        "refused_starts",
     ),
     *("restart", "terms", "trajectory", "unnumbered"),
 )
@@ -64,7 +65,12 @@ PARTS = {
     "conditions": tests("supervision", "a-m"),
     "supervisor": tests("supervision", "n-z"),
     "laws": tests("laws", "a-c"),
-    "dcarc": tests("laws", "d-z"),
+    "dcarc": [
+        "test/plant/test_models.py",
+        "test/plant/test_solenoid.py",
+        "test/export/test_watched.py::test_the_inverse_of_a_curve_behind_a_law",
+        *tests("laws", "d-z"),
+    ],
     "drivers": [
         "test/drivers",
         "test/test_plugins.py",

@@ -75,6 +75,7 @@ def test_the_example_can_be_launched(installed):
 LAW = """
 import sys
 from typing import NamedTuple
+from valve_control.control.laws.free import Free
 from valve_control.control.laws.law import Law
 from valve_control.parameter import Parameter, number
 
@@ -110,13 +111,19 @@ LAW = Law("mine", "broken", sys.modules[__name__], (), build, reshapes=lambda p:
 
 def package(folder, text, letter="a"):
     """Package ``package_a`` with the law ``minea`` in the module ``law_a``."""
-    (folder / f"law_{letter}.py").write_text(text.replace('"mine"', f'"mine{letter}"'))
+    (folder / f"law_{letter}.py").write_text(text.replace('"mine', f'"mine{letter}'))
     information = folder / f"package_{letter}-1.0.dist-info"
     information.mkdir()
     (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: package_{letter}\nVersion: 1.0\n")
     (information / "entry_points.txt").write_text(f"[valve_control.laws]\nmine{letter} = law_{letter}:LAW\n")
 
 
+def gained(free):
+    """LAW's arguments from its parameters on: one gain, and what a tuner may choose."""
+    return f'], (Parameter("mine.k", 1.0, "", ""),), build, free=({free},)'
+
+
+NO_GAIN = "], (), build"
 BROKEN = [
     ('Law("mine"', 'Law("arc"', "the name is taken by a law of valve_control"),
     ('Law("mine"', 'Law("My law"', "its name is 'My law'; it must be one word in lower case"),
@@ -144,6 +151,20 @@ BROKEN = [
     ("State(voltage), Terms", "Terms", "its step must return (voltage, state, terms)"),
     ("command + offset", "command + float('nan')", "it must be a finite float"),
     ("command + offset", "1.0 / (command - command)", "its first step fails: ZeroDivisionError"),
+    ("    return s\n", "    return voltage\n", "its hold gives float; it must be State"),
+    ("LAW = Law(", "LAW, _ = None, Law(", "it is None; it must be a valve_control.control.laws.law.Law"),
+    ("last: float", "theta: float", "there must be a parameter {name}.theta_initial"),
+    (NO_GAIN, gained("1").replace("mine.k", "other.k"), "its parameter other.k must begin with '{name}.'"),
+    (NO_GAIN, NO_GAIN + ', dead_time="mine.t"', "its dead_time is '{name}.t'; it must be one of its"),
+    (NO_GAIN, gained("1"), "it has 1 to choose; it must be a valve_control.control.laws.free.Free"),
+    (NO_GAIN, gained('Free("mine.j", 0.1, 1.0)'), "{name}.j to choose, and {name}.j is none of its numbers"),
+    (NO_GAIN, gained('Free("mine.k", 1.0, 0.5)'), "the range of {name}.k goes from 1 to 0.5"),
+    (
+        NO_GAIN,
+        gained('Free("mine.k", 0.1, 1.0, unit=lambda v: v["mine.j"])'),
+        "the unit of {name}.k asks for '{name}.j', which is none of its numbers",
+    ),
+    (NO_GAIN, gained('Free("mine.k", 0.1, 1.0, unit=lambda v: 0.0)'), "the unit of {name}.k is 0 with"),
 ]
 
 
@@ -164,7 +185,7 @@ def test_a_broken_law_is_named_in_one_sentence_and_the_rest_works(beside_broken_
     assert done.returncode == 0 and json.loads(done.stdout)["controller"] == "pid"
     start = f"valve-control: the law 'mine{letter}' of the package package_{letter} is left out: "
     (line,) = [line for line in done.stderr.splitlines() if line.startswith(start)]
-    assert reason.format(law=f"law_{letter}") in line and "Traceback" not in done.stderr
+    assert reason.format(law=f"law_{letter}", name=f"mine{letter}") in line and "Traceback" not in done.stderr
     assert done.stderr.count("left out") == len(BROKEN)
 
 
@@ -225,7 +246,7 @@ def test_a_law_that_does_not_compile_is_named_with_its_package_and_the_reason(tm
 def test_margins_and_tune_name_a_law_that_does_not_compile(tmp_path):
     text = LAW.replace("command + offset", "command - 0.5 * isinstance(s, State) * measurement + offset")
     text = text.replace("reshapes=", "model=lambda p: (59.0, 1657.0, 1502.0), free=(FREE,), reshapes=")
-    text = text.replace("(), build", '(Parameter("minea.gain", 1.0, "", "", 0.0, 9.0),), build')
+    text = text.replace("(), build", '(Parameter("mine.gain", 1.0, "", "", 0.0, 9.0),), build')
     free = "from valve_control.control.laws.free import Free\n\n"
     free += "FREE = Free('minea.gain', 0.1, 5.0)\n\ndef initial("
     package(tmp_path, text.replace("\ndef initial(", free))

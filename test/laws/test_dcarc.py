@@ -568,6 +568,16 @@ def test_jitter_is_the_speed_at_which_noise_shakes_a_spool_without_friction(dela
     assert p.jitter == pytest.approx(float(np.mean(speeds)), rel=0.03)
 
 
+def test_of_an_unstable_loop_there_is_no_jitter():
+    """A regulator of the wrong sign pushes the spool away: its velocity has no finite variance."""
+    o = dcarc_design.observed(FOURTH_ORDER, PERIOD, 0.0, **NOISES)
+    scale = np.append(100.0 ** np.arange(4), 1.0)
+    gain = dcarc_design.kalman(o, scale)
+    pushes = np.array([-10.0, 0.0, 0.0, 0.0])
+    with pytest.raises(dcarc_design.DesignError, match="no finite response to the noise"):
+        dcarc_design.jitter(o, gain, pushes, scale)
+
+
 def test_a_bristle_of_a_resting_spool_relaxes_by_the_jitter_and_a_fast_one_does_not():
     p = params()
     rest = dcarc.initial(p, REST)._replace(bristles=dcarc.Bristles(1.0, 1.0, 1.0))
@@ -628,7 +638,8 @@ def test_a_zero_beyond_the_samples_is_taken_out_of_an_identified_model(hertz):
     """The inverse of such a zero asks for many times the voltage; without it the valve is followed."""
     denominator, z = (1.0, 451.7, 55198.5, 2725358.0), 2.0 * math.pi * hertz
     model = TransferFunction((2295720.0 / z, 2295720.0), denominator)
-    bare = dcarc_design.without_fast_zero(model, PERIOD)
+    bare = dcarc.LAW.of_model(model, PERIOD)
+    assert dcarc.LAW.of_model(bare, PERIOD) is bare
     assert np.allclose(bare.numerator, [2295720.0], rtol=1e-12) and bare.denominator == denominator
     slow = TransferFunction((2295720.0 / 1400.0, 2295720.0), denominator)
     assert dcarc_design.without_fast_zero(slow, PERIOD) is slow

@@ -46,6 +46,16 @@ def test_bound_begins_anew_where_another_voltage_was_applied():
     assert lyapunov_bound.begin(3.0, 7.0) == 3.0
 
 
+def test_v2_is_never_below_zero_and_its_bound_neither():
+    """z1 = 1 V falls by ż1 = -1000 V/s: (5) takes more than there is of a bound that was small."""
+    p = lyapunov_bound.design(240.0, 0.001)
+    before = lyapunov_bound.Sample(0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    after = before._replace(z1=0.5, rate=-1000.0)
+    assert lyapunov_bound.output_feedback(p, before, after, 1.0, 0.0).bound == 0.0
+    rising = lyapunov_bound.output_feedback(p, before, after._replace(rate=1000.0), 1.0, 0.0)
+    assert rising.bound > 0.0
+
+
 def test_bound_waits_until_the_velocity_filter_has_forgotten_another_voltage():
     p = lyapunov_bound.design(240.0, 0.001, memory=0.002)
     bound = lyapunov_bound.wait(p, 5.0, 5.0, 1.0, False)

@@ -237,3 +237,5 @@ def test_the_starts_of_a_search_on_a_slow_valve_have_leads_that_can_be_set():
     made = designs.starts(dcarc.LAW, problem, None)
     assert len(made) == len(dcarc.LAW.starts(values, problem.scale)) * len(designs.SHARES)
     assert all(one["reshaping.lead"] == reshaping.MOST_LEAD < dcarc.lag(one) for one in made)
+    two_poles = controller(**{"dcarc.model": "second_order"})
+    assert dcarc.LAW.starts(two_poles, Scale(0.2, 1.0)) == []  # its ranges have gains enough

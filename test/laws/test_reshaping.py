@@ -72,6 +72,13 @@ def test_what_a_tuner_may_choose_comes_to_rest_at_the_limit_of_the_acceleration(
     assert last_outside(highest, damping, height) < 0.5
 
 
+def test_at_a_long_sample_period_the_lead_is_two_periods():
+    usual = defaults(reshaping.PARAMETERS)
+    assert reshaping.at_period(PERIOD) == {}
+    (found,) = reshaping.at_period(0.02).values()
+    assert 2.0 * usual["reshaping.damping"] / found == pytest.approx(2.0 * 0.02, rel=1e-3)
+
+
 def test_a_lead_of_one_and_a_third_periods_swings_for_ever():
     assert last_outside(1200.0, 0.8, 0.3) > 2.99
     assert last_outside(800.0, 0.8, 0.3) < 0.05

@@ -94,7 +94,9 @@ def test_the_bits_are_those_of_offline_and_of_the_topics_in_lockstep(ros, tmp_pa
     listener.destroy_node()
 
 
-def test_a_card_is_controlled_beside_it_and_its_faults_are_told(ros, tmp_path):
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
+def test_a_card_is_controlled_beside_it_and_its_faults_are_told(ros, tmp_path, end):
+    """At the end 0 V come from the node, or from the card's own watchdog."""
     card = serial_card.Card(friction__coulomb=0.3)
     statuses, readings = [], []
     command = ros.create_publisher(Float64, "spool_command", 10)
@@ -137,8 +139,8 @@ def test_a_card_is_controlled_beside_it_and_its_faults_are_told(ros, tmp_path):
 
         run(lambda: told("sensor_fault"), "condition")
         assert max(status.level for status in statuses) > b"\x00"
-        os.kill(child.pid, signal.SIGKILL)
-        run(lambda: not card._asked and card.voltage == 0.0, "0 V by the card's own watchdog")
+        os.kill(child.pid, end)
+        run(lambda: not card._asked and card.voltage == 0.0, "0 V")
     card.close()
 
 
@@ -270,17 +272,26 @@ def users(port):
 
 @pytest.mark.parametrize("active", [False, True])
 @pytest.mark.parametrize("kind", [DeviceController, ValveDriver])
-def test_the_shutdown_of_a_node_with_a_device_closes_the_port(ros, kind, active):
+def test_cleaning_up_or_shutting_down_a_node_with_a_device_closes_the_port(ros, kind, active):
     card = serial_card.Card()
     before = users(card.port)
     words = ["-p", "driver:=serial", "-p", f"serial.port:={card.port}", "-p", "autostart:=false"]
     node = kind(cli_args=["--ros-args", *words])
     try:
+        for _ in range(2):
+            node.trigger_configure()
+            assert users(card.port) == before + 1
+            if active:
+                node.trigger_activate()
+                node.work()
+                node.trigger_deactivate()
+            node.trigger_cleanup()
+            assert users(card.port) == before
         node.trigger_configure()
-        assert users(card.port) == before + 1
         if active:
             node.trigger_activate()
             node.work()
+        assert users(card.port) == before + 1
         node.trigger_shutdown()
         assert users(card.port) == before
         card.receive(time.monotonic())

@@ -9,13 +9,14 @@ import sys
 import time
 from contextlib import suppress
 
+import pytest
 from bench import Bench, call, controller, get_double, spin_until
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_parameters
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from valve_control.nodes.harness.processes import wait_until
 from valve_control.nodes.services import Reception, Unwatched
@@ -40,10 +41,11 @@ for name in map(str.strip, sys.stdin):
 
 
 class One:
-    """A node with one service."""
+    """A node with one service, that logs like ``ros``."""
 
-    def __init__(self, service):
+    def __init__(self, ros, service):
         self.services = [service]
+        self.get_logger = ros.get_logger
 
 
 def patient_client(ros):
@@ -80,7 +82,7 @@ def test_an_answer_to_a_client_that_has_left_does_not_hold_up_the_loop(ros, tmp_
     """
     services = [ros.create_service(Trigger, name, lambda _, response: response) for name in ("ours", "plain")]
     services[1].callback_group = Unwatched()
-    reception = Reception([One(services[0])])
+    reception = Reception([One(ros, services[0])])
     took = {"ours": [], "plain": []}
 
     def served(name):
@@ -136,6 +138,27 @@ def test_a_request_that_makes_no_sense_is_refused_and_the_node_goes_on(ros, tmp_
         assert get_double(ros, "arc.k1") == 77.0
         bench.sample(0.1)
         assert child.poll() is None
+
+
+@pytest.mark.parametrize("text", [None, "wrote /tmp/Pr\udcfcfstand/p.yaml"])
+def test_a_service_that_fails_gives_an_empty_answer_and_the_loop_goes_on(ros, text):
+    """It raises an error, or its answer has a name of the file system that is no UTF-8."""
+
+    def answered(request, response):
+        if request.data:
+            response.message = text  # None is refused by the message class
+        return response
+
+    reception = Reception([One(ros, ros.create_service(SetBool, "failing", answered))])
+    client = ros.create_client(SetBool, "failing")
+    spin_until(ros, client.service_is_ready, "failing")
+    for data in (True, False):
+        future = client.call_async(SetBool.Request(data=data))
+        spin_until(ros, lambda: reception.waiting, "the request")
+        reception.serve()
+        spin_until(ros, future.done, "the answer")
+        assert future.result() == SetBool.Response()
+    reception.close()
 
 
 def test_a_long_list_of_changes_leaves_the_samples_their_turn(ros, tmp_path):

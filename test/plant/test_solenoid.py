@@ -525,3 +525,4 @@ def test_dcarc_takes_a_valve_whose_sides_differ_by_more_than_its_range():
     known = values(positive=3.0, negative=1.0)
     made = dcarc_valve.of_plant(defaults(CONTROLLER), known)
     assert updated(CONTROLLER, defaults(CONTROLLER), made)["dcarc.sides"] == 1.0
+    assert dcarc_valve.of_plant(defaults(CONTROLLER), defaults(VALVE)) == {}  # it has no solenoids

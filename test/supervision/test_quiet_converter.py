@@ -183,3 +183,33 @@ def test_a_spool_may_stop_within_the_distance_that_friction_needs(speed, fault):
         judged, s = lvdt.step(p, s, reading, 0, reading * p.a0 / p.b0, False, 0.0)
         found.append(judged)
     assert found[-1] == fault and set(found[:101]) == {lvdt.SOUND}
+
+
+def judged(b0, samples):
+    """What is said of ``samples``: reading [V], voltage [V], whether something else keeps it off."""
+    p, s = lvdt.Params(11.0, 500.0, 0.1, 20, 0.5, PERIOD, 20.0, 1200.0, b0, 1.0), lvdt.NOTHING
+    said = []
+    for reading, voltage, blocked in samples:
+        fault, s = lvdt.step(p, s, reading, 0, voltage, blocked, PERIOD)
+        said.append(fault)
+    return said
+
+
+@pytest.mark.parametrize(("b0", "last"), [(1200.0, "frozen"), (0.0, "")])
+def test_that_a_pulled_spool_must_have_moved_only_a_model_tells(b0, last):
+    """A spool rests at 0.2 V, for which (1) needs 0.2 V; 4 V must move it by three steps within 50 ms."""
+    slow = [(0.02 * round(0.02 * k), 0.2, False) for k in range(600)]
+    said = judged(b0, [*slow, *[(0.24, 4.0, False)] * 50])
+    assert set(said[:600]) == {""} and said[-1] == last
+
+
+@pytest.mark.parametrize(("off", "first"), [(0, 10), (15, 15), (40, 0)])
+def test_a_noisy_lvdt_that_stands_is_frozen_once_the_voltage_moves_again(off, first):
+    """20 equal readings, 9 of them before the voltage is off for ``off`` samples; then it moves.
+
+    Where they become 20 without voltage, they are counted anew from there, without the voltage before.
+    """
+    noise = np.random.default_rng(3).normal(0.0, 0.05, 200)
+    before = [*((float(x), 0.0, False) for x in noise), *((0.0, 0.3 * k, False) for k in range(10))]
+    said = judged(0.0, [*before, *[(0.0, 0.0, True)] * off, *[(0.0, 3.0, False)] * 40])
+    assert said.index("frozen") == len(before) + off + first

@@ -43,12 +43,10 @@ class FirstList(ctypes.Structure):
 
 
 class MessageFunctions:
-    """The C functions of a message class, which rclpy itself calls too."""
+    """The C functions of a message class, which rclpy itself calls too; a node uses the class already."""
 
     def __init__(self, message_class: Any) -> None:
         kind = type(message_class)
-        if kind._TYPE_SUPPORT is None:
-            kind.__import_type_support__()
         self.create = ctypes.CFUNCTYPE(ctypes.c_void_p)(_address(kind._CREATE_ROS_MESSAGE))
         self.destroy = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_address(kind._DESTROY_ROS_MESSAGE))
         self.to_python = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p)(_address(kind._CONVERT_TO_PY))

@@ -152,7 +152,7 @@ class Reception:
 
     def _answered(self, request: _Request) -> Iterator[None]:
         server, service = request.server, request.server.service
-        response = service.srv_type.Response()
+        message = server.response.create()  # an empty answer, unless there is another
         if request.size > MOST_ENTRIES:
             server.request.destroy(request.message)
             server.node.get_logger().warning(
@@ -162,19 +162,16 @@ class Reception:
         else:
             asked = server.request.to_python(request.message)
             server.request.destroy(request.message)
+            response = service.srv_type.Response()
             try:
                 if service.srv_type is SetParameters:
                     yield from _set_one_by_one(server.node, asked, response)
                 else:
                     response = service.callback(asked, response)
+                server.response.from_python(response, message)
             except Exception as error:  # whatever a client sends must not end the loop
-                response = service.srv_type.Response()
                 server.node.get_logger().error(f"{service.service_name}: {error}")
-        message = server.response.create()
-        if server.response.from_python(response, message):
-            self._senders.submit(self._send, server, request.sender, message)
-        else:
-            server.response.destroy(message)
+        self._senders.submit(self._send, server, request.sender, message)
 
 
 def _set_one_by_one(node: Any, request: Any, response: Any) -> Iterator[None]:

@@ -58,12 +58,6 @@ def _upper(points: Points) -> Points:
     real = abs(points.imag) <= SAME * abs(points)
     paired = points[~real]
     above, below = paired[paired.imag > 0.0], paired[paired.imag < 0.0]
-    # Of pairs with the same real part, the one with the smaller imaginary part comes first.
-    level = np.diff(above.real) <= SAME * abs(above[:-1])
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], level, [0]])))
-    for start, stop in zip(edges[::2], edges[1::2] + 1, strict=True):
-        for part in (above[start:stop], below[start:stop]):
-            part[...] = part[np.argsort(abs(part.imag), kind="stable")]
     return np.concatenate([(above + below.conj()) / 2.0, points[real].real])
 
 
