@@ -58,7 +58,7 @@ def test_gains_that_swing_in_simulation_are_not_tried_on_the_valve(before, stabl
     made = gains.TunedGains(SimpleNamespace(chatter=None), [], valve, {"controller": "open_loop"})
     record = Record(PERIOD, WANTED, WANTED, WANTED)
     values = updated(CONTROLLER, defaults(CONTROLLER), before)
-    found = gains.judged(PLAN, values, made, WANTED, record)
+    found = gains.judged(PLAN, values, made, gains.VerifyingMotion(WANTED, 0), record)
     assert (found.former is not None) == stable
     assert gains.contends(PLAN, found, doubted=True) == stable
 

@@ -240,7 +240,7 @@ def test_a_verification_run_that_would_be_loud_is_tuned_again(monkeypatch):
     before, steps = valve.values(), Steps()
     with sequence.reversible(valve, before, nothing):
         found = sequence.run(valve, PLAN._replace(law="dcarc", alone=True), before, steps)
-    (note,) = [note for note in found.notes if note.startswith("a second search of dcarc brought c_u")]
+    (note,) = [note for note in found.notes if note.startswith("another search of dcarc brought c_u")]
     first, second = (float(word) for word in re.findall(r"0\.\d+", note))
     assert first > gains.LOUD * PLAN.chatter and second < 0.95 * first
     assert found.tuned.chatter == pytest.approx(PLAN.chatter**2 / first, rel=0.01)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Batches: the bits of offline runs, whatever the block, the threads and the other valves."""
 
-import math
 import threading
 import time
 import tracemalloc
@@ -15,8 +14,6 @@ from valve_control.control.compiling import compile_function
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
 from valve_control.control.simulation import batch, noise, offline
-from valve_control.control.simulation.measures import HOMED, HOMING
-from valve_control.design.commissioning.plant import positions
 from valve_control.parameter import defaults, updated
 
 SOURCE = NODES["command_source"]
@@ -275,35 +272,3 @@ def test_noise_has_numpys_bits():
     compile_function(noise.fill)(noise.seeded(np.array(seeds)), numbers)  # the same generators, begun anew
     for row, seed in zip(numbers, seeds, strict=True):
         assert np.array_equal(row, np.random.default_rng(seed).standard_normal(len(row)))
-
-
-SOLENOID = {
-    "valve": "solenoid", "solenoid.hysteresis": 0.4, "friction.coulomb": 0.8, "friction.presliding": 0.02
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("own", [REAL, {**REAL, "lvdt.delay": 0.0015}, SOLENOID])
-def test_spools_that_stand_off_are_moved_by_the_voltage_from_there(own):
-    """Two simulations that share the plant's step alone; measured is only what comes after the homing."""
-    quiet = {**own, "lvdt.noise": 0.0, "lvdt.resolution": 0.0}
-    plant = build.valve_params(updated(VALVE, defaults(VALVE), quiet))
-    values = {"controller": "open_loop", "open_loop.static_gain": 1.0, "reshaping.max_rate": 1e5}
-    law = build.law_params(updated(CONTROLLER, defaults(CONTROLLER), values))
-    voltage = 2.0 * np.sin(np.arange(1500) * 0.01)
-    stands = [batch.Standing(0.3, 0.2), batch.Standing(-0.2, 0.0)]
-    traces = np.empty((2, len(voltage), 3))
-    laws, plants = batch.records([law] * 2), batch.records([plant] * 2)
-    run = batch.Batch("open_loop", laws, plants, [1, 2], voltage, HOMED, standing=stands)
-    found = batch.simulate(run, 1, traces)
-    for i, stand in enumerate(stands):
-        assert traces[i, 0, :2] == pytest.approx(stand.position, abs=1e-12)
-        home = round(HOMING / plant.period)
-        error, given = traces[i, home:, 0] - voltage[home:], traces[i, :, 2]
-        share = math.sqrt(len(voltage) / (len(voltage) - home))
-        assert found.true_e_rms[i] * share == pytest.approx(rms(error), rel=1e-12)
-        assert found.true_e_M[i] == np.max(np.abs(error))
-        assert found.u_rms[i] * share == pytest.approx(rms(given[home:]), rel=1e-12)
-    centred = batch.simulate(run._replace(standing=[batch.Standing(0.0, 0.0)] * 2), 1)
-    assert centred.true_e_rms == pytest.approx(batch.simulate(run._replace(standing=None), 1).true_e_rms)
-    alone = positions(plant, traces[1, :, 2], stands[1].position)
-    assert alone == pytest.approx(traces[1, :, 1], abs=1e-12 if "valve" not in own else 1e-3)

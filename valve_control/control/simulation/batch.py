@@ -31,7 +31,6 @@ from valve_control.control.plant import registry, sensor, valve
 from valve_control.control.plant.plant import Plant
 from valve_control.control.simulation import measures, singly
 from valve_control.control.simulation.measures import INDICES, Measures
-from valve_control.control.simulation.singly import Standing
 
 Valves = npt.NDArray[np.int64]
 Records = npt.NDArray[np.void]  # one row a valve, fields as in the NamedTuple, all float64
@@ -91,7 +90,6 @@ class Batch(NamedTuple):
     commands: Floats
     measures: Measures = INDICES
     led: Floats | None = None  # V, of the same shape: with the lead of ``command_lead``; None: ``commands``
-    standing: Sequence[Standing] | None = None  # one a valve: of its spool at first; None: at rest
 
 
 def load(like: Any, block: Floats, lane: int) -> Any:
@@ -132,17 +130,13 @@ def counted(p: measures.Now, tally: Any, now: closed_loop.Sample, position: floa
     return count(tally, here), False
 
 
-def begin(like: Lane, block: Floats, noise: Floats, standing: Floats) -> None:
-    """Put the valves of ``block`` where they stand and start their laws from the first readings.
-
-    ``standing`` (LANES×5): the inner states of each spool and the deflection of its bristles.
-    """
+def begin(like: Lane, block: Floats, noise: Floats) -> None:
+    """Put the valves of ``block`` at rest and start their laws from the first readings."""
     for j in range(LANES):
         lane = load(like, block, j)
-        first = sensor.reading(lane.valve.lvdt, standing[j, 0], noise[j, 0])
+        first = sensor.reading(lane.valve.lvdt, 0.0, noise[j, 0])
         law = law_initial(lane.law, Start(first, 0.0, first, 0.0, 0.0))
-        x = valve.Row(standing[j, 0], standing[j, 1], standing[j, 2], standing[j, 3])
-        motion = SpoolState(x, standing[j, 4], 0.0)
+        motion = SpoolState(valve.Row(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
         store(Work(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, like.work.tally, motion, law), block, j)
 
 
@@ -183,15 +177,14 @@ def run_block(
     history: Floats,
     last_begin: int,
     traces: Floats,
-    standing: Floats,
 ) -> None:
     """Run the ``valves`` of one block, whose parameters are in ``block``.
 
     ``generators``: from ``noise.seeded``, which fill ``noise`` (LANES×SPAN) again and again; ``commands`` and
     ``led`` [V]: those of valve i begin at i·``stride``; ``history`` (LANES×m×2): rings as in ``valve.State``,
     for delayed LVDTs; ``last_begin``: sample at which the last two seconds begin; ``traces`` (N×n×3, or 0×n×3
-    for none) receives position, measurement and voltage [V], and has as many samples as the run;
-    ``standing``: see ``begin``. Arrays that come in records would make a sample 5 to 10 % slower.
+    for none) receives position, measurement and voltage [V], and has as many samples as the run. Arrays that
+    come in records would make a sample 5 to 10 % slower.
     """
     record = traces.shape[0] > 0
     length = history.shape[1]
@@ -200,7 +193,7 @@ def run_block(
         if i == 0:
             fill(generators, noise)
         if k == 0:
-            begin(like, block, noise, standing)
+            begin(like, block, noise)
         for j in range(LANES):
             lane = load(like, block, j)
             position = lane.work.motion.x.x0
@@ -327,7 +320,6 @@ class Prepared(NamedTuple):
     stride: int  # between the commands of one valve and the next
     samples: int
     period: float  # s
-    standing: Sequence[Standing] | None
 
 
 def _commands(given: Floats, count: int) -> Floats:
@@ -382,7 +374,6 @@ def _prepared(batch: Batch) -> Prepared:
         stride=0 if commands.ndim == 1 else samples,
         samples=samples,
         period=float(periods[0]),
-        standing=batch.standing,
     )
 
 
@@ -396,12 +387,6 @@ def _run_lanes(ready: Prepared, start: int, traces: Floats) -> Floats:
     block[ready.width - rows.shape[1] :] = rows.T
     from valve_control.control.simulation import noise
 
-    standing = np.zeros((LANES, 5))
-    history = np.zeros((LANES, int(np.max(ready.delays[valves])) + 2, 2))
-    for j, i in enumerate(valves.tolist() if ready.standing is not None else ()):
-        state = singly.begun_state(valve, _plant_params(ready, i), _standing(ready, i))
-        standing[j] = *state.x, state.bristle
-        history[j] = state.x.x0
     _compiled(ready.law, ready.measures)(
         like=ready.like,
         block=block.ravel(),
@@ -411,10 +396,9 @@ def _run_lanes(ready: Prepared, start: int, traces: Floats) -> Floats:
         led=ready.led,
         stride=ready.stride,
         valves=valves,
-        history=history,
+        history=np.zeros((LANES, int(np.max(ready.delays[valves])) + 2, 2)),
         last_begin=_last_begin(ready),
         traces=traces,
-        standing=standing,
     )
     at = Work._fields.index("tally")
     return block[at : at + len(ready.measures.tally._fields)].T[: len(ready.seeds) - start]
@@ -430,26 +414,17 @@ def _run_singly(ready: Prepared, valves: Valves, traces: Floats) -> Floats:
             ready.law,
             linear_loop.unflatten(ready.like.law, ready.law_rows[i].tolist()),
             ready.plant.module,
-            _plant_params(ready, i),
+            linear_loop.unflatten(ready.like.valve, ready.valve_rows[i].tolist()),
             int(ready.seeds[i]),
             ready.commands[first : first + samples],
             ready.led[first : first + samples],
             _last_begin(ready),
-            _standing(ready, i),
         )
         signals = traces[i] if len(traces) else np.empty((samples, len(closed_loop.SIGNALS)))
         tallies.append(
             linear_loop.flatten(singly.simulate(run, ready.measures, ready.like.work.tally, signals))
         )
     return np.array(tallies)
-
-
-def _plant_params(ready: Prepared, i: int) -> Any:
-    return linear_loop.unflatten(ready.like.valve, ready.valve_rows[i].tolist())
-
-
-def _standing(ready: Prepared, i: int) -> Standing | None:
-    return None if ready.standing is None else ready.standing[i]
 
 
 def _last_begin(ready: Prepared) -> int:

@@ -15,8 +15,6 @@ import numpy.typing as npt
 from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import variation
 
-HOMING = 0.5  # s  in which a law brings a spool that stood elsewhere to its first command
-
 
 class Now(NamedTuple):
     """The signals at one sample, from which measures are computed."""
@@ -104,12 +102,4 @@ def results(tallies: Floats, samples: int) -> Results:
     return Results._make([*(np.where(finite, column, np.nan) for column in numbers), finite])
 
 
-def count_after_homing(t: Tally, now: Now) -> Tally:
-    """``t`` after one more sample; only the voltage of those within HOMING is remembered."""
-    if now.time < HOMING - 0.5 * now.period:
-        return Tally(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, now.voltage)
-    return count(t, now)
-
-
 INDICES = Measures(Tally, count, results)
-HOMED = Measures(Tally, count_after_homing, results)  # of all samples, so that means of squares are low

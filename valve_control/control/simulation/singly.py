@@ -17,13 +17,6 @@ from valve_control.control.simulation import measures
 from valve_control.control.simulation.measures import Measures
 
 
-class Standing(NamedTuple):
-    """How a spool stands before a run, held by friction."""
-
-    position: float  # V
-    voltage: float  # V  last one before, on which the hysteresis of a magnet depends
-
-
 class Run(NamedTuple):
     """One valve of a batch."""
 
@@ -35,7 +28,6 @@ class Run(NamedTuple):
     commands: Floats  # V
     led: Floats  # V  with their lead
     last_begin: int  # sample at which the last two seconds begin
-    standing: Standing | None  # of the spool at first; None: at rest in the centre
 
 
 class Known(NamedTuple):
@@ -77,13 +69,6 @@ def counted(p: Known, seen: Seen, now: closed_loop.Sample, plant: Any) -> tuple[
     return Seen(k + 1, seen.time + p.period, count(seen.tally, here)), False
 
 
-def begun_state(plant: types.ModuleType, params: Any, standing: Standing | None) -> Any:
-    """State of a valve as it stands; a plant whose module has no ``standing`` begins at rest."""
-    if standing is None or not hasattr(plant, "standing"):
-        return plant.initial(params)
-    return plant.standing(params, standing.position, standing.voltage)
-
-
 @cache
 def _compiled(law: types.ModuleType, plant: types.ModuleType, chosen: Measures) -> Callable[..., Any]:
     functions = {
@@ -100,7 +85,7 @@ def _compiled(law: types.ModuleType, plant: types.ModuleType, chosen: Measures) 
 def simulate(run: Run, chosen: Measures, tally: Any, signals: Floats) -> Any:
     """Tally of one valve, from ``tally`` on; ``signals`` (n×3) receives ``closed_loop.SIGNALS`` [V]."""
     noise = np.random.default_rng(run.seed).standard_normal(len(signals))
-    state = begun_state(run.plant, run.plant_params, run.standing)
+    state = run.plant.initial(run.plant_params)
     first = run.plant.read(run.plant_params, state, float(noise[0]))
     begun = run.law.initial(run.law_params, Start(first, 0.0, first, 0.0, 0.0))
     known = Known(run.commands, run.last_begin, run.plant_params.u_max, run.plant_params.period)

@@ -13,7 +13,6 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.plant.models import scale_of
 from valve_control.control.simulation import offline
-from valve_control.control.simulation.singly import Standing
 from valve_control.design.commissioning import model, plant
 from valve_control.design.commissioning.bench import Progress, Record
 from valve_control.design.commissioning.plan import Plan
@@ -29,10 +28,10 @@ WORSE = 1.5  # times error and chatter of the simulation, that the running valve
 SLACK = 0.002  # V  of error beside that
 CONTENDS = 1.5  # times the error of the new gains, up to which others are tried on the valve too
 LOUD = 1.1  # times its limit, c_u of the simulated verification run beyond which a quieter search follows
+TOO_LOUD = 1.3  # likewise, beyond which quieter gains are taken whatever their error
+HOME = 1.0  # s  before the approach of a verification run
 PAUSE = 0.3  # s  after each motion of the verification run
 REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
-HELD = 0.5  # of the friction, that holds a spool off the centre
-ROOM = 0.5  # of the travel, in which it does
 SATURATED = 0.5  # share of samples at the limit of the voltage, from which on a simulated loop is unstable
 VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
 
@@ -45,6 +44,13 @@ class TunedGains(NamedTuple):
     valve: Values  # of the simulated valve, with the limit of the voltage that is in force
     chosen: Values  # the controller's parameters that are set
     note: str = ""  # on a second search
+
+
+class VerifyingMotion(NamedTuple):
+    """The commands of a verification run."""
+
+    wanted: Floats  # V
+    judged: int  # first sample that is judged
 
 
 class Verification(NamedTuple):
@@ -115,23 +121,12 @@ def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Res
         seed=plan.seed,
         strict=wider > 1.0,
         scale=scale_of(found.model),
-        standing=_standing(found, limits.travel),
     )
     unseen = problem._replace(
         plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + box.UNSEEN_SEED
     )
     starts = [before] if before["controller"] == plan.law else []
     return Task(plan.law, problem, unseen, valve, own, starts)
-
-
-def _standing(found: Plant, travel: float) -> Standing | None:
-    """How far the spool may stand off when a law is switched on, and with which remanence of the magnet.
-
-    A law that learns quickly takes the friction that holds it for other friction, and errs for seconds.
-    """
-    remanent = 0.0 if found.magnet is None else 0.5 * found.magnet.hysteresis
-    held = abs(found.model.static_gain) * (remanent + HELD * found.friction.coulomb)
-    return Standing(min(held, ROOM * travel), remanent) if held > 0.0 else None
 
 
 def _forgotten(before: Values, law: str) -> Values:
@@ -180,16 +175,37 @@ def loudness(plan: Plan, before: Values, made: TunedGains) -> float:
 
     The search knows the mean of valves and motions; a single run can have more. Raises ParameterError.
     """
-    wanted = verifying_motion(made, number(before, "sample_period"))
-    with np.errstate(over="ignore", invalid="ignore"):
-        return offline.simulate(_limited(plan, before, made), made.valve, wanted).indices.c_u
+    motion = verifying_motion(made, number(before, "sample_period"))
+    return _simulated(_limited(plan, before, made), made.valve, motion.wanted, motion.judged).indices.c_u
 
 
-def verifying_motion(made: TunedGains, period: float) -> Floats:
-    """Commands [V], n, of the verification run: the motions of the search, each with a pause behind it."""
+def verifying_motion(made: TunedGains, period: float) -> VerifyingMotion:
+    """Commands of the verification run: the motions of the search, each with a pause behind it.
+
+    Friction and remanence hold the spool where the law before left it, and a law that adapts takes this force
+    for other friction. A rest and the last motion, which begins and ends softly, free the spool and demagnetise
+    the solenoids. They are not judged.
+    """
     pause = np.zeros(round(PAUSE / period))
+    approach = [np.zeros(round(HOME / period)), made.motions[-1].wanted, pause]
     parts = [part for motion in made.motions for part in (motion.wanted, pause)]
-    return np.concatenate([*parts, np.zeros(round(REST / period))])
+    whole = np.concatenate([*approach, *parts, np.zeros(round(REST / period))])
+    return VerifyingMotion(whole, sum(len(part) for part in approach))
+
+
+class _Simulated(NamedTuple):
+    """A simulated run, judged from a sample on."""
+
+    indices: Indices
+    bounded: bool  # whether it stays finite, and below the limit of the voltage most of the time
+
+
+def _simulated(values: Values, valve: Values, command: Floats, judged: int) -> _Simulated:
+    """Run of a controller with ``values`` on the ``valve``, from a spool at rest in the centre."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        run = offline.simulate(values, valve, command)
+        found = indices((run.measurement - command)[judged:], run.voltage[judged:], run.period)
+    return _Simulated(found, bool(np.all(np.isfinite(run.measurement))) and run.saturated < SATURATED)
 
 
 def _limited(plan: Plan, before: Values, made: TunedGains) -> Values:
@@ -198,37 +214,41 @@ def _limited(plan: Plan, before: Values, made: TunedGains) -> Values:
     return updated(CONTROLLER, before, {**made.chosen, **limited})
 
 
-def judged(plan: Plan, before: Values, gains: TunedGains, wanted: Floats, record: Record) -> Verification:
-    """Judge the ``record`` of a verification run by the simulation of the same commands.
+def judged(
+    plan: Plan, before: Values, gains: TunedGains, motion: VerifyingMotion, whole: Record
+) -> Verification:
+    """Judge the record of a verification run by the simulation of the same commands.
 
-    ``wanted``: commands [V], n, as they would have come in time.
-
-    Raises ParameterError.
+    ``motion``: its commands, as they would have come in time. Raises ParameterError.
     """
     chatter = max(plan.chatter, gains.tuned.chatter or 0.0)
+    record = judged_part(motion, whole)
     measured = _indices(record)
     limited = {"u_max": plan.limits.voltage, "command_limit": plan.limits.travel}
     values = _limited(plan, before, gains)
-    made = offline.simulate(values, gains.valve, record.command)
-    punctual = offline.simulate(values, gains.valve, wanted)
-    former: Indices | None = None
-    with np.errstate(over="ignore", invalid="ignore"):
-        old = offline.simulate(updated(CONTROLLER, before, limited), gains.valve, record.command)
-    if np.all(np.isfinite(old.measurement)) and old.saturated < SATURATED:
-        former = old.indices
+    made = _simulated(values, gains.valve, whole.command, motion.judged).indices
+    punctual = _simulated(values, gains.valve, motion.wanted, motion.judged).indices
+    old = _simulated(updated(CONTROLLER, before, limited), gains.valve, whole.command, motion.judged)
+    former = old.indices if old.bounded else None
     reasons = []
-    most = WORSE * made.indices.e_rms + SLACK
+    most = WORSE * made.e_rms + SLACK
     if not measured.e_rms <= most:
         reasons.append(
             f"the error is {1e3 * measured.e_rms:.3g} mV rms on the running valve, and "
-            f"{1e3 * made.indices.e_rms:.3g} mV in simulation: the model does not describe this valve"
+            f"{1e3 * made.e_rms:.3g} mV in simulation: the model does not describe this valve"
         )
-    most_chatter = WORSE * max(chatter, made.indices.c_u)
+    most_chatter = WORSE * max(chatter, made.c_u)
     if not measured.c_u <= most_chatter:
         reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
-    n = min(len(wanted), len(record.command))
-    away = float(np.nanmax(np.abs(record.command[:n] - wanted[:n])))
-    return Verification(record, measured, made.indices, punctual.indices, away, former, reasons)
+    n = min(len(motion.wanted), len(whole.command))
+    away = float(np.nanmax(np.abs(whole.command[:n] - motion.wanted[:n])))
+    return Verification(record, measured, made, punctual, away, former, reasons)
+
+
+def judged_part(motion: VerifyingMotion, whole: Record) -> Record:
+    """The part of a ``whole`` verification run that is judged."""
+    signals = (whole.reading, whole.voltage, whole.command)
+    return Record(whole.period, *(signal[motion.judged :] for signal in signals))
 
 
 def contends(plan: Plan, made: Verification, doubted: bool = False) -> bool:

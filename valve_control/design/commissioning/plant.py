@@ -28,7 +28,6 @@ from valve_control.control.laws.signals import Start
 from valve_control.control.plant import registry, valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
-from valve_control.control.simulation.singly import Standing, begun_state
 from valve_control.design.commissioning import magnet
 from valve_control.design.commissioning.bench import Progress, Record
 from valve_control.design.commissioning.magnet import Magnet
@@ -235,11 +234,9 @@ def positions(plant: Any, voltage: Floats, begin: float | None = None) -> Floats
     law = design.static_params(1.0, plant.u_max)
     rest = biquads.initial(law, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     module = registry.plant_of(plant).module
-    standing = None
-    if begin is not None and len(voltage):
-        centred = module.read(plant, module.initial(plant), 0.0)
-        standing = Standing(begin - centred, float(voltage[0]))
-    state = begun_state(module, plant, standing)
+    state = module.initial(plant)
+    if begin is not None and len(voltage) and hasattr(module, "standing"):
+        state = module.standing(plant, begin - module.read(plant, state, 0.0), float(voltage[0]))
     n = len(voltage)
     signals = np.zeros((n, len(closed_loop.SIGNALS)))
     closed_loop.run_valve(

@@ -16,10 +16,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from valve_control import interrupts
-from valve_control.arrays import Floats
 from valve_control.design.commissioning import backup, courses, gains, model, plant, small_signal, statics
 from valve_control.design.commissioning.bench import Bench, Course, Fault, Record, Swings
-from valve_control.design.commissioning.gains import TunedGains, Verification
+from valve_control.design.commissioning.gains import TunedGains, Verification, VerifyingMotion
 from valve_control.design.commissioning.plan import Plan, limiting
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Friction, Rest, Static
@@ -33,7 +32,6 @@ SPRING = 0.5  # s  in which the spring centres the spool
 STILL, NOISE = 2.0, 2.0  # s and windows of readings that tell the noise: at rest, the larger of both
 RATE = 0.4  # 1/s  times the limit of the voltage: rate of the triangle
 TURNS = 4  # of the triangle
-HOME = 1.0  # s  before the motion of a verification run
 # Times as wide as usual, the boxes of valves around the model that gains are sought for: the second one where
 # those for the first do not hold.
 BOXES = (1.0, 2.0)
@@ -325,7 +323,7 @@ class _Commissioning:
         return sorted(made, key=gains.promised), missing
 
     def _searched(self, law: str, found: Plant, known: model.Known, rest: Rest, wider: float) -> TunedGains:
-        """Gains of ``law``, of a second search if those of the first would be loud. Raises ParameterError."""
+        """Gains of ``law``, of another search if those of the first would be loud. Raises ParameterError."""
         step = "tuning" if law == self._plan.law else f"tuning {law}"
 
         def searched(plan: Plan, step: str) -> TunedGains:
@@ -343,17 +341,26 @@ class _Commissioning:
         limit = plan.chatter if made.tuned.chatter is None else made.tuned.chatter
         if not gains.LOUD * limit < loud < math.inf:
             return made
-        try:
-            again = searched(plan._replace(chatter=limit * limit / loud, firm=True), f"{step} again")
-        except ParameterError:  # the limit cannot be lower
-            return made
-        quiet = gains.loudness(plan, self._before, again)
-        if again.tuned.chosen.verified.reasons or quiet >= loud or not gains.rivals(again, made):
-            return made
-        return again._replace(
-            note=f"a second search of {law} brought c_u of the simulated verification run from {loud:.3g} to "
-            f"{quiet:.3g}"
-        )
+        too_loud = gains.TOO_LOUD * limit
+        quieter: list[TunedGains] = []
+        for share in (1.0, 0.5) if loud > too_loud else (1.0,):
+            lower = plan._replace(chatter=limit * (limit / loud) ** share, firm=True)
+            try:
+                again = searched(lower, f"{step} again")
+            except ParameterError:  # the limit cannot be that low
+                continue
+            quiet = gains.loudness(plan, self._before, again)
+            if again.tuned.chosen.verified.reasons or quiet >= loud:
+                continue
+            again = again._replace(
+                note=f"another search of {law} brought c_u of the simulated verification run from {loud:.3g} "
+                f"to {quiet:.3g}"
+            )
+            if gains.rivals(again, made):
+                return again
+            if quiet <= too_loud < loud:
+                quieter.append(again)
+        return min(quieter, key=gains.promised, default=made)
 
     def _verified(self, made: TunedGains, doubted: bool) -> tuple[Verification | None, list[str]]:
         """The verification run, None if it ended early, and why the gains are not accepted.
@@ -361,8 +368,8 @@ class _Commissioning:
         ``doubted``: the model does not explain the readings, so that the parameters from before are tried
         whatever the simulation says of them.
         """
-        wanted = gains.verifying_motion(made, self._period)
-        length = HOME + len(wanted) * self._period
+        motion = gains.verifying_motion(made, self._period)
+        length = len(motion.wanted) * self._period
         self._ask(
             f"the new gains of {made.tuned.law} are set, and the valve moves for {length:.0f} s in closed "
             "loop"
@@ -370,21 +377,21 @@ class _Commissioning:
         lead = {"reshaping.lead": self._before["reshaping.lead"]}  # of a law that chooses none
         self._bench.apply({**lead, **made.chosen, "command_limit": self._limits.travel})
         try:
-            record = self._moved("verification", wanted)
+            record = self._moved("verification", motion)
         except Swings as fault:
             return None, [str(fault)]
-        verified = gains.judged(self._plan, self._before, made, wanted, record)
+        verified = gains.judged(self._plan, self._before, made, motion, record)
         if not verified.reasons and gains.contends(self._plan, verified, doubted):
-            verified = self._against_before(verified, wanted)
+            verified = self._against_before(verified, motion)
         return verified, verified.reasons
 
-    def _against_before(self, made: Verification, wanted: Floats) -> Verification:
+    def _against_before(self, made: Verification, motion: VerifyingMotion) -> Verification:
         """``made`` judged by the same run with the parameters from before.
 
         Parameters that swing there, or do anything else that ends a run, are no rival. A fault that has
         another reason than them goes on with the new gains, and is raised then.
         """
-        length = HOME + len(wanted) * self._period
+        length = len(motion.wanted) * self._period
         self._ask(
             f"the parameters from before are set for {length:.0f} s of the same motion, because they may be "
             "as good as the new gains"
@@ -393,7 +400,7 @@ class _Commissioning:
         limits = {name: kept[name] for name in SAME}
         _bring_to(self._bench, {**self._before, **limits})
         try:
-            record = self._moved("verification of before", wanted)
+            record = self._moved("verification of before", motion)
         except Fault as fault:
             self._bench.off()
             _bring_to(self._bench, kept)
@@ -403,17 +410,12 @@ class _Commissioning:
             self._bench.apply({"lvdt.limit": kept["lvdt.limit"]})
             return made._replace(ended=str(fault))
         _bring_to(self._bench, kept)
-        return gains.against(self._plan, made, record)
+        return gains.against(self._plan, made, gains.judged_part(motion, record))
 
-    def _moved(self, name: str, wanted: Floats) -> Record:
-        """Record of the commands ``wanted`` [V], n, after a rest in which the law comes to 0 V.
-
-        Friction holds the spool where the law before left it; the way from there is not what is judged.
-        """
-        rest = round(HOME / self._period)
-        whole = np.concatenate([np.zeros(rest), wanted])
-        record = self._drive(name, courses.motion(whole, self._period), lambda: len(whole) * self._period)
-        return Record(record.period, record.reading[rest:], record.voltage[rest:], record.command[rest:])
+    def _moved(self, name: str, motion: VerifyingMotion) -> Record:
+        """Record of the whole ``motion``."""
+        wanted = motion.wanted
+        return self._drive(name, courses.motion(wanted, self._period), lambda: len(wanted) * self._period)
 
     def _drive(self, name: str, course: Course, about: Callable[[], float]) -> Record:
         """Record of ``course``, the step ``name``; ``about``: how long [s] it takes."""

@@ -41,6 +41,7 @@ SETTLED = 2.0  # s  after which a valve at a constant voltage rests, unless it s
 CHUNK = 512  # valves whose signals are kept at a time
 STRESS = 0.5  # of the margins that are asked for, by which the valves of the search are harder than its box
 FARTHER = 1.25  # times the reach of the motions, to which the search steps
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 class _Swing(NamedTuple):
@@ -79,7 +80,7 @@ def stressed(plants: Sequence[Any], limits: TuningLimits) -> list[Any]:
     for i, plant in enumerate(plants):
         later = STRESS * limits.delay_s / plant.period if i % 3 == 2 else 0.0
         gain = (factor, 1.0 / factor, 1.0)[i % 3]
-        made.append(registry.plant_of(plant).varied(plant, gain, later, 1.0 - (i * trial.GOLDEN) % 1.0))
+        made.append(registry.plant_of(plant).varied(plant, gain, later, 1.0 - (i * GOLDEN) % 1.0))
     return made
 
 

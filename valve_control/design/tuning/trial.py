@@ -21,8 +21,6 @@ from valve_control.control.plant.models import D3FXE, Scale
 from valve_control.control.simulation import batch, comparison, delivery
 from valve_control.control.simulation.cluster import Cluster
 from valve_control.control.simulation.delivery import Delivery
-from valve_control.control.simulation.measures import HOMED, HOMING, INDICES
-from valve_control.control.simulation.singly import Standing
 from valve_control.design.tuning.kept import Kept, digest
 from valve_control.parameter import Value, Values, number, updated
 
@@ -76,7 +74,6 @@ class Problem(NamedTuple):
     strict: bool = False  # whether a voltage that a node reports counts where the spool swings by itself
     scale: Scale = D3FXE  # of the valve, with which the ranges go
     delivery: Delivery | None = None  # of commands that are not previewed; None: one a sample, in time
-    standing: Standing | None = None  # farthest that spools stand off before a run; None: at rest, centred
 
 
 class GainSet(NamedTuple):
@@ -100,7 +97,6 @@ class TrialResult(NamedTuple):
         return float(np.mean(self.c_u))
 
 
-GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 Here = Callable[[Law, Problem, Sequence[GainSet], int | None], list[Floats]]  # on threads of this machine
 
 
@@ -196,17 +192,7 @@ def shared(
 ) -> list[Floats]:
     """What ``here`` computes for each of ``several``: on threads, on a cluster, or from what is kept."""
     if isinstance(workers, Kept):
-        key = digest(
-            (
-                here.__name__,
-                law.name,
-                problem.values,
-                problem.seed,
-                problem.standing,
-                len(problem.plants),
-                several,
-            )
-        )
+        key = digest((here.__name__, law.name, problem.values, problem.seed, len(problem.plants), several))
         there = workers.workers
         return list(workers.outcomes(key, lambda: np.array(shared(here, law, problem, several, there))))
     if not isinstance(workers, Cluster) or len(several) == 1:
@@ -230,12 +216,9 @@ def run_here(
     """Rows of the results (4×M×N) of all plants of ``problem`` with each of ``several`` gains.
 
     All sets go through the compiled loop together, and the result does not depend on the number of
-    threads. Valve i has noise seed ``problem.seed`` + i, and another one on each motion. Where spools stand
-    off at first, HOMING comes before each motion and is not measured.
+    threads. Valve i has noise seed ``problem.seed`` + i, and another one on each motion.
     """
     count = len(problem.plants)
-    standing = _standing(problem)
-    home = 0 if standing is None else round(HOMING / number(problem.values, "sample_period"))
     plants = np.tile(batch.records(list(problem.plants)), len(several))
     values = [values_with(problem, gains) for gains in several]
     params = [built(law, v) for v in values]
@@ -243,9 +226,8 @@ def run_here(
     laws = np.repeat(batch.records(loops), count)
     found = []
     for i, motion in enumerate(problem.motions):
-        wanted = np.concatenate([np.full(home, motion.wanted[0]), motion.wanted])
         led = [
-            given(law, p, v, gains, problem, wanted)
+            given(law, p, v, gains, problem, motion.wanted)
             for p, v, gains in zip(params, values, several, strict=True)
         ]
         seeds = np.tile(problem.seed + 1000 * i + np.arange(count), len(several))
@@ -255,28 +237,14 @@ def run_here(
                 laws,
                 plants,
                 seeds,
-                np.broadcast_to(wanted, (len(seeds), len(wanted))),
-                INDICES if standing is None else HOMED,
+                np.broadcast_to(motion.wanted, (len(seeds), len(motion.wanted))),
                 led=np.repeat(np.array(led), count, axis=0),
-                standing=None if standing is None else standing * len(several),
             ),
             threads,
         )
-        share = len(motion.wanted) / len(wanted)  # of the samples, that are measured
-        rows = (
-            result.true_e_rms / math.sqrt(share), result.true_e_M, result.c_u, result.saturated / share
-        )  # fmt: skip
+        rows = (result.true_e_rms, result.true_e_M, result.c_u, result.saturated)
         found.append([row.reshape(len(several), count) for row in rows])
     return [np.array([[rows[k][j] for rows in found] for k in range(4)]) for j in range(len(several))]
-
-
-def _standing(problem: Problem) -> list[Standing] | None:
-    """How the spool of each valve stands before a run: to either side, at several shares of the farthest."""
-    if problem.standing is None:
-        return None
-    shares = [(-1.0) ** i * (1.0 - (i * GOLDEN) % 1.0) for i in range(len(problem.plants))]
-    far = problem.standing
-    return [Standing(share * far.position, math.copysign(far.voltage, share)) for share in shares]
 
 
 def violation(limits: TuningLimits, found: margins.Margins, share: float = 1.0) -> float:
