@@ -43,7 +43,7 @@ class TunedGains(NamedTuple):
     motions: list[TuningMotion]
     valve: Values  # of the simulated valve, with the limit of the voltage that is in force
     chosen: Values  # the controller's parameters that are set
-    note: str = ""  # on a second search
+    note: str = ""  # on another search
 
 
 class VerifyingMotion(NamedTuple):
@@ -183,8 +183,8 @@ def verifying_motion(made: TunedGains, period: float) -> VerifyingMotion:
     """Commands of the verification run: the motions of the search, each with a pause behind it.
 
     Friction and remanence hold the spool where the law before left it, and a law that adapts takes this force
-    for other friction. A rest and the last motion, which begins and ends softly, free the spool and demagnetise
-    the solenoids. They are not judged.
+    for other friction. A rest and the last motion, which begins and ends softly, free the spool and
+    demagnetise the solenoids. They are not judged.
     """
     pause = np.zeros(round(PAUSE / period))
     approach = [np.zeros(round(HOME / period)), made.motions[-1].wanted, pause]
