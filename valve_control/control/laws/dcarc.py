@@ -190,22 +190,21 @@ def corrected(p: Params, e: Estimate, innovation: float) -> Estimate:
     g, hum = p.kalman, e.hum
     if p.turn.on > 0.0:
         hum = Wave(hum.shown + g.hum.shown * innovation, hum.ahead + g.hum.ahead * innovation)
+    x0, x1, x2, x3, x4, x5 = e.state
+    g0, g1, g2, g3, g4, g5 = g.state
+    p0, p1, p2, p3 = e.past
+    h0, h1, h2, h3 = g.past
     return Estimate(
         Row(
-            e.state.x0 + g.state.x0 * innovation,
-            e.state.x1 + g.state.x1 * innovation,
-            e.state.x2 + g.state.x2 * innovation,
-            e.state.x3 + g.state.x3 * innovation,
-            e.state.x4 + g.state.x4 * innovation,
-            e.state.x5 + g.state.x5 * innovation,
+            x0 + g0 * innovation,
+            x1 + g1 * innovation,
+            x2 + g2 * innovation,
+            x3 + g3 * innovation,
+            x4 + g4 * innovation,
+            x5 + g5 * innovation,
         ),
         e.disturbance + g.disturbance * innovation,
-        Past(
-            e.past.first + g.past.first * innovation,
-            e.past.second + g.past.second * innovation,
-            e.past.third + g.past.third * innovation,
-            e.past.fourth + g.past.fourth * innovation,
-        ),
+        Past(p0 + h0 * innovation, p1 + h1 * innovation, p2 + h2 * innovation, p3 + h3 * innovation),
         e.held,
         hum,
     )
@@ -221,14 +220,16 @@ def predicted(p: Params, e: Estimate, voltage: float, explained: float) -> Estim
     if m.waits > 0.0:
         acting = m.direct * voltage + past_dot(m.acting, e.held)
     u = acting + d
+    b0, b1, b2, b3, b4, b5 = m.input
+    f0, f1, f2, f3, f4, f5 = m.force
     following = Estimate(
         Row(
-            dot(m.row0, x) + m.input.x0 * u + m.force.x0 * d,
-            dot(m.row1, x) + m.input.x1 * u + m.force.x1 * d,
-            dot(m.row2, x) + m.input.x2 * u + m.force.x2 * d,
-            dot(m.row3, x) + m.input.x3 * u + m.force.x3 * d,
-            dot(m.row4, x) + m.input.x4 * u + m.force.x4 * d,
-            dot(m.row5, x) + m.input.x5 * u + m.force.x5 * d,
+            dot(m.row0, x) + b0 * u + f0 * d,
+            dot(m.row1, x) + b1 * u + f1 * d,
+            dot(m.row2, x) + b2 * u + f2 * d,
+            dot(m.row3, x) + b3 * u + f3 * d,
+            dot(m.row4, x) + b4 * u + f4 * d,
+            dot(m.row5, x) + b5 * u + f5 * d,
         ),
         d + explained,
         Past(

@@ -155,25 +155,25 @@ class Course(NamedTuple):
 
 def combined(c: Combination, s: Inverse, r: Course) -> float:
     """Linear combination ``c`` of inner states and reference."""
-    return (
-        c.zeta * s.zeta
-        + c.rate * s.rate
-        + c.accel * s.accel
-        + c.jerk * s.jerk
-        + c.reference * r.reference
-        + c.reference_rate * r.rate
-        + c.reference_accel * r.accel
-        + c.reference_jerk * r.jerk
-    )
+    c0, c1, c2, c3, c4, c5, c6, c7 = c
+    s0, s1, s2, s3 = s
+    r0, r1, r2, r3 = r
+    return c0 * s0 + c1 * s1 + c2 * s2 + c3 * s3 + c4 * r0 + c5 * r1 + c6 * r2 + c7 * r3
 
 
 def moved(m: Move, s: Inverse, reference: float, rate: float) -> Inverse:
     """Inner states of the inverse after ``m``, from ``reference`` [V] and ``rate`` [V/s] before."""
     a, b, c, d, e, f = m
+    a0, a1, a2, a3 = a
+    b0, b1, b2, b3 = b
+    c0, c1, c2, c3 = c
+    d0, d1, d2, d3 = d
+    e0, e1, e2, e3 = e
+    f0, f1, f2, f3 = f
     x0, x1, x2, x3 = s
     return Inverse(
-        a.zeta * x0 + b.zeta * x1 + c.zeta * x2 + d.zeta * x3 + e.zeta * reference + f.zeta * rate,
-        a.rate * x0 + b.rate * x1 + c.rate * x2 + d.rate * x3 + e.rate * reference + f.rate * rate,
-        a.accel * x0 + b.accel * x1 + c.accel * x2 + d.accel * x3 + e.accel * reference + f.accel * rate,
-        a.jerk * x0 + b.jerk * x1 + c.jerk * x2 + d.jerk * x3 + e.jerk * reference + f.jerk * rate,
+        a0 * x0 + b0 * x1 + c0 * x2 + d0 * x3 + e0 * reference + f0 * rate,
+        a1 * x0 + b1 * x1 + c1 * x2 + d1 * x3 + e1 * reference + f1 * rate,
+        a2 * x0 + b2 * x1 + c2 * x2 + d2 * x3 + e2 * reference + f2 * rate,
+        a3 * x0 + b3 * x1 + c3 * x2 + d3 * x3 + e3 * reference + f3 * rate,
     )

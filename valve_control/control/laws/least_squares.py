@@ -32,61 +32,51 @@ NOTHING = Weights(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 def dot(a: Weights, b: Weights) -> float:
     """Scalar product."""
-    return (
-        a.gain * b.gain
-        + a.bristle1 * b.bristle1
-        + a.bristle2 * b.bristle2
-        + a.bristle3 * b.bristle3
-        + a.standstill * b.standstill
-        + a.flow * b.flow
-        + a.offset * b.offset
-        + a.damping * b.damping
-        + a.inertia * b.inertia
-    )
+    a0, a1, a2, a3, a4, a5, a6, a7, a8 = a
+    b0, b1, b2, b3, b4, b5, b6, b7, b8 = b
+    return a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3 + a4 * b4 + a5 * b5 + a6 * b6 + a7 * b7 + a8 * b8
 
 
 def product(a: Weights, b: Weights) -> Weights:
     """Entry by entry."""
-    return Weights(
-        a.gain * b.gain,
-        a.bristle1 * b.bristle1,
-        a.bristle2 * b.bristle2,
-        a.bristle3 * b.bristle3,
-        a.standstill * b.standstill,
-        a.flow * b.flow,
-        a.offset * b.offset,
-        a.damping * b.damping,
-        a.inertia * b.inertia,
-    )
+    a0, a1, a2, a3, a4, a5, a6, a7, a8 = a
+    b0, b1, b2, b3, b4, b5, b6, b7, b8 = b
+    return Weights(a0 * b0, a1 * b1, a2 * b2, a3 * b3, a4 * b4, a5 * b5, a6 * b6, a7 * b7, a8 * b8)
 
 
 def lagged(x: Weights, towards: Weights, share: float) -> Weights:
     """First-order lag: ``x`` moved by ``share`` of the way ``towards`` its input."""
+    x0, x1, x2, x3, x4, x5, x6, x7, x8 = x
+    t0, t1, t2, t3, t4, t5, t6, t7, t8 = towards
     return Weights(
-        x.gain + share * (towards.gain - x.gain),
-        x.bristle1 + share * (towards.bristle1 - x.bristle1),
-        x.bristle2 + share * (towards.bristle2 - x.bristle2),
-        x.bristle3 + share * (towards.bristle3 - x.bristle3),
-        x.standstill + share * (towards.standstill - x.standstill),
-        x.flow + share * (towards.flow - x.flow),
-        x.offset + share * (towards.offset - x.offset),
-        x.damping + share * (towards.damping - x.damping),
-        x.inertia + share * (towards.inertia - x.inertia),
+        x0 + share * (t0 - x0),
+        x1 + share * (t1 - x1),
+        x2 + share * (t2 - x2),
+        x3 + share * (t3 - x3),
+        x4 + share * (t4 - x4),
+        x5 + share * (t5 - x5),
+        x6 + share * (t6 - x6),
+        x7 + share * (t7 - x7),
+        x8 + share * (t8 - x8),
     )
 
 
 def moved(theta: Weights, px: Weights, step: float, lower: Weights, upper: Weights) -> Weights:
     """Weights after a sample, θ - P·x·``step``, clipped into [``lower``, ``upper``]: (P1)."""
+    w0, w1, w2, w3, w4, w5, w6, w7, w8 = theta
+    g0, g1, g2, g3, g4, g5, g6, g7, g8 = px
+    l0, l1, l2, l3, l4, l5, l6, l7, l8 = lower
+    u0, u1, u2, u3, u4, u5, u6, u7, u8 = upper
     return Weights(
-        clip(theta.gain - px.gain * step, lower.gain, upper.gain),
-        clip(theta.bristle1 - px.bristle1 * step, lower.bristle1, upper.bristle1),
-        clip(theta.bristle2 - px.bristle2 * step, lower.bristle2, upper.bristle2),
-        clip(theta.bristle3 - px.bristle3 * step, lower.bristle3, upper.bristle3),
-        clip(theta.standstill - px.standstill * step, lower.standstill, upper.standstill),
-        clip(theta.flow - px.flow * step, lower.flow, upper.flow),
-        clip(theta.offset - px.offset * step, lower.offset, upper.offset),
-        clip(theta.damping - px.damping * step, lower.damping, upper.damping),
-        clip(theta.inertia - px.inertia * step, lower.inertia, upper.inertia),
+        clip(w0 - g0 * step, l0, u0),
+        clip(w1 - g1 * step, l1, u1),
+        clip(w2 - g2 * step, l2, u2),
+        clip(w3 - g3 * step, l3, u3),
+        clip(w4 - g4 * step, l4, u4),
+        clip(w5 - g5 * step, l5, u5),
+        clip(w6 - g6 * step, l6, u6),
+        clip(w7 - g7 * step, l7, u7),
+        clip(w8 - g8 * step, l8, u8),
     )
 
 
@@ -102,29 +92,35 @@ def sharper(variance: float, px: float, sharpness: float, forget: float, prior: 
 
 def learned(variance: Weights, px: Weights, sharpness: float, forget: float, prior: Weights) -> Weights:
     """Variances of all weights after a sample."""
+    v0, v1, v2, v3, v4, v5, v6, v7, v8 = variance
+    g0, g1, g2, g3, g4, g5, g6, g7, g8 = px
+    q0, q1, q2, q3, q4, q5, q6, q7, q8 = prior
     return Weights(
-        sharper(variance.gain, px.gain, sharpness, forget, prior.gain),
-        sharper(variance.bristle1, px.bristle1, sharpness, forget, prior.bristle1),
-        sharper(variance.bristle2, px.bristle2, sharpness, forget, prior.bristle2),
-        sharper(variance.bristle3, px.bristle3, sharpness, forget, prior.bristle3),
-        sharper(variance.standstill, px.standstill, sharpness, forget, prior.standstill),
-        sharper(variance.flow, px.flow, sharpness, forget, prior.flow),
-        sharper(variance.offset, px.offset, sharpness, forget, prior.offset),
-        sharper(variance.damping, px.damping, sharpness, forget, prior.damping),
-        sharper(variance.inertia, px.inertia, sharpness, forget, prior.inertia),
+        sharper(v0, g0, sharpness, forget, q0),
+        sharper(v1, g1, sharpness, forget, q1),
+        sharper(v2, g2, sharpness, forget, q2),
+        sharper(v3, g3, sharpness, forget, q3),
+        sharper(v4, g4, sharpness, forget, q4),
+        sharper(v5, g5, sharpness, forget, q5),
+        sharper(v6, g6, sharpness, forget, q6),
+        sharper(v7, g7, sharpness, forget, q7),
+        sharper(v8, g8, sharpness, forget, q8),
     )
 
 
 def change(after: Weights, before: Weights, x: Weights) -> float:
     """(``after`` - ``before``)ᵀ·x."""
+    a0, a1, a2, a3, a4, a5, a6, a7, a8 = after
+    b0, b1, b2, b3, b4, b5, b6, b7, b8 = before
+    x0, x1, x2, x3, x4, x5, x6, x7, x8 = x
     return (
-        (after.gain - before.gain) * x.gain
-        + (after.bristle1 - before.bristle1) * x.bristle1
-        + (after.bristle2 - before.bristle2) * x.bristle2
-        + (after.bristle3 - before.bristle3) * x.bristle3
-        + (after.standstill - before.standstill) * x.standstill
-        + (after.flow - before.flow) * x.flow
-        + (after.offset - before.offset) * x.offset
-        + (after.damping - before.damping) * x.damping
-        + (after.inertia - before.inertia) * x.inertia
+        (a0 - b0) * x0
+        + (a1 - b1) * x1
+        + (a2 - b2) * x2
+        + (a3 - b3) * x3
+        + (a4 - b4) * x4
+        + (a5 - b5) * x5
+        + (a6 - b6) * x6
+        + (a7 - b7) * x7
+        + (a8 - b8) * x8
     )
