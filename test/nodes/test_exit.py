@@ -13,9 +13,11 @@ from pathlib import Path
 
 import pytest
 import sizes
-from bench import PROGRAMS
+from bench import PROGRAMS, spin_until
+from std_msgs.msg import Float64
 
-from valve_control.nodes import NODES
+from valve_control.nodes import NODES, loop
+from valve_control.nodes.controller_node import Controller
 
 THREADS_LEFT = """
 import json, os
@@ -204,6 +206,29 @@ def test_ctrl_c_gives_the_status_wherever_it_comes(tmp_path):
     assert done.returncode == 0 and "Traceback" not in done.stderr, done
     works = [line.split() for line in done.stdout.splitlines()]
     assert len(works) == 4 and all(status == "130" for _, status in works), done
+
+
+class Failing(loop.Worker):
+    """A node whose middleware is gone at its end."""
+
+    def finish(self):
+        raise OSError("no space left\nfor the message")
+
+
+def test_a_node_that_fails_at_its_end_does_not_keep_the_others_from_their_last_voltage(ros, capsys):
+    heard = []
+    ros.create_subscription(Float64, "valve_voltage", lambda m: heard.append(m.data), 10)
+    failing = Failing("failing")
+    valve = Controller(warms=False, alone=False)
+    try:
+        spin_until(ros, lambda: valve._voltages.get_subscription_count() == 1, "the subscription")
+        assert not loop._finished([failing, valve])
+        assert capsys.readouterr().err == "valve_control: failing: no space left\n"
+        spin_until(ros, lambda: heard, "the last voltage")
+        assert heard == [0.0] and loop._finished([valve])
+    finally:
+        failing.destroy_node()
+        valve.destroy_node()
 
 
 def test_importing_a_node_leaves_signals_alone():

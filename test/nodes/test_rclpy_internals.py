@@ -27,16 +27,15 @@ def private(tree):
         yield from (name for name in named if name.startswith("rclpy.") and "._" in name)
         if (
             isinstance(node, ast.Attribute)
-            and isinstance(node.value, ast.Name)
-            and node.value.id not in OWN
+            and ast.unparse(node.value) not in OWN
             and node.attr.startswith("_")
             and node.attr not in PUBLIC
             and not node.attr.endswith("__")
         ):
-            yield f"{node.value.id}.{node.attr}"
+            yield ast.unparse(node)
 
 
-OWN = ("self", "cls", "os")
+OWN = ("self", "super()", "cls", "os")
 PUBLIC = ("_asdict", "_fields", "_replace")  # of every NamedTuple
 
 

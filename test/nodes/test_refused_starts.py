@@ -89,3 +89,14 @@ def test_each_wrong_start_is_one_sentence(tmp_path):
         assert logs or not logged, (node, given, said)
     assert sorted(path.name for path in folder.iterdir()) == ["a.yaml", "boom.yaml", "here"]
     assert not list((folder / "here").iterdir())
+
+
+def test_help_is_printed_and_what_rcl_refuses_is_said_last(tmp_path):
+    log = tmp_path / "log"
+    for words, status, said in (
+        (["--help"], 0, "arc.k1 = 120.0 1/s"),
+        (["--ros-args", "-r", "bad"], 2, "Couldn't parse remap rule: '-r bad'"),
+    ):
+        child = forked.Child("controller", words, log, tmp_path)
+        assert child.wait(30.0) == status and "Traceback" not in log.read_text()
+        assert said in (log.read_text() if status == 0 else log.read_text().splitlines()[-1])

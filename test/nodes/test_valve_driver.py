@@ -249,7 +249,12 @@ def test_a_card_that_goes_is_told_and_found_again(ros, tmp_path):
 
 
 def test_lifecycle_waits_for_transitions_and_survives_a_missing_card(ros, tmp_path):
-    link = tmp_path / "port"
+    """A voltage that came before the activation is none for the card."""
+    link, told = tmp_path / "port", Told(ros)
+    early = ros.create_publisher(Float64, "valve_voltage", 10)
+
+    def state(name):
+        spin_until(ros, lambda: told.status and told.status.message == name, name)
 
     def transition(number):
         request = ChangeState.Request()
@@ -259,14 +264,21 @@ def test_lifecycle_waits_for_transitions_and_survives_a_missing_card(ros, tmp_pa
     words = ["-p", f"serial.port:={link}", "-p", "autostart:=false"]
     with process("valve_driver", words, tmp_path / "d.log"):
         assert not transition(1)
+        state("unconfigured")
         assert call(ros, GetState, "/valve_driver/get_state", GetState.Request()).current_state.id == 1
         card = serial_card.Card()
         link.symlink_to(card.port)
         assert transition(1)
         card.receive(0.0)
         assert card.frames == 0
+        spin_until(ros, lambda: early.get_subscription_count() == 1, "the subscription")
+        early.publish(Float64(data=3.0))
+        state("inactive")
         assert transition(3)
         run(ros, card, lambda: card._asked, "output on")
+        count = len(told.readings)
+        run(ros, card, lambda: len(told.readings) > count + 100, "a hundred readings")
+        assert card.voltage == 0.0
         assert transition(4)
         card.receive(time.monotonic())
         assert not card._asked
