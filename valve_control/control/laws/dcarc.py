@@ -96,6 +96,7 @@ class Params(NamedTuple):
     prior: Weights  # variances of the initial weights
     forget: float  # -      share of what is known of the weights that is lost in a sample of motion
     calm: float  # -      share of the motion that is left a sample later
+    learning_path: float  # V      that the reference moves after a start, before which the weights rest
     fit_variance: float  # V²     of the estimated disturbance around what the weights can explain
     memory: float  # -      share of a sample in the mean squares of ``Burden``
     assumed: Weights  # variances of the initial weights from which the valve has left what is assumed
@@ -123,6 +124,7 @@ class Fit(NamedTuple):
     regressor: Weights  # as late as the estimated disturbance
     variance: Weights  # of the weights
     moving: float  # -  1.0 while the reference moves, going to 0.0 when it rests
+    waits: float  # V  path of the reference until the weights adapt
 
 
 class Burden(NamedTuple):
@@ -341,6 +343,11 @@ def motion(p: Params, s: State) -> float:
     return max(p.calm * s.fit.moving, share * share / (1.0 + share * share))
 
 
+def waiting(p: Params, s: State) -> float:
+    """Path [V] of the reference, at the next sample, until the weights adapt."""
+    return max(s.fit.waits - abs(s.reference.rate) * p.period, 0.0)
+
+
 def weighed(p: Params, s: State, left: float) -> Burden:
     """Burden with one more sample, at which the present weights leave ``left`` [V] to the observer."""
     x, before = s.fit.regressor, s.burden
@@ -396,7 +403,7 @@ def initial(p: Params, start: Start) -> State:
         inverse,
         Bristles(0.0, 0.0, 0.0),
         Estimate(state, disturbance, past, Past(sent, sent, sent, sent), Wave(0.0, 0.0)),
-        Fit(NOTHING, p.prior, 0.0),
+        Fit(NOTHING, p.prior, 0.0, p.learning_path),
         Burden(0.0, p.fit_variance),
         t,
         _started(p, inverse, reference, rate),
@@ -484,7 +491,9 @@ def step(
     if p.magnet.on > 0.0:
         spread += magnet.dot(magnet.product(s.magnet.variance, s.magnet.regressor), s.magnet.regressor)
     sharpness = 1.0 / spread
-    fresh = s.fit.moving if voltage == wanted else 0.0  # share of a sample that there is to learn from
+    fresh = s.fit.moving  # share of a sample that there is to learn from
+    if voltage != wanted or s.fit.waits > 0.0:
+        fresh = 0.0
     sharpness *= fresh
     left = scale * estimate.disturbance
     theta = least_squares.moved(s.theta, px, left * sharpness, p.theta_min, p.theta_max)
@@ -501,7 +510,7 @@ def step(
         moved(p.full, s.inverse, reference, rate),
         d.bristles,
         predicted(p, estimate, (voltage - others) / scale, explained),
-        Fit(least_squares.lagged(delayed, d.force, p.lag_share), variance, motion(p, s)),
+        Fit(least_squares.lagged(delayed, d.force, p.lag_share), variance, motion(p, s), waiting(p, s)),
         burden,
         theta,
         extra,
@@ -551,7 +560,12 @@ def hold(p: Params, s: State, command: float, measurement: float, voltage: float
         moved(p.full, s.inverse, reference, rate),
         d.bristles,
         predicted(p, s.estimate, (voltage - others) / (1.0 + s.theta.gain), 0.0),
-        Fit(least_squares.lagged(s.fit.regressor, d.force, p.lag_share), s.fit.variance, motion(p, s)),
+        Fit(
+            least_squares.lagged(s.fit.regressor, d.force, p.lag_share),
+            s.fit.variance,
+            motion(p, s),
+            waiting(p, s),
+        ),
         s.burden,
         s.theta,
         advanced(p, s.magnet, d, 0.0, 0.0, 0.0),
@@ -714,6 +728,15 @@ PARAMETERS: Table = (
         0.0,
         100.0,
     ),
+    Parameter(
+        "dcarc.learning_path",
+        0.0,
+        "V",
+        "path of the reference after a start before which the weights rest: the spool may stand off its "
+        "command, held by a friction that the weights do not know",
+        0.0,
+        1e3,
+    ),
 )
 
 
@@ -795,6 +818,7 @@ def build(values: Values) -> Params:
         prior=least_squares.product(spread, spread),
         forget=-math.expm1(-number(values, "dcarc.forgetting") * period),
         calm=math.exp(-period / CALM),
+        learning_path=number(values, "dcarc.learning_path"),
         fit_variance=noise**2,
         memory=-math.expm1(-period / MEMORY),
         assumed=least_squares.product(assumed, assumed),

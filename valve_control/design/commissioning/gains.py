@@ -92,6 +92,7 @@ def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Res
         plant.values(found, rest, period, limits.voltage, plan.sensor_delay),
     )
     own = {**_forgotten(before, plan.law), **model.controller_values(known, plan.law)}
+    own.update(_unlearned(found, plan.law))
     own = _without_form(own, before, plan.law)
     values = updated(
         CONTROLLER,
@@ -134,6 +135,16 @@ def _forgotten(before: Values, law: str) -> Values:
     usual = defaults(CONTROLLER)
     names = (name for name in FRICTION_TERMS if name.startswith(f"{law}."))
     return {name: usual[name] for name in names if before[name] != usual[name]}
+
+
+def _unlearned(found: Plant, law: str) -> Values:
+    """Path on which ``law`` does not adapt yet: between the positions in which 0 V may leave the spool."""
+    name = f"{law}.learning_path"
+    if name not in defaults(CONTROLLER):
+        return {}
+    remanent = 0.0 if found.magnet is None else 0.5 * found.magnet.hysteresis
+    path = 2.0 * abs(found.model.static_gain) * (found.friction.coulomb + remanent)
+    return {name: float(f"{path:.3g}")}
 
 
 def _without_form(own: Values, before: Values, law: str) -> Values:
