@@ -78,10 +78,10 @@ def plant(model=FOURTH_ORDER, period=PERIOD, delay=0.0, **changes):
     return made._replace(disturbance=made.disturbance._replace(**changes))
 
 
-def runs(p, v, commands, noise=0.0, start=REST):
+def runs(p, v, commands, noise=0.0, start=REST, stands=None):
     """Law and valve, sample by sample: positions, voltages, terms and the states of the law."""
     rng = np.random.default_rng(1)
-    s, x = dcarc.initial(p, start), valve.initial(v)
+    s, x = dcarc.initial(p, start), valve.initial(v) if stands is None else stands
     rows, states = [], []
     for command in commands:
         reading = valve.read(v, x, 0.0) + noise * float(rng.standard_normal())
@@ -342,6 +342,37 @@ def test_weights_rest_in_saturation_and_while_the_reference_rests():
     _, still = runs(params(), plant(offset=0.5), np.zeros(500), noise=0.005)
     assert all(s.theta == params().theta_initial for _, s in still)
     assert still[-1][0].disturbance == pytest.approx(0.5, abs=0.15)
+
+
+@pytest.mark.parametrize("off", [-0.3, 0.3, 0.6])
+def test_friction_that_holds_a_spool_at_the_start_is_not_learned_as_another(off):
+    """Known friction of 1 V holds the spool ``off`` its command: without a path weights become wrong."""
+    wanted, command = sine(1.0, 5.0, 1000)
+    spread = [0.2, 0.5, 0.5, 0.5, 0.5, 0.2, 0.5, 0.0, 0.0]
+    known = [0.0, 0.0, 1.0, *([0.0] * 6)]
+    own = {"dcarc__theta_initial": known, "dcarc__theta_spread": spread, "dcarc__fit_noise": 0.3}
+    v = plant(coulomb=1.0, presliding=0.02)
+    error, wrong = {}, {}
+    for path in (0.0, 2.0):
+        p = params(**own, dcarc__disturbance_rate=1.0, dcarc__learning_path=path)
+        commands = np.concatenate([np.zeros(500), command])
+        rows, states = runs(
+            p, v, commands, 0.003, Start(off, 0.0, off, 0.0, 0.0), valve.standing(v, off, 0.0)
+        )
+        error[path] = rms(rows[500:, 0] - wanted)
+        wrong[path] = float(np.max(np.abs(np.array(states[-1][1].theta) - known)))
+    assert error[2.0] < 0.6 * error[0.0]
+    assert wrong[2.0] < 0.05 and wrong[0.0] > 0.3
+
+
+def test_the_weights_rest_on_the_first_part_of_the_reference_s_path():
+    _, command = sine(1.0, 3.0, 1200)
+    p = params(dcarc__learning_path=1.5)
+    _, states = runs(p, plant(coulomb=0.8, presliding=0.02, offset=0.3), command)
+    path = np.cumsum([abs(terms.reference_rate) * PERIOD for terms, _ in states])
+    rests = [s.theta == p.theta_initial for _, s in states]
+    began = rests.index(False)
+    assert path[began] == pytest.approx(1.5, abs=0.05) and not any(rests[began + 5 :])
 
 
 def test_projection_keeps_the_weights_in_their_bounds():
