@@ -571,15 +571,16 @@ def test_law_that_leaves_the_finite_numbers_is_switched_off_and_begins_anew():
     assert loop.supervisor.mode is Mode.OK
 
 
-def with_step(monkeypatch, step):
-    """ARC in place of itself with ``step(inner, p, s, command, measurement, offset)``."""
+def with_own(monkeypatch, part, function):
+    """ARC in place of itself with ``function(inner, *arguments)`` as its ``part``, `step` or `hold`."""
     arc = registry.LAWS["arc"]
-    parts = {part: getattr(arc.module, part) for part in ("Params", "State", "Terms", "initial", "hold")}
+    names = ("Params", "State", "Terms", "initial", "step", "hold")
+    parts = {name: getattr(arc.module, name) for name in names}
 
-    def own(p, s, command, measurement, offset):
-        return step(arc.module.step, p, s, command, measurement, offset)
+    def own(p, s, command, measurement, last):
+        return function(getattr(arc.module, part), p, s, command, measurement, last)
 
-    module = types.SimpleNamespace(**parts, step=own, __name__=arc.module.__name__)
+    module = types.SimpleNamespace(**{**parts, part: own}, __name__=arc.module.__name__)
     monkeypatch.setitem(registry.LAWS, "arc", arc._replace(module=module))
 
 
@@ -588,21 +589,27 @@ def test_finite_terms_whose_sum_overflows_are_finite(monkeypatch):
         voltage, s, terms = inner(p, s, command, measurement, offset)
         return voltage, s, terms._replace(z1=1.5e308, unsaturated_voltage=1.5e308)
 
-    with_step(monkeypatch, large)
+    with_own(monkeypatch, "step", large)
     loop = Loop("arc").run(50)
     assert loop.supervisor.counts["law_not_finite"] == 0 and loop.supervisor.memory.law is not None
 
 
+@pytest.mark.parametrize("part", ["step", "hold"])
 @pytest.mark.parametrize("error", [OverflowError, ZeroDivisionError, ValueError])
-def test_an_error_of_arithmetic_in_a_law_is_one_that_leaves_the_finite_numbers(monkeypatch, error):
-    def failing(inner, p, s, command, measurement, offset):
-        if loop.k == 40:
-            raise error("math domain error")
-        return inner(p, s, command, measurement, offset)
+def test_an_error_of_arithmetic_in_a_law_is_one_that_leaves_the_finite_numbers(monkeypatch, part, error):
+    """At a reading, or over one that was lost."""
 
-    with_step(monkeypatch, failing)
+    def failing(inner, *arguments):
+        if loop.k > 40:
+            raise error("math domain error")
+        return inner(*arguments)
+
+    with_own(monkeypatch, part, failing)
     loop = Loop("arc")
-    loop.run(40)
+    loop.command = lambda: 1.0
+    assert loop.run(40).supervisor.voltage != 0.0
+    if part == "hold":
+        assert loop.step(send=False) != 0.0
     assert loop.step() == 0.0 and "law_not_finite" in loop.supervisor.conditions
 
 
