@@ -144,8 +144,8 @@ class Reception:
 
     def _send(self, server: _Server, sender: RequestId, message: int) -> None:
         # A client that has left is no error; there is nobody to tell.
-        if self._rcl.rcl_send_response(server.pointer, ctypes.byref(sender), message) != OK:
-            self._rcutils.rcutils_reset_error()
+        self._rcl.rcl_send_response(server.pointer, ctypes.byref(sender), message)
+        self._rcutils.rcutils_reset_error()
         server.response.destroy(message)
 
     # In the loop
