@@ -9,6 +9,7 @@ import pytest
 from examples import serial_card
 
 from valve_control.control.drivers import device as device_module
+from valve_control.control.drivers import trial
 from valve_control.control.drivers.driver import Condition, DriverError, Reading
 from valve_control.control.parameters import drivers
 from valve_control.parameter import ParameterError, defaults, updated
@@ -215,3 +216,11 @@ def test_a_device_that_goes_is_closed_told_and_opened_anew_as_it_was(act, monkey
     loose.calls.clear()
     one.read()
     assert loose.calls == ["open", "enable True"] and one.conditions() == () and one.reopened == 1
+
+
+def test_a_dry_run_of_a_silent_card_ends_without_a_reading(card):
+    one = device(card)
+    found = trial.run(one, 0.05)
+    assert found == ([], [], 0, {})
+    assert trial.told(found, one, 0.001) == ["readings   0, of which 0 not valid; 0 lost"]
+    assert given(card) == 0.0 and not card._asked
