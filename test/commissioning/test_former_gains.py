@@ -12,7 +12,7 @@ from valve_control.control.analysis.indices import Indices
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.commissioning import gains, plant, sequence
-from valve_control.design.commissioning.bench import Record, SafetyLimits, Swings
+from valve_control.design.commissioning.bench import Fault, Record, SafetyLimits, Swings
 from valve_control.design.commissioning.plan import Plan, limiting
 from valve_control.design.commissioning.statics import Friction, Rest
 from valve_control.design.tuning.trial import TuningMotion
@@ -103,6 +103,9 @@ def test_progress_of_the_model_takes_nothing_back():
         ([0.5, 0.2, 0.3], [0.01, 0.03, 0.02], [0.25, 0.125, 0.25 * 0.5**0.5], 3),
         ([0.5, 0.2, 0.4], [0.01, 0.03, 0.02], [0.25, 0.125, 0.25 * 0.5**0.5], 2),
         ([0.3, 0.2], [0.01, 0.03], [0.25, 0.25**2 / 0.3], 1),
+        ([0.5, 0.49, 0.3], [0.01] * 3, [0.25, 0.125, 0.25 * 0.5**0.5], 3),
+        ([0.5, 0.49, 0.4], [0.01] * 3, [0.25, 0.125, 0.25 * 0.5**0.5], 3),
+        ([0.5, 0.2, 0.49], [0.01, 0.03, 0.012], [0.25, 0.125, 0.25 * 0.5**0.5], 2),
     ],
 )
 def test_a_loud_run_is_tuned_again_with_a_lower_limit(monkeypatch, loud, errors, limits, turn):
@@ -122,3 +125,47 @@ def test_a_loud_run_is_tuned_again_with_a_lower_limit(monkeypatch, loud, errors,
     assert asked == pytest.approx(limits) and made.tuned.turn == turn
     told = f"from {loud[0]:.3g} to {loud[turn - 1]:.3g}"
     assert (told in made.note) == (turn > 1)
+
+
+def test_the_approach_of_a_verification_run_is_not_judged():
+    """Whatever is measured before the motions changes no figure and no reason."""
+    swing = TuningMotion("sine", 0.3 * np.sin(np.arange(400) * 0.05))
+    stroke = TuningMotion("strokes", 0.5 * np.sin(np.arange(600) * 0.02) ** 2)
+    valve = updated(
+        VALVE, defaults(VALVE), plant.values(LATE, Rest(0.0, 0.0027, 0.0), PERIOD, LIMITS.voltage)
+    )
+    made = gains.TunedGains(
+        SimpleNamespace(chatter=None), [stroke, swing], valve, {"controller": "open_loop"}
+    )
+    motion = gains.verifying_motion(made, PERIOD)
+    rest, n = round(gains.HOME / PERIOD), motion.judged
+    assert not np.any(motion.wanted[:rest])
+    assert np.array_equal(motion.wanted[rest : rest + 400], swing.wanted)
+    assert np.array_equal(motion.wanted[n : n + 600], stroke.wanted)
+    values = defaults(CONTROLLER)
+    away = np.where(np.arange(len(motion.wanted)) < n, 1.0, 0.0)
+    found = []
+    for off in (0.0, 0.5):
+        record = Record(PERIOD, motion.wanted + off * away + 1e-3, motion.wanted + off * away, motion.wanted)
+        one = gains.judged(PLAN, values, made, motion, record)
+        found.append((one.measured, one.expected, one.reasons, one.away, len(one.record.reading)))
+    assert found[0] == found[1] and found[0][-1] == len(motion.wanted) - n
+
+
+def test_a_run_of_which_nothing_is_left_to_judge_is_told():
+    motion = gains.VerifyingMotion(WANTED, len(WANTED) - 1)
+    short = Record(PERIOD, WANTED[:10], WANTED[:10], WANTED[:10])
+    with pytest.raises(Fault, match="no reading of the motions of the verification run came in 10 samples"):
+        gains.judged_part(motion, short)
+
+
+def test_weights_rest_between_the_positions_in_which_0_v_can_leave_the_spool():
+    """For each 1 V a valve of gain 0.9 moves 0.9 V; friction of 0.2 V holds it 0.18 V off to either side."""
+    linear = plant.Plant(
+        TransferFunction((0.9 * 7738.0,), (1.0, 158.3, 7738.0)), Friction(0.2, 1.0), 0.0, 0.0, 1.0
+    )
+    assert gains.learning_path(linear, "dcarc", 2.0) == {"dcarc.learning_path": pytest.approx(0.36)}
+    assert gains.learning_path(linear, "dcarc", 0.1) == {"dcarc.learning_path": pytest.approx(0.2)}
+    free = linear._replace(friction=Friction(0.0, 1.0))
+    assert gains.learning_path(free, "dcarc", 2.0) == {"dcarc.learning_path": 0.0}
+    assert gains.learning_path(linear, "pid", 2.0) == {}

@@ -232,8 +232,12 @@ def test_what_a_law_was_told_of_an_earlier_friction_is_forgotten():
         TransferFunction((6964.0,), (1.0, 158.3, 7738.0)), Friction(0.25, 1.0), 0.0, 0.0005, 1.0
     )
     about = model.Known(linear, REST, PERIOD, 10.0, "dcarc")
-    later = gains.task(plan, updated(CONTROLLER, before, with_friction), linear, about, REST, 1.0).own
-    changed = [name for name in first_gains.FRICTION_TERMS if with_friction[name] != before[name]]
+    former = updated(CONTROLLER, before, {**with_friction, "dcarc.learning_path": 1.5})
+    later = gains.task(plan, former, linear, about, REST, 1.0).own
+    assert later["dcarc.learning_path"] == 0.0
+    changed = [
+        name for name in first_gains.FRICTION_TERMS if with_friction.get(name, before[name]) != before[name]
+    ]
     assert {"dcarc.theta_initial", "dcarc.theta_spread", "dcarc.presliding"} < set(changed)
     assert {name: later[name] for name in changed} == {name: before[name] for name in changed}
     assert not set(gains.task(plan, before, linear, about, REST, 1.0).own) & set(first_gains.FRICTION_TERMS)

@@ -146,6 +146,7 @@ def test_a_service_that_fails_gives_an_empty_answer_and_the_loop_goes_on(ros, te
 
     def answered(request, response):
         if request.data:
+            response.success = True
             response.message = text  # None is refused by the message class
         return response
 

@@ -171,6 +171,8 @@ class Reception:
                 server.response.from_python(response, message)
             except Exception as error:  # whatever a client sends must not end the loop
                 server.node.get_logger().error(f"{service.service_name}: {error}")
+                server.response.destroy(message)  # fields before the one that fails are set
+                message = server.response.create()
         self._senders.submit(self._send, server, request.sender, message)
 
 

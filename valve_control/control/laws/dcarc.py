@@ -96,7 +96,7 @@ class Params(NamedTuple):
     prior: Weights  # variances of the initial weights
     forget: float  # -      share of what is known of the weights that is lost in a sample of motion
     calm: float  # -      share of the motion that is left a sample later
-    learning_path: float  # V      that the reference moves after a start, before which the weights rest
+    learning_path: float  # V      of the reference after a start, until which the weights rest
     fit_variance: float  # V²     of the estimated disturbance around what the weights can explain
     memory: float  # -      share of a sample in the mean squares of ``Burden``
     assumed: Weights  # variances of the initial weights from which the valve has left what is assumed
@@ -124,7 +124,7 @@ class Fit(NamedTuple):
     regressor: Weights  # as late as the estimated disturbance
     variance: Weights  # of the weights
     moving: float  # -  1.0 while the reference moves, going to 0.0 when it rests
-    waits: float  # V  path of the reference until the weights adapt
+    path_left: float  # V  of the reference, until the weights adapt
 
 
 class Burden(NamedTuple):
@@ -343,9 +343,9 @@ def motion(p: Params, s: State) -> float:
     return max(p.calm * s.fit.moving, share * share / (1.0 + share * share))
 
 
-def waiting(p: Params, s: State) -> float:
-    """Path [V] of the reference, at the next sample, until the weights adapt."""
-    return max(s.fit.waits - abs(s.reference.rate) * p.period, 0.0)
+def path_left(p: Params, s: State) -> float:
+    """Path [V] of the reference that is left, at the next sample, until the weights adapt."""
+    return max(s.fit.path_left - abs(s.reference.rate) * p.period, 0.0)
 
 
 def weighed(p: Params, s: State, left: float) -> Burden:
@@ -460,7 +460,7 @@ def step(
 
     The model takes the voltage after saturation, so that the observer stays true. The weights rest while
     the amplifier saturates, since the valve then does not follow the reference, of which the regressor is
-    made, and while the reference rests.
+    made, while the reference rests, and until it has travelled ``learning_path`` after a start.
     """
     shaping = reshaping.acceleration(p.reshaping, s.reference, command)
     reference, rate, accel = reshaping.smoothed(p.reshaping, s.reference, shaping, s.smooth)
@@ -492,7 +492,7 @@ def step(
         spread += magnet.dot(magnet.product(s.magnet.variance, s.magnet.regressor), s.magnet.regressor)
     sharpness = 1.0 / spread
     fresh = s.fit.moving  # share of a sample that there is to learn from
-    if voltage != wanted or s.fit.waits > 0.0:
+    if voltage != wanted or s.fit.path_left > 0.0:
         fresh = 0.0
     sharpness *= fresh
     left = scale * estimate.disturbance
@@ -510,7 +510,7 @@ def step(
         moved(p.full, s.inverse, reference, rate),
         d.bristles,
         predicted(p, estimate, (voltage - others) / scale, explained),
-        Fit(least_squares.lagged(delayed, d.force, p.lag_share), variance, motion(p, s), waiting(p, s)),
+        Fit(least_squares.lagged(delayed, d.force, p.lag_share), variance, motion(p, s), path_left(p, s)),
         burden,
         theta,
         extra,
@@ -564,7 +564,7 @@ def hold(p: Params, s: State, command: float, measurement: float, voltage: float
             least_squares.lagged(s.fit.regressor, d.force, p.lag_share),
             s.fit.variance,
             motion(p, s),
-            waiting(p, s),
+            path_left(p, s),
         ),
         s.burden,
         s.theta,
@@ -732,8 +732,8 @@ PARAMETERS: Table = (
         "dcarc.learning_path",
         0.0,
         "V",
-        "path of the reference after a start before which the weights rest: the spool may stand off its "
-        "command, held by a friction that the weights do not know",
+        "after a start the weights rest until the reference has travelled this path, because friction that "
+        "they do not know may hold the spool off its command; 0.0: they adapt at once",
         0.0,
         1e3,
     ),

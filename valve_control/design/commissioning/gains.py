@@ -9,12 +9,13 @@ import numpy as np
 
 from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices, indices
+from valve_control.control.laws import dcarc
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.plant.models import scale_of
 from valve_control.control.simulation import offline
 from valve_control.design.commissioning import model, plant
-from valve_control.design.commissioning.bench import Progress, Record
+from valve_control.design.commissioning.bench import Fault, Progress, Record
 from valve_control.design.commissioning.plan import Plan
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Rest
@@ -27,8 +28,8 @@ from valve_control.parameter import Values, defaults, number, updated
 WORSE = 1.5  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
 CONTENDS = 1.5  # times the error of the new gains, up to which others are tried on the valve too
-LOUD = 1.1  # times its limit, c_u of the simulated verification run beyond which a quieter search follows
-TOO_LOUD = 1.3  # likewise, beyond which quieter gains are taken whatever their error
+LOUD = 1.1  # c_u of the simulated verification run over its limit, above which a quieter search follows
+TOO_LOUD = 1.3  # likewise, above which quieter gains are taken whatever their error
 HOME = 1.0  # s  before the approach of a verification run
 PAUSE = 0.3  # s  after each motion of the verification run
 REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
@@ -92,7 +93,6 @@ def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Res
         plant.values(found, rest, period, limits.voltage, plan.sensor_delay),
     )
     own = {**_forgotten(before, plan.law), **model.controller_values(known, plan.law)}
-    own.update(_unlearned(found, plan.law))
     own = _without_form(own, before, plan.law)
     values = updated(
         CONTROLLER,
@@ -137,14 +137,17 @@ def _forgotten(before: Values, law: str) -> Values:
     return {name: usual[name] for name in names if before[name] != usual[name]}
 
 
-def _unlearned(found: Plant, law: str) -> Values:
-    """Path on which ``law`` does not adapt yet: between the positions in which 0 V may leave the spool."""
-    name = f"{law}.learning_path"
-    if name not in defaults(CONTROLLER):
+def learning_path(found: Plant, law: str, travel: float) -> Values:
+    """Path after a start on which ``law`` does not adapt, if it has one.
+
+    It is the distance between the two positions in which 0 V can leave the spool within its ``travel`` [V].
+    The search does without it, since its simulated spools begin in the centre.
+    """
+    if law != dcarc.LAW.name:
         return {}
     remanent = 0.0 if found.magnet is None else 0.5 * found.magnet.hysteresis
-    path = 2.0 * abs(found.model.static_gain) * (found.friction.coulomb + remanent)
-    return {name: float(f"{path:.3g}")}
+    farthest = abs(found.model.static_gain) * (found.friction.coulomb + remanent)
+    return {"dcarc.learning_path": float(f"{2.0 * min(farthest, travel):.3g}")}
 
 
 def _without_form(own: Values, before: Values, law: str) -> Values:
@@ -177,7 +180,8 @@ def tuned(
         plan.threads, lambda tried: done(total + tried * verifying, tried + 1), made.starts,
     )  # fmt: skip
     done(total + verifying)
-    chosen = {**made.own, **best.chosen.changes, "controller": best.law}
+    late = learning_path(found, best.law, plan.limits.travel)
+    chosen = {**made.own, **best.chosen.changes, **late, "controller": best.law}
     return TunedGains(best, list(made.problem.motions), made.valve, chosen)
 
 
@@ -193,9 +197,8 @@ def loudness(plan: Plan, before: Values, made: TunedGains) -> float:
 def verifying_motion(made: TunedGains, period: float) -> VerifyingMotion:
     """Commands of the verification run: the motions of the search, each with a pause behind it.
 
-    Friction and remanence hold the spool where the law before left it, and a law that adapts takes this force
-    for other friction. A rest and the last motion, which begins and ends softly, free the spool and
-    demagnetise the solenoids. They are not judged.
+    First come a rest and the last motion. They free the spool and are not judged. Otherwise a law that adapts
+    takes the force that holds the spool for other friction.
     """
     pause = np.zeros(round(PAUSE / period))
     approach = [np.zeros(round(HOME / period)), made.motions[-1].wanted, pause]
@@ -205,7 +208,7 @@ def verifying_motion(made: TunedGains, period: float) -> VerifyingMotion:
 
 
 class _Simulated(NamedTuple):
-    """A simulated run, judged from a sample on."""
+    """The judged part of a simulated run."""
 
     indices: Indices
     bounded: bool  # whether it stays finite, and below the limit of the voltage most of the time
@@ -216,7 +219,8 @@ def _simulated(values: Values, valve: Values, command: Floats, judged: int) -> _
     with np.errstate(over="ignore", invalid="ignore"):
         run = offline.simulate(values, valve, command)
         found = indices((run.measurement - command)[judged:], run.voltage[judged:], run.period)
-    return _Simulated(found, bool(np.all(np.isfinite(run.measurement))) and run.saturated < SATURATED)
+    saturated = np.mean(np.abs(run.voltage[judged:]) >= number(values, "u_max"))
+    return _Simulated(found, bool(np.all(np.isfinite(run.measurement)) and saturated < SATURATED))
 
 
 def _limited(plan: Plan, before: Values, made: TunedGains) -> Values:
@@ -251,15 +255,21 @@ def judged(
     most_chatter = WORSE * max(chatter, made.c_u)
     if not measured.c_u <= most_chatter:
         reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
-    n = min(len(motion.wanted), len(whole.command))
-    away = float(np.nanmax(np.abs(whole.command[:n] - motion.wanted[:n])))
+    part = slice(motion.judged, min(len(motion.wanted), len(whole.command)))
+    away = float(np.nanmax(np.abs(whole.command[part] - motion.wanted[part])))
     return Verification(record, measured, made, punctual, away, former, reasons)
 
 
 def judged_part(motion: VerifyingMotion, whole: Record) -> Record:
-    """The part of a ``whole`` verification run that is judged."""
+    """The part of a ``whole`` verification run that is judged. Raises Fault if it has no reading."""
     signals = (whole.reading, whole.voltage, whole.command)
-    return Record(whole.period, *(signal[motion.judged :] for signal in signals))
+    part = Record(whole.period, *(signal[motion.judged :] for signal in signals))
+    if not np.any(np.isfinite(part.reading) & np.isfinite(part.voltage) & np.isfinite(part.command)):
+        raise Fault(
+            f"no reading of the motions of the verification run came in {len(whole.reading)} samples; check "
+            "the sensor and its clock"
+        )
+    return part
 
 
 def contends(plan: Plan, made: Verification, doubted: bool = False) -> bool:
@@ -287,6 +297,20 @@ def promised(made: TunedGains) -> tuple[bool, float]:
 def rivals(made: TunedGains, best: TunedGains) -> bool:
     """Whether ``made`` promises about as little error as the ``best``."""
     return promised(made)[1] < CONTENDS * promised(best)[1]
+
+
+def quieter(
+    made: TunedGains, loud: float, tried: Sequence[tuple[float, TunedGains]], too_loud: float
+) -> TunedGains:
+    """The best of ``made``, with c_u ``loud``, and of quieter gains with their c_u.
+
+    Up to ``too_loud`` only rivals of ``made`` are better, beyond that whatever is within it.
+    """
+    within = [again for quiet, again in tried if quiet <= too_loud < loud]
+    rival = [(quiet, again) for quiet, again in tried if rivals(again, made)]
+    if within:
+        return min(within, key=promised)
+    return min(rival, key=lambda one: one[0])[1] if rival else made
 
 
 def beside(several: Sequence[TunedGains]) -> list[str]:

@@ -41,6 +41,7 @@ SAME = (
     "u_max", "lvdt.limit", "command_limit", "command_timeout", "command.interpolation", "command.bridge",
 )  # fmt: skip
 PID = "pid"  # that is tuned beside another law
+QUIETER = ((1.0, "again"), (0.5, "once more"))  # power of what is too loud, by which the limit is lowered
 NAMED = 3  # parts of the tests that a note names as not explained
 # Of the step "model", in percent, what is done when the fits of the response are, and when the valve is.
 RESPONSE, VALVE, WHOLE = 25.0, 95.0, 100.0
@@ -323,7 +324,7 @@ class _Commissioning:
         return sorted(made, key=gains.promised), missing
 
     def _searched(self, law: str, found: Plant, known: model.Known, rest: Rest, wider: float) -> TunedGains:
-        """Gains of ``law``, of another search if those of the first would be loud. Raises ParameterError."""
+        """Gains of ``law``, of a quieter search if those of the first are loud. Raises ParameterError."""
         step = "tuning" if law == self._plan.law else f"tuning {law}"
 
         def searched(plan: Plan, step: str) -> TunedGains:
@@ -342,25 +343,24 @@ class _Commissioning:
         if not gains.LOUD * limit < loud < math.inf:
             return made
         too_loud = gains.TOO_LOUD * limit
-        quieter: list[TunedGains] = []
-        for share in (1.0, 0.5) if loud > too_loud else (1.0,):
+        tried: list[tuple[float, TunedGains]] = []
+        for share, name in QUIETER if loud > too_loud else QUIETER[:1]:
             lower = plan._replace(chatter=limit * (limit / loud) ** share, firm=True)
             try:
-                again = searched(lower, f"{step} again")
+                again = searched(lower, f"{step} {name}")
             except ParameterError:  # the limit cannot be that low
                 continue
             quiet = gains.loudness(plan, self._before, again)
             if again.tuned.chosen.verified.reasons or quiet >= loud:
                 continue
-            again = again._replace(
-                note=f"another search of {law} brought c_u of the simulated verification run from {loud:.3g} "
-                f"to {quiet:.3g}"
+            note = (
+                f"a quieter search of {law} brought c_u of the simulated verification run from {loud:.3g} to "
             )
-            if gains.rivals(again, made):
+            again = again._replace(note=f"{note}{quiet:.3g}")
+            if gains.rivals(again, made) and quiet <= too_loud:
                 return again
-            if quiet <= too_loud < loud:
-                quieter.append(again)
-        return min(quieter, key=gains.promised, default=made)
+            tried.append((quiet, again))
+        return gains.quieter(made, loud, tried, too_loud)
 
     def _verified(self, made: TunedGains, doubted: bool) -> tuple[Verification | None, list[str]]:
         """The verification run, None if it ended early, and why the gains are not accepted.

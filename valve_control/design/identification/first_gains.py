@@ -37,7 +37,7 @@ AHEAD = 1.1  # times the valve's natural frequency, where PID's poles are put
 # What dcarc has for a friction that is known; other friction needs their usual values.
 FRICTION_TERMS = (
     "dcarc.theta_initial", "dcarc.theta_min", "dcarc.theta_max", "dcarc.theta_spread", "dcarc.presliding",
-    "dcarc.fit_noise", "dcarc.forgetting",
+    "dcarc.fit_noise", "dcarc.forgetting", "dcarc.learning_path",
 )  # fmt: skip
 QUIETEST = (
     5e-4  # V  noise that is assumed at least: a model is never so exact that readings could be believed
