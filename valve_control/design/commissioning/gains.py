@@ -250,7 +250,7 @@ def judged(
     if not measured.e_rms <= most:
         reasons.append(
             f"the error is {1e3 * measured.e_rms:.3g} mV rms on the running valve, and "
-            f"{1e3 * made.e_rms:.3g} mV in simulation: the model does not describe this valve"
+            f"{1e3 * made.e_rms:.3g} mV in simulation: the loop on the valve is not that of the model"
         )
     most_chatter = WORSE * max(chatter, made.c_u)
     if not measured.c_u <= most_chatter:
