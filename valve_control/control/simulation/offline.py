@@ -46,7 +46,7 @@ class Run(NamedTuple):
     theta: list[float] | None  # θ̂ at the end, of laws that adapt
     indices: Indices  # error from the measurement, as in the paper
     true_error: dict[str, float]  # from the true position
-    saturated: float  # -  share of the samples at the limit of the voltage
+    at_limit: npt.NDArray[np.bool_]  # samples at the limit of the voltage
     limit_cycle: LimitCycle | None
     warning: str  # "" if none
     steps: tuple[float, float] | None = None  # overshoot [-], settling time [s] of the worst; None: no steps
@@ -55,6 +55,11 @@ class Run(NamedTuple):
     def time(self) -> Floats:
         """Time [s] of each sample."""
         return np.arange(len(self.command), dtype=np.float64) * self.period
+
+    @property
+    def saturated(self) -> float:
+        """Share of the samples at the limit of the voltage."""
+        return float(np.mean(self.at_limit))
 
 
 class _Loop(NamedTuple):
@@ -131,7 +136,7 @@ def simulate(
         theta=list(end.law.theta) if law.adapts else None,
         indices=indices(measurement - command, voltage, period),
         true_error={"e_M": float(np.max(np.abs(true_error))), "e_rms": rms(true_error)},
-        saturated=float(np.mean(_at_limit(voltage, loop.behind, valve_params))),
+        at_limit=_at_limit(voltage, loop.behind, valve_params),
         limit_cycle=limit_cycle(voltage, command, period, least, compiled),
         warning="; ".join(filter(None, warnings_found)),
         steps=None if answer is None else (float(answer.overshoot), float(answer.settling)),

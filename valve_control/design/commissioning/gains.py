@@ -219,8 +219,8 @@ def _simulated(values: Values, valve: Values, command: Floats, judged: int) -> _
     with np.errstate(over="ignore", invalid="ignore"):
         run = offline.simulate(values, valve, command)
         found = indices((run.measurement - command)[judged:], run.voltage[judged:], run.period)
-    saturated = np.mean(np.abs(run.voltage[judged:]) >= number(values, "u_max"))
-    return _Simulated(found, bool(np.all(np.isfinite(run.measurement)) and saturated < SATURATED))
+    bounded = np.all(np.isfinite(run.measurement)) and np.mean(run.at_limit[judged:]) < SATURATED
+    return _Simulated(found, bool(bounded))
 
 
 def _limited(plan: Plan, before: Values, made: TunedGains) -> Values:
