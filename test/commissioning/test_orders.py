@@ -47,13 +47,28 @@ def responses(numerator, denominator, delay):
 
 def test_a_third_pole_is_no_dead_time():
     """A second order takes the pole at 55 Hz for 2.9 ms of dead time."""
-    valve = {**third(100.0, 0.7, 350.0, 0.9), "friction.coulomb": 0.3, "friction.presliding": 0.02}
+    valve = third(100.0, 0.7, 350.0, 0.9)
     made = found({**valve, "lvdt.delay": 0.0004, "lvdt.noise": 0.003})
-    assert len(made.model.denominator) > 3 and made.presliding == 0.0
+    assert len(made.model.denominator) == 4 and made.magnet is None
     assert made.delay < 0.0007
-    # Bristles, which this model lacks, stiffen small motions: a fourth order adds a slow pole for that.
     wanted = responses(valve["numerator"], valve["denominator"], 0.0004)
     assert responses(*made.model, made.delay) == pytest.approx(wanted, rel=0.06)
+
+
+def test_a_third_pole_of_a_valve_with_friction_is_that_of_a_coil():
+    """Its linear part is that of the valve; the same linear part with friction ahead of it is also explained."""
+    rubbing = {"friction.coulomb": 0.3, "friction.presliding": 0.02, "lvdt.noise": 0.003}
+    speed = {"solenoid.natural_frequency": 100.0 / (2.0 * np.pi), "solenoid.damping": 0.7}
+    coil = {"solenoid.coil": 1.0 / 350.0, "solenoid.gain": 0.9, "solenoid.dead_time": 0.0004}
+    made = found({**rubbing, **speed, **coil, "valve": "solenoid"})
+    assert made.magnet.coil == pytest.approx(1.0 / 350.0, rel=0.1)
+    linear = third(100.0, 0.7, 350.0, 0.9)
+    wanted = responses(linear["numerator"], linear["denominator"], 0.0004)
+    assert responses(*made.model, made.delay) == pytest.approx(wanted, rel=0.06)
+    ahead = found({**linear, **rubbing, "lvdt.delay": 0.0004})
+    for one in (made, ahead):
+        assert one.magnet.hysteresis < 0.04 and one.presliding == pytest.approx(0.02, abs=0.004)
+        assert one.delay < 0.0007 and one.error < 0.75
 
 
 @pytest.mark.campaign

@@ -34,7 +34,9 @@ MOST_RATIO = 2.0  # -  static over Coulomb friction
 WIDEST = 2.0  # V  hysteresis and overlap
 LONGEST_DELAY = 0.005  # s
 SIDES = 0.5  # logarithm of the ratio of both gains
-EVALUATIONS, STEP = 20, 2e-3  # of a search, each with a Jacobian; of an unknown, for it
+EVALUATIONS, MOST = 25, 80  # of a search, each with a Jacobian: about as many as it needs, and their bound
+CONVERGED = 1e-3  # of the cost, relative change of an evaluation, under which a search ends
+STEP = 2e-3  # of an unknown, for the Jacobian
 INSIDE = 1e-3  # of the bounds, within which a search begins
 
 
@@ -251,6 +253,6 @@ def refined(
 
         done = scipy.optimize.least_squares(
             residual, inside, jacobian, bounds=(low, high), x_scale="jac", loss="soft_l1",
-            max_nfev=EVALUATIONS,
+            max_nfev=MOST, ftol=CONVERGED,
         )  # fmt: skip
     return of_unknowns(done.x, period)
