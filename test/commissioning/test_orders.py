@@ -56,7 +56,7 @@ def test_a_third_pole_is_no_dead_time():
 
 
 def test_a_third_pole_of_a_valve_with_friction_is_that_of_a_coil():
-    """Its linear part is that of the valve; the same linear part with friction ahead of it is also explained."""
+    """Its linear part is found; a valve with this linear part and friction ahead of it is explained too."""
     rubbing = {"friction.coulomb": 0.3, "friction.presliding": 0.02, "lvdt.noise": 0.003}
     speed = {"solenoid.natural_frequency": 100.0 / (2.0 * np.pi), "solenoid.damping": 0.7}
     coil = {"solenoid.coil": 1.0 / 350.0, "solenoid.gain": 0.9, "solenoid.dead_time": 0.0004}
