@@ -171,6 +171,7 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
         ),
         (["simulate", "--set", "numerator=[9.0]"], ["numerator", "valve is fourth_order", "valve=custom"]),
         (["identify", "--set", "denominator=[1.0, 9.0]"], ["denominator", "valve is fourth_order"]),
+        (["axis", "--set", "course=sine", "--set", "frequency=500.0"], ["500 Hz", "Nyquist"]),
         (["axis", "--set", "numerator=[9.0]"], ["numerator", "valve is", "not custom"]),
         (
             ["export", "--output", "e", "--controller", "dcarc", "--set", "dcarc.numerator=[9.0]"],

@@ -81,6 +81,11 @@ def write(path: str, content: str | bytes) -> None:
         raise
 
 
+def shown(path: Path) -> str:
+    """Absolute ``path`` for a message; ROS logs UTF-8 alone, so other bytes become replacement characters."""
+    return os.fsencode(path.absolute()).decode(errors="replace")
+
+
 def _is_read_only(path: Path) -> bool:
     """Whether nobody may write the file, or not the one who asks; root could, and should not by accident."""
     return not path.stat().st_mode & 0o222 or not os.access(path, os.W_OK)

@@ -3,6 +3,7 @@
 """The recorder beside real nodes: nothing lost, parameters in the bag, killed at any moment."""
 
 import itertools
+import os
 import random
 import resource
 import shutil
@@ -10,6 +11,7 @@ import signal
 import sqlite3
 import time
 from contextlib import ExitStack, closing
+from pathlib import Path
 
 import pytest
 import rclpy
@@ -216,6 +218,17 @@ def test_ends_quietly_without_anything_to_record(ros, tmp_path, number):
         assert child.wait(10.0) == 0
     assert "Traceback" not in log.read_text()
     assert metadata.read(folder).topics[0].topic.name == EVENTS
+
+
+def test_a_folder_whose_name_is_not_utf_8_is_recorded_into(ros, tmp_path, monkeypatch):
+    folder, log = Path(os.fsdecode(bytes(tmp_path / "valve_") + b"\xff")), tmp_path / "log"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    with recorder("bag", log) as child:
+        spin_until(ros, lambda: "records into" in log.read_text(), "recorder")
+        stop(child)
+    assert "Traceback" not in log.read_text() and "valve_\ufffd/bag" in log.read_text()
+    assert metadata.read(folder / "bag").topics[0].topic.name == EVENTS
 
 
 def test_parameters_are_fixed_once_it_runs(ros, tmp_path):

@@ -16,6 +16,7 @@ from rcl_interfaces.msg import Parameter, ParameterEvent
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.interfaces import Qos
 
+from valve_control import outputs
 from valve_control.nodes.parameter_capture import EVENTS, applied
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.metadata import NAME
@@ -146,7 +147,7 @@ class BlackBox:
             "box_s": f"{self.held:.1f}",
             "box_MB": f"{self.total_bytes / MB:.2f}",
             "bags": len(self.bags),
-            "newest_bag": self.bags[-1].absolute() if self.bags else "",
+            "newest_bag": outputs.shown(self.bags[-1]) if self.bags else "",
         }
 
     # What happens
@@ -199,7 +200,7 @@ class BlackBox:
             return self._waiting.folder
         due = now + self._limits.after
         self._waiting = _Happened(self._unused(), begin, due, due + self._limits.after, [reason])
-        self._tell(f"{reason}: {self._waiting.folder.absolute()} is written", False)
+        self._tell(f"{reason}: {outputs.shown(self._waiting.folder)} is written", False)
         return self._waiting.folder
 
     def _unused(self) -> Path:
@@ -279,12 +280,11 @@ class BlackBox:
             return
         self.error = ""
         self.bags.append(happened.folder)
-        self._tell(
-            f"wrote {count} messages to {happened.folder.absolute()} ({'; '.join(happened.reasons)})", False
-        )
+        reasons = "; ".join(happened.reasons)
+        self._tell(f"wrote {count} messages to {outputs.shown(happened.folder)} ({reasons})", False)
         for old in self._older()[: -self._limits.keep]:
             shutil.rmtree(old, ignore_errors=True)
-            self._tell(f"removed {old.absolute()}: box.keep is {self._limits.keep}", False)
+            self._tell(f"removed {outputs.shown(old)}: box.keep is {self._limits.keep}", False)
 
     def _older(self) -> list[Path]:
         """All bags of this name, the newest last."""

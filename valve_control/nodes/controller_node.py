@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
 from std_srvs.srv import Trigger
 
-from valve_control import inputs, parameter
+from valve_control import inputs, outputs, parameter
 from valve_control.control.laws.registry import LAWS, REFUSED
 from valve_control.control.linear import stability
 from valve_control.control.parameters import arguments, build, files
@@ -543,7 +543,7 @@ class Controller(Managed):
             self.get_logger().warning(response.message)
             return response
         response.success = True
-        response.message = f"wrote {path}"
+        response.message = f"wrote {outputs.shown(path)}"
         self.get_logger().info(response.message)
         return response
 
@@ -557,14 +557,15 @@ class Controller(Managed):
                 wanted = [Parameter(n, value=value) for n, value in changes.items()]
                 result = self.set_parameters_atomically(wanted)
                 if not result.successful:
-                    raise ParameterError(f"{path}: {result.reason}")
+                    raise ParameterError(f"{outputs.shown(path)}: {result.reason}")
         except ParameterError as error:
             response.success = False
             response.message = f"no parameter changed: {error}"
             self.get_logger().warning(response.message)
             return response
         response.success = True
-        response.message = f"{len(values)} parameters from {path}, of which {len(changes)} changed"
+        source = outputs.shown(path)
+        response.message = f"{len(values)} parameters from {source}, of which {len(changes)} changed"
         self.get_logger().info(response.message)
         return response
 

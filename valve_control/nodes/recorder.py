@@ -19,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from std_srvs.srv import Trigger
 
-from valve_control import parameter
+from valve_control import outputs, parameter
 from valve_control.control.parameters.table import RECORDER
 from valve_control.inputs import expanded
 from valve_control.nodes.adapter import (
@@ -275,7 +275,7 @@ class Recorder(Worker):
         self._status_at = now
         self._reported = (now, time.process_time(), 0)
         how = f"keeps the last {use.box.seconds:g} s for bags" if use.box is not None else "records into"
-        self.get_logger().info(f"{how} {use.folder.absolute()}")
+        self.get_logger().info(f"{how} {outputs.shown(use.folder)}")
 
     def _begin(self, use: Settings) -> BagWriter:
         try:
@@ -379,9 +379,8 @@ class Recorder(Worker):
         gone = self._writer.missing()
         for name in gone:
             if name not in self._gone:
-                self.get_logger().error(
-                    f"{name}, a finished file of the bag, is no longer in {self._settings.folder.absolute()}"
-                )
+                folder = outputs.shown(self._settings.folder)
+                self.get_logger().error(f"{name}, a finished file of the bag, is no longer in {folder}")
         if gone != self._gone:
             self._gone = gone
             self._publish_status()
@@ -522,7 +521,7 @@ class Recorder(Worker):
 
     def _figures(self) -> dict[str, Any]:
         about = {
-            "bag": self._settings.folder.absolute(),
+            "bag": outputs.shown(self._settings.folder),
             "topics": len(self._topics),
             "messages": self._writer.message_count,
             "lost": self._lost(),
@@ -541,7 +540,7 @@ class Recorder(Worker):
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         assert isinstance(self._writer, BlackBox)
         folder = self._writer.save("asked for")
-        response.success, response.message = True, f"{folder.absolute()} will be written"
+        response.success, response.message = True, f"{outputs.shown(folder)} will be written"
         return response
 
     def deliver(self) -> None:
@@ -579,7 +578,7 @@ class Recorder(Worker):
         else:
             files = f"{self._writer.files} file{'s' if self._writer.files != 1 else ''}"
             self.get_logger().info(
-                f"{self._writer.message_count} messages in {files} of {self._settings.folder.absolute()}"
+                f"{self._writer.message_count} messages in {files} of {outputs.shown(self._settings.folder)}"
             )
         if error is not None:
             raise error

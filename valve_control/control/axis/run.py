@@ -15,6 +15,7 @@ from valve_control.arrays import Floats
 from valve_control.control import closed_loop
 from valve_control.control.analysis.indices import variation
 from valve_control.control.axis import cascade
+from valve_control.control.commands.arrays import refuse_aliased
 from valve_control.control.compiling import bind, compile_function
 from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.registry import LAWS
@@ -78,6 +79,7 @@ def goals_of(values: Values, position: float) -> Floats:
     build.check_memory(duration / period, NUMBERS)
     centre, stroke = position + number(values, "offset"), number(values, "distance")
     if word(values, "course") == "sine":
+        refuse_aliased(number(values, "frequency"), period)
         return course.sine(centre, stroke, number(values, "frequency"), period, duration)
     if word(values, "course") == "step":
         rows = np.zeros((max(1, round(duration / period)), 3))

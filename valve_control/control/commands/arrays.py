@@ -17,6 +17,15 @@ from valve_control.parameter import ParameterError
 LARGEST = 1e6  # V  in a file, whose commands a controller limits to command_limit
 
 
+def refuse_aliased(frequency: float, period: float) -> None:
+    """Raise ParameterError for a ``frequency`` [Hz] of half the sampling rate or more."""
+    if frequency >= 0.5 / period:
+        raise ParameterError(
+            f"{frequency:g} Hz is not below Nyquist's frequency, {0.5 / period:g} Hz at a sample period of "
+            f"{period:g} s"
+        )
+
+
 def sampled(shape: scenarios.Shape, period: float, samples: int) -> Floats:
     """Command [V] at each of ``samples`` samples, ``period`` [s] apart."""
     return np.array([scenarios.command(shape, k * period) for k in range(samples)])

@@ -85,12 +85,7 @@ def commands(values: Values) -> Floats:
     """Command [V] of each sample from the command source's values. Raises ParameterError."""
     period = number(values, "sample_period")
     n = max(1, round(number(values, "duration") / period))
-    highest = highest_frequency(values)
-    if highest >= 0.5 / period:
-        raise ParameterError(
-            f"{highest:g} Hz is not below Nyquist's frequency, {0.5 / period:g} Hz at a sample period of "
-            f"{period:g} s"
-        )
+    arrays.refuse_aliased(highest_frequency(values), period)
     if values["scenario"] == "array":
         array = arrays.read(word(values, "command_file"))
         return np.concatenate([array[:n], np.full(max(0, n - len(array)), array[-1])])

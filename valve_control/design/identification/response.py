@@ -16,6 +16,7 @@ import numpy.typing as npt
 import scipy.fft
 
 from valve_control.arrays import Complexes, Floats
+from valve_control.control.commands.arrays import refuse_aliased
 from valve_control.parameter import ParameterError
 
 LEAST_CYCLES = 2
@@ -65,15 +66,6 @@ def check_saturation(voltage: Floats, u_max: float) -> None:
         )
 
 
-def _refuse_aliased(frequency: float, period: float) -> None:
-    """Raise ParameterError for a ``frequency`` [Hz] of half the sampling rate or more."""
-    if frequency >= 0.5 / period:
-        raise ParameterError(
-            f"{frequency:g} Hz is not below Nyquist's frequency, {0.5 / period:g} Hz at a sample "
-            f"period of {period:g} s"
-        )
-
-
 def stepped(
     voltage: Floats, position: Floats, segments: Sequence[Segment], period: float, settle: float
 ) -> Response:
@@ -86,7 +78,7 @@ def stepped(
     short: list[str] = []
     distorted = [(DISTORTED, 0.0)]
     for segment in segments:
-        _refuse_aliased(segment.frequency, period)
+        refuse_aliased(segment.frequency, period)
         cycle = 1.0 / (segment.frequency * period)
         count = math.floor((segment.end - segment.first - settle / period) / cycle + 1e-6)
         if count < LEAST_CYCLES:
@@ -173,11 +165,7 @@ def spectral(voltage: Floats, position: Floats, period: float, lowest: float, hi
 
     [1] R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 7.
     """
-    if highest >= 0.5 / period:
-        raise ParameterError(
-            f"{highest:g} Hz is not below Nyquist's frequency, {0.5 / period:g} Hz at a sample period of "
-            f"{period:g} s"
-        )
+    refuse_aliased(highest, period)
     length = len(voltage) * period
     if lowest * length < LEAST_CYCLES:
         raise ParameterError(
