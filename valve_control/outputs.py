@@ -81,9 +81,14 @@ def write(path: str, content: str | bytes) -> None:
         raise
 
 
+def printable(text: str) -> str:
+    """``text`` for a message of ROS, which is UTF-8: bytes of a path that are not become question marks."""
+    return text.encode(errors="replace").decode()
+
+
 def shown(path: Path) -> str:
-    """Absolute ``path`` for a message; ROS logs UTF-8 alone, so other bytes become replacement characters."""
-    return os.fsencode(path.absolute()).decode(errors="replace")
+    """Absolute ``path`` for a message."""
+    return printable(str(path.absolute()))
 
 
 def _is_read_only(path: Path) -> bool:

@@ -227,7 +227,7 @@ def test_a_folder_whose_name_is_not_utf_8_is_recorded_into(ros, tmp_path, monkey
     with recorder("bag", log) as child:
         spin_until(ros, lambda: "records into" in log.read_text(), "recorder")
         stop(child)
-    assert "Traceback" not in log.read_text() and "valve_\ufffd/bag" in log.read_text()
+    assert "Traceback" not in log.read_text() and "valve_?/bag" in log.read_text()
     assert metadata.read(folder / "bag").topics[0].topic.name == EVENTS
 
 

@@ -33,6 +33,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Float64, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from valve_control import outputs
 from valve_control.control.parameters import arguments
 from valve_control.control.parameters.build import as_text
 from valve_control.control.parameters.files import from_text
@@ -197,8 +198,9 @@ class ParameterSet:
             changes = self._changes(parameters)
             self._prepared = (changes, self._build(changes))
         except ParameterError as error:
-            self._node.get_logger().warning(f"parameters not changed: {error}")
-            return SetParametersResult(successful=False, reason=str(error))
+            reason = outputs.printable(str(error))
+            self._node.get_logger().warning(f"parameters not changed: {reason}")
+            return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
 
     def _use(self, parameters: list[Any]) -> None:

@@ -275,7 +275,7 @@ class BlackBox:
         try:
             count = work.result()
         except (BagError, OSError) as error:
-            self.error = f"{happened.folder} could not be written: {error}"
+            self.error = outputs.printable(f"{happened.folder} could not be written: {error}")
             self._tell(self.error, True)
             return
         self.error = ""

@@ -539,7 +539,8 @@ class Controller(Managed):
             files.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
         except (OSError, ValueError) as error:
             response.success = False
-            response.message = f"{name} cannot be written: {getattr(error, 'strerror', None) or error}"
+            reason = getattr(error, "strerror", None) or str(error)
+            response.message = outputs.printable(f"{name} cannot be written: {reason}")
             self.get_logger().warning(response.message)
             return response
         response.success = True
@@ -560,7 +561,7 @@ class Controller(Managed):
                     raise ParameterError(f"{outputs.shown(path)}: {result.reason}")
         except ParameterError as error:
             response.success = False
-            response.message = f"no parameter changed: {error}"
+            response.message = outputs.printable(f"no parameter changed: {error}")
             self.get_logger().warning(response.message)
             return response
         response.success = True

@@ -387,6 +387,7 @@ class Recorder(Worker):
 
     def _fail(self, reason: str) -> NoReturn:
         self._failed = True
+        reason = outputs.printable(reason)
         self._diagnostics.publish(diagnostics(self, DiagnosticStatus.ERROR, reason, self._figures()))
         raise Failure(reason)
 

@@ -34,8 +34,8 @@ MOST_RATIO = 2.0  # -  static over Coulomb friction
 WIDEST = 2.0  # V  hysteresis and overlap
 LONGEST_DELAY = 0.005  # s
 SIDES = 0.5  # logarithm of the ratio of both gains
-EVALUATIONS, MOST = 25, 80  # of a search, each with a Jacobian: about as many as it needs, and their bound
-CONVERGED = 1e-3  # of the cost, relative change of an evaluation, under which a search ends
+EVALUATIONS, MOST = 40, 80  # of a usual search, for its progress, and of any; each with a Jacobian
+CONVERGED = 1e-3  # relative change of the cost in one evaluation, below which a search ends
 STEP = 2e-3  # of an unknown, for the Jacobian
 INSIDE = 1e-3  # of the bounds, within which a search begins
 
