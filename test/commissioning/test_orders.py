@@ -55,6 +55,7 @@ def test_a_third_pole_is_no_dead_time():
     assert responses(*made.model, made.delay) == pytest.approx(wanted, rel=0.06)
 
 
+@pytest.mark.campaign
 def test_a_third_pole_of_a_valve_with_friction_is_that_of_a_coil():
     """Its linear part is found; a valve with this linear part and friction ahead of it is explained too."""
     rubbing = {"friction.coulomb": 0.3, "friction.presliding": 0.02, "lvdt.noise": 0.003}

@@ -75,6 +75,7 @@ def test_the_reference_is_kept_as_long_as_its_figures_are_true():
     assert again["command alone"] == first["command alone"]
 
 
+@pytest.mark.campaign
 def test_more_sets_of_gains_are_no_worse():
     """On what the search sees; full motions may differ."""
     values = solenoid.drawn(2)
