@@ -3,7 +3,7 @@
 """The bench without ROS, with faults on demand, and steps that keep what is said."""
 
 from benchmarks import supervised
-from valve_control.design.commissioning import courses, small_signal, statics
+from valve_control.design.commissioning import courses, plant, small_signal, statics
 from valve_control.design.commissioning.bench import Fault
 from valve_control.design.commissioning.plan import limiting
 
@@ -57,3 +57,10 @@ def driven(bench, limits):
     planned = small_signal.plan(limits, rest, static, 0.001)
     course = courses.stepped_sine(limits, planned.steps, planned.amplitude, planned.offset)
     return rest, slow, static, planned, bench.drive(course, limits, silent)
+
+
+def fitted(bench, limits, told=lambda *done: None):
+    """What commissioning fits to the readings of ``bench``."""
+    rest, slow, static, planned, sine = driven(bench, limits)
+    _, fits, friction = small_signal.linear(sine, planned, static, rest)
+    return plant.fitted([slow, sine], fits, friction, static.offset, rest, told)

@@ -558,7 +558,7 @@ class Controller(Managed):
                 wanted = [Parameter(n, value=value) for n, value in changes.items()]
                 result = self.set_parameters_atomically(wanted)
                 if not result.successful:
-                    raise ParameterError(f"{outputs.shown(path)}: {result.reason}")
+                    raise ParameterError(f"{path}: {result.reason}")
         except ParameterError as error:
             response.success = False
             response.message = outputs.printable(f"no parameter changed: {error}")
