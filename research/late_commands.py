@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from valve_control.control.supervision.trajectory import Motion
+    from valve_control.control.supervision.command_course import Motion
     from valve_control.parameter import Values
 
 VALVES = ("d3fxe", "d3fxe_experiment")
@@ -51,7 +51,7 @@ class Outcome(NamedTuple):
 
 def motion(time: float) -> "Motion":
     """The wanted motion at ``time`` [s]: sines that fade in, and their derivatives."""
-    from valve_control.control.supervision.trajectory import Motion
+    from valve_control.control.supervision.command_course import Motion
 
     s = min(1.0, time / FADE)
     inside = 1.0 if s < 1.0 else 0.0

@@ -13,7 +13,7 @@ from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import valve
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.control.supervision.trajectory import Motion
+from valve_control.control.supervision.command_course import Motion
 from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001

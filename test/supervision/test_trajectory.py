@@ -18,7 +18,7 @@ from valve_control.control.supervision import trajectory
 from valve_control.control.supervision.late_commands import DECAYED, JOINING
 from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.control.supervision.trajectory import Motion
+from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.watch import BOTH
 from valve_control.parameter import updated
 

@@ -83,13 +83,19 @@ def delivery_options() -> Parser:
         "--command-period",
         type=float,
         metavar="S",
-        help="time from one command to the next (one sample period); command.interpolation joins them",
+        help="time from one command to the next (one sample period)",
     )
     group.add_argument(
         "--command-jitter",
         type=float,
         metavar="S",
-        help="largest time by which a command is early or late (0)",
+        help="a command takes between 0 and twice this time to the controller (0)",
+    )
+    group.add_argument(
+        "--command-drift",
+        type=float,
+        metavar="PPM",
+        help="difference between the clocks of upper level and samples [ppm] (0)",
     )
     return options
 
@@ -183,16 +189,15 @@ def delivery_of(arguments: argparse.Namespace, values: Values) -> "Delivery | No
     """
     from valve_control.control.simulation import delivery
 
-    asked = arguments.command_period, arguments.command_jitter
-    if asked == (None, None):
-        return delivery.of_each_sample(values)
-    period, jitter = asked
+    asked = arguments.command_period, arguments.command_jitter, arguments.command_drift
+    if asked == (None, None, None):
+        return None
+    period, jitter, drift = asked
     seed = 1 if arguments.seed is None else arguments.seed
-    made = delivery.Delivery(
-        number(values, "sample_period") if period is None else period, jitter or 0.0, seed
-    )
-    delivery.check(values, made)
-    return made
+    period = number(values, "sample_period") if period is None else period
+    result = delivery.Delivery(period, jitter or 0.0, seed, 1e-6 * (drift or 0.0))
+    delivery.check(values, result)
+    return result
 
 
 def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:

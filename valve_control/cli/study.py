@@ -244,15 +244,14 @@ def _draw(path: Path, found: "StudyResult", controller: str) -> None:
 def _replay(arguments: argparse.Namespace, chosen: "Study") -> None:
     from valve_control.control.analysis import limit_cycle
     from valve_control.control.parameters import build, files
-    from valve_control.control.simulation import delivery, offline, robustness
+    from valve_control.control.simulation import offline, robustness
 
     if arguments.replay < 0:
         raise ParameterError(f"--replay is {arguments.replay}; valves are numbered from 0")
     settings = robustness.settings_of_number(chosen, arguments.replay)
     command = build.commands(settings["command_source"])
     controller = settings["controller"]
-    delivered = delivery.of_each_sample(controller)
-    run = offline.simulate(controller, settings["valve_simulator"], command, delivered=delivered)
+    run = offline.simulate(controller, settings["valve_simulator"], command)
     if run.warning:
         print(f"warning: {run.warning}", file=sys.stderr)
     varied = [q.name for q in chosen.box if q.name in settings["valve_simulator"]]

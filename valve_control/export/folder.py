@@ -196,11 +196,11 @@ _LAW_CALLS = """        if (row->event[0] == 'i') {
 
 _WATCH_CALLS = """        if (strncmp(row->event, "command", sizeof row->event) == 0)
             @NAME@_watch_command(&@NAME@_exported, &state, row->given[0]);
-        else if (strncmp(row->event, "after", sizeof row->event) == 0)
-            @NAME@_watch_command_after(&@NAME@_exported, &state, row->given[0], row->given[1]);
+        else if (strncmp(row->event, "at", sizeof row->event) == 0)
+            @NAME@_watch_command_at(&@NAME@_exported, &state, row->given[0], row->given[1], row->given[2]);
         else if (strncmp(row->event, "point", sizeof row->event) == 0)
             found = @NAME@_watch_trajectory(&@NAME@_exported, &state, row->given[0], row->given[1],
-                                            row->given[2], row->given[3]);
+                                            row->given[2], row->given[3], row->given[4]);
         else if (strncmp(row->event, "unpoint", sizeof row->event) == 0)
             @NAME@_watch_trajectory_gone(&state);
         else if (strncmp(row->event, "gone", sizeof row->event) == 0)

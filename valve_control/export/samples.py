@@ -19,8 +19,8 @@ from valve_control.control.laws.signals import Start
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import valve
+from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.control.supervision.trajectory import Motion
 from valve_control.export.kinds import Kind
 from valve_control.export.unit import Unit, in_c, leaves, numbers
 from valve_control.parameter import defaults, updated
@@ -39,6 +39,8 @@ VALVE_VALUES = {
     "lvdt.resolution": 0.0037,
 }
 DEAD_TIME = 0.015  # s
+STAMPED = 1.2  # s  from which on commands have time stamps
+DRIFTING = 1.0003  # clock of the upper level over that of the samples
 FADE = 0.98  # of a takeover's offset, for each sample
 
 
@@ -209,18 +211,18 @@ def faulty(
             wanted = math.nan if "not_finite_command" in now else 1e6
         wanted = 0.3 if "old" in now else wanted
         spoken = k > 10 and k % 3 == 0
-        if spoken and "no_command" not in now and supervisor.joins:
-            supervisor.command(wanted, 3.0 * plant.period)
-            yield "after", (wanted, 3.0 * plant.period), supervisor, 0.0
+        times = (1.0 + t * DRIFTING, (0.5 + 0.4 * math.sin(k)) * plant.period)
+        if spoken and "no_command" not in now and t > STAMPED:
+            supervisor.command(wanted, *times)
+            yield "at", (wanted, *times), supervisor, 0.0
         elif spoken and "no_command" not in now:
             supervisor.command(wanted)
             yield "command", (wanted,), supervisor, 0.0
         if spoken and "trajectory" in now:
-            backwards = -1.0 if k % 100 == 0 else 1.0
-            interval = t - 7.0 if "set_back" in now else backwards * 3.0 * plant.period
-            given = (*swing(t), interval)
-            taken = supervisor.trajectory(Motion(*given[:3]), given[3])
-            yield "point", given, supervisor, float(taken)
+            backwards = 3.0 if "set_back" in now else 0.01 if k % 100 == 0 else 0.0
+            point = swing(t)
+            taken = supervisor.trajectory(point, times[0] - backwards, times[1])
+            yield "point", (*point, times[0] - backwards, times[1]), supervisor, float(taken)
         if "no_trajectory" in now:
             supervisor.trajectory_gone()
             yield "unpoint", (), supervisor, 0.0

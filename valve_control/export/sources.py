@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from valve_control import __version__
 from valve_control.control.laws.signals import Start
-from valve_control.control.supervision.trajectory import Motion
+from valve_control.control.supervision.command_course import Motion
 from valve_control.export import design, kinds, settable
 from valve_control.export.emission import WIDTH, wrapped
 from valve_control.export.kinds import BOOLEAN, INTEGER, REAL, Kind, comment, identifier
@@ -297,14 +297,15 @@ _WATCH = (
         "A command [V] for the next sample, limited; one that is not finite is refused.",
         "void",
         "{both}, {real} value",
-        "    {command}(p, s, value, {zero});",
+        "    {command}(p, s, value, ({real})NAN, {zero});",
     ),
     _WatchFunction(
-        "command_after",
-        "As before, sent ``interval`` [s] after the command before: commands that are joined need it.",
+        "command_at",
+        "As before, sent at ``stamp`` [s] of its sender's clock; it came ``since`` [s] after the last\n"
+        " * sample.",
         "void",
-        "{both}, {real} value, {real} interval",
-        "    {command}(p, s, value, interval);",
+        "{both}, {real} value, {real} stamp, {real} since",
+        "    {command}(p, s, value, stamp, since);",
     ),
     _WatchFunction(
         "command_gone",
@@ -315,12 +316,12 @@ _WATCH = (
     ),
     _WatchFunction(
         "trajectory",
-        "A point [V, V/s, V/s^2] of a trajectory, whose time is ``interval`` [s] after that of the one\n"
-        " * before, 0 if that is not known. It has precedence over commands. False: it is refused.",
+        "A point [V, V/s, V/s^2] of a trajectory, with its times as in command_at; without a stamp (NAN) it\n"
+        " * is that of the next sample. It has precedence over commands. False: it is refused.",
         "bool",
-        "{both}, {real} position, {real} velocity,\n    {real} acceleration, {real} interval",
+        "{both}, {real} position, {real} velocity,\n    {real} acceleration, {real} stamp, {real} since",
         "    const {point_t} point = {{position, velocity, acceleration}};\n"
-        "    return {trajectory}(p, s, &point, interval);",
+        "    return {trajectory}(p, s, &point, stamp, since);",
     ),
     _WatchFunction(
         "trajectory_gone",

@@ -25,10 +25,10 @@ from valve_control.control.linear import stability
 from valve_control.control.parameters import arguments, build, files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.supervision.cache_warming import CacheWarming
+from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.journal import OBSERVED, Journal
 from valve_control.control.supervision.record import Mode, named_terms
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.control.supervision.trajectory import Motion
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     NEWEST,
@@ -408,18 +408,25 @@ class Controller(Managed):
     def _take_commands(self) -> None:
         """Pass waiting commands to the supervisor."""
         for command, info in self._commands.take():
-            self._use_command(command, info["source_timestamp"])
+            self._use_command(command, info["source_timestamp"], self._since(info))
         for point, info in self._trajectories.take():
-            self._use_point(point, point.time or info["source_timestamp"])
+            self._use_point(point, point.time or info["source_timestamp"], self._since(info))
 
-    def _use_command(self, command: float, stamp: int = 0) -> None:
-        self._journal.command(command, stamp)
+    def _since(self, info: dict[str, Any]) -> float:
+        """How long [s] after the last reading or silence a message came: by the middleware, or by now."""
+        received = info["received_timestamp"]
+        ago = (time.time_ns() - received) * 1e-9 if received else 0.0
+        return time.monotonic() - self._seen - ago
+
+    def _use_command(self, command: float, stamp: int = 0, since: float = 0.0) -> None:
+        self._journal.command(command, stamp, since)
         self._last_command = time.monotonic()
 
-    def _use_point(self, point: TrajectoryPoint, stamp: int) -> None:
+    def _use_point(self, point: TrajectoryPoint, stamp: int = 0, since: float = 0.0) -> None:
         counts = len(point.positions), len(point.velocities), len(point.accelerations)
         if counts == (1, 1, 1):
-            self._journal.trajectory(Motion(*point.positions, *point.velocities, *point.accelerations), stamp)
+            motion = Motion(*point.positions, *point.velocities, *point.accelerations)
+            self._journal.trajectory(motion, stamp, since)
             self._last_command = time.monotonic()
         else:
             self._journal.trajectory_refused(*counts)
@@ -433,7 +440,7 @@ class Controller(Managed):
     def _use_paired(self, command: float | TrajectoryPoint) -> None:
         """In lockstep times of sending mean nothing."""
         if isinstance(command, TrajectoryPoint):
-            self._use_point(command, command.time)
+            self._use_point(command)
         else:
             self._use_command(command)
 

@@ -19,10 +19,10 @@ from valve_control import parameter
 from valve_control.arrays import Floats, Integers
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.journal import COLUMNS, COUNTED, Block, Event, observe
 from valve_control.control.supervision.state_snapshot import restore, snapshot
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.control.supervision.trajectory import Motion
 from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import Samples, seconds
@@ -230,11 +230,14 @@ class _ByJournal(_Replay):
         """Pass on to the supervisor what ``row`` lists; returns the voltage [V], None if the row has none."""
         supervisor, event = self._supervisor, Event(int(row[EVENT]))
         if event is Event.TRAJECTORY:
-            supervisor.trajectory(Motion(row[COMMAND], row[READING], row[NUMBER]), row[ELAPSED])
+            timed = not math.isnan(row[VOLTAGE])
+            point = Motion(row[COMMAND], row[READING], row[NUMBER])
+            supervisor.trajectory(point, row[ELAPSED] if timed else math.nan, row[VOLTAGE])
         elif event is Event.TRAJECTORY_REFUSED:
             supervisor.trajectory_refused(int(row[COMMAND]), int(row[READING]), int(row[NUMBER]))
         elif event is Event.COMMAND or not math.isnan(row[COMMAND]):
-            supervisor.command(row[COMMAND], row[ELAPSED] if event is Event.COMMAND else 0.0)
+            timed = event is Event.COMMAND and not math.isnan(row[NUMBER])
+            supervisor.command(row[COMMAND], row[READING] if timed else math.nan, row[NUMBER])
         match event:
             case Event.READING:
                 number, elapsed = int(row[NUMBER]), row[ELAPSED]
@@ -303,8 +306,8 @@ class _ByTimes(_Replay):
         self._say(f"{without} what a controller took in is known to a sample or so, from times")
         readings, commands = (self._valve.recorded[part] for part in ("spool_position", "spool_command"))
         answered, recorded = self._answers(readings)
-        taken, last = 0, int(readings.time[0])
-        intervals = np.diff(commands.time, prepend=commands.time[:1]) * 1e-9
+        taken, begin = 0, int(readings.time[0])
+        last = begin
         columns = (
             readings.time,
             readings.value,
@@ -315,12 +318,14 @@ class _ByTimes(_Replay):
         for time, reading, number, count, voltage in zip(*(c.tolist() for c in columns), strict=True):
             while changes and changes[0].time < time:
                 self._use(changes.pop(0).values)
-            for command, interval in zip(
-                commands.value[taken:count].tolist(), intervals[taken:count].tolist(), strict=True
+            lockstep = self._values["lockstep"] is True
+            for command, sent in zip(
+                commands.value[taken:count].tolist(), commands.time[taken:count].tolist(), strict=True
             ):
-                self._supervisor.command(command, interval)
+                stamp = math.nan if lockstep else 1.0 + (sent - begin) * 1e-9
+                self._supervisor.command(command, stamp, (sent - last) * 1e-9)
             taken = max(taken, count)
-            elapsed = 0.0 if self._values["lockstep"] is True else (time - last) * 1e-9
+            elapsed = 0.0 if lockstep else (time - last) * 1e-9
             last = time
             answer = self._supervisor.sample(reading, number or None, elapsed)
             yield self._row(time, reading, voltage, answer)

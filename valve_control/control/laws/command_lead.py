@@ -44,7 +44,6 @@ class State(NamedTuple):
     older: float  # V/s  the difference before that
     rate: float  # V/s  estimate at the sample before
     accel: float  # V/s²  change of that estimate
-    age: float  # s    of the estimate
 
 
 AGE = 1.5  # periods, of the median of three differences under a steady acceleration
@@ -76,28 +75,22 @@ def _bend_of_reshaping(values: Values, period: float) -> float:
 
 def initial(command: float) -> State:
     """A command [V] at rest."""
-    return State(command, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return State(command, 0.0, 0.0, 0.0, 0.0)
 
 
 def step(p: Params, s: State, command: float) -> State:
     """Take in the ``command`` [V] of a sample; ``rate`` of the result is the estimate."""
     now = (command - s.command) / p.period
     rate = max(min(now, s.last), min(max(now, s.last), s.older))
-    return known(p, s, command, rate, AGE * p.period)
-
-
-def known(p: Params, s: State, command: float, rate: float, age: float) -> State:
-    """Take in the ``command`` [V] of a sample, and the ``rate`` [V/s] that it had ``age`` [s] ago."""
     allowed = clip(rate, min(s.rate, 0.0) - p.max_change, max(s.rate, 0.0) + p.max_change)
-    now = (command - s.command) / p.period
     rate = clip(allowed, -p.max_rate, p.max_rate)
     accel = clip(rate - s.rate, -p.max_change, p.max_change) / p.period
-    return State(command, now, s.last, rate, accel, age)
+    return State(command, now, s.last, rate, accel)
 
 
 def led(p: Params, s: State, command: float) -> float:
     """``command`` [V] with its lead."""
-    bend = p.bend + p.share * p.time * s.age
+    bend = p.bend + p.share * p.time * (AGE * p.period)
     return saturate(command + p.time * s.rate + bend * s.accel, p.limit)
 
 

@@ -35,22 +35,22 @@ CONTROLLER: Table = (
     U_MAX,
     Parameter("command_limit", 10.0, "V", "commands are limited to ± this", 0.1, 100.0),
     Parameter(
-        "command.interpolation",
-        "hold",
-        "",
-        "interpolation of commands that are slower than the LVDT, by their time stamps: hold; linear: a "
-        "straight line to the newest command, in one command period; extrapolate: a straight line to the "
-        "expected next command; bridge: the cubic through the last commands, see command.bridge",
-        choices=("hold", "linear", "extrapolate", "bridge"),
-    ),
-    Parameter(
         "command.bridge",
         0.006,
         "s",
         "time for which the motion continues with its derivatives if a command or a point of a "
-        "trajectory is late; then the last one holds; 0.0: it holds at once",
+        "trajectory is late; then it returns to the last one",
         0.0,
         0.1,
+    ),
+    Parameter(
+        "command.lag",
+        0.0,
+        "s",
+        "time by which the law follows the motion of the commands later; a motion that is less far ahead "
+        "of the newest command is better known; 0.0: the motion at the time of the reading",
+        0.0,
+        0.05,
     ),
     Parameter(
         "transfer_time",

@@ -2,45 +2,44 @@
 # SPDX-License-Identifier: Apache-2.0
 """Delivers the commands of an upper level to a simulated controller as a node gets them.
 
-The upper level sends the wanted motion every command period; each message is early or late on its way, and
-the controller takes at each sample those that have come. It holds the newest, joins them as
-``command.interpolation`` says, or bridges those that are late (``command.bridge``), with the node's own
-functions.
+The upper level sends the wanted motion every command period of its own clock, with the time; each message
+takes some time on its way. The controller takes at each sample those that have come, and follows the motion
+with the node's own functions (command_course.py).
 """
 
 import functools
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import Akima1DInterpolator
 
 from valve_control.arrays import Floats
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead
-from valve_control.control.supervision import command_course, late_commands
-from valve_control.parameter import ParameterError, Values, number, word
+from valve_control.control.supervision import clock, command_course
+from valve_control.parameter import ParameterError, Values, number
 
 TOGETHER = 1e-9  # s  within which a message counts as come at the time of a sample
+FASTEST = 0.01  # s/s  of the sender's clock beside that of the samples
 
 
 class Delivery(NamedTuple):
     """How the commands of an upper level come."""
 
     period: float  # s  from one command to the next
-    jitter: float = 0.0  # s  by which each comes early or late at most
+    jitter: float = 0.0  # s  on its way a message is late by up to twice this
     seed: int = 1  # of that
-
-
-class Received(NamedTuple):
-    """Commands as the controller has them at each sample, before their lead."""
-
-    values: Floats  # V
-    rates: Floats | None  # V/s of commands that are joined; None: of those that are held
+    drift: float = 0.0  # s/s  of the sender's clock beside that of the samples
+    late: float = 0.0  # share of the messages that are late by ``lateness`` besides
+    lateness: float = 0.003  # s
+    pause: float = 0.0  # s  in which the upper level sends nothing, five times a second
 
 
 def check(values: Values, delivery: Delivery) -> None:
     """Raise ParameterError for a ``delivery`` that cannot be, at the sample period of ``values``."""
-    period, most = number(values, "sample_period"), late_commands.LONGEST
+    period, most = number(values, "sample_period"), command_course.LONGEST
     if not period <= delivery.period <= most:
         raise ParameterError(
             f"--command-period is {delivery.period:g} s; it must lie between the sample period, "
@@ -51,104 +50,84 @@ def check(values: Values, delivery: Delivery) -> None:
             f"--command-jitter is {delivery.jitter:g} s; it must lie between 0 and the period of the "
             f"commands, {delivery.period:g} s"
         )
+    if not abs(delivery.drift) <= FASTEST:
+        raise ParameterError(
+            f"--command-drift is {1e6 * delivery.drift:g} ppm; it must lie within ±{1e6 * FASTEST:g} ppm"
+        )
 
 
-def of_each_sample(values: Values) -> Delivery | None:
-    """Delivery of one command a sample, in time, by a controller's ``values``; None: they are held."""
-    if values["command.interpolation"] == "hold":
-        return None
-    return Delivery(number(values, "sample_period"))
+def received(values: Values, wanted: Floats, delivery: Delivery | None) -> Floats:
+    """Commands [V] at each sample for the ``wanted`` motion [V], one entry a sample; None: in time."""
+    p = command_course.design(values)
+    if delivery is None or (delivery == Delivery(p.period, seed=delivery.seed) and p.lag == 0.0):
+        return wanted
+    return _received(wanted.tobytes(), delivery, p)
 
 
-def received(values: Values, wanted: Floats, delivery: Delivery) -> Received:
-    """Commands at each sample for the ``wanted`` motion [V], one entry a sample; not limited yet."""
-    kind, limit = word(values, "command.interpolation"), number(values, "command_limit")
-    period, bridging = number(values, "sample_period"), late_commands.design(values)
-    in_time = delivery.jitter == 0.0 and delivery.period == period
-    if bridging is not None and not bridging.every and in_time:
-        bridging = None
-    return _received(wanted.tobytes(), delivery, kind, limit, period, bridging)
+def messages(wanted: Floats, delivery: Delivery, period: float) -> tuple[Floats, Floats, Floats]:
+    """Commands [V], their stamps [s] by the sender's clock, and the times [s] at which they come.
+
+    ``wanted`` [V]: one entry for each sample ``period`` [s]; between them Akima's spline, which does not
+    overshoot a step.
+    """
+    n, random = len(wanted), np.random.default_rng(delivery.seed)
+    step = delivery.period * (1.0 + delivery.drift)
+    sent = np.arange(math.ceil(n * period / step - TOGETHER)) * step
+    late = random.uniform(0.0, 2.0 * delivery.jitter, len(sent))
+    late += delivery.lateness * (random.uniform(size=len(sent)) < delivery.late)
+    if delivery.pause > 0.0:
+        begins = np.arange(0.5, n * period, 0.2) + random.uniform(0.0, 0.1)
+        paused = (sent[:, None] > begins) & (sent[:, None] < begins + delivery.pause)
+        sent, late = sent[~paused.any(axis=1)], late[~paused.any(axis=1)]
+    late[0] = 0.0
+    at = np.minimum(sent / period, n - 1.0)
+    whole = np.abs(at - np.round(at)) * period < TOGETHER
+    commands = np.asarray(wanted[np.round(at).astype(int)], dtype=np.float64)
+    if not whole.all():
+        commands[~whole] = Akima1DInterpolator(np.arange(n), wanted)(at[~whole])
+    came: Floats = np.maximum.accumulate(sent + late)
+    return commands, np.asarray(sent / (1.0 + delivery.drift), dtype=np.float64), came
 
 
 @functools.lru_cache(maxsize=64)
-def _received(
-    wanted: bytes,
-    delivery: Delivery,
-    kind: str,
-    limit: float,
-    period: float,
-    bridging: late_commands.Params | None,
-) -> Received:
-    course = command_course.design(
-        {"command.interpolation": kind, "command_limit": limit, "sample_period": period}
-    )
-    motion = np.clip(np.frombuffer(wanted), -limit, limit)
-    n = len(motion)
-    sent = np.arange(np.ceil(n * period / delivery.period)) * delivery.period
-    late = np.random.default_rng(delivery.seed).uniform(-delivery.jitter, delivery.jitter, len(sent))
-    late[0] = min(late[0], 0.0)
-    arrivals = np.maximum.accumulate(sent + late)
-    commands = np.interp(sent, np.arange(n) * period, motion)
-    taken_at = np.ceil((arrivals - TOGETHER) / period).clip(0).astype(int)
-    if course is None and bridging is not None:
-        return Received(_bridged(bridging, taken_at, commands, delivery.period, n), None)
-    if course is None:
-        newest = np.searchsorted(taken_at, np.arange(n), side="right") - 1
-        return Received(commands[newest], None)
-    values, rates = np.empty(n), np.empty(n)
-    state: command_course.State | None = None
-    k = 0
-    for i in range(n):
-        while k < len(sent) and taken_at[k] <= i:
-            interval = delivery.period if k else 0.0
-            state = command_course.taken(course, state, float(commands[k]), interval, i * period)
-            k += 1
-        assert state is not None, "the first command comes with the first sample"
-        values[i], rates[i] = command_course.value(state, i * period), command_course.rate(state, i * period)
-    return Received(values, rates)
+def _received(wanted: bytes, delivery: Delivery, p: command_course.Params) -> Floats:
+    motion = np.clip(np.frombuffer(wanted), -p.limit, p.limit)
+    commands, stamps, came = messages(motion, delivery, p.period)
+    result = np.empty(len(motion))
+    taken_at: npt.NDArray[np.int64] = np.ceil((came - TOGETHER) / p.period).clip(0).astype(np.int64)
+    rest = command_course.begun(p, float(commands[0]), 0.0, 0.0)
+    compile_function(_fill)(p, rest, clock.NOTHING, commands, stamps, came, taken_at, result)
+    return result
 
 
-def _bridged(
-    p: late_commands.Params, taken_at: npt.NDArray[np.int64], commands: Floats, interval: float, n: int
-) -> Floats:
-    """The ``commands`` [V], taken at these samples, at each of ``n`` samples; late ones are bridged."""
-    values = np.empty(n)
-    state: late_commands.State | None = None
+def _fill(
+    p: command_course.Params,
+    course: command_course.State,
+    sender: clock.State,
+    commands: Floats,
+    stamps: Floats,
+    came: Floats,
+    taken_at: Any,
+    result: Floats,
+) -> None:
+    """Write the command [V] of each sample into ``result``; the clock of the samples is that of ``came``."""
     k = 0
-    for i in range(n):
-        now = i * p.period
+    for i in range(len(result)):
         while k < len(commands) and taken_at[k] <= i:
-            state = late_commands.taken(p, state, float(commands[k]), interval if k else 0.0, now)
+            sender = clock.step(sender, came[k], came[k] - stamps[k])
+            sent = stamps[k] + clock.offset(sender)
+            course = command_course.taken(p, course, commands[k], sent, stamps[k])
             k += 1
-        assert state is not None, "the first command comes with the first sample"
-        values[i] = late_commands.value(p, state, now)
-    return values
+        result[i] = command_course.value(p, course, i * p.period)
 
 
-def given(
-    lead: command_lead.Params | None, values: Values, command: Floats, delivered: Delivery | None
+def led(
+    lead: command_lead.Params | None, values: Values, command: Floats, delivery: Delivery | None
 ) -> Floats:
-    """Commands [V] as a law gets them at each sample, with the ``lead``, of those ``delivered``."""
-    if delivered is None:
-        return command_lead.applied(lead, command)
-    return led(lead, received(values, command, delivered))
-
-
-def led(lead: command_lead.Params | None, got: Received) -> Floats:
-    """``got`` with the ``lead`` as a node has it, one entry a sample [V]."""
-    if lead is None:
-        return got.values
-    made = np.empty_like(got.values)
-    if got.rates is None:
-        compile_function(command_lead.fill)(lead, got.values, made)
-    else:
-        compile_function(_fill)(lead, got.values, got.rates, made)
-    return made
-
-
-def _fill(lead: command_lead.Params, values: Floats, rates: Floats, result: Floats) -> None:
-    """Write the ``values`` [V] of commands whose ``rates`` [V/s] are known with their lead."""
-    state = command_lead.initial(values[0])
-    for k in range(len(values)):
-        state = command_lead.known(lead, state, values[k], rates[k], 0.0)
-        result[k] = command_lead.led(lead, state, values[k])
+    """Commands [V] as a law gets them at each sample, with the ``lead``; ``delivery``: how they come."""
+    got = received(values, command, delivery)
+    if lead is None or len(got) == 0:
+        return got
+    result = np.empty_like(got)
+    compile_function(command_lead.fill)(lead, got, result)
+    return result

@@ -179,7 +179,7 @@ def _cut(law: Law, params: Any, terms: Floats, model: TransferFunction) -> str:
 def _led(loop: _Loop, values: Values, command: Floats, delivered: Delivery | None) -> Floats:
     """Commands [V] as the law gets them, with the lead of the controller's ``values``."""
     lead = command_lead.build(values, loop.law.reshapes(loop.params))
-    return delivery.given(lead, values, command, delivered)
+    return delivery.led(lead, values, command, delivered)
 
 
 def _ran(

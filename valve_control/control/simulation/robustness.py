@@ -162,9 +162,8 @@ def fitting_limit(study: Study) -> float:
     if size <= AT_REST:
         return LIMIT
     controller = sampled(study, "controller", period)
-    delivered = delivery.of_each_sample(controller)
     plant = sampled(study, "valve_simulator", period)
-    run = offline.simulate(controller, plant, command, delivered=delivered)
+    run = offline.simulate(controller, plant, command)
     following = FOLLOWING * run.indices.e_F
     return LIMIT + (min(following, size) if np.isfinite(following) else size)
 
@@ -191,7 +190,7 @@ def run_chunk(study: Study, first: int, count: int, threads: int | None = None) 
                 batch.records([build.valve_params(values) for values in valves]),
                 study.seed + first + chosen,
                 command,
-                led=delivery.given(lead, controller, command, delivery.of_each_sample(controller)),
+                led=delivery.led(lead, controller, command, None),
             ),
             threads,
         )

@@ -1,96 +1,268 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Course of the command between the messages of an upper level that is slower than the loop.
+"""Course of the command: the upper level's motion at the time of a reading.
 
-The commands' own time stamps tell how far they are apart, so that an uneven way to the controller does not
-bend the course; when they are due on the clock of the samples is smoothed for the same reason.
+Commands are samples of a motion at the times at which they were sent. Three predictors continue it from the
+newest: hold; a cubic of fading memory, which smooths noise; and the quintic through the last six commands.
+Each counts by how well it has predicted the last commands: the inverse square of its mean square error. So
+noise and staircases are held, as they are sent, and a smooth motion is continued with its derivatives. A
+command that no predictor explains is a step: it takes effect at once, and no derivative is made of it
+(docs/explanation/command_course.md).
 """
 
+import math
 from typing import NamedTuple
 
-from valve_control.control.laws.projection import clip
 from valve_control.control.plant.amplifier import saturate
-from valve_control.control.supervision.late_commands import LONGEST, joined
-from valve_control.parameter import Values, number, word
+from valve_control.parameter import Values, number
 
-STEEPER = 6.0  # from one line to the next, of a motion
+LONGEST = 0.1  # s  between two commands of one course; one that comes later begins anew
+USUAL = 0.05  # share of an interval in the usual one
+LATE = 1.5  # usual intervals after which a command is late
+MEMORIES = (0.65, 0.3)  # θ of the two fading memories, for each command
+FORGETTING = 0.8  # of the square errors, for each command
+PREFERENCE = 4.0  # weight of hold at equal errors
+STEP = 10.0  # times the rms error of the best predictor, beyond which a command is a step
+PART = 0.1  # of the last changes of the command, which a step is larger than
+FLOOR = 1e-6  # V  error that is none
+LEAST = FLOOR * FLOOR  # V²  mean square error of a predictor that has made none
+ENOUGH = 4  # commands after which a course is no longer at its beginning
+GONE = 10.0  # times the time of the bridge, after which nothing is left of the motion
+
+
+def _fading(memory: float) -> tuple[float, float, float, float, float, float]:
+    """Gains of the fading memory of degree 3 for each derivative, times the interval's power.
+
+    Morrison, Introduction to Sequential Smoothing and Prediction (1969).
+    """
+    rest = 1.0 - memory
+    velocity = rest**2 * (11.0 + 14.0 * memory + 11.0 * memory**2) / 6.0
+    return 1.0 - memory**4, velocity, 2.0 * rest**3 * (1.0 + memory), rest**4, 0.0, 0.0
+
+
+SMOOTH_X, SMOOTH_V, SMOOTH_A, SMOOTH_J, SMOOTH_S, SMOOTH_C = _fading(MEMORIES[0])
+QUICK_X, QUICK_V, QUICK_A, QUICK_J, QUICK_S, QUICK_C = _fading(MEMORIES[1])
+# Of the polynomial through six commands, by Newton's backward differences: k!·e_k(1, 1/2, … 1/5)
+EXACT_X, EXACT_V, EXACT_A, EXACT_J, EXACT_S, EXACT_C = 1.0, 137.0 / 60.0, 15.0 / 4.0, 17.0 / 4.0, 3.0, 1.0
+
+
+class Motion(NamedTuple):
+    """Of one moment."""
+
+    position: float  # V
+    velocity: float  # V/s
+    acceleration: float  # V/s²
 
 
 class Params(NamedTuple):
-    """How commands are joined."""
+    """For how long a motion goes on, and how far behind the law follows it."""
 
-    extrapolate: bool  # to where the next one will be, otherwise to the newest one
+    bridge: float  # s  after a command was due
+    lag: float  # s
     limit: float  # V
     period: float  # s  ΔT
 
 
+class Course(NamedTuple):
+    """A polynomial at the time of the newest command."""
+
+    position: float  # V
+    velocity: float  # V/s
+    acceleration: float  # V/s²
+    jerk: float  # V/s³
+    snap: float  # V/s⁴
+    crackle: float  # V/s⁵
+
+
 class State(NamedTuple):
-    """A straight line from one sample to another, and the command that it comes from."""
+    """The newest command, and the predictors with their errors."""
 
-    origin: float  # V
-    begin: float  # s
-    goal: float  # V, held from `end` on
-    end: float  # s
-    command: float  # V  the newest
-    due: float  # s  when it was due
-    slope: float  # V/s  from the one before it
-    rate: float  # V/s  of the motion at `begin`, without the corners of the lines
-    final_rate: float  # V/s  at `end`
-
-
-def design(values: Values) -> Params | None:
-    """Course with the parameters of the controller, None for commands that hold until the next one."""
-    kind = word(values, "command.interpolation")
-    if kind not in ("linear", "extrapolate"):
-        return None
-    return Params(kind == "extrapolate", number(values, "command_limit"), number(values, "sample_period"))
+    command: float  # V
+    sent: float  # s  on the clock of the samples
+    stamp: float  # s  on the sender's clock; without one as ``sent``
+    interval: float  # s  usual time between two commands
+    change: float  # V  from the command before
+    known: int  # commands of this course, up to one more than ENOUGH
+    leapt: bool  # whether this one was a step
+    smooth: Course
+    quick: Course
+    exact: Course
+    held_error: float  # V²  fading sum of the square errors of each predictor
+    smooth_error: float  # V²
+    quick_error: float  # V²
+    exact_error: float  # V²
 
 
-def taken(p: Params, s: State | None, command: float, interval: float, arrival: float) -> State:
-    """A ``command`` [V] has come for the sample at ``arrival`` [s], ``interval`` [s] after the one before.
+class Horizon(NamedTuple):
+    """A time ahead of the newest command, as a function of time."""
 
-    The line to it, or to where the next one will be, takes until the next one is due and one sample more,
-    so that one which comes a little late finds the line not at its end.
+    time: float  # s
+    rate: float  # -  its derivative
+    bend: float  # 1/s
+
+
+def design(values: Values) -> Params:
+    """Params from the controller's values."""
+    return Params(
+        number(values, "command.bridge"),
+        number(values, "command.lag"),
+        number(values, "command_limit"),
+        number(values, "sample_period"),
+    )
+
+
+def begun(p: Params, command: float, sent: float, stamp: float) -> State:
+    """A ``command`` [V] at rest, the first of a course."""
+    rest = Course(command, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return State(command, sent, stamp, p.period, 0.0, 1, False, rest, rest, rest, LEAST, LEAST, LEAST, LEAST)
+
+
+def taken(p: Params, s: State | None, command: float, sent: float, stamp: float) -> State:
+    """A ``command`` [V] has come; it was ``sent`` [s], by its sender's clock at ``stamp`` [s]."""
+    if s is None:
+        return begun(p, command, sent, stamp)
+    elapsed = stamp - s.stamp
+    if abs(elapsed) > LONGEST:
+        return begun(p, command, sent, stamp)
+    if elapsed <= 0.0:  # of the same moment: the newest counts
+        smooth, quick, exact = moved(s.smooth, command), moved(s.quick, command), moved(s.exact, command)
+        return State(
+            command, sent, s.stamp, s.interval, s.change, s.known, s.leapt, smooth, quick, exact,
+            s.held_error, s.smooth_error, s.quick_error, s.exact_error,
+        )  # fmt: skip
+    interval = elapsed if s.known == 1 else s.interval + USUAL * (min(elapsed, 3.0 * s.interval) - s.interval)
+    smooth, quick, exact = after(s.smooth, elapsed), after(s.quick, elapsed), after(s.exact, elapsed)
+    held = command - s.command
+    rough, near, fine = command - smooth.position, command - quick.position, command - exact.position
+    least = min(abs(held), abs(rough), abs(near), abs(fine))
+    usual = math.sqrt(min(s.held_error, s.smooth_error, s.quick_error, s.exact_error))
+    leaps = least > STEP * usual and least > PART * max(abs(held), abs(s.change))
+    leapt, known, common = leaps and not s.leapt, s.known, 0.0
+    span = max(elapsed, 0.5 * interval)
+    if leapt:
+        smooth, quick, exact, common = (
+            moved(smooth, command), moved(quick, command), moved(exact, command), least
+        )  # fmt: skip
+    else:
+        known = 2 if leaps else min(s.known + 1, ENOUGH + 1)
+        if known <= ENOUGH:
+            smooth = started(smooth, command, rough, held, span, known)
+            quick = started(quick, command, near, held, span, known)
+            exact = started(exact, command, fine, held, span, known)
+        else:
+            smooth = corrected(
+                smooth, rough, span, SMOOTH_X, SMOOTH_V, SMOOTH_A, SMOOTH_J, SMOOTH_S, SMOOTH_C
+            )
+            quick = corrected(quick, near, span, QUICK_X, QUICK_V, QUICK_A, QUICK_J, QUICK_S, QUICK_C)
+            exact = corrected(exact, fine, span, EXACT_X, EXACT_V, EXACT_A, EXACT_J, EXACT_S, EXACT_C)
+    return State(
+        command, sent, stamp, interval, held, known, leapt, smooth, quick, exact,
+        faded(s.held_error, abs(held) - common),
+        faded(s.smooth_error, abs(rough) - common),
+        faded(s.quick_error, abs(near) - common),
+        faded(s.exact_error, abs(fine) - common),
+    )  # fmt: skip
+
+
+def faded(error: float, missed: float) -> float:
+    """Fading sum of the square errors [V²], after one more error [V]."""
+    return FORGETTING * error + missed * missed + LEAST
+
+
+# Predictors
+
+
+def after(c: Course, time: float) -> Course:
+    """The course ``c``, ``time`` [s] later."""
+    t = time
+    x, v, a, j, s, q = c
+    return Course(
+        x + t * (v + t * (a / 2.0 + t * (j / 6.0 + t * (s / 24.0 + t * q / 120.0)))),
+        v + t * (a + t * (j / 2.0 + t * (s / 6.0 + t * q / 24.0))),
+        a + t * (j + t * (s / 2.0 + t * q / 6.0)),
+        j + t * (s + t * q / 2.0),
+        s + t * q,
+        q,
+    )
+
+
+def position(c: Course, time: float) -> float:
+    """Position [V] of the course ``c``, ``time`` [s] later."""
+    t = time
+    x, v, a, j, s, q = c
+    return x + t * (v + t * (a / 2.0 + t * (j / 6.0 + t * (s / 24.0 + t * q / 120.0))))
+
+
+def moved(c: Course, command: float) -> Course:
+    """The course ``c`` from ``command`` [V] on, with the same derivatives."""
+    return Course(command, c.velocity, c.acceleration, c.jerk, c.snap, c.crackle)
+
+
+def started(c: Course, command: float, missed: float, change: float, span: float, count: int) -> Course:
+    """The polynomial through the first ``count`` commands, ``span`` [s] apart; it ``missed`` the newest."""
+    if count == 2:
+        return Course(command, change / span, 0.0, 0.0, 0.0, 0.0)
+    rate = missed / span
+    bend = rate / span
+    if count == 3:
+        return Course(command, c.velocity + 1.5 * rate, c.acceleration + bend, 0.0, 0.0, 0.0)
+    velocity = c.velocity + 11.0 / 6.0 * rate
+    return Course(command, velocity, c.acceleration + 2.0 * bend, c.jerk + bend / span, 0.0, 0.0)
+
+
+def corrected(
+    c: Course, missed: float, span: float, x: float, v: float, a: float, j: float, s: float, q: float
+) -> Course:
+    """The course ``c`` after a command that it ``missed`` [V]; ``x`` to ``q``: gains of its derivatives."""
+    rate = missed / span
+    bend = rate / span
+    jerk = bend / span
+    snap = jerk / span
+    return Course(
+        c.position + x * missed,
+        c.velocity + v * rate,
+        c.acceleration + a * bend,
+        c.jerk + j * jerk,
+        c.snap + s * snap,
+        c.crackle + q * snap / span,
+    )
+
+
+# The motion at the time of a reading
+
+
+def horizon(bridge: float, interval: float, time: float) -> Horizon:
+    """How far ahead of the newest command the motion is followed, ``time`` [s] after it was sent.
+
+    As far as that, until a command is late by ``bridge`` [s]; then back to it without a kink.
     """
-    if s is None or not 0.0 < interval <= LONGEST:
-        return State(command, arrival, command, arrival, command, arrival, 0.0, 0.0, 0.0)
-    due = joined(s.due, interval, arrival)
-    end = max(due + interval, arrival) + p.period
-    slope = (command - s.command) / interval
-    goal = command
-    if p.extrapolate:
-        # The smaller of two slopes: a step is not gone beyond.
-        smaller = s.slope if abs(s.slope) < abs(slope) else slope
-        sure = 0.0 if slope * s.slope <= 0.0 else smaller
-        goal = saturate(command + sure * (end - due), p.limit)
-    begun, final = beside(rate(s, arrival), slope), beside(slope, s.slope)
-    return State(value(s, arrival), arrival, goal, end, command, due, slope, begun, final)
+    until = LATE * interval + bridge
+    beyond = time - until
+    if beyond <= 0.0:
+        return Horizon(max(time, -LONGEST), 1.0, 0.0)
+    if beyond > GONE * until:
+        return Horizon(0.0, 0.0, 0.0)
+    rate = 2.0 / until
+    left = math.exp(-rate * beyond)
+    way = until + beyond * (3.0 + 4.0 * beyond / until)
+    slope = 3.0 + 8.0 * beyond / until
+    return Horizon(
+        way * left, (slope - rate * way) * left, (8.0 / until - rate * (2.0 * slope - rate * way)) * left
+    )
 
 
-def beside(rate: float, slope: float) -> float:
-    """``rate`` [V/s] as far as a motion may have it next to this ``slope`` [V/s]; a step has none."""
-    most = STEEPER * abs(slope)
-    return clip(rate, -most, most)
-
-
-def value(s: State, now: float) -> float:
-    """Command [V] of the sample at ``now`` [s]."""
-    if now >= s.end:
-        return s.goal
-    if now <= s.begin:
-        return s.origin
-    return s.origin + (s.goal - s.origin) * ((now - s.begin) / (s.end - s.begin))
-
-
-def rate(s: State, now: float) -> float:
-    """Rate [V/s] of the motion at ``now`` [s]: it goes evenly from one slope to the next.
-
-    Beyond the end, where no further command has come, it fades as long again as the line took.
-    """
-    length = s.end - s.begin
-    if length <= 0.0:
-        return 0.0
-    share = (now - s.begin) / length
-    if share > 1.0:
-        return s.final_rate * max(0.0, 2.0 - share)
-    return s.rate + (s.final_rate - s.rate) * max(0.0, share)
+def value(p: Params, s: State, now: float) -> float:
+    """Command [V] of the sample at ``now`` [s]; that of a command which was sent for it, to the bit."""
+    time = now - p.lag - s.sent
+    if time == 0.0:
+        return saturate(s.command, p.limit)
+    ahead = horizon(p.bridge, s.interval, time).time
+    if ahead == 0.0:
+        return saturate(s.command, p.limit)
+    one = PREFERENCE / (s.held_error * s.held_error)
+    two = 1.0 / (s.smooth_error * s.smooth_error)
+    three = 1.0 / (s.quick_error * s.quick_error)
+    four = 1.0 / (s.exact_error * s.exact_error)
+    course = one * s.command + two * position(s.smooth, ahead)
+    course += three * position(s.quick, ahead) + four * position(s.exact, ahead)
+    return saturate(course / (one + two + three + four), p.limit)

@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.state_snapshot import snapshot
 from valve_control.control.supervision.supervisor import Supervisor, unused
-from valve_control.control.supervision.trajectory import Motion
 from valve_control.parameter import Values
 
 COLUMNS = ("time", "event", "command", "reading", "number", "elapsed", "voltage")
+LONG = 10**14  # ns, about a day, after which the stamps of commands count from another moment
 HEAD = 5  # numbers before the rows: which journal, number of the first row, time 0; times in s and ns
 
 
@@ -31,9 +32,7 @@ class Event(IntEnum):
     READING = 0  # answered with a voltage
     SILENCE = 1  # of the LVDT
     STALL = 2  # this process stood still; the reading, if there was one, was not used
-    COMMAND = (
-        3  # nothing but the command, NaN included; `elapsed` since the one before, where commands are joined
-    )
+    COMMAND = 3  # nothing but the command, NaN included; its stamp as `reading`, since as `number`
     PARAMETERS = 4  # new ones are in use, which the account before the next row tells
     START = 5  # from rest
     STOP = 6  # with 0 V
@@ -42,7 +41,8 @@ class Event(IntEnum):
     COMMAND_PUBLISHERS = 9  # `number` of them, 0 for one or none
     LVDT_PUBLISHERS = 10
     VOLTAGE_PUBLISHERS = 11
-    TRAJECTORY = 12  # position, velocity and acceleration as `command`, `reading` and `number`
+    TRAJECTORY = 12  # position, velocity and acceleration as `command`, `reading` and `number`; its stamp as
+    # `elapsed` (0.0: none) and since as `voltage`
     TRAJECTORY_REFUSED = 13  # for its numbers of entries, in the same columns
     TRAJECTORY_GONE = 14  # who sent it left, somebody who commands did not
     TRAJECTORY_PUBLISHERS = 15
@@ -68,8 +68,7 @@ class Journal:
         self._base = 0  # ns
         self._count = 0  # rows since the beginning
         self._command = math.nan  # taken, and not in a row yet
-        self._stamp = 0  # ns  of the last command
-        self._trajectory_stamp = 0  # ns  of the last point that was not refused
+        self._epoch = 0  # ns  of the sender's clock, since which stamps count
         self._publishers = dict.fromkeys(OBSERVED, 0)
         self.owes_account = True  # of parameters that came into use
 
@@ -79,27 +78,34 @@ class Journal:
 
     # Inputs of the supervisor
 
-    def command(self, value: float, stamp: int = 0) -> None:
-        """Pass on a command [V] from the upper level, sent at ``stamp`` [ns], 0 if that is not known."""
-        interval = 0.0
-        if self._supervisor.joins:
-            interval = (stamp - self._stamp) * 1e-9 if stamp and self._stamp else 0.0
-        self._stamp = stamp
-        self._close_command()
-        self._supervisor.command(value, interval)
-        self._command = value
-        if math.isnan(value) or interval != 0.0:
-            self._note(Event.COMMAND, elapsed=interval)
+    def command(self, value: float, stamp: int = 0, since: float = 0.0) -> None:
+        """Pass on a command [V] from the upper level, sent at ``stamp`` [ns], 0 if that is not known.
 
-    def trajectory(self, point: Motion, stamp: int = 0) -> None:
-        """A point of a trajectory, of the time ``stamp`` [ns], 0 if that is not known."""
+        ``since`` [s]: how long after the last reading, silence or skipped reading it came.
+        """
         self._close_command()
-        known = stamp and self._trajectory_stamp
-        interval = (stamp - self._trajectory_stamp) * 1e-9 if known else 0.0
-        if self._supervisor.trajectory(point, interval):
-            self._trajectory_stamp = stamp
+        time = self._seconds(stamp)
+        self._supervisor.command(value, time, since)
+        self._command = value
+        if math.isnan(value) or stamp:
+            self._note(Event.COMMAND, time, since)
+
+    def trajectory(self, point: Motion, stamp: int = 0, since: float = 0.0) -> None:
+        """A point of a trajectory, of the time ``stamp`` [ns], 0 if that is not known; ``since`` as above."""
+        self._close_command()
+        time = self._seconds(stamp)
+        self._supervisor.trajectory(point, time, since)
         self._command = point.position
-        self._note(Event.TRAJECTORY, point.velocity, point.acceleration, interval)
+        times = (time, since) if stamp else (0.0, math.nan)
+        self._note(Event.TRAJECTORY, point.velocity, point.acceleration, *times)
+
+    def _seconds(self, stamp: int) -> float:
+        """``stamp`` [ns] in s, from a moment on that keeps it short: no bit of a microsecond is lost."""
+        if stamp == 0:
+            return math.nan
+        if abs(stamp - self._epoch) > LONG:
+            self._epoch = stamp - 10**9
+        return (stamp - self._epoch) * 1e-9
 
     def trajectory_refused(self, positions: int, velocities: int, accelerations: int) -> None:
         """A point of a trajectory with so many entries."""

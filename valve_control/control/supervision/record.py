@@ -18,7 +18,6 @@ from valve_control.control.supervision import (
     command_watch,
     conditions,
     cycle_watch,
-    late_commands,
     lock_in,
     lvdt,
     lvdt_watch,
@@ -26,6 +25,7 @@ from valve_control.control.supervision import (
     plausibility,
     rate,
 )
+from valve_control.control.supervision import clock as clocks
 from valve_control.control.supervision import trajectory as points
 from valve_control.control.supervision.watch_table import BESIDE, REPORTING, Watch
 from valve_control.parameter import ParameterError, one_of
@@ -78,9 +78,11 @@ class Fixed:
     used: float | None = None  # V  the command at the sample before, without offset
     effective: float = math.nan  # V  the same, as the law got it, none before the first
     transfer: bumpless_transfer.State = bumpless_transfer.NOTHING
-    course: command_course.State | None = None  # of commands that are joined
-    upper: late_commands.State | None = None  # commands, and how they go on while one is late
+    course: command_course.State | None = None  # of commands
     trajectory: points.State | None = None  # instead of commands
+    clock: float = 0.0  # s  of this process at the last reading, since init
+    pulse: clocks.State = clocks.NOTHING  # this clock over ``now``
+    sender: clocks.State = clocks.NOTHING  # the same over the time stamps of commands
     lead: command_lead.State | None = None  # of the command, none without it or without the law
     law: Any | None = None  # state of the law, none while it does not have the valve
     former: Any | None = None  # state of the law when it had the valve last, none if that is of no use

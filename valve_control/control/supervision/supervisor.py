@@ -109,10 +109,6 @@ class Supervisor:
             or former.lead.period != made.lead.period
         ):
             m.lead = None
-        if made.joining is None:
-            m.course = None
-        if made.late is None or former is None or former.late is None or former.late.every != made.late.every:
-            m.upper = None
         if curve_changed:  # the law's voltage has another unit, and its estimates are those of another valve
             m.voltage = linearisation.given(values, sent)
             watch.end_doubt(m)
@@ -165,20 +161,21 @@ class Supervisor:
 
     # Inputs
 
-    def command(self, value: float, interval: float = 0.0) -> None:
+    def command(self, value: float, stamp: float = math.nan, since: float = 0.0) -> None:
         """Take in a command [V] from the upper level.
 
-        ``interval`` [s]: by which it was sent after the one before, if that is known.
+        ``stamp`` [s]: when it was sent, by the sender's clock, NaN: unknown, it is that of the next sample.
+        ``since`` [s]: how long after the last call of ``sample``, ``silence`` or ``skip`` it came.
         """
-        watch.command(self._params, self.memory, float(value), float(interval))
+        watch.command(self._params, self.memory, float(value), stamp, since)
 
-    def trajectory(self, point: trajectory.Motion, interval: float = 0.0) -> bool:
+    def trajectory(self, point: trajectory.Motion, stamp: float = math.nan, since: float = 0.0) -> bool:
         """Take in a point of a trajectory from the upper level; whether it can be used.
 
-        ``interval`` [s]: by which its time stamp is after that of the one before, 0 if that is not known.
-        A trajectory has precedence over commands for as long as it is not silent.
+        ``stamp``, ``since``: as of ``command``. A trajectory has precedence over commands for as long as it
+        is not silent.
         """
-        return watch.trajectory(self._params, self.memory, point, interval)
+        return watch.trajectory(self._params, self.memory, point, stamp, since)
 
     def trajectory_refused(self, positions: int, velocities: int, accelerations: int) -> None:
         """A point of a trajectory came with so many entries."""
@@ -333,11 +330,6 @@ class Supervisor:
     def command_in_force(self) -> float | None:
         """Command [V] in force, None before the first."""
         return self.memory.command.value
-
-    @property
-    def joins(self) -> bool:
-        """Whether the time between two commands counts."""
-        return self._params.joining is not None or (self._params.late is not None and self._params.late.every)
 
     @property
     def has_trajectory(self) -> bool:

@@ -24,11 +24,11 @@ from valve_control.control.laws.signals import Start
 from valve_control.control.plant.amplifier import saturate
 from valve_control.control.supervision import (
     bumpless_transfer,
+    clock,
     command_course,
     command_watch,
     conditions,
     cycle_watch,
-    late_commands,
     lock_in,
     lvdt,
     lvdt_watch,
@@ -84,8 +84,7 @@ class Params(NamedTuple):
     watches: Any  # of the table, which look at the blocks of the plausibility check; None without it
     lead: command_lead.Params | None  # of the command
     transfer: bumpless_transfer.Params
-    joining: command_course.Params | None  # of commands
-    late: late_commands.Params | None  # how commands that are late are bridged
+    course: command_course.Params  # of commands and of trajectories
     reshapes: bool  # whether the law follows a reshaped reference
     probation: float  # V  limit of the voltage while readings are doubted
     lockstep: bool  # whether the law starts as offline, wherever spool and command are
@@ -117,7 +116,6 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
         command_lead.build(values, reshaped),
         bumpless_transfer.design(number(values, "transfer_time"), number(values, "sample_period")),
         command_course.design(values),
-        late_commands.design(values),
         reshaped and hasattr(law, "reshaping"),
         lvdt_watch.PROBATION * number(values, "lvdt.disturbance"),
         bool(values["lockstep"]),
@@ -198,10 +196,11 @@ def linearised(p: Params, voltage: float) -> float:
 # Inputs
 
 
-def command(p: Params, m: Memory, value: float, interval: float) -> None:
-    """Take in a command ``value`` [V], sent ``interval`` [s] after the one before, 0 if that is not known.
+def command(p: Params, m: Memory, value: float, stamp: float, since: float) -> None:
+    """Take in a command ``value`` [V], sent at ``stamp`` [s] of its sender's clock.
 
-    It is limited; one that is not finite is refused, and any while a trajectory commands.
+    It came ``since`` [s] after the last reading. Without a stamp (NaN) it is that of the next sample. It is
+    limited; one that is not finite is refused, and any while a trajectory commands.
     """
     if not math.isfinite(value):
         m.command = command_watch.taken(p.command, m.command, value, m.now)
@@ -212,39 +211,38 @@ def command(p: Params, m: Memory, value: float, interval: float) -> None:
         latch(m, "command_both", BOTH)
         return
     m.trajectory = None
-    if p.joining is not None:
-        arrival = m.now + p.joining.period
-        limited = saturate(value, p.joining.limit)
-        m.course = command_course.taken(p.joining, m.course, limited, interval, arrival)
-        m.upper = None
-    elif p.late is not None:
-        limited = saturate(value, p.late.limit)
-        before = m.upper if m.command.homing is None else None
-        m.upper = late_commands.taken(p.late, before, limited, interval, m.now + p.late.period)
+    sent = sent_at(p, m, stamp, since)
+    before = m.course if m.command.homing is None else None
+    limited = saturate(value, p.course.limit)
+    m.course = command_course.taken(p.course, before, limited, sent, stamp if math.isfinite(stamp) else sent)
     renew(p, m, value)
 
 
-def trajectory(p: Params, m: Memory, point: points.Motion, interval: float) -> bool:
-    """Take in a ``point`` of a trajectory; whether it can be used.
+def sent_at(p: Params, m: Memory, stamp: float, since: float) -> float:
+    """When [s] on the clock of the samples a message was sent; ``stamp`` and ``since`` as of ``command``.
 
-    ``interval`` [s]: by which its time stamp is after that of the one before, 0 if that is not known.
+    Readings tell how the clock of this process and that of the samples differ, messages that of the sender.
     """
-    follows = follows_trajectory(p, m)
-    before = m.trajectory if follows else None
-    arrival = m.now + p.command.period
-    apart = interval
-    if before is not None and points.was_set_back(before, interval, arrival, p.command.period):
-        apart = arrival - before.arrival
-    backwards = -apart if follows else 0.0
+    if not math.isfinite(stamp):
+        return m.now + p.course.period
+    came = m.clock + since
+    m.sender = clock.step(m.sender, came, came - stamp)
+    return stamp + clock.offset(m.sender) - clock.offset(m.pulse)
+
+
+def trajectory(p: Params, m: Memory, point: points.Motion, stamp: float, since: float) -> bool:
+    """Take in a ``point`` of a trajectory; whether it can be used. Times as of ``command``."""
+    before = m.trajectory if follows_trajectory(p, m) else None
+    arrival = m.now + p.course.period
+    backwards = points.backwards(p.course, before, stamp, arrival)
     if not points.usable(point, backwards):
         count(m, "command_refused")
         latch(m, "command_refused", points.fault(point, backwards))
-        if before is not None and backwards > 0.0:
-            m.trajectory = points.refusing(before, interval)
         return False
-    m.trajectory = points.taken(p.late, before, point, apart, arrival, p.command.period)
+    sent = sent_at(p, m, stamp, since)
+    time = stamp if math.isfinite(stamp) else sent
+    m.trajectory = points.taken(p.course, before, point, sent, time, arrival)
     m.course = None
-    m.upper = None
     renew(p, m, point.position)
     return True
 
@@ -282,8 +280,9 @@ def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
     ``stalled``: readings have come, but this process stood still.
     """
     m.now += elapsed
+    m.clock += elapsed
     expire(m)
-    m.upper = None
+    m.course = None
     m.trust = m.trust._replace(sound=0)
     if m.trust.blocked == "" and m.law is not None:
         leapt = has_leapt(m)
@@ -316,10 +315,12 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     A reading that is not finite is bridged as one that cannot be believed. ``elapsed`` [s]: real time since
     the one before, 0 if it is not known; ``unpaced``: readings come at a wrong period.
     """
-    before = m.now
+    expected = m.now + p.lvdt.period
     m.now += (1 + min(lost, p.lvdt.hold_samples)) * p.lvdt.period
-    if lost > 0 and m.upper is not None:
-        m.upper = late_commands.after_gap(m.upper, before, m.now)
+    m.clock += elapsed if elapsed > 0.0 else (1 + lost) * p.lvdt.period
+    m.pulse = clock.step(m.pulse, m.clock, m.clock - m.now)
+    if lost > 0 and m.course is not None and m.course.stamp == expected == m.course.sent:
+        m.course = m.course._replace(sent=m.now, stamp=m.now)  # what came without a time meanwhile is of now
     expire(m)
     if m.now > m.jumped_until:
         m.jumped_until = NEVER
@@ -549,7 +550,7 @@ def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
     m.transfer = bumpless_transfer.NOTHING
     m.fading = False
     m.lead = None
-    m.upper = None
+    m.course = None
     m.cycle = oscillation.NOTHING  # switching on and off is no limit cycle of law and valve
     m.swing = oscillation.NOTHING
     m.probe = lock_in.NOTHING
@@ -658,13 +659,12 @@ def hold(p: Params, m: Memory, gap: int, reading: float) -> None:
     for i in range(1, gap + 1):
         between = m.measurement + i * slope
         now = m.now - (gap + 1 - i) * p.lvdt.period
-        moves_on = p.late is not None and p.late.every and m.upper is not None
-        if m.course is not None or m.trajectory is not None or moves_on:
+        if m.trajectory is not None or (m.course is not None and m.course.stamp != m.course.sent):
             follow(p, m, now)
         elif newest is not None and used is not None and m.command.homing is None:
             m.command = m.command._replace(value=used + i * (newest - used) / (gap + 1))
         m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, between)
-        take_in(p, m, now)
+        take_in(p, m)
         wanted = target(p, m)
         m.law = law_hold(p.law, m.law, wanted, between, m.voltage)
         if m.fading:
@@ -677,7 +677,7 @@ def control(p: Params, m: Memory, reading: float) -> bool:
     if m.trust.doubt.times != 0.0 and p.lvdt.comparison is not None:
         law = law._replace(u_max=min(law.u_max, p.probation))
     follow(p, m, m.now)
-    take_in(p, m, m.now)
+    take_in(p, m)
     wanted = target(p, m)
     m.effective = wanted
     m.used = m.command.value
@@ -707,27 +707,20 @@ def fade(p: Params, m: Memory) -> None:
 def follow(p: Params, m: Memory, now: float) -> None:
     """The command in force is that of trajectory or course at ``now`` [s], if there is one."""
     if m.trajectory is not None:
-        m.motion = points.motion(p.late, m.trajectory, now, p.command.limit)
+        m.motion = points.motion(p.course, m.trajectory, now)
         m.command = command_watch.moved(m.command, m.motion.position)
-    elif m.course is not None and p.joining is not None:
-        value = saturate(command_course.value(m.course, now), p.joining.limit)
-        m.command = command_watch.moved(m.command, value)
-    elif m.upper is not None and p.late is not None and m.command.homing is None:
-        m.command = command_watch.moved(m.command, late_commands.value(p.late, m.upper, now))
+    elif m.course is not None and m.command.homing is None:
+        m.command = command_watch.moved(m.command, command_course.value(p.course, m.course, now))
 
 
-def take_in(p: Params, m: Memory, now: float) -> None:
-    """The command of the sample at ``now`` [s], from which its lead follows."""
+def take_in(p: Params, m: Memory) -> None:
+    """The command of this sample, from which its lead follows."""
     value = m.command.value
     if m.trajectory is not None:
         m.lead = None
     elif p.lead is not None and value is not None:
         before = command_lead.initial(value) if m.lead is None else m.lead
-        if m.course is None:
-            m.lead = command_lead.step(p.lead, before, value)
-        else:
-            slope = command_course.rate(m.course, now)
-            m.lead = command_lead.known(p.lead, before, value, slope, 0.0)
+        m.lead = command_lead.step(p.lead, before, value)
 
 
 def target(p: Params, m: Memory) -> float:

@@ -15,7 +15,7 @@ lvdt, lvdt_watch   decide whether the reading counts at all, before the law step
 rate               needs the real time between readings, which exported C does not have
 plausibility       makes the blocks that the other two kinds look at, and its doubt limits the law's voltage
 command_watch,     give the law its command; their states are read at five places of a sample
-late_commands
+command_course
 cycle_watch        has five slots: four change once in a cycle or never, and one State of all five would cost
                    0.4 µs at each sample (Python 3.11), a twentieth of the whole sample
 law_watch          one of its conditions is an event, the other has a hysteresis and a counter, and both look
@@ -38,11 +38,11 @@ import types
 from typing import Any, NamedTuple
 
 from valve_control.control.supervision import (
+    command_course,
     command_watch,
     cycle_watch,
     gain_watch,
     hum_watch,
-    late_commands,
     law_watch,
     lvdt,
     lvdt_watch,
@@ -102,7 +102,7 @@ WATCHES = (
         ("command",),
         parameters=("command_limit", "command_timeout", "neutral_rate", "neutral_accel"),
     ),
-    Watch(late_commands, ("upper",), parameters=("command.bridge",)),
+    Watch(command_course, ("course",), parameters=("command.bridge", "command.lag")),
     Watch(
         cycle_watch,
         ("cycle", "swing", "probe", "source", "pause"),

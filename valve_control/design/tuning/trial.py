@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from valve_control.arrays import Floats
-from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.free import Free, placed
 from valve_control.control.laws.law import Law
@@ -160,14 +159,7 @@ def given(law: Law, params: Any, values: Values, gains: GainSet, problem: Proble
     limit = number(values, "command_limit")
     if not problem.preview:
         lead = command_lead.build(values, law.reshapes(params))
-        if problem.delivery is not None:
-            return delivery.led(lead, delivery.received(values, wanted, problem.delivery))
-        clipped = np.clip(wanted, -limit, limit)
-        if lead is None:
-            return clipped
-        made = np.empty_like(clipped)
-        compile_function(command_lead.fill)(lead, clipped, made)
-        return made
+        return delivery.led(lead, values, np.clip(wanted, -limit, limit), problem.delivery)
     if law.reshapes(params):
         after = wanted[-1] + (wanted[-1] - wanted[-2]) * np.arange(1, 3)  # goes on straight at its end
         return comparison.unreshaped(params.reshaping, np.concatenate([wanted, after]))

@@ -1,0 +1,61 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Offset between two clocks, from messages that carry the time of one and arrive at a time of the other.
+
+The difference of the two times is the offset plus the delay on the way. A line through the differences
+follows offset and drift: a second-order loop on innovations that are limited, so that late messages do not
+move it. The smallest residual of the last messages lowers the line to the smallest delay, as NTP and PTP do.
+"""
+
+from typing import NamedTuple
+
+from valve_control.control.laws.projection import clip
+
+OFFSET = 0.5  # s  time constant of the line's offset
+DRIFT = 1.5  # s  of its drift; the ratio gives a damping of 1.5
+LARGEST = 0.05  # s/s  drift of a clock
+LIMIT = 0.001  # s  of an innovation
+LEAP = 0.1  # s  of a clock that was set, after which the line begins anew
+WINDOW = 0.25  # s  the smallest residual is that of this window and of the one before
+SETTLING = 0.1  # s  time constant with which it counts
+
+
+class State(NamedTuple):
+    """A line of differences, and the residuals below it."""
+
+    time: float  # s  of the last message
+    offset: float  # s  of the line at this time
+    drift: float  # s/s
+    messages: float
+    smallest: float  # s  residual of this window
+    former: float  # s  residual of the window before
+    begin: float  # s  of this window
+    lowered: float  # s  by which the line lies above the smallest delay, below 0
+
+
+NOTHING = State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def step(s: State, time: float, difference: float) -> State:
+    """Take in the ``difference`` [s] of a message that came at ``time`` [s], in time or not."""
+    elapsed = max(0.0, time - s.time)
+    line = s.offset + s.drift * elapsed
+    innovation = difference - line
+    if s.messages == 0.0 or abs(innovation) > LEAP:
+        return State(time, difference, 0.0, 1.0, 0.0, 0.0, time, 0.0)
+    messages = s.messages + 1.0
+    innovation = clip(innovation, -LIMIT, LIMIT)
+    offset = line + max(1.0 / messages, min(1.0, elapsed / OFFSET)) * innovation
+    drift = clip(s.drift + elapsed / (DRIFT * DRIFT) * innovation, -LARGEST, LARGEST)
+    residual = difference - offset
+    smallest, former, begin = min(s.smallest, residual), s.former, s.begin
+    if time - begin > WINDOW:
+        smallest, former, begin = residual, s.smallest, time
+    share = max(1.0 / messages, min(1.0, elapsed / SETTLING))
+    lowered = s.lowered + share * (min(smallest, former) - s.lowered)
+    return State(time, offset, drift, messages, smallest, former, begin, lowered)
+
+
+def offset(s: State) -> float:
+    """Difference [s] of the two clocks at the last message, as a message with the smallest delay shows it."""
+    return s.offset + s.lowered
