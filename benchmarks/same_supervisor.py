@@ -103,9 +103,9 @@ def run(seed: int) -> Iterator[str]:
     from valve_control.control.parameters import build
     from valve_control.control.parameters.table import CONTROLLER, VALVE
     from valve_control.control.plant import valve
+    from valve_control.control.supervision.command_course import Motion
     from valve_control.control.supervision.state_snapshot import restore, snapshot
     from valve_control.control.supervision.supervisor import Supervisor
-    from valve_control.control.supervision.command_course import Motion
     from valve_control.parameter import ParameterError, defaults, updated
 
     dice = random.Random(seed)

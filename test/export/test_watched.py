@@ -80,15 +80,6 @@ def test_the_inverse_of_a_curve_behind_a_law(run, tmp_path, law, watch):
     assert "rows differ" in done.stdout, done.stderr
 
 
-@compiles
-@pytest.mark.parametrize("kind", ["linear", "bridge"])
-def test_commands_that_are_joined(run, kind):
-    words = ("--controller", "pid", "--watch", "--set", f"command.interpolation={kind}", "--output", "made")
-    assert run("export", *words)[0] == 0
-    done = check("made")
-    assert done.returncode == 0 and "rows equal to the last bit" in done.stdout, done.stdout + done.stderr
-
-
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
@@ -119,7 +110,7 @@ def test_random_faults_under_other_parameters_in_c(tmp_path, name):
             lvdt__hold_off=0.1,
             command_timeout=0.2,
             command_limit=5.0,
-            command__interpolation=["hold", "extrapolate"][seed],
+            command__lag=0.002 * seed,
         )
         faults = [
             samples.Fault(float(random.uniform(0.02, 7.0)), int(10 ** random.uniform(0.0, 2.3)), str(what))

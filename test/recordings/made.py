@@ -12,9 +12,9 @@ from rosbags.typesys import Stores, get_typestore
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
+from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.journal import Journal
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.control.supervision.command_course import Motion
 from valve_control.parameter import defaults, updated
 from valve_control.recordings.bags.writer import BagWriter
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that come slowly, joined, early or late: as a node has them."""
+"""Commands that come slowly, late or by another clock: as a node has them."""
 
 import math
 
@@ -17,44 +17,32 @@ TIMES = np.arange(1000) * 0.001
 SINE = np.sin(2.0 * math.pi * 3.0 * TIMES)
 
 
-def values(kind="hold", **changes):
-    return changed.controller(command__interpolation=kind, **changes)
-
-
 def test_one_command_a_sample_in_time_is_the_motion_itself():
-    own = values(reshaping__lead=0.004)
+    own = changed.controller(reshaping__lead=0.004)
     lead = command_lead.build(own, True)
-    made = delivery.led(lead, delivery.received(own, SINE, Delivery(0.001)))
+    made = delivery.led(lead, own, SINE, Delivery(0.001))
     assert np.array_equal(made, command_lead.applied(lead, SINE))
 
 
-@pytest.mark.parametrize(("kind", "late"), [("hold", 0.0045), ("linear", 0.011), ("extrapolate", 0.0014)])
-def test_lag_at_100_hz_is_that_of_the_table_in_cascade(kind, late):
-    got = delivery.received(values(kind), SINE, Delivery(0.01)).values
-    spectrum = (got @ np.exp(-2j * math.pi * 3.0 * TIMES)) / (SINE @ np.exp(-2j * math.pi * 3.0 * TIMES))
-    assert -np.angle(spectrum) / (2.0 * math.pi * 3.0) == pytest.approx(late, abs=4e-4)
+def test_messages_have_the_motion_at_their_times():
+    told = Delivery(0.002, 0.0005, drift=1e-3, late=0.1, pause=0.01)
+    commands, stamps, came = delivery.messages(SINE, told, 0.001)
+    sent = stamps * (1.0 + 1e-3)
+    assert np.allclose(commands, np.sin(2.0 * math.pi * 3.0 * sent), atol=1e-6)
+    assert np.all(came >= sent - 1e-12) and np.all(np.diff(came) >= 0.0)
+    gaps = np.diff(stamps)
+    assert np.isclose(np.min(gaps), 0.002) and np.max(gaps) > 0.009
 
 
-def test_uneven_commands_come_twice_and_not_at_all():
-    got = delivery.received(values(command__bridge=0.0), TIMES, Delivery(0.001, 0.0007)).values
-    steps = np.round(np.diff(got) / 0.001)
-    assert set(steps) >= {0.0, 1.0, 2.0} and np.all(steps >= 0.0)
-    assert np.max(np.abs(got - TIMES)) < 0.0021
-
-
-def test_uneven_commands_are_bridged():
-    """Within half a sample of the motion on average, and with a quarter of the steps' unevenness."""
-    held, bridged = (
-        delivery.received(values(command__bridge=time), TIMES, Delivery(0.001, 0.0007)).values - TIMES
-        for time in (0.0, 0.006)
-    )
-    assert abs(np.mean(bridged[50:])) < 0.0005 and np.max(np.abs(bridged)) < 0.0021
-    assert np.std(np.diff(bridged[50:])) < 0.5 * np.std(np.diff(held[50:]))
+def test_between_two_samples_a_step_is_not_gone_beyond():
+    commands, *_ = delivery.messages(np.where(TIMES < 0.5, 0.0, 2.0), Delivery(0.0013), 0.001)
+    assert np.all((commands >= 0.0) & (commands <= 2.0))
 
 
 @pytest.mark.parametrize(
-    "wrong", [Delivery(0.0005), Delivery(0.2), Delivery(0.01, 0.02), Delivery(0.01, -1.0)]
+    "wrong",
+    [Delivery(0.0005), Delivery(0.2), Delivery(0.01, 0.02), Delivery(0.01, -1.0), Delivery(0.01, drift=0.1)],
 )
 def test_what_no_upper_level_does_is_refused(wrong):
-    with pytest.raises(ParameterError, match="--command-(period|jitter) is .* must lie between"):
-        delivery.check(values(), wrong)
+    with pytest.raises(ParameterError, match="--command-(period|jitter|drift) is .* must lie"):
+        delivery.check(changed.controller(), wrong)

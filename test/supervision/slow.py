@@ -12,8 +12,8 @@ from valve_control.control.analysis.indices import rms
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import valve
-from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.control.supervision.command_course import Motion
+from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001
@@ -53,7 +53,7 @@ def settings(**changes):
 
 
 def run(send, every, shape=sine, samples=2000, jitter=0.0, plant=D3FXE, **changes):
-    """Every ``every`` samples ``send`` (supervisor, time, seconds since the last) is called.
+    """Every ``every`` samples ``send`` (supervisor, time, seconds after the last reading) is called.
 
     ``jitter`` [s]: standard deviation of the way to the controller.
     """
@@ -65,13 +65,11 @@ def run(send, every, shape=sine, samples=2000, jitter=0.0, plant=D3FXE, **change
     random = np.random.default_rng(5)
     sent = np.arange(0, samples, every) * PERIOD
     arrives = np.maximum.accumulate(sent + np.abs(jitter * random.standard_normal(len(sent))))
-    got, next_one, last = [], 0, None
+    got, next_one = [], 0
     for k in range(samples):
         now = k * PERIOD
         while next_one < len(sent) and arrives[next_one] <= now + 1e-9:
-            time = float(sent[next_one])
-            send(supervisor, time, 0.0 if last is None else time - last)
-            last = time
+            send(supervisor, float(sent[next_one]), float(arrives[next_one]) - (k - 1) * PERIOD)
             next_one += 1
         reading = valve.read(p, s, float(random.standard_normal()))
         voltage = supervisor.sample(reading, k + 1)
@@ -82,14 +80,14 @@ def run(send, every, shape=sine, samples=2000, jitter=0.0, plant=D3FXE, **change
 
 def bare(shape=sine):
     """An upper level that sends numbers."""
-    return lambda supervisor, time, interval: supervisor.command(shape(time), interval)
+    return lambda supervisor, time, since: supervisor.command(shape(time), 1.0 + time, since)
 
 
 def moving(shape=sine):
     """An upper level that sends trajectories."""
 
-    def send(supervisor, time, interval):
-        assert supervisor.trajectory(motion_of(time, shape), interval)
+    def send(supervisor, time, since):
+        assert supervisor.trajectory(motion_of(time, shape), 1.0 + time, since)
 
     return send
 

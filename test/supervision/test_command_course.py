@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of an upper level that is slower than the loop: what the law and the valve get of them."""
+"""Course of the command: the motion of an upper level at the times of the readings."""
 
 import math
 
@@ -9,157 +9,207 @@ import pytest
 from grids import grid
 from hypothesis import given
 from hypothesis import strategies as st
-from slow import PERIOD, bare, lag, run, settings
+from slow import PERIOD, SETTLED, bare, lag, run, settings
 
 from valve_control.control.analysis.indices import rms
-from valve_control.control.laws import registry
 from valve_control.control.parameters import build
-from valve_control.control.supervision import command_course, late_commands
+from valve_control.control.simulation import delivery
+from valve_control.control.simulation.delivery import Delivery
+from valve_control.control.supervision import command_course
+from valve_control.control.supervision.command_course import LONGEST, Course
 from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 
-LAWS = ("arc", "oarc", "pid", "compensator", "open_loop")
-LINEAR = command_course.Params(False, 10.0, PERIOD)
-EXTRAPOLATE = command_course.Params(True, 10.0, PERIOD)
+P = command_course.Params(0.006, 0.0, 10.0, PERIOD)
+RATES = (0.001, 0.002, 0.005, 0.01)  # s  between two commands
 
 
-def followed(p, commands, every, until, jitter=()):
-    """Values at the samples, of commands ``every`` samples apart, each so many samples late."""
-    late = [0, *jitter, *([0] * len(commands))]
-    arrivals = {i * every + late[i]: i for i in range(len(commands))}
-    s, got, last = None, [], None
-    for k in range(until):
-        if k in arrivals:
-            i = arrivals[k]
-            interval = 0.0 if last is None else (i - last) * every * PERIOD
-            s = command_course.taken(p, s, commands[i], interval, k * PERIOD)
-            last = i
-        got.append(command_course.value(s, k * PERIOD))
-    return np.array(got)
+def course_of(commands, stamps):
+    """State after these commands."""
+    s = None
+    for command, stamp in zip(commands, stamps, strict=True):
+        s = command_course.taken(P, s, float(command), float(stamp), float(stamp))
+    return s
 
 
-@grid("law, every, jitter", LAWS, [5, 10], [0.0, 0.0007])
-def test_there_is_no_staircase_in_the_voltage(law, every, jitter):
-    assert set(registry.LAWS) >= set(LAWS)
-    fast = run(bare(), 1, controller=law)
-    stairs = run(bare(), every, jitter=jitter, controller=law)
-    for kind in ("linear", "extrapolate"):
-        joined = run(bare(), every, jitter=jitter, controller=law, command__interpolation=kind)
-        assert joined.supervisor.mode is Mode.OK
-        assert joined.chatter < 1.3 * fast.chatter
-        assert joined.chatter < stairs.chatter
+def values_of(commands, stamps, came, times, p=P):
+    """Command [V] of each of the ``times`` [s], of commands that come at ``came`` [s]."""
+    s, k, result = None, 0, []
+    for now in times:
+        while k < len(came) and came[k] <= now + 1e-9:
+            s = command_course.taken(p, s, float(commands[k]), float(stamps[k]), float(stamps[k]))
+            k += 1
+        result.append(0.0 if s is None else command_course.value(p, s, float(now)))
+    return np.array(result)
 
 
-@grid("law, every, lead", ["oarc", "dcarc"], [5, 10], [0.005, 0.016])
-def test_a_lead_of_joined_commands_has_no_corners(law, every, lead):
-    """Lead for the reshaping alone, and for the lag of the line too."""
-    changes = {"controller": law, "reshaping__lead": lead}
-    fast = run(bare(), 1, **changes)
-    for kind in ("linear", "extrapolate"):
-        joined = run(bare(), every, command__interpolation=kind, **changes)
-        assert joined.chatter < 1.3 * fast.chatter
-    if lead < 0.01:  # less than the lag that there is to make up for
-        linear = run(bare(), every, command__interpolation="linear", **changes)
-        without = run(bare(), every, controller=law, command__interpolation="linear")
-        assert linear.error < without.error - 0.6 * lead * rms(np.gradient(fast.wanted, PERIOD))
+@given(st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=60))
+def test_a_command_for_each_sample_is_the_input_of_the_law_to_the_bit(commands):
+    times = np.arange(len(commands)) * PERIOD
+    assert values_of(commands, times, times, times).tolist() == commands
 
 
-def test_a_step_that_is_joined_has_no_lead():
-    values = settings(controller="dcarc", command__interpolation="linear", reshaping__lead=0.01)
-    supervisor = Supervisor()
-    supervisor.apply(values, build.law_params(values))
-    got = []
-    for k in range(60):
-        if k % 10 == 0:
-            supervisor.command(0.05 if k < 25 else 0.15, 0.01 if k else 0.0)
-        supervisor.sample(0.05 + 0.001 * (k % 3), k + 1)
-        got.append(supervisor.telemetry()[2])
-    assert 0.149 < max(got) <= 0.15 + 1e-12  # what is left of the takeover's offset is below it
-    assert min(got) >= 0.05 - 1e-12
+@given(st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6), st.floats(0.001, 0.02), st.floats(0.0, 2.5))
+def test_a_polynomial_of_degree_5_is_continued(coefficients, interval, ahead):
+    """The recursion has the derivatives of numpy's polynomial through the same six points."""
+    x = np.arange(-30, 1) * 1.0
+    s = course_of(np.polyval(coefficients, x / 30.0), x * interval)
+    wanted = np.polyval(coefficients, ahead / 30.0)
+    assert command_course.position(s.exact, ahead * interval) == pytest.approx(wanted, abs=1e-5)
 
 
-@pytest.mark.parametrize("every", [5, 10])
-def test_the_lag_is_that_of_the_documentation(every):
-    """hold: half a command period less half a sample; linear: one and a sample; extrapolate: nearly none."""
-    period = every * PERIOD
-    expected = {"hold": 0.5 * (period - PERIOD), "linear": period + PERIOD}
-    for kind, seconds in expected.items():
-        made = run(bare(), every, controller="open_loop", command__interpolation=kind)
-        assert lag(made) == pytest.approx(seconds, abs=1e-4)
-    made = run(bare(), every, controller="open_loop", command__interpolation="extrapolate")
-    assert 0.0 <= lag(made) < 0.15 * period
+@pytest.mark.parametrize("memory", command_course.MEMORIES)
+def test_a_fading_memory_is_the_weighted_least_squares_fit(memory):
+    """Second derivation: weights θ^k on all commands, by the normal equations."""
+    commands = np.random.default_rng(2).normal(size=120)
+    course = Course(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    gains = command_course._fading(memory)
+    for command in commands:
+        course = command_course.after(course, 1.0)
+        course = command_course.corrected(course, command - course.position, 1.0, *gains)
+    x = np.arange(-119, 1)
+    fit = np.polynomial.Polynomial.fit(x, commands, 3, w=memory ** (-0.5 * x), domain=[-1, 1], window=[-1, 1])
+    wanted = [fit.deriv(n)(0.0) if n else fit(0.0) for n in range(4)]
+    assert course[:4] == pytest.approx(wanted, rel=1e-5, abs=1e-7)
 
 
-def test_a_line_is_followed_at_its_slope_and_without_lag_if_extrapolated():
-    ramp = [0.1 * i for i in range(40)]
-    exact = 0.01 * np.arange(390)
-    linear = followed(LINEAR, ramp, 10, 390)
-    assert np.allclose(exact[50:] - linear[50:], 0.01 * 11, atol=1e-12)
-    assert np.allclose(followed(EXTRAPOLATE, ramp, 10, 390)[200:], exact[200:], atol=1e-9)
+@grid("period, jitter", RATES, [0.0, 0.0007])
+def test_a_step_takes_effect_at_once_and_nothing_goes_beyond_it(period, jitter):
+    stamps = np.arange(0.0, 0.4, period)
+    came = np.maximum.accumulate(stamps + np.random.default_rng(4).uniform(0.0, 2.0 * jitter, len(stamps)))
+    times = np.arange(400) * PERIOD
+    for at, base in ((0.2, 0.0), (0.2, -1.0)):
+        got = values_of(np.where(stamps < at, base, 2.0), stamps, came, times)
+        seen = times + 1e-9 >= came[np.argmax(stamps >= at)]
+        assert got[seen] == pytest.approx(2.0, abs=1e-9)
+        assert got[20:][~seen[20:]] == pytest.approx(base, abs=1e-9)
 
 
-def test_commands_that_come_unevenly_bend_the_course_little():
-    """One that comes a sample late finds the line not at its end: the slope stays within 15 %."""
-    ramp = [0.1 * i for i in range(60)]
-    late = np.random.default_rng(3).integers(0, 2, 59).tolist()
-    slopes = np.diff(followed(LINEAR, ramp, 10, 580, late))[100:] / 0.01
-    assert np.all(np.abs(slopes - 1.0) < 0.15)
+@grid("period", RATES)
+def test_a_step_beside_a_motion_leaves_the_motion_its_rate(period):
+    stamps = np.arange(0.0, 0.4, period)
+    times = np.arange(200, 400) * PERIOD
+    got = values_of(5.0 * stamps + (stamps >= 0.3), stamps, stamps, times)
+    assert got == pytest.approx(5.0 * times + (np.arange(200, 400) >= 300), abs=1e-6)
 
 
-@given(st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=40), st.integers(1, 30))
-def test_linear_never_leaves_what_was_commanded_and_ends_at_the_last(commands, every):
-    got = followed(LINEAR, commands, every, every * len(commands) + 3)
-    assert np.all(got <= max(commands) + 1e-12) and np.all(got >= min(commands) - 1e-12)
-    assert got[-1] == commands[-1]
+@grid("period", RATES)
+def test_a_ramp_that_ends_is_gone_beyond_by_its_rate_times_the_age_of_the_command_at_most(period):
+    stamps = np.arange(0.0, 0.4, period)
+    came = np.maximum.accumulate(stamps + np.random.default_rng(4).uniform(0.0, 0.001, len(stamps)))
+    got = values_of(np.clip(40.0 * (stamps - 0.1003), 0.0, 4.0), stamps, came, np.arange(400) * PERIOD)
+    assert np.max(got) - 4.0 <= 40.0 * (period + 0.001 + PERIOD)
+    settled = 205 + round(5.0 * period / PERIOD)
+    assert np.min(got) >= 0.0 and got[settled:] == pytest.approx(4.0, abs=0.05 * 40.0 * period)
 
 
-@given(st.floats(-10.0, 10.0), st.floats(-10.0, 10.0), st.integers(1, 30))
-def test_a_step_is_not_gone_beyond(before, after, every):
-    got = followed(EXTRAPOLATE, [before] * 5 + [after] * 5, every, 11 * every + 3)
-    assert np.all(got <= max(before, after) + 1e-12) and np.all(got >= min(before, after) - 1e-12)
-    assert got[-1] == pytest.approx(after, abs=1e-12)
+@grid("period, size", [0.001, 0.005], [0.001, 0.02])
+def test_noise_of_the_upper_level_is_not_amplified(period, size):
+    """Neither what it is at rest, nor its changes, beside commands that hold until the next."""
+    random = np.random.default_rng(6)
+    stamps = np.arange(0.0, 4.0, period)
+    commands = random.normal(0.0, size, len(stamps))
+    came = np.maximum.accumulate(stamps + random.uniform(0.0, 0.001, len(stamps)))
+    times = np.arange(4000) * PERIOD
+    got = values_of(commands, stamps, came, times)
+    held = commands[np.searchsorted(came, times + 1e-9, side="right") - 1]
+    assert np.std(got) < 1.1 * np.std(held) and np.std(np.diff(got)) < 1.1 * np.std(np.diff(held))
 
 
-@given(st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=40), st.integers(1, 30))
-def test_extrapolation_stays_within_the_command_limit(commands, every):
-    assert np.all(np.abs(followed(EXTRAPOLATE, commands, every, every * len(commands) + 5)) <= 10.0)
+@given(
+    st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=40), st.floats(0.0005, 0.05), st.floats(0.0, 0.2)
+)
+def test_whatever_comes_the_result_is_within_the_limit_and_ends_at_the_newest(commands, interval, late):
+    stamps = np.arange(len(commands)) * interval
+    s = course_of(commands, stamps)
+    assert abs(command_course.value(P, s, stamps[-1] + late)) <= 10.0
+    assert command_course.value(P, s, stamps[-1] + 100.0) == commands[-1]
 
 
-@pytest.mark.parametrize("interval", [0.0, -0.01, late_commands.LONGEST * 1.01, math.inf])
-def test_a_command_without_a_time_to_join_it_by_counts_at_once(interval):
-    s = command_course.taken(LINEAR, None, 1.0, 0.0, 0.0)
-    s = command_course.taken(LINEAR, s, 2.0, interval, 0.01)
-    assert command_course.value(s, 0.01) == 2.0
+@given(st.floats(0.0, 0.02), st.floats(0.001, 0.02))
+def test_the_horizon_has_the_derivatives_that_it_says_and_no_kink(bridge, interval):
+    until = command_course.LATE * interval + bridge
+    for time in (0.5 * until, until, 1.3 * until, 3.0 * until):
+        h = 1e-5 * until
+        before, here, after = (command_course.horizon(bridge, interval, time + i * h) for i in (-1, 0, 1))
+        assert (after.time - before.time) / (2.0 * h) == pytest.approx(here.rate, abs=1e-3)
+        assert until * (after.rate - before.rate) / (2.0 * h) == pytest.approx(until * here.bend, abs=1e-3)
+    assert command_course.horizon(bridge, interval, 11.1 * until).time == 0.0
 
 
-def test_a_change_of_interpolation_is_in_force_at_once_and_holds_the_command():
-    values = settings(controller="open_loop", command__interpolation="linear")
-    supervisor = Supervisor()
-    supervisor.apply(values, build.law_params(values))
-    supervisor.command(0.05)
-    supervisor.sample(0.0, 1)
-    supervisor.command(0.15, 0.01)
-    for k in range(2, 8):
-        supervisor.sample(0.001 * k, k)
-    assert 0.05 < supervisor.command_in_force < 0.15
-    supervisor.apply(settings(controller="open_loop"), build.law_params(values))
-    held = supervisor.command_in_force
-    supervisor.sample(0.008, 8)
-    assert supervisor.command_in_force == held and supervisor.memory.course is None
+@pytest.mark.parametrize("elapsed", [0.0, -0.01, LONGEST * 1.01, -LONGEST * 1.01])
+def test_a_command_of_the_same_time_or_of_another_course_counts_at_once(elapsed):
+    s = course_of([1.0, 2.0], [1.0, 1.0 + elapsed])
+    assert command_course.value(P, s, s.sent) == 2.0
+
+
+def test_the_lag_is_taken_off_the_time_of_the_reading():
+    stamps = np.arange(0.0, 1.0, PERIOD)
+    behind = P._replace(lag=0.003)
+    got = values_of(np.sin(10.0 * stamps), stamps, stamps, stamps, behind)
+    assert np.max(np.abs(got - np.sin(10.0 * (stamps - 0.003)))[50:]) < 1e-6
+
+
+@grid("law, every", ["arc", "oarc", "pid", "dcarc"], [5, 10])
+def test_there_is_no_staircase_in_the_voltage(law, every):
+    fast, slow = (run(bare(), each, controller=law) for each in (1, every))
+    assert slow.supervisor.mode is Mode.OK
+    assert slow.chatter < 1.3 * fast.chatter and slow.error < 1.05 * fast.error
+    assert abs(lag(slow)) < 1e-4 * every
 
 
 def test_lost_readings_leave_the_course_where_it_belongs():
     """The course goes by time: after five lost readings it is as far as without them."""
     found = []
-    for lost in (range(0), range(12, 17)):
-        values = settings(controller="arc", command__interpolation="linear")
+    for lost in (range(-9, -9), range(312, 317)):
+        values = settings(controller="arc", reshaping__lead=0.003)
         supervisor = Supervisor()
         supervisor.apply(values, build.law_params(values))
-        for k in range(20):
-            if k in (0, 10):
-                supervisor.command(0.05 + 0.01 * k, 0.01 if k else 0.0)
+        for k in range(330):
+            since = 0.0005 + PERIOD * (k - lost.start if k in lost or k == lost.stop else 0)
+            supervisor.command(math.sin(10.0 * k * PERIOD), 1.0 + k * PERIOD, since)
             if k not in lost:
-                supervisor.sample(0.001 * (k % 3), k + 1)
+                supervisor.sample(0.001 * (k % 3), k + 1, 0.0)
         found.append(supervisor.command_in_force)
-    assert found[0] == pytest.approx(found[1], abs=1e-12)
-    assert 0.05 < found[0] < 0.15
+    assert found[0] == pytest.approx(found[1], abs=2e-4) and abs(found[0]) > 0.1
+
+
+@grid("drift, jitter", [0.0, 1e-4, 1e-3], [0.0, 0.0005])
+def test_two_clocks_are_joined_over_the_supervisor(drift, jitter):
+    """Times of readings that jitter too; the command in force beside the motion at the time of the sample."""
+    values = settings(controller="open_loop")
+    supervisor = Supervisor()
+    supervisor.apply(values, build.law_params(values))
+    random = np.random.default_rng(8)
+    n, rate = 4000, 2.0 * math.pi * 3.0
+    taken = np.arange(n) * PERIOD + random.uniform(0.0, 2.0 * jitter, n)  # when a reading is answered
+    stamps = np.arange(n) * PERIOD
+    sent = 0.0003 + stamps * (1.0 + drift)
+    came = np.maximum.accumulate(sent + random.uniform(0.0, 2.0 * jitter, n))
+    k, last, errors = 0, 0.0, []
+    for i in range(n):
+        while k < n and came[k] <= taken[i]:
+            supervisor.command(0.1 * math.sin(rate * sent[k]), 100.0 + stamps[k], came[k] - last)
+            k += 1
+        supervisor.sample(0.001 * (i % 3), i + 1, taken[i] - last if i else 0.0)
+        last = taken[i]
+        errors.append((supervisor.command_in_force or 0.0) - 0.1 * math.sin(rate * i * PERIOD))
+    assert rms(np.array(errors[2000:])) < 0.1 * rate / math.sqrt(2.0) * 6e-5  # 60 µs of the motion
+
+
+CASES = {
+    "two clocks": Delivery(0.001, 0.0007, drift=1e-3),
+    "late": Delivery(0.001, 0.0007, drift=1e-4, late=0.02),
+    "pauses": Delivery(0.001, 0.0007, drift=1e-4, pause=0.006),
+    "200 Hz": Delivery(0.005, 0.0007, drift=1e-4),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_command_is_that_of_the_motion(case):
+    """5 Hz of 1 V: within 60 µs of its rate, where the newest command alone is off by milliseconds."""
+    times = np.arange(4000) * PERIOD
+    wanted = np.sin(2.0 * math.pi * 5.0 * times) * np.minimum(1.0, times / 0.3) ** 2
+    got = delivery.received(settings(), wanted, CASES[case])
+    error = rms((got - wanted)[3 * SETTLED :])
+    assert error < 2.0 * math.pi * 5.0 / math.sqrt(2.0) * 6e-5

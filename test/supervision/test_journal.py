@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from valve_control.control.parameters import build
+from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.journal import COLUMNS, HEAD, Event, Journal, block
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.control.supervision.command_course import Motion
 
 
 @pytest.fixture

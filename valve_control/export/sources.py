@@ -367,9 +367,9 @@ def _watch(unit: Unit, program: Program, public: list[Kind], names: list[str]) -
     _begun(program, unit.name, state, begun(unit.module), "s->", begin, 0)
     point = Kind("record", Motion)
     arguments = {
-        "command": [params, state, REAL, REAL],
+        "command": [params, state, REAL, REAL, REAL],
         "command_gone": [state],
-        "trajectory": [params, state, point, REAL],
+        "trajectory": [params, state, point, REAL, REAL],
         "trajectory_gone": [state],
         "silence": [params, state, REAL, BOOLEAN],
         "reset": [params, state],
