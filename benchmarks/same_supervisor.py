@@ -37,7 +37,7 @@ def settings(dice: random.Random) -> dict[str, Any]:
     return {
         "controller": dice.choice(list(LAWS)),
         "sample_period": dice.choice([0.001, 0.001, 0.001, 0.0005]),
-        "command.interpolation": dice.choice(["hold", "hold", "linear", "extrapolate"]),
+        "command.lag": dice.choice([0.0, 0.0, 0.002]),
         "reshaping.lead": dice.choice([0.0, 0.0, 0.005]),
         "reshaping.lead_accel": dice.choice([0.0, 1.0]),
         "command_timeout": dice.choice([0.0, 0.02, 0.2]),
@@ -163,15 +163,14 @@ def run(seed: int) -> Iterator[str]:
         wanted = amplitude * (math.sin(w * t) if frequency < 20.0 else math.copysign(0.5, math.sin(w * t)))
         if k % every == 0 and upper in ("command", "both") and dice.random() < 0.95:
             value = dice.choice([math.nan, math.inf, 1e3]) if dice.random() < 0.01 else wanted
-            supervisor.command(value, dice.choice([0.0, every * period]))
+            supervisor.command(value, *dice.choice([(math.nan, 0.0), (1.0 + t, 0.3 * period)]))
             yield said("command")
         if k % every == 0 and upper in ("trajectory", "both") and dice.random() < 0.95:
             point = Motion(wanted, amplitude * w * math.cos(w * t), -w * w * wanted)
             if dice.random() < 0.01:
                 point = point._replace(velocity=math.nan)
-            taken = supervisor.trajectory(
-                point, -0.01 if dice.random() < 0.02 else dice.choice([0.0, every * period])
-            )
+            stamp = 1.0 + t - (0.5 if dice.random() < 0.02 else 0.0)
+            taken = supervisor.trajectory(point, dice.choice([math.nan, stamp]), 0.3 * period)
             yield said(f"trajectory {taken}")
         chance = dice.random() * (10.0 if calm else 1.0)
         if chance < 0.002:

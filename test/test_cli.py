@@ -80,9 +80,10 @@ def test_commands_come_offline_as_a_node_would_get_them(run):
         return json.loads(done.out)["true_error"]["e_rms"]
 
     usual = e_rms()
-    linear = ("--set", "command.interpolation=linear")
     assert e_rms("--command-period", "0.001") == usual
-    assert usual < e_rms(*linear) < e_rms("--command-period", "0.01", *linear)
+    lag = ("--set", "command.lag=0.005")
+    assert usual < e_rms(*lag) < e_rms("--command-period", "0.02", "--command-jitter", "0.005", *lag)
+    assert e_rms("--command-drift", "300", "--command-jitter", "0.0005") < 1.02 * usual
 
 
 @pytest.mark.parametrize(("form", "low", "high"), [("paper", 0.4, 1.0), ("braking", 0.0, 0.2)])

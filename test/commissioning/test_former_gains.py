@@ -70,7 +70,7 @@ class Swinging(SupervisedValve):
 
 def test_a_run_of_verification_has_the_lead_that_stays():
     """Of a law that chooses none; the tests need commands without it."""
-    valve = Swinging({}, {"reshaping.lead": 0.004, "command.interpolation": "linear"})
+    valve = Swinging({}, {"reshaping.lead": 0.004, "command.lag": 0.002})
     before = valve.values()
     valve.apply(limiting(before, LIMITS))
     assert valve.controller["reshaping.lead"] == 0.0
@@ -80,11 +80,11 @@ def test_a_run_of_verification_has_the_lead_that_stays():
     assert run._verified(made, False)[1] == ["the controller says: voltage oscillates"]
     assert valve.controller["reshaping.lead"] == 0.004
     assert valve.controller["command_limit"] == LIMITS.travel and valve.controller["u_max"] == LIMITS.voltage
-    assert valve.controller["command.interpolation"] == "hold"
+    assert valve.controller["command.lag"] == 0.0
     with pytest.raises(Swings):  # when it has come back to the new gains
         run._against_before(verification((0.01, 0.1), (0.01, 0.1)), gains.VerifyingMotion(np.zeros(10), 0))
     compared = [changes for changes in valve.applied if changes.get("controller") == before["controller"]]
-    assert compared and not any("command.interpolation" in changes for changes in compared)
+    assert compared and not any("command.lag" in changes for changes in compared)
 
 
 def test_progress_of_the_model_takes_nothing_back():

@@ -116,7 +116,7 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage
     ("message", "settings"),
     [
         pytest.param("trajectory", {}, marks=pytest.mark.campaign),
-        ("command", {"command.interpolation": "extrapolate", "reshaping.lead": 0.005}),
+        ("command", {"command.lag": 0.002, "reshaping.lead": 0.005}),
     ],
 )
 def test_shadow_of_a_slow_upper_level_is_the_recording_bit_for_bit(ros, tmp_path, message, settings):

@@ -21,7 +21,6 @@ LAWS = tuple(registry.LAWS)
 SETTINGS = {
     "reshaping__lead": 0.006,
     "reshaping__lead_accel": 1.0,
-    "command__interpolation": "extrapolate",
 }
 
 
@@ -36,7 +35,7 @@ def drive(supervisor, moves):
     voltages = []
     for number, (what, value) in moves:
         if what == "command":
-            supervisor.command(value, 0.004)
+            supervisor.command(value, 1.0 + 0.004 * number, 0.0004)
         elif what == "silence":
             voltages.append(supervisor.silence(0.03))
         elif what == "gone":

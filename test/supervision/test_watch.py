@@ -51,10 +51,10 @@ def compare(chosen, count, seed, faults=samples.FAULTS):
     m, off = Memory(), set()
     for event, given, supervisor, voltage in samples.faulty(chosen, count, seed, faults):
         found = 0.0
-        if event in ("command", "after"):
-            module.command(p, m, *given, *[0.0] * (2 - len(given)))
+        if event in ("command", "at"):
+            module.command(p, m, *(given if len(given) == 3 else (*given, math.nan, 0.0)))
         elif event == "point":
-            found = module.trajectory(p, m, Motion(*given[:3]), given[3])
+            found = module.trajectory(p, m, Motion(*given[:3]), *given[3:])
         elif event == "unpoint":
             module.trajectory_gone(m)
         elif event == "gone":
@@ -82,7 +82,7 @@ OTHERS = [
     {"controller": "dcarc", "reshaping__lead": 0.005, "reshaping__lead_accel": 1.0},
     {"controller": "pid", "pid__form": "plain", "lvdt__hold_samples": 0, "command_timeout": 0.0},
     {"controller": "arc", "lvdt__disturbance": 0.0, "lvdt__frozen_samples": 0, "lvdt__recovery_samples": 1},
-    {"controller": "oarc", "command__interpolation": "extrapolate", "reshaping__lead": 0.005},
+    {"controller": "oarc", "command__lag": 0.002, "reshaping__lead": 0.005},
     {"controller": "compensator", "lockstep": True, "transfer_time": 0.5, "u_max": 3.0},
 ]
 

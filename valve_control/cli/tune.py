@@ -803,5 +803,5 @@ def _print(found: dict[str, "Tuned"]) -> None:
         if uneven is not None and uneven > LOUDER * (reached["c_u"] or 0.0):
             print(
                 f"{name}: c_u {uneven:.2f} with commands that come early or late by {verification.UNEVEN:g} "
-                "samples; --command-jitter tunes for such, command.interpolation joins them"
+                "samples; --command-jitter tunes for such"
             )

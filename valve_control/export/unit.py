@@ -25,7 +25,7 @@ WATCHED = (
     "command_limit",
     "command_timeout",
     "command.bridge",
-    "command.interpolation",
+    "command.lag",
     "neutral_rate",
     "neutral_accel",
     "transfer_time",

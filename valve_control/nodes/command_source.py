@@ -14,6 +14,7 @@ from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control.control.parameters import build
+from valve_control.control.commands import scenarios
 from valve_control.control.parameters.table import COMMAND
 from valve_control.nodes.adapter import (
     SAMPLES,
@@ -57,6 +58,7 @@ class CommandSource(Worker):
         self._last_time = 0.0  # s  of the last command
         self._sent = 0
         self._arrived = 0  # messages of the trigger, lost ones too
+        self._shape: scenarios.Shape | None = None  # of motions that are known between the samples too
         self._number = 0  # of the last one, 0 where they have none
         self._ahead = False  # lockstep: whether the command of the next reading is sent
         ParameterSet(self, COMMAND, self._build, self._apply)
@@ -84,6 +86,7 @@ class CommandSource(Worker):
         if shaped_by == self._shaped_by:
             return
         self._shaped_by = shaped_by
+        self._shape = None if values["scenario"] == "array" else build.shape(values)
         message = word(values, "message")
         if message != self._message:
             if self._publisher is not None:
@@ -172,7 +175,8 @@ class CommandSource(Worker):
                 return
             self._begin(now)
         assert self._began is not None
-        self._publish(max(0, int(now - self._began)))
+        past = max(0.0, now - self._began)
+        self._publish(int(past), past * self._period)
 
     def _begin(self, now: float) -> None:
         self._began = now
@@ -182,7 +186,8 @@ class CommandSource(Worker):
         self._epoch = max(time.monotonic(), self._last_time + self._period)
         self.get_logger().info("begins")
 
-    def _publish(self, index: int) -> None:
+    def _publish(self, index: int, time: float = math.nan) -> None:
+        """Send the command of the sample ``index``, or of the ``time`` [s] at which a timer sends it."""
         trajectory = self._message == "trajectory"
         if (self._every > 1 or trajectory) and index // self._every == self._turn:
             return
@@ -197,6 +202,8 @@ class CommandSource(Worker):
                 self._done = True
                 self.get_logger().info("done, holds the last command")
         command = float(self._commands[index])
+        if self._trigger == "timer" and self._shape is not None:  # a time stamp tells when it is sent
+            command = scenarios.command(self._shape, min(time, (len(self._commands) - 1) * self._period))
         if self._fault == "not_finite":
             command = math.nan
         elif self._fault == "out_of_range":

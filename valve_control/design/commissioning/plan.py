@@ -38,8 +38,8 @@ def limiting(before: Values, limits: SafetyLimits) -> Values:
         "u_max": limits.voltage,
         "command_limit": limits.voltage,
         "command_timeout": SILENCE if timeout == 0.0 else min(timeout, SILENCE),
-        "command.interpolation": "hold",
         "command.bridge": 0.0,
+        "command.lag": 0.0,
         "reshaping.lead": 0.0,
     }
 

@@ -38,7 +38,7 @@ BOXES = (1.0, 2.0)
 DOUBTED = (2.0, 3.0)  # likewise, where the model does not explain the readings
 # Of both verification runs: limits, and that each command counts as it comes.
 SAME = (
-    "u_max", "lvdt.limit", "command_limit", "command_timeout", "command.interpolation", "command.bridge",
+    "u_max", "lvdt.limit", "command_limit", "command_timeout", "command.bridge", "command.lag",
 )  # fmt: skip
 PID = "pid"  # that is tuned beside another law
 QUIETER = ((1.0, "again"), (0.5, "once more"))  # power of what is too loud, by which the limit is lowered
