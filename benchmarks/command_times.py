@@ -62,7 +62,7 @@ class Outcome(NamedTuple):
 
 
 def motions(rate: int) -> dict[str, Floats]:
-    """Wanted motions [V], one entry a sample; at ``rate`` [Hz] a period of a sine has 20 commands at least."""
+    """Wanted motions [V], one entry a sample; a period of a sine has 20 commands at ``rate`` [Hz]."""
     t = np.arange(round(SECONDS / 0.001)) * 0.001
     ease = np.minimum(1.0, t / 0.3)
     ease *= ease * (3.0 - 2.0 * ease)

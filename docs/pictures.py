@@ -259,28 +259,6 @@ def solenoid_curve(path: Path) -> None:
 
 
 @picture
-def interpolation(path: Path) -> None:
-    """Commands at 100 Hz and the reference that the law gets from them."""
-    figure, (top, bottom) = axes(2, 6.0)
-    for i, kind in enumerate(("hold", "linear", "extrapolate", "bridge")):
-        words = ["--command-period", "0.01", "--set", f"command.interpolation={kind}", "--duration", "1.0"]
-        words += ["--controller", "dcarc", "--scenario", "sine", "--set", "frequency=3.0"]
-        words += ["--params-file", "config/d3fxe.yaml", "--params-file", "config/dcarc.yaml"]
-        s = simulated(kind, *words)
-        shown = (s["time"] > 0.62) & (s["time"] < 0.8)
-        top.plot(s["time"][shown], s["position"][shown], color=COLOURS[i], lw=1.2, label=kind)
-        bottom.plot(s["time"][shown], s["voltage"][shown], color=COLOURS[i], lw=1.0)
-        if kind == "hold":
-            top.plot(
-                s["time"][shown], s["command"][shown], "k", lw=0.8, drawstyle="steps-post", label="command"
-            )
-    top.set(ylabel="spool [V]", title="dcarc, commands at 100 Hz, command.interpolation")
-    bottom.set(ylabel="voltage [V]", xlabel="time [s]")
-    top.legend(fontsize="small", ncols=5)
-    save(figure, path)
-
-
-@picture
 def wiring(path: Path) -> None:
     """Wiring of a card on a serial line."""
     boxes = {

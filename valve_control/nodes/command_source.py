@@ -13,8 +13,8 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from valve_control.control.parameters import build
 from valve_control.control.commands import scenarios
+from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND
 from valve_control.nodes.adapter import (
     SAMPLES,
