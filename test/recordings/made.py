@@ -108,7 +108,7 @@ class Run:
         self.namespace = namespace
         self.values = updated(CONTROLLER, defaults(CONTROLLER), controller or {})
         self.valve_values = updated(VALVE, defaults(VALVE), {"lvdt.noise": 0.004, **(simulator or {})})
-        self.time = self.clock = begin
+        self.time = self.clock = self.answered = begin
         self.supervisor = Supervisor()
         self.journal = Journal(self.supervisor, lambda: self.clock)
         self.journal.apply(self.values, build.law_params(self.values))
@@ -147,6 +147,10 @@ class Run:
         self.flush()
         self.say(f"{self.namespace}/controller", new)
 
+    def times(self, stamp):
+        """Time stamp [ns] of a command, none in lockstep, and time [s] since the last reading."""
+        return (0, 0.0) if self.values["lockstep"] else (stamp, (stamp - self.answered) * 1e-9)
+
     def point(self, position, velocity=0.0, acceleration=0.0, ago=0):
         """A point of a trajectory for the next sample, or, with a tuple, one with other counts of entries."""
         self.clock += 1_000
@@ -154,7 +158,7 @@ class Run:
             self.journal.trajectory_refused(len(position), velocity, acceleration)
         else:
             time = self.time + PERIOD - 300_000 - ago
-            self.journal.trajectory(Motion(position, velocity, acceleration), time)
+            self.journal.trajectory(Motion(position, velocity, acceleration), *self.times(time))
             self.sent += 1
             name = f"{self.namespace}/spool_trajectory"
             data = trajectory_point(position, velocity, acceleration)
@@ -172,7 +176,7 @@ class Run:
             before(self.journal)
         if command is not None and not late:
             self.put("spool_command", self.time - 300_000, command)
-            self.journal.command(command, self.time - 300_000)
+            self.journal.command(command, *self.times(self.time - 300_000))
         reading = valve.read(self.plant, self.spool, float(self.random.standard_normal()))
         self.put("spool_position", self.time, reading)
         self.readings.append(reading)
@@ -181,7 +185,9 @@ class Run:
             self.put("spool_command", answered - 10_000, command)
         self.clock = answered - 5_000
         if not lost:
-            self.answer(answered, lambda: self.journal.sample(reading, self.counts["spool_position"], 0.001))
+            elapsed, number = (self.time - self.answered) * 1e-9, self.counts["spool_position"]
+            self.answered = self.time
+            self.answer(answered, lambda: self.journal.sample(reading, number, elapsed))
             if self.supervisor.changed or self.supervisor.samples % 1000 == 0:
                 self.diagnose()
             if self.supervisor.samples % 10 == 0:
@@ -189,7 +195,7 @@ class Run:
             if len(self.journal) >= 100:
                 self.flush()
         if command is not None and late:
-            self.journal.command(command, answered - 10_000)
+            self.journal.command(command, *self.times(answered - 10_000))
         self.spool = valve.step(self.plant, self.spool, self.supervisor.voltage)
 
     def answer(self, time, give):

@@ -395,7 +395,8 @@ def test_mapping_to_what_is_not_there(run, tmp_path):
 
 def test_what_if_with_the_recorded_parameters_is_the_recorded_run(tmp_path):
     """A run from rest, whose noise is the simulator's: simulated again it is the same, bit for bit."""
-    controller, simulator = {"controller": "oarc"}, {"lvdt.noise": 0.004, "friction.coulomb": 0.3, "seed": 5}
+    controller = {"controller": "oarc", "lockstep": True}
+    simulator = {"lvdt.noise": 0.004, "friction.coulomb": 0.3, "seed": 5}
     made = Run(controller=controller, simulator=simulator)
     random = np.random.default_rng(5)
 

@@ -307,7 +307,7 @@ class _ByTimes(_Replay):
         readings, commands = (self._valve.recorded[part] for part in ("spool_position", "spool_command"))
         answered, recorded = self._answers(readings)
         taken, begin = 0, int(readings.time[0])
-        last = begin
+        last = begin - round(1e9 * self._valve.period)
         columns = (
             readings.time,
             readings.value,

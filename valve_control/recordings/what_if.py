@@ -10,7 +10,8 @@ import numpy as np
 from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import rms
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.simulation import offline
+from valve_control.control.simulation import delivery, offline
+from valve_control.control.supervision import command_course
 from valve_control.parameter import Values, defaults, updated
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.parameters import Node
@@ -45,7 +46,7 @@ def replay(
         if "sample_period" not in given:
             values["sample_period"] = round(period, 9)
     grid = _on_grid(signals, float(str(law["sample_period"])))
-    run = offline.simulate(law, plant, grid.command)
+    run = offline.simulate(law, plant, _motion(valve, signals, grid, law))
     distance = rms(run.measurement - grid.measurement)
     if valve.controller is not None and valve.controller.changes:
         left_out.append(
@@ -53,6 +54,17 @@ def replay(
             "the run has the values of the beginning"
         )
     return WhatIf(grid.time, grid, signals, run, distance, left_out)
+
+
+def _motion(valve: ValveRecording, signals: Aligned, grid: Aligned, values: Values) -> Floats:
+    """Command [V] at each sample of ``grid``, as a controller with these ``values`` has it."""
+    recorded = valve.recorded["spool_command"]
+    if values["lockstep"] is True or not signals.wall or len(recorded.time) == 0:
+        return grid.command
+    sent = (recorded.time - signals.stamp[0]) * 1e-9
+    sound = np.isfinite(recorded.value)
+    p = command_course.design(values)
+    return delivery.followed(p, recorded.value[sound], sent[sound], sent[sound], len(grid.command))
 
 
 def _values(

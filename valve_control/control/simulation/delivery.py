@@ -59,7 +59,8 @@ def check(values: Values, delivery: Delivery) -> None:
 def received(values: Values, wanted: Floats, delivery: Delivery | None) -> Floats:
     """Commands [V] at each sample for the ``wanted`` motion [V], one entry a sample; None: in time."""
     p = command_course.design(values)
-    if delivery is None or (delivery == Delivery(p.period, seed=delivery.seed) and p.lag == 0.0):
+    delivery = Delivery(p.period) if delivery is None else delivery
+    if delivery == Delivery(p.period, seed=delivery.seed) and p.lag == 0.0:
         return wanted
     return _received(wanted.tobytes(), delivery, p)
 
@@ -92,10 +93,14 @@ def messages(wanted: Floats, delivery: Delivery, period: float) -> tuple[Floats,
 @functools.lru_cache(maxsize=64)
 def _received(wanted: bytes, delivery: Delivery, p: command_course.Params) -> Floats:
     motion = np.clip(np.frombuffer(wanted), -p.limit, p.limit)
-    commands, stamps, came = messages(motion, delivery, p.period)
-    result = np.empty(len(motion))
+    return followed(p, *messages(motion, delivery, p.period), len(motion))
+
+
+def followed(p: command_course.Params, commands: Floats, stamps: Floats, came: Floats, n: int) -> Floats:
+    """Command [V] at each of ``n`` samples, of ``commands`` [V] with ``stamps`` [s] that ``came`` [s]."""
+    result = np.empty(n)
     taken_at: npt.NDArray[np.int64] = np.ceil((came - TOGETHER) / p.period).clip(0).astype(np.int64)
-    rest = command_course.begun(p, float(commands[0]), 0.0, 0.0)
+    rest = command_course.begun(p, float(commands[0]), float(stamps[0]), float(stamps[0]))
     compile_function(_fill)(p, rest, clock.NOTHING, commands, stamps, came, taken_at, result)
     return result
 

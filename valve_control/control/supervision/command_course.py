@@ -164,6 +164,14 @@ def taken(p: Params, s: State | None, command: float, sent: float, stamp: float)
     )  # fmt: skip
 
 
+def postponed(s: State, now: float) -> State:
+    """State whose newest command, which has no time stamp, is of ``now`` [s]."""
+    return State(
+        s.command, now, now, s.interval, s.change, s.known, s.leapt, s.smooth, s.quick, s.exact,
+        s.held_error, s.smooth_error, s.quick_error, s.exact_error,
+    )  # fmt: skip
+
+
 def faded(error: float, missed: float) -> float:
     """Fading sum of the square errors [V²], after one more error [V]."""
     return FORGETTING * error + missed * missed + LEAST

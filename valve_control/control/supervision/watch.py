@@ -232,7 +232,8 @@ def sent_at(p: Params, m: Memory, stamp: float, since: float) -> float:
 
 def trajectory(p: Params, m: Memory, point: points.Motion, stamp: float, since: float) -> bool:
     """Take in a ``point`` of a trajectory; whether it can be used. Times as of ``command``."""
-    before = m.trajectory if follows_trajectory(p, m) else None
+    follows = follows_trajectory(p, m)
+    before = m.trajectory if follows else None
     arrival = m.now + p.course.period
     backwards = points.backwards(p.course, before, stamp, arrival)
     if not points.usable(point, backwards):
@@ -320,7 +321,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     m.clock += elapsed if elapsed > 0.0 else (1 + lost) * p.lvdt.period
     m.pulse = clock.step(m.pulse, m.clock, m.clock - m.now)
     if lost > 0 and m.course is not None and m.course.stamp == expected == m.course.sent:
-        m.course = m.course._replace(sent=m.now, stamp=m.now)  # what came without a time meanwhile is of now
+        m.course = command_course.postponed(m.course, m.now)  # what came without a time meanwhile is of now
     expire(m)
     if m.now > m.jumped_until:
         m.jumped_until = NEVER

@@ -102,7 +102,9 @@ WATCHES = (
         ("command",),
         parameters=("command_limit", "command_timeout", "neutral_rate", "neutral_accel"),
     ),
-    Watch(command_course, ("course",), parameters=("command.bridge", "command.lag")),
+    Watch(
+        command_course, ("course", "clock", "pulse", "sender"), parameters=("command.bridge", "command.lag")
+    ),
     Watch(
         cycle_watch,
         ("cycle", "swing", "probe", "source", "pause"),
