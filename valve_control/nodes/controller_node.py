@@ -24,6 +24,7 @@ from valve_control.control.laws.registry import LAWS, REFUSED
 from valve_control.control.linear import stability
 from valve_control.control.parameters import arguments, build, files
 from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.supervision import rate
 from valve_control.control.supervision.cache_warming import CacheWarming
 from valve_control.control.supervision.journal import OBSERVED, Journal
 from valve_control.control.supervision.record import Mode, named_terms
@@ -106,6 +107,8 @@ class Controller(Managed):
         self._catching_up = False
         self._warm_at = NEVER
         self._seen = 0.0  # s, last reading or silence
+        self._pace: rate.State | None = None  # of the readings before the first that is used
+        self._last_number = 0  # of a reading before the first that is used
         self._pairing: Pairing | None = None  # in lockstep
         self._waiting: tuple[float, dict[str, Any]] | None = None  # lockstep: a reading without its command
         self._waits_since = self._look_at = NEVER
@@ -143,6 +146,8 @@ class Controller(Managed):
             self.autostart()
 
     def _build(self, values: Values) -> Built:
+        if refusal := self._supervisor.period_refusal(parameter.number(values, "sample_period")):
+            raise ParameterError(refusal)
         chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
         return Built(build.law_params(values), realtime.request(values), named_terms(chosen))
 
@@ -251,15 +256,15 @@ class Controller(Managed):
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._lockstep else self._seen + REMIND
         self._warm_at = self._tell_at = NEVER
+        self._pace = None if self._lockstep else rate.UNKNOWN
         if self._warming is not None:
             self._warming.start()
         self._catching_up = False
         for figures in (self._arrivals, self._latencies, self._durations):  # of the time since then
             figures.clear()
-        rate = 1.0 / self._period
         for sentence in REFUSED:
             self.get_logger().warning(sentence)
-        self.get_logger().info(f"{self._supervisor.name} at {rate:g} Hz, waiting for spool_position")
+        self.get_logger().info(f"{self._supervisor.name} at {1.0 / self._period:g} Hz, waiting for spool_position")
 
     def end(self) -> None:
         """Publish 0 V once and stop."""
@@ -308,6 +313,8 @@ class Controller(Managed):
             self._warm_at = NEVER
             self._catching_up = self._stood_still(now)
             self._take_commands()
+            if self._pace is not None:
+                self._pace = rate.interrupted(self._pace)
             voltage = self._journal.silence(self._elapsed(now), self._catching_up)
             if not math.isnan(voltage):
                 self._publish(voltage)
@@ -351,6 +358,8 @@ class Controller(Managed):
             self.get_logger().warning(UNKNOWN)
         if not self._lockstep:
             self._take_commands()
+        if self._pace is not None and not self._lockstep and self._awaits_period(self._pace, number, began):
+            return
         # What was sent while this process stood still comes in a burst afterwards and is stale.
         if self._stood_still(began):
             self._catching_up = True
@@ -373,6 +382,23 @@ class Controller(Managed):
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
             self._telemetry.append(self._supervisor.telemetry())
+
+    def _awaits_period(self, before: rate.State, number: int, now: float) -> bool:
+        """Whether the reading ``number`` at ``now`` [s] is not used: the first voltage needs the right period."""
+        expected = self._supervisor.expected_pace
+        periods = max(1, number - self._last_number) if self._last_number else 1
+        self._last_number = number
+        pace = rate.step(expected, before, self._elapsed(now), periods)
+        self._watch_at = now + self._hold * self._period
+        if rate.is_right(expected, pace):
+            self._pace, self._last_number = None, 0
+            return False
+        self._pace = pace
+        if pace.level == 2:
+            if before.level < 2:
+                self._supervisor.observe("lvdt_missing", rate.text(expected, pace))
+            self._publish(0.0)
+        return True
 
     def _warm_caches(self) -> None:
         """Take waiting commands, and run a step so that its code is in the caches for the next reading."""
