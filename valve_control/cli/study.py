@@ -252,7 +252,7 @@ def _replay(arguments: argparse.Namespace, chosen: "Study") -> None:
     command = build.commands(settings["command_source"])
     controller = settings["controller"]
     delivered = delivery.of_each_sample(controller)
-    run = offline.simulate(controller, settings["valve_simulator"], command, delivered=delivered)
+    run = offline.finite_run(controller, settings["valve_simulator"], command, delivered=delivered)
     if run.warning:
         print(f"warning: {run.warning}", file=sys.stderr)
     varied = [q.name for q in chosen.box if q.name in settings["valve_simulator"]]
