@@ -30,8 +30,9 @@ from valve_control.control.supervision.journal import OBSERVED, Journal
 from valve_control.control.supervision.record import Mode, named_terms
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.control.supervision.trajectory import Motion
-from valve_control.nodes import realtime
+from valve_control.nodes import realtime, right_of_way
 from valve_control.nodes.adapter import (
+    EVERYTHING,
     NEWEST,
     SAMPLES,
     UNKNOWN,
@@ -69,6 +70,9 @@ LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 COMMANDING = ("spool_command", "spool_trajectory")
 WINDOW = 1000  # samples of the timing statistics
 NEVER = math.inf
+STANDS_BY = "another publisher on valve_voltage controls this valve, so this controller does not"
+# s and sample periods of the windows in which the voltages of others are counted: the larger of both
+RIVALS, RIVAL_PERIODS = 0.2, 10
 WARMING = 0.65  # of a period after a reading
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
 # s between those of two valves of a process, by whether it is safe mode: all at once would hold up all.
@@ -109,6 +113,11 @@ class Controller(Managed):
         self._seen = 0.0  # s, last reading or silence
         self._pace: rate.State | None = None  # of the readings before the first that is used
         self._last_number = 0  # of a reading before the first that is used
+        self._way = right_of_way.ACTIVE
+        self._active_since = 0.0  # s
+        self._rivals: NumberSubscription | None = None  # hears voltages while somebody else may give them
+        self._window = (0.0, 0, 0)  # of the voltages of others: its end [s], voltages heard and given before it
+        self._given_voltages = 0
         self._pairing: Pairing | None = None  # in lockstep
         self._waiting: tuple[float, dict[str, Any]] | None = None  # lockstep: a reading without its command
         self._waits_since = self._look_at = NEVER
@@ -191,7 +200,9 @@ class Controller(Managed):
 
     def open(self) -> None:
         """Create publishers and subscriptions."""
+        before = self._voltage_publishers()
         self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
+        self._gid = min(self._voltage_publishers() - before, default=b"")
         self._send_voltage = sender(self._voltages)
         self._states = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
         self._memories = self.create_publisher(String, "~/memory", SAMPLES)
@@ -233,6 +244,7 @@ class Controller(Managed):
     def close(self) -> None:
         """Destroy publishers and subscriptions."""
         self._unsubscribe()
+        self._listen_to_rivals(False)
         self.destroy_publisher(self._voltages)
         self.destroy_publisher(self._states)
         self.destroy_publisher(self._memories)
@@ -245,6 +257,8 @@ class Controller(Managed):
 
     def begin(self) -> None:
         """Start from rest; messages that already wait are stale and dropped, but not in lockstep."""
+        self._way = right_of_way.ACTIVE
+        self._active_since = time.monotonic()
         assert self._readings is not None
         if not self._lockstep:
             for topic in (self._readings, self._commands, self._trajectories):
@@ -268,7 +282,9 @@ class Controller(Managed):
 
     def end(self) -> None:
         """Publish 0 V once and stop."""
-        self._publish(self._journal.stop())
+        voltage = self._journal.stop()
+        if not self._way.stands_by:
+            self._publish(voltage)
         self._publish_journal()
         self._watch_at = NEVER
         self.get_logger().info("inactive, 0 V")
@@ -304,7 +320,8 @@ class Controller(Managed):
             return self._work_in_lockstep() or tells
         worked = False
         for reading, info in self._readings.take():
-            self._answer(reading, info)
+            if not self._way.stands_by:
+                self._answer(reading, info)
             worked = True
         now = time.monotonic()
         if self._warm_at <= now < self._watch_at and not worked:
@@ -428,6 +445,7 @@ class Controller(Managed):
         return elapsed
 
     def _publish(self, voltage: float) -> None:
+        self._given_voltages += 1
         self._send_voltage(encoded(voltage))
         self._published = time.time_ns()
 
@@ -532,6 +550,7 @@ class Controller(Managed):
         counts = {topic: self.count_publishers(topic) for topic in OBSERVED}
         for topic, count in counts.items():
             self._journal.publishers(topic, count)
+        self._give_way(counts["valve_voltage"] > 1)
         commanded = any(counts[topic] > 0 for topic in COMMANDING)
         self._commanded = self._commanded or commanded
         if self._commanded and not self._lockstep:
@@ -539,6 +558,44 @@ class Controller(Managed):
                 self._journal.command_gone()
             elif counts["spool_trajectory"] == 0:
                 self._journal.trajectory_gone()
+
+    def _voltage_publishers(self) -> set[bytes]:
+        """GIDs of the publishers of voltages."""
+        return {bytes(info.endpoint_gid) for info in self.get_publishers_info_by_topic("valve_voltage")}
+
+    def _listen_to_rivals(self, wanted: bool) -> None:
+        """Subscribe to the voltages on the topic, or do not."""
+        if wanted and self._rivals is None:
+            self._rivals = NumberSubscription(self, "valve_voltage", EVERYTHING)
+            self._start_window(time.monotonic())
+        elif not wanted and self._rivals is not None:
+            self._rivals.destroy()
+            self._rivals = None
+
+    def _start_window(self, now: float) -> None:
+        self._window = now + max(RIVALS, RIVAL_PERIODS * self._period), 0, self._given_voltages
+
+    def _give_way(self, several: bool) -> None:
+        """Stop while somebody else controls this valve, and begin again when he does not."""
+        self._listen_to_rivals((several or self._way.stands_by) and self.working and not self._lockstep)
+        if self._rivals is None:
+            return
+        end, heard, given = self._window
+        heard += sum(1 for _ in self._rivals.take())
+        self._window = end, heard, given
+        now = time.monotonic()
+        if now < end:
+            return
+        before, first = self._way.stands_by, min(self._voltage_publishers(), default=b"")
+        others = heard - (self._given_voltages - given)
+        self._way = right_of_way.step(self._way, others, now - self._active_since, self._gid <= first)
+        self._start_window(now)
+        if self._way.stands_by and not before:
+            self._publish(self._journal.stop())
+            self._watch_at = self._warm_at = NEVER
+            self.get_logger().error(f"safe: {STANDS_BY}")
+        elif before and not self._way.stands_by:
+            self.begin()
 
     def _check_stability(self) -> None:
         """Warn about unstable gains; after they are in use, since the check takes longer than a period."""
@@ -626,6 +683,8 @@ class Controller(Managed):
         """Level and sentence of the diagnostics."""
         if not self.working:
             return DiagnosticStatus.OK, "inactive" if self._readings is not None else "unconfigured"
+        if self._way.stands_by:
+            return DiagnosticStatus.ERROR, f"{STANDS_BY}; {self._supervisor.reason}"
         return LEVELS[self._supervisor.mode], self._supervisor.reason
 
     def _figures(self) -> dict[str, Any]:

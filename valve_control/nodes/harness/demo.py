@@ -36,7 +36,7 @@ SHIFT_SAMPLES = 200  # over which readings and voltages are matched
 PARTIES = ("controller", "valve_simulator", "command_source")
 MOST_OFF = 0.2  # share of the time at 0 V up to which a run shows its law; a slow sine is at rest at first
 LEAST_RATE = 0.9  # of the readings that should come
-STANDSTILL = 0.02  # s without a command, a reading or a voltage, after which a run does not show its law
+STANDSTILL = 0.02  # s of ``Measured.pause`` from which on a run does not show its law
 SETTLE = 0.5  # s of the closed loop at rest before the command begins
 
 
@@ -88,7 +88,7 @@ class Measured(NamedTuple):
     lead: int  # voltages that the controller had published before the first command
     joined: int  # readings that the simulator had published before the controller's first voltage
     held: float  # V, where the controller held the spool before the first command
-    pause: float  # s, longest between two commands, readings or voltages: how long a process was put aside
+    pause: float  # s, longest between two commands, readings or voltages, or that all readings were late by
 
 
 def values_of(run: DemoRun) -> dict[str, Values]:
@@ -145,8 +145,11 @@ def measure(listener: Listener, period: float, duration: float) -> Measured:
         joined=max(0, reading_number - voltage_number),  # 0 V while the LVDT is silent answers no reading
         held=float(np.median(readings[reading_times < command_times[0]][-SHIFT_SAMPLES:])),
         pause=max(
-            float(np.max(np.diff(stamps[(stamps >= begin) & (stamps <= end)])))
-            for stamps in (command_times, reading_times, voltage_times)
+            end - begin - (len(inside) - 1) * period,
+            *(
+                float(np.max(np.diff(stamps[(stamps >= begin) & (stamps <= end)])))
+                for stamps in (command_times, reading_times, voltage_times)
+            ),
         ),
     )
 
@@ -233,7 +236,7 @@ def disturbed(name: str, run: Measured) -> str:
     """Why the run does not show what the law does, "" if it does."""
     off, wanted = float(np.mean(run.voltage == 0.0)), 1.0 / run.period
     if run.pause > STANDSTILL:
-        return f"{name}: the machine stood still for {1e3 * run.pause:.0f} ms, so this run does not show the law"
+        return f"{name}: the machine stood still or fell behind for {1e3 * run.pause:.0f} ms, so this run does not show the law"
     if off <= MOST_OFF and run.rate >= LEAST_RATE * wanted:
         return ""
     return (
