@@ -8,6 +8,7 @@ import time
 import pytest
 from bench import controller, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import Float32
 
 from valve_control.nodes import right_of_way
 from valve_control.nodes.harness.processes import process, start
@@ -58,6 +59,17 @@ def test_of_two_controllers_on_one_valve_the_second_stands_by_until_the_first_en
         child.send_signal(signal.SIGTERM)
         child.wait(10.0)
         log.close()
+
+
+def test_a_publisher_of_another_message_type_is_named_as_such(ros, tmp_path):
+    """It was told as 2 publishers."""
+    ear = Ear(ros)
+    with controller(tmp_path):
+        wrong = ros.create_publisher(Float32, "spool_command", 10)
+        word = "1 of the publishers on spool_command have another message type than std_msgs/msg/Float64"
+        ear.hear("controller", word)
+        ros.destroy_publisher(wrong)
+        ear.hear_no_more("controller", word)
 
 
 def alone(ways, gids, age, windows=40):

@@ -205,7 +205,7 @@ def with_standstills(pause, apart, count=12):
 
 
 def run_as_a_node(made, steps, hold=0.0215):
-    """Times [s] between readings, and a silence where nothing comes for ``hold`` [s]; all that was reported."""
+    """What is reported with each of the readings; nothing for ``hold`` [s] is a silence."""
     reasons = []
     for k, elapsed in enumerate(steps):
         made.command(0.0)
@@ -258,6 +258,7 @@ def test_a_sample_period_that_the_readings_contradict_is_refused():
     assert made.period_refusal(0.002) == ""
     feed(made, 0.5, PERIOD)
     assert made.period_refusal(0.002) == (
-        "sample_period cannot become 2 ms while LVDT readings come every 1 ms; change the period of the readings first"
+        "sample_period cannot become 2 ms while LVDT readings come every 1 ms; "
+        "change the period of the readings first"
     )
     assert made.period_refusal(PERIOD) == made.period_refusal(1.05 * PERIOD) == ""

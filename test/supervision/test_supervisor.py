@@ -613,7 +613,9 @@ def test_a_law_that_raises_is_switched_off_with_error_line_and_time(monkeypatch,
     assert loop.step() == 0.0
     text = loop.supervisor.conditions["law_not_finite"]
     assert text.startswith(f"the control law arc raised {error.__name__}: ")
-    assert "(test_supervisor.py, line " in text and text.endswith(" after 0.041 s" if part == "step" else " after 0.042 s")
+    assert "(test_supervisor.py, line " in text and text.endswith(
+        " after 0.041 s" if part == "step" else " after 0.042 s"
+    )
     assert loop.run(4000).supervisor.counts["law_not_finite"] <= 5  # after 0.3, 0.6, 1.2 and 2.4 s
 
 

@@ -26,7 +26,7 @@ from valve_control.control.parameters import arguments, build, files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.supervision import rate
 from valve_control.control.supervision.cache_warming import CacheWarming
-from valve_control.control.supervision.journal import OBSERVED, Journal
+from valve_control.control.supervision.journal import OBSERVED, TYPES, Journal
 from valve_control.control.supervision.record import Mode, named_terms
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.control.supervision.trajectory import Motion
@@ -113,10 +113,16 @@ class Controller(Managed):
         self._seen = 0.0  # s, last reading or silence
         self._pace: rate.State | None = None  # of the readings before the first that is used
         self._last_number = 0  # of a reading before the first that is used
+        self._counts: dict[str, int] = {}  # of publishers, by topic
+        self._strange: dict[str, int] = {}  # of those with another message type
         self._way = right_of_way.ACTIVE
         self._active_since = 0.0  # s
         self._rivals: NumberSubscription | None = None  # hears voltages while somebody else may give them
-        self._window = (0.0, 0, 0)  # of the voltages of others: its end [s], voltages heard and given before it
+        self._window = (
+            0.0,
+            0,
+            0,
+        )  # of the voltages of others: its end [s], voltages heard and given before it
         self._given_voltages = 0
         self._pairing: Pairing | None = None  # in lockstep
         self._waiting: tuple[float, dict[str, Any]] | None = None  # lockstep: a reading without its command
@@ -278,7 +284,9 @@ class Controller(Managed):
             figures.clear()
         for sentence in REFUSED:
             self.get_logger().warning(sentence)
-        self.get_logger().info(f"{self._supervisor.name} at {1.0 / self._period:g} Hz, waiting for spool_position")
+        self.get_logger().info(
+            f"{self._supervisor.name} at {1.0 / self._period:g} Hz, waiting for spool_position"
+        )
 
     def end(self) -> None:
         """Publish 0 V once and stop."""
@@ -401,7 +409,7 @@ class Controller(Managed):
             self._telemetry.append(self._supervisor.telemetry())
 
     def _awaits_period(self, before: rate.State, number: int, now: float) -> bool:
-        """Whether the reading ``number`` at ``now`` [s] is not used: the first voltage needs the right period."""
+        """Whether reading ``number`` at ``now`` [s] is not used: a first voltage needs the right period."""
         expected = self._supervisor.expected_pace
         periods = max(1, number - self._last_number) if self._last_number else 1
         self._last_number = number
@@ -549,14 +557,18 @@ class Controller(Managed):
         self._publish_journal()
         counts = {topic: self.count_publishers(topic) for topic in OBSERVED}
         for topic, count in counts.items():
-            self._journal.publishers(topic, count)
+            if count != self._counts.get(topic):  # their types take longer
+                types = [info.topic_type for info in self.get_publishers_info_by_topic(topic)]
+                self._strange[topic] = len(types) - types.count(TYPES[topic])
+            self._journal.publishers(topic, -self._strange[topic] or count)
+        self._counts = counts
         self._give_way(counts["valve_voltage"] > 1)
-        commanded = any(counts[topic] > 0 for topic in COMMANDING)
+        commanded = any(counts[topic] > self._strange[topic] for topic in COMMANDING)
         self._commanded = self._commanded or commanded
         if self._commanded and not self._lockstep:
             if not commanded:
                 self._journal.command_gone()
-            elif counts["spool_trajectory"] == 0:
+            elif counts["spool_trajectory"] == self._strange["spool_trajectory"]:
                 self._journal.trajectory_gone()
 
     def _voltage_publishers(self) -> set[bytes]:

@@ -145,7 +145,7 @@ def simulate(
 
 
 def finite_run(*arguments: Any, **options: Any) -> Run:
-    """Run of ``simulate`` whose numbers are finite. Raises LawError with the time at which they are no more."""
+    """Run of ``simulate`` whose numbers are finite. Raises LawError at the first that is not."""
     with np.errstate(all="ignore"):
         run = simulate(*arguments, **options)
     numbers = np.column_stack([run.voltage, run.measurement, *run.terms.values()])

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures the period of the LVDT readings: it should be the sample period of the law.
 
-The time between readings is averaged over windows. The first window, which is short, is judged before the first
-voltage. Later the middle one of nine counts, so that a few standstills are no false alarm, and two windows that
-are right in a row end an alarm. A small deviation must last: a sender that is held up for a while makes good
-what it lacks.
+The time between readings is averaged over windows. The first window, which is short, is judged before the
+first voltage. Later the middle one of nine counts, so that a few standstills are no false alarm. Two right
+windows in a row end an alarm. A small deviation must last: a sender that is held up for a while
+makes good what it lacks.
 
 A gap is no period. A window begins and ends at a reading that came in time after the one before, so that a
 delay and the burst that makes it good are in the same window. After a silence both are left out.
@@ -39,8 +39,8 @@ CONDITIONS = (
         "degraded beyond 2 %, safe beyond `lvdt.period_limit`",
         "LVDT readings come every … ms, sample_period is … ms",
         "the driver's rate differs from the design rate of the law; the median of nine windows of "
-        "0.1 s counts, at the start the first 20 readings; two right windows end it; a deviation within the limit is "
-        "reported after 2 s",
+        "0.1 s counts, at the start the first 20 readings; two right windows end it; a deviation "
+        "within the limit is reported after 2 s",
         "`sample_period`, or the driver's rate",
     ),
     ReportedCondition(
@@ -72,7 +72,9 @@ class State(NamedTuple):
     quick: int = 0  # readings of the open window that came quickly
     share: float = 0.0  # of quick readings in the last window
     crowded: int = 0  # windows in a row with bursts, at most LASTING
-    passing: int = BURST + 1  # readings that may still pass before a window is open, the first at any rate; 0: open
+    passing: int = (
+        BURST + 1
+    )  # readings that may still pass before a window is open, the first at any rate; 0: open
 
 
 UNKNOWN = State(0.0, 0, (), 0, 0)
@@ -158,8 +160,8 @@ def refusal(p: Params, s: State, period: float) -> str:
     if now == 0.0 or abs(now / period - 1.0) <= p.limit:
         return ""
     return (
-        f"sample_period cannot become {1e3 * period:.3g} ms while LVDT readings come every {1e3 * now:.3g} ms; "
-        "change the period of the readings first"
+        f"sample_period cannot become {1e3 * period:.3g} ms while LVDT readings come every "
+        f"{1e3 * now:.3g} ms; change the period of the readings first"
     )
 
 

@@ -236,7 +236,8 @@ def disturbed(name: str, run: Measured) -> str:
     """Why the run does not show what the law does, "" if it does."""
     off, wanted = float(np.mean(run.voltage == 0.0)), 1.0 / run.period
     if run.pause > STANDSTILL:
-        return f"{name}: the machine stood still or fell behind for {1e3 * run.pause:.0f} ms, so this run does not show the law"
+        late = f"the machine stood still or fell behind for {1e3 * run.pause:.0f} ms"
+        return f"{name}: {late}, so this run does not show the law"
     if off <= MOST_OFF and run.rate >= LEAST_RATE * wanted:
         return ""
     return (
