@@ -5,8 +5,8 @@
 Who has been active for less than ``YOUNG`` and hears voltages of somebody else stops, since he would
 disturb a valve that is controlled. If two controlled before they saw each other, the one whose publisher has
 the larger GID stops: both know both GIDs, so they agree without a message. Who stopped begins again when
-nobody else gives voltages. Then the one with the smallest GID is the first. Voltages count, not publishers: an
-inactive controller has a publisher too, and that of a process that was killed stays in the graph for a while.
+nobody else gives voltages. Then the one with the smallest GID is the first. Voltages count, not publishers:
+an inactive controller has a publisher too, and that of a killed process stays in the graph for a while.
 """
 
 from typing import NamedTuple
