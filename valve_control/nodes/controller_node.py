@@ -419,10 +419,8 @@ class Controller(Managed):
             self._pace, self._last_number = None, 0
             return False
         self._pace = pace
-        if pace.level == 2:
-            if before.level < 2:
-                self._supervisor.observe("lvdt_missing", rate.text(expected, pace))
-            self._publish(0.0)
+        if pace.level == 2 and before.level < 2:
+            self._supervisor.observe("lvdt_missing", rate.text(expected, pace))
         return True
 
     def _warm_caches(self) -> None:
