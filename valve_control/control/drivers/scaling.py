@@ -33,8 +33,9 @@ class Scale(NamedTuple):
 
     @property
     def live_zero(self) -> float:
-        """Signal below which a wire is broken (NAMUR NE 43: 3.6 of 4 mA), 0.0 where 0 is a signal too."""
-        return max(0.0, 0.9 * min(self.signal(-FULL), self.signal(FULL)))
+        """Signal below which a wire is broken (NAMUR NE 43: 3.6 of 4 mA), -inf where 0 is a signal too."""
+        least = min(self.signal(-FULL), self.signal(FULL))
+        return 0.9 * least if least > 0.0 else -math.inf
 
     def reversed(self) -> "Scale":
         """The scale of the other polarity."""
