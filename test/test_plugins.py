@@ -243,6 +243,25 @@ def test_a_law_that_does_not_compile_is_named_with_its_package_and_the_reason(tm
         assert line.startswith(start + reason), line
 
 
+def test_a_law_that_fails_in_a_run_is_one_sentence_with_the_time(tmp_path):
+    """Errors name the line too. Numbers of 300 digits were printed, with status 0."""
+    bad = {"a": "raise ValueError('no such square')", "b": "return math.inf, s, Terms(0.0, 0.0, 0.0)"}
+    for letter, statement in bad.items():
+        text = LAW.replace(
+            "    voltage = command", f"    if command == 0.5:\n        {statement}\n    voltage = command"
+        )
+        package(tmp_path, text.replace("import sys\n", "import math\nimport sys\n", 1), letter)
+    step = ["--scenario", "step", "--set", "amplitude=0.5", "--duration", "1.0"]
+    commands = [["simulate", "--controller", f"mine{letter}", *step] for letter in "ab"]
+    statuses, said = each(tmp_path, *commands)
+    assert statuses == ["status=1"] * 2 and len(said) == 2, said
+    assert said == [
+        "valve-control: the law 'minea' of the package package_a raised ValueError: no such square "
+        "(law_a.py, line 26) after 0.250 s",
+        "valve-control: mineb produced NaN or infinity after 0.250 s",
+    ]
+
+
 def test_margins_and_tune_name_a_law_that_does_not_compile(tmp_path):
     text = LAW.replace("command + offset", "command - 0.5 * isinstance(s, State) * measurement + offset")
     text = text.replace("reshapes=", "model=lambda p: (59.0, 1657.0, 1502.0), free=(FREE,), reshapes=")

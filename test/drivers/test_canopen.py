@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """CANopen, CiA 408: the driver against a valve in another process, behind slcan on a pseudo-terminal."""
 
+import errno
 import signal
 import sys
 import time
@@ -191,12 +192,78 @@ def test_the_valve_goes_off_by_itself_when_this_process_stands_still(running, va
 
 
 def test_a_valve_that_cannot_watch_its_set_point_is_told_all_the_time():
-    with device("valve_408", "5", "408", "0x1400:5", str(PERIOD)) as valve:
+    with device("valve_408", "5", "408", "0x1400:5,0x1016:1", str(PERIOD)) as valve:
         made = driver(valve)
         made.open()
         activate(made, valve)
         assert names(made)["no_watchdog"] == "degraded"
         made.close()
+
+
+def test_a_valve_that_watches_no_set_point_watches_the_heartbeat_of_the_driver():
+    with device("valve_408", "5", "408", "0x1400:5", str(PERIOD)) as valve:
+        made = driver(valve)
+        made.open()
+        activate(made, valve)
+        end = time.monotonic() + 1.0
+        while time.monotonic() < end:
+            made.read()
+            made.write(20.0)
+        assert valve.order("state").startswith("ACTIVE") and "no_watchdog" not in names(made)
+        until(lambda: valve.order("state").startswith("FAULT 0.0000"), "the valve's watch over the heartbeat")
+        made.close()
+
+
+def answering(node, answers):
+    """A node whose SDO server sends ``answers``, in lists, to one request after the other."""
+    waiting, pump = list(answers), node.pump
+
+    def send(identifier, data=b"", remote=False):
+        if data[0] != 0x80:
+            node._sdo.responses.queue.extend(waiting.pop(0))
+
+    node._network.send_message = send
+    node._sdo.pump = lambda limit: time.sleep(min(limit, 0.005))
+    return pump
+
+
+def test_an_answer_after_its_time_out_is_not_taken_for_the_next():
+    """Of another object, and of the same."""
+    answer = {n: b"\x4b\x01\x63\x01" + bytes([n]) + b"\0\0\0" for n in (1, 2, 3, 4)}
+    other = b"\x4b\x11\x63\x01\x09\0\0\0"
+    node = CanNode(5, 0.05, interface="virtual", channel="late")
+    answering(node, [[], [other, answer[1]], [], [answer[2], answer[3]], [answer[4]]])
+    with pytest.raises(DriverError):
+        node.get(0x6311, 1, "h")
+    assert node.get(0x6301, 1, "h") == 1
+    with pytest.raises(DriverError):
+        node.get(0x6301, 1, "h")
+    assert node.get(0x6301, 1, "h") == 3 and node.get(0x6301, 1, "h") == 4
+    node.close()
+
+
+def test_a_full_buffer_is_a_lost_frame_and_only_a_lasting_one_a_lost_device():
+    import can
+
+    node, full = CanNode(5, 0.1, interface="virtual", channel="full"), True
+    taken_frames = []
+
+    def send(identifier, data=b"", remote=False):
+        if full:
+            raise can.CanOperationError("No buffer space available", errno.ENOBUFS)
+        taken_frames.append(identifier)
+
+    node._network.send_message = send
+    node.patience = 0.02
+    assert not node.send(0x80)
+    full = False
+    assert node.send(0x80) and taken_frames == [0x80]
+    full = True
+    assert not node.send(0x80)
+    time.sleep(0.03)
+    with pytest.raises(DriverError, match="No buffer space"):
+        node.send(0x80)
+    node.close()
 
 
 @pytest.mark.parametrize(

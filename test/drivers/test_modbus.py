@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Modbus TCP: the driver against pymodbus's server in another process, with a simulated valve behind it."""
 
+import socketserver
 import sys
+import threading
 import time
+from contextlib import suppress
 
 import pytest
 from hypothesis import given
@@ -140,6 +143,36 @@ def test_samples_that_no_one_had_time_for_are_told_as_left_out(io):
     until(valve.read, "a reading")
     assert names(valve)["late"] == "degraded"
     valve.close()
+
+
+def test_an_answer_in_slow_bytes_costs_one_request():
+    """A byte each 40 ms. Its rest was taken for the next answers, until the device was opened anew."""
+    slow = []
+
+    class Handler(socketserver.BaseRequestHandler):
+        def handle(self):
+            while request := self.request.recv(12):
+                answer = request[:4] + b"\0\5" + request[6:8] + b"\2\0\x64"
+                if slow:
+                    slow.clear()
+                    for i in range(len(answer)):
+                        time.sleep(0.04)
+                        with suppress(OSError):
+                            self.request.send(answer[i : i + 1])
+                else:
+                    self.request.send(answer)
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Handler) as server:
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        named = {"modbus.port": server.server_address[1], "modbus.counts": 1.0, "modbus.timeout": 0.1}
+        made = KIND.make(updated(PARAMETERS, defaults(PARAMETERS), named), PERIOD, 0.0)
+        made.open()
+        slow.append(True)
+        assert made.read() is None
+        assert [made.read().signal for _ in range(5)] == [100.0] * 5
+        made.close()
+        server.shutdown()
 
 
 def test_without_a_coil_a_refused_voltage_is_followed_by_0_volts(io):

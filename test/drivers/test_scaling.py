@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scales: words at the ends of their ranges, formulas, both directions."""
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,6 +23,7 @@ def test_words_make_their_whole_range_ten_volts_to_each_side(word, low, centre, 
     scale = parse(word)
     assert [scale.volts(signal) for signal in (low, centre, high)] == [-10.0, 0.0, 10.0]
     assert [scale.signal(volts) for volts in (-10.0, 0.0, 10.0)] == [low, centre, high]
+    assert scale.live_zero == (3.6 if word == "4..20mA" else -math.inf)
 
 
 @pytest.mark.parametrize(

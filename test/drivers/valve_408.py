@@ -6,6 +6,7 @@ Its spool is the package's simulated valve, one sample for each SYNC. It exchang
 mapped, and watches its set point if it was told to.
 """
 
+import math
 import struct
 import sys
 import threading
@@ -20,7 +21,7 @@ REFERENCE = 16384
 U8, U16, U32 = datatypes.UNSIGNED8, datatypes.UNSIGNED16, datatypes.UNSIGNED32
 I8, I16 = datatypes.INTEGER8, datatypes.INTEGER16
 OBJECTS = {
-    0x1000: [(0, U32, 408)], 0x1017: [(0, U16, 0)],
+    0x1000: [(0, U32, 408)], 0x1016: [(1, U32, 0)], 0x1017: [(0, U16, 0)],
     0x1400: [(1, U32, 0x80000200), (2, U8, 255), (5, U16, 0)],
     0x1600: [(0, U8, 0), (1, U32, 0), (2, U32, 0)],
     0x1800: [(1, U32, 0x80000180), (2, U8, 255)],
@@ -56,13 +57,16 @@ class Valve:
         self.network.NOTIFIER_CYCLE = 0.01
         self.node = canopen.LocalNode(node, dictionary(profile))
         if refused:
-            index, sub = refused.split(":")
-            del self.node.object_dictionary[int(index, 16)].subindices[int(sub)]
+            for one in refused.split(","):
+                index, sub = one.split(":")
+                del self.node.object_dictionary[int(index, 16)].subindices[int(sub)]
         self.network.connect()
         self.network.add_node(self.node)
         self.node.add_write_callback(self.written)
         self.network.subscribe(0x80, self.on_sync)
         self.network.subscribe(0x200 + node, self.on_setpoint)
+        self.network.subscribe(0x700 + 127, self.on_master)
+        self.master = math.inf
         self.period = period
         self.spool = Spool(period)
         self.state, self.control, self.waiting = 0b1000, 0, None
@@ -103,6 +107,9 @@ class Valve:
         if self.number(0x1400, 2, "<B") > 240:
             self.apply()
 
+    def on_master(self, identifier, data, stamp):
+        self.master = time.monotonic()
+
     def apply(self):
         data, self.waiting = self.waiting, None
         for sub in range(1, self.number(0x1600, 0, "<B") + 1):
@@ -131,12 +138,19 @@ class Valve:
         return self.number(0x6300, 1, "<h") / REFERENCE * 10.0
 
     def watch(self):
-        """Watch the set point, as 0x1400:05 says."""
+        """Watch set point and heartbeat, as 0x1400:05 and 0x1016:01 say."""
         while True:
             time.sleep(0.005)
             limit = self.number(0x1400, 5) / 1000.0 if 5 in self.node.object_dictionary[0x1400] else 0.0
             if limit and self.state == 0b1111 and time.monotonic() > self.heard + limit:
                 self.fail(0x8250)
+            beat = self.number(0x1016, 1, "<I") if 1 in self.node.object_dictionary[0x1016] else 0
+            if (
+                beat >> 16 == 127
+                and self.state == 0b1111
+                and time.monotonic() > self.master + beat % 65536 / 1e3
+            ):
+                self.fail(0x8130)
 
     def order(self, word, value):
         if word == "emergency":

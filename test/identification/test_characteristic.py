@@ -4,6 +4,7 @@
 
 import json
 
+import changed
 import numpy as np
 import pytest
 
@@ -158,6 +159,19 @@ def test_the_turn_tells_play_from_friction(half, coulomb, presliding):
     if coulomb > 0.0:
         assert found.shares.presliding == pytest.approx(presliding, rel=0.12)
     assert "half of the hysteresis: play 0." in characteristic.text(found)
+
+
+@pytest.mark.parametrize("period", [0.005, 0.00025])
+def test_a_spool_that_swings_on_its_bristles_has_no_play(period):
+    """Of friction with a Stribeck peak; a play of 0.11 V was told at 5 ms and one of 0.22 V at 0.25 ms."""
+    test = experiment.test_values(friction.TEST, period)
+    rubbing = {"friction.coulomb": 1.16, "friction.static_ratio": 1.25, "friction.presliding": 0.02}
+    done = experiment.simulated(
+        changed.controller(sample_period=period, reshaping__natural_frequency=50.0),
+        updated(VALVE, defaults(VALVE), {**rubbing, "sample_period": period, "lvdt.noise": 0.0056}),
+        test,
+    )
+    assert characteristic.characteristic(done, LAG).shares is None
 
 
 @pytest.mark.parametrize(("presliding", "told"), [(0.0, True), (0.02, False)])

@@ -226,7 +226,7 @@ def run_tool(tool, folder, *arguments, timeout=900):
     )
     if done.returncode:
         logs = sorted(folder.glob("*valve_simulator.log"), key=lambda log: log.stat().st_mtime)
-        stood = logs[-1].read_text().count("stood still") if logs else 0  # of the run that failed alone
+        stood = logs[-1].read_text().count("samples skipped") if logs else 0  # of the run that failed alone
         words = done.stdout + done.stderr
         raise HeldUpError(f"{stood} standstills; {words}") if stood >= HELD_UP else AssertionError(words)
     return json.loads((folder / f"{tool}.json").read_text())

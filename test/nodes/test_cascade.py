@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 import rclpy
 from bench import (
@@ -29,6 +30,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 
 from valve_control.control.supervision.record import HEAD
 from valve_control.nodes.adapter import SAMPLES
+from valve_control.nodes.harness import demo
 from valve_control.nodes.harness.processes import process
 
 
@@ -163,6 +165,30 @@ def test_demo_over_dds_equals_offline(tmp_path):
             pytest.fail("this machine does not keep 1 kHz just now: the simulator stood still in all runs")
         pytest.fail(f"no run was that of the offline simulation: {off}")
     assert (tmp_path / "demo.png").exists()
+
+
+class Recorded:
+    """What a listener of the demo has: a reading, a voltage and a command each 1 ms, all at ``times`` [s]."""
+
+    def __init__(self, times):
+        self.times = times
+        self.sequence = dict.fromkeys(("spool_position", "valve_voltage"), range(1, len(times) + 1))
+
+    def arrays(self, topic):
+        late = {"spool_command": -1e-4, "spool_position": 0.0, "valve_voltage": 1e-4}
+        values = np.full(len(self.times), 0.5)
+        return (values[1:], self.times[1:] + late[topic]) if topic == "spool_command" else (
+            values, self.times + late[topic])  # fmt: skip
+
+
+@pytest.mark.parametrize("late", [0.0, 0.01, 0.03, 0.3])
+@pytest.mark.parametrize("gradual", [False, True])
+def test_a_run_of_the_demo_in_which_the_machine_stood_still_or_lagged_is_not_one_of_the_law(late, gradual):
+    times = 1e-3 * np.arange(3000.0)
+    times += late * (np.clip(times - 1.0, 0.0, 1.0) if gradual else times > 1.5)
+    measured = demo.measure(Recorded(times), 1e-3, 2.5)
+    assert measured.pause == pytest.approx(max(late, 1e-3), abs=2e-3)
+    assert bool(demo.disturbed("arc", measured)) == (late > 0.02)
 
 
 def test_interrupted_demo_leaves_no_process(ros, tmp_path):

@@ -203,7 +203,12 @@ def beside(monkeypatch, bus, *settings):
     """A controller of this process beside ``bus``; no reading may be missing, after 30 ms."""
     side = Side(Scale(1.0), -10.0, 10.0)
     monkeypatch.setattr(drivers, "device", lambda values: Device(bus, side, side, SLOW))
-    slow = (f"sample_period:={SLOW}", "reshaping.natural_frequency:=50.0", "lvdt.hold_samples:=0")
+    slow = (
+        f"sample_period:={SLOW}",
+        "reshaping.natural_frequency:=50.0",
+        "lvdt.hold_samples:=0",
+        "lvdt.period_limit:=1000.0",
+    )
     given = [word for text in (*slow, *settings) for word in ("-p", text)]
     valve = DeviceController(cli_args=["--ros-args", *given])
     try:

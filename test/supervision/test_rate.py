@@ -194,3 +194,71 @@ def test_bursts_of_readings_are_reported_and_the_word_ends_with_them(size):
 def test_jitter_and_standstills_are_no_bursts():
     """Readings late by 0.3 ms rms, and 8 ms in which nothing is answered 20 times a second."""
     assert "lvdt_bursts" not in arrivals(supervisor(), 4.0, 1, jitter=3e-4, held_up=0.02)
+
+
+def with_standstills(pause, apart, count=12):
+    """Times between readings: ``pause`` [s] in which nothing comes, and then at once all that is due."""
+    due = round(pause / PERIOD)
+    burst = np.full(due, 5e-5)
+    stretch = np.concatenate([[pause + PERIOD], burst, [PERIOD - sum(burst)], np.full(apart, PERIOD)])
+    return np.concatenate([np.full(2000, PERIOD), np.tile(stretch, count), np.full(1000, PERIOD)])
+
+
+def run_as_a_node(made, steps, hold=0.0215):
+    """What is reported with each of the readings; nothing for ``hold`` [s] is a silence."""
+    reasons = []
+    for k, elapsed in enumerate(steps):
+        made.command(0.0)
+        if elapsed > hold:
+            made.silence(hold)
+            elapsed -= hold
+        made.sample(1e-4 * (k % 2), k, elapsed)
+        reasons.append(made.reason)
+    return reasons
+
+
+@pytest.mark.parametrize("pause", [0.015, 0.023, 0.03])
+@pytest.mark.parametrize("apart", [50, 100, 137, 200, 300])
+def test_standstills_and_their_bursts_are_no_period(pause, apart):
+    """Those of 23 ms were: up to 13 stops and 1.5 s of 0 V after twelve of them."""
+    made = supervisor(controller="arc")
+    reasons = run_as_a_node(made, with_standstills(pause, apart))
+    assert not any("come every" in reason for reason in reasons)
+    assert made.counts["safe_stops"] == (12 if pause > 0.0215 else 0)
+
+
+def test_control_returns_after_two_right_windows_and_one_sentence_tells_the_rate():
+    made = supervisor(controller="arc")
+    number = feed(made, 2.0, PERIOD)
+    slow = run_as_a_node(made, np.full(540, 1.3 * PERIOD))
+    assert made.mode is Mode.SAFE
+    back = run_as_a_node(made, np.full(400, PERIOD))
+    right = next(k for k, reason in enumerate(back) if "controlling" in reason)
+    assert right * PERIOD <= 0.34  # the mixed window, two right ones, and the sound readings; 0.44 s before
+    assert all(reason.count("come every") <= 1 for reason in slow + back)
+    assert number == 2000
+
+
+@pytest.mark.parametrize("factor", [0.2, 0.5, 0.8, 1.2, 2.0, 10.0])
+def test_a_wrong_period_is_known_before_a_first_voltage(factor):
+    """And a right one after twenty readings, the first of which came at any time."""
+    state = rate.interrupted(rate.UNKNOWN)
+    for k in range(400):
+        state = rate.step(PARAMS, state, factor * PERIOD if k else 0.07, 1)
+        assert not rate.is_right(PARAMS, state)
+    assert state.level == 2 and rate.measured(state) == pytest.approx(factor * PERIOD)
+    state = rate.UNKNOWN
+    for k in range(22):
+        state = rate.step(PARAMS, state, PERIOD if k else 0.07, 1)
+    assert rate.is_right(PARAMS, state)
+
+
+def test_a_sample_period_that_the_readings_contradict_is_refused():
+    made = supervisor(controller="pid")
+    assert made.period_refusal(0.002) == ""
+    feed(made, 0.5, PERIOD)
+    assert made.period_refusal(0.002) == (
+        "sample_period cannot become 2 ms while LVDT readings come every 1 ms; "
+        "change the period of the readings first"
+    )
+    assert made.period_refusal(PERIOD) == made.period_refusal(1.05 * PERIOD) == ""

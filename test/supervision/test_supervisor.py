@@ -595,9 +595,9 @@ def test_finite_terms_whose_sum_overflows_are_finite(monkeypatch):
 
 
 @pytest.mark.parametrize("part", ["step", "hold"])
-@pytest.mark.parametrize("error", [OverflowError, ZeroDivisionError, ValueError])
-def test_an_error_of_arithmetic_in_a_law_is_one_that_leaves_the_finite_numbers(monkeypatch, part, error):
-    """At a reading, or over one that was lost."""
+@pytest.mark.parametrize("error", [OverflowError, ZeroDivisionError, ValueError, KeyError])
+def test_a_law_that_raises_is_switched_off_with_error_line_and_time(monkeypatch, part, error):
+    """At a reading, or over one that was lost; and it is tried again less and less often."""
 
     def failing(inner, *arguments):
         if loop.k > 40:
@@ -610,7 +610,13 @@ def test_an_error_of_arithmetic_in_a_law_is_one_that_leaves_the_finite_numbers(m
     assert loop.run(40).supervisor.voltage != 0.0
     if part == "hold":
         assert loop.step(send=False) != 0.0
-    assert loop.step() == 0.0 and "law_not_finite" in loop.supervisor.conditions
+    assert loop.step() == 0.0
+    text = loop.supervisor.conditions["law_not_finite"]
+    assert text.startswith(f"the control law arc raised {error.__name__}: ")
+    assert "(test_supervisor.py, line " in text and text.endswith(
+        " after 0.041 s" if part == "step" else " after 0.042 s"
+    )
+    assert loop.run(4000).supervisor.counts["law_not_finite"] <= 5  # after 0.3, 0.6, 1.2 and 2.4 s
 
 
 def test_each_change_is_flagged_once():

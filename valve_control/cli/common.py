@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from valve_control import interrupts, outputs
+from valve_control.control.compiling import LawError
 from valve_control.control.laws.registry import LEFT_OUT
 from valve_control.parameter import ParameterError
 from valve_control.recordings.bags.errors import BagError
@@ -251,6 +252,9 @@ def ended(program: str, task: str, work: Callable[[], int | None]) -> int:
     except (ParameterError, BagError) as error:
         print(f"{program}: {error}", file=sys.stderr)
         return 2
+    except LawError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 1
     except ModuleNotFoundError as error:
         print(
             f"{program}: {task} needs the Python package {error.name} (pip install {error.name})",

@@ -242,7 +242,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
     from tqdm import tqdm
 
     with tqdm(total=len(command), unit=" samples", disable=len(command) < LONG, ascii=True) as bar:
-        run = offline.simulate(
+        run = offline.finite_run(
             settings["controller"],
             settings["valve_simulator"],
             command,
@@ -320,7 +320,7 @@ def _compare(arguments: argparse.Namespace) -> None:
         own = settings_of(arguments, controller)["controller"]
         values = updated(NODES["controller"], own, {"controller": controller})
         delivered = delivery_of(arguments, values)
-        run = offline.simulate(values, settings["valve_simulator"], command, delivered=delivered)
+        run = offline.finite_run(values, settings["valve_simulator"], command, delivered=delivered)
         if run.warning:
             print(f"warning: {run.warning}", file=sys.stderr)
         runs.append(run)

@@ -251,7 +251,7 @@ def _replay(arguments: argparse.Namespace, chosen: "Study") -> None:
     settings = robustness.settings_of_number(chosen, arguments.replay)
     command = build.commands(settings["command_source"])
     controller = settings["controller"]
-    run = offline.simulate(controller, settings["valve_simulator"], command)
+    run = offline.finite_run(controller, settings["valve_simulator"], command)
     if run.warning:
         print(f"warning: {run.warning}", file=sys.stderr)
     varied = [q.name for q in chosen.box if q.name in settings["valve_simulator"]]

@@ -33,6 +33,10 @@ class CompileError(ParameterError):
     """Says which law cannot be compiled, whatever its parameters are, and why."""
 
 
+class LawError(RuntimeError):
+    """Says that a law has raised an error or left the finite numbers in a run, where and when."""
+
+
 def add_sources(package: str, folder: Path, laws: bool = True) -> None:
     """Let functions of ``package``, in ``folder``, be compiled too; call it before anything is compiled.
 
@@ -188,15 +192,25 @@ def _compiled_module(module: types.ModuleType) -> types.ModuleType:
 
 @contextlib.contextmanager
 def explained(what: str) -> Iterator[None]:
-    """Raise CompileError, naming ``what``, if something within the block cannot be compiled."""
+    """Raise CompileError, naming ``what``, if something within the block cannot be compiled.
+
+    Raise LawError if it is compiled and raises an error.
+    """
     try:
         yield
     except (ParameterError, OSError, MemoryError):
         raise
     except Exception as error:
         if not _while_compiling(error):
-            raise
+            raise LawError(f"{what} raised {in_words(error)}") from error
         raise CompileError(f"{what} does not compile: {_reason(error)}") from error
+
+
+def in_words(error: Exception) -> str:
+    """The kind of ``error``, its text and the line that raised it."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    text = f": {error}" if str(error) else ""
+    return f"{type(error).__name__}{text} ({Path(frame.filename).name}, line {frame.lineno})"
 
 
 def _while_compiling(error: Exception) -> bool:

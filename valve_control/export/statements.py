@@ -163,8 +163,10 @@ class Body(Expressions):
     def _try(self, node: ast.Try) -> bool:
         """What is tried: C raises no error of arithmetic, and goes on with what it computes instead."""
         caught = [self._resolved(e) for h in node.handlers for e in getattr(h.type, "elts", [h.type])]
-        if node.orelse or node.finalbody or not {*caught} <= {ArithmeticError, ValueError}:
-            raise self.refused(node, "a try block for other errors than ArithmeticError and ValueError")
+        if node.orelse or node.finalbody or not {*caught} <= {ArithmeticError, ValueError, Exception}:
+            raise self.refused(
+                node, "a try block for other errors than ArithmeticError, ValueError and Exception"
+            )
         return self._block(node.body)
 
     # What changes a memory, and when

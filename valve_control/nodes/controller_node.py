@@ -24,13 +24,15 @@ from valve_control.control.laws.registry import LAWS, REFUSED
 from valve_control.control.linear import stability
 from valve_control.control.parameters import arguments, build, files
 from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.supervision import rate
 from valve_control.control.supervision.cache_warming import CacheWarming
 from valve_control.control.supervision.command_course import Motion
-from valve_control.control.supervision.journal import OBSERVED, Journal
+from valve_control.control.supervision.journal import OBSERVED, TYPES, Journal
 from valve_control.control.supervision.record import Mode, named_terms
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.nodes import realtime
+from valve_control.nodes import realtime, right_of_way
 from valve_control.nodes.adapter import (
+    EVERYTHING,
     NEWEST,
     SAMPLES,
     UNKNOWN,
@@ -68,6 +70,9 @@ LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 COMMANDING = ("spool_command", "spool_trajectory")
 WINDOW = 1000  # samples of the timing statistics
 NEVER = math.inf
+STANDS_BY = "another publisher on valve_voltage controls this valve, so this controller does not"
+# s and sample periods of the windows in which the voltages of others are counted: the larger of both
+RIVALS, RIVAL_PERIODS = 0.2, 10
 WARMING = 0.65  # of a period after a reading
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
 # s between those of two valves of a process, by whether it is safe mode: all at once would hold up all.
@@ -106,6 +111,19 @@ class Controller(Managed):
         self._catching_up = False
         self._warm_at = NEVER
         self._seen = 0.0  # s, last reading or silence
+        self._pace: rate.State | None = None  # of the readings before the first that is used
+        self._last_number = 0  # of a reading before the first that is used
+        self._counts: dict[str, int] = {}  # of publishers, by topic
+        self._strange: dict[str, int] = {}  # of those with another message type
+        self._way = right_of_way.ACTIVE
+        self._active_since = 0.0  # s
+        self._rivals: NumberSubscription | None = None  # hears voltages while somebody else may give them
+        self._window = (
+            0.0,
+            0,
+            0,
+        )  # of the voltages of others: its end [s], voltages heard and given before it
+        self._given_voltages = 0
         self._pairing: Pairing | None = None  # in lockstep
         self._waiting: tuple[float, dict[str, Any]] | None = None  # lockstep: a reading without its command
         self._waits_since = self._look_at = NEVER
@@ -143,6 +161,8 @@ class Controller(Managed):
             self.autostart()
 
     def _build(self, values: Values) -> Built:
+        if refusal := self._supervisor.period_refusal(parameter.number(values, "sample_period")):
+            raise ParameterError(refusal)
         chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
         return Built(build.law_params(values), realtime.request(values), named_terms(chosen))
 
@@ -186,7 +206,9 @@ class Controller(Managed):
 
     def open(self) -> None:
         """Create publishers and subscriptions."""
+        before = self._voltage_publishers()
         self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
+        self._gid = min(self._voltage_publishers() - before, default=b"")
         self._send_voltage = sender(self._voltages)
         self._states = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
         self._memories = self.create_publisher(String, "~/memory", SAMPLES)
@@ -228,6 +250,7 @@ class Controller(Managed):
     def close(self) -> None:
         """Destroy publishers and subscriptions."""
         self._unsubscribe()
+        self._listen_to_rivals(False)
         self.destroy_publisher(self._voltages)
         self.destroy_publisher(self._states)
         self.destroy_publisher(self._memories)
@@ -240,6 +263,8 @@ class Controller(Managed):
 
     def begin(self) -> None:
         """Start from rest; messages that already wait are stale and dropped, but not in lockstep."""
+        self._way = right_of_way.ACTIVE
+        self._active_since = time.monotonic()
         assert self._readings is not None
         if not self._lockstep:
             for topic in (self._readings, self._commands, self._trajectories):
@@ -251,19 +276,23 @@ class Controller(Managed):
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._lockstep else self._seen + REMIND
         self._warm_at = self._tell_at = NEVER
+        self._pace = None if self._lockstep else rate.UNKNOWN
         if self._warming is not None:
             self._warming.start()
         self._catching_up = False
         for figures in (self._arrivals, self._latencies, self._durations):  # of the time since then
             figures.clear()
-        rate = 1.0 / self._period
         for sentence in REFUSED:
             self.get_logger().warning(sentence)
-        self.get_logger().info(f"{self._supervisor.name} at {rate:g} Hz, waiting for spool_position")
+        self.get_logger().info(
+            f"{self._supervisor.name} at {1.0 / self._period:g} Hz, waiting for spool_position"
+        )
 
     def end(self) -> None:
         """Publish 0 V once and stop."""
-        self._publish(self._journal.stop())
+        voltage = self._journal.stop()
+        if not self._way.stands_by:
+            self._publish(voltage)
         self._publish_journal()
         self._watch_at = NEVER
         self.get_logger().info("inactive, 0 V")
@@ -299,7 +328,8 @@ class Controller(Managed):
             return self._work_in_lockstep() or tells
         worked = False
         for reading, info in self._readings.take():
-            self._answer(reading, info)
+            if not self._way.stands_by:
+                self._answer(reading, info)
             worked = True
         now = time.monotonic()
         if self._warm_at <= now < self._watch_at and not worked:
@@ -308,6 +338,8 @@ class Controller(Managed):
             self._warm_at = NEVER
             self._catching_up = self._stood_still(now)
             self._take_commands()
+            if self._pace is not None:
+                self._pace = rate.interrupted(self._pace)
             voltage = self._journal.silence(self._elapsed(now), self._catching_up)
             if not math.isnan(voltage):
                 self._publish(voltage)
@@ -351,6 +383,8 @@ class Controller(Managed):
             self.get_logger().warning(UNKNOWN)
         if not self._lockstep:
             self._take_commands()
+        if self._pace is not None and not self._lockstep and self._awaits_period(self._pace, number, began):
+            return
         # What was sent while this process stood still comes in a burst afterwards and is stale.
         if self._stood_still(began):
             self._catching_up = True
@@ -373,6 +407,21 @@ class Controller(Managed):
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
             self._telemetry.append(self._supervisor.telemetry())
+
+    def _awaits_period(self, before: rate.State, number: int, now: float) -> bool:
+        """Whether reading ``number`` at ``now`` [s] is not used: a first voltage needs the right period."""
+        expected = self._supervisor.expected_pace
+        periods = max(1, number - self._last_number) if self._last_number else 1
+        self._last_number = number
+        pace = rate.step(expected, before, self._elapsed(now), periods)
+        self._watch_at = now + self._hold * self._period
+        if rate.is_right(expected, pace):
+            self._pace, self._last_number = None, 0
+            return False
+        self._pace = pace
+        if pace.level == 2 and before.level < 2:
+            self._supervisor.observe("lvdt_missing", rate.text(expected, pace))
+        return True
 
     def _warm_caches(self) -> None:
         """Take waiting commands, and run a step so that its code is in the caches for the next reading."""
@@ -402,6 +451,7 @@ class Controller(Managed):
         return elapsed
 
     def _publish(self, voltage: float) -> None:
+        self._given_voltages += 1
         self._send_voltage(encoded(voltage))
         self._published = time.time_ns()
 
@@ -512,14 +562,57 @@ class Controller(Managed):
         self._publish_journal()
         counts = {topic: self.count_publishers(topic) for topic in OBSERVED}
         for topic, count in counts.items():
-            self._journal.publishers(topic, count)
-        commanded = any(counts[topic] > 0 for topic in COMMANDING)
+            if count != self._counts.get(topic):  # their types take longer
+                types = [info.topic_type for info in self.get_publishers_info_by_topic(topic)]
+                self._strange[topic] = len(types) - types.count(TYPES[topic])
+            self._journal.publishers(topic, -self._strange[topic] or count)
+        self._counts = counts
+        self._give_way(counts["valve_voltage"] > 1)
+        commanded = any(counts[topic] > self._strange[topic] for topic in COMMANDING)
         self._commanded = self._commanded or commanded
         if self._commanded and not self._lockstep:
             if not commanded:
                 self._journal.command_gone()
-            elif counts["spool_trajectory"] == 0:
+            elif counts["spool_trajectory"] == self._strange["spool_trajectory"]:
                 self._journal.trajectory_gone()
+
+    def _voltage_publishers(self) -> set[bytes]:
+        """GIDs of the publishers of voltages."""
+        return {bytes(info.endpoint_gid) for info in self.get_publishers_info_by_topic("valve_voltage")}
+
+    def _listen_to_rivals(self, wanted: bool) -> None:
+        """Subscribe to the voltages on the topic, or do not."""
+        if wanted and self._rivals is None:
+            self._rivals = NumberSubscription(self, "valve_voltage", EVERYTHING)
+            self._start_window(time.monotonic())
+        elif not wanted and self._rivals is not None:
+            self._rivals.destroy()
+            self._rivals = None
+
+    def _start_window(self, now: float) -> None:
+        self._window = now + max(RIVALS, RIVAL_PERIODS * self._period), 0, self._given_voltages
+
+    def _give_way(self, several: bool) -> None:
+        """Stop while somebody else controls this valve, and begin again when he does not."""
+        self._listen_to_rivals((several or self._way.stands_by) and self.working and not self._lockstep)
+        if self._rivals is None:
+            return
+        end, heard, given = self._window
+        heard += sum(1 for _ in self._rivals.take())
+        self._window = end, heard, given
+        now = time.monotonic()
+        if now < end:
+            return
+        before, first = self._way.stands_by, min(self._voltage_publishers(), default=b"")
+        others = heard - (self._given_voltages - given)
+        self._way = right_of_way.step(self._way, others, now - self._active_since, self._gid <= first)
+        self._start_window(now)
+        if self._way.stands_by and not before:
+            self._publish(self._journal.stop())
+            self._watch_at = self._warm_at = NEVER
+            self.get_logger().error(f"safe: {STANDS_BY}")
+        elif before and not self._way.stands_by:
+            self.begin()
 
     def _check_stability(self) -> None:
         """Warn about unstable gains; after they are in use, since the check takes longer than a period."""
@@ -607,6 +700,8 @@ class Controller(Managed):
         """Level and sentence of the diagnostics."""
         if not self.working:
             return DiagnosticStatus.OK, "inactive" if self._readings is not None else "unconfigured"
+        if self._way.stands_by:
+            return DiagnosticStatus.ERROR, f"{STANDS_BY}; {self._supervisor.reason}"
         return LEVELS[self._supervisor.mode], self._supervisor.reason
 
     def _figures(self) -> dict[str, Any]:

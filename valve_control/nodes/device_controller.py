@@ -250,6 +250,9 @@ class DeviceController(Controller):
         self._told = conditions
         self._publish_diagnostics()
 
+    def _give_way(self, several: bool) -> None:
+        """Go on: the device is this controller's, whoever publishes voltages."""
+
     def _acquainted(self) -> bool:
         return any(acquainted(self, self._positions, topic) for topic in COMMANDING)
 

@@ -223,7 +223,7 @@ class ValveSimulator(Managed):
                 skipped = int(behind / self._period)
                 self._counts["samples_skipped"] += skipped
                 self._next += skipped * self._period
-                self.get_logger().warning(f"stood still for {behind:.3f} s, {skipped} samples skipped")
+                self.get_logger().warning(f"fell {behind:.3f} s behind, {skipped} samples skipped")
             if self._samples > 0:
                 self._take_voltage()
                 self._advance()

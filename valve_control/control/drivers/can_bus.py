@@ -7,7 +7,9 @@ when a driver is opened: it needs canopen and python-can.
 """
 
 import contextlib
+import errno
 import logging
+import math
 import select
 import struct
 import time
@@ -26,20 +28,41 @@ SEND_TIMEOUT = 0.05  # s
 
 
 class Client(SdoClient):
-    """An SDO client that reads the bus while it waits for the answer."""
+    """An SDO client that reads the bus while it waits for the answer.
+
+    All objects have up to four bytes, so that each answer names its object. An answer that comes after its
+    time-out is not taken for that of a later request: it has another object, or one more answer follows.
+    """
 
     pump: Callable[[float], None]
+    _asked = b""  # object of the last request
+    _owed = b""  # object whose answer has not come in time
+
+    def request_response(self, sdo_request: bytes) -> bytes:
+        """The node's answer to a request. Raises SdoCommunicationError, SdoAbortedError, CanError."""
+        self.pump(0.0)
+        if not self.responses.empty():  # it is dropped
+            self._owed = b""
+        self._asked = bytes(sdo_request[1:4])
+        return bytes(super().request_response(sdo_request))
 
     def read_response(self) -> bytes:
         """The node's answer. Raises SdoCommunicationError, SdoAbortedError."""
-        end = time.monotonic() + self.RESPONSE_TIMEOUT
-        while self.responses.empty():
-            left = end - time.monotonic()
-            if left <= 0.0:
-                raise SdoCommunicationError("no answer")
-            self.pump(left)
-        answer: bytes = super().read_response()
-        return answer
+        end, found = time.monotonic() + self.RESPONSE_TIMEOUT, b""
+        while (left := end - time.monotonic()) > 0.0:
+            if self.responses.empty():
+                self.pump(left)
+                continue
+            answer: bytes = self.responses.get()
+            if answer[1:4] == self._asked:
+                found, late, self._owed = answer, self._owed == self._asked, b""
+                if not late:
+                    break
+        if not found:
+            self._owed = self._asked
+            raise SdoCommunicationError("no answer")
+        self.responses.put(found)
+        return bytes(super().read_response())
 
 
 class Network(canopen.Network):
@@ -60,6 +83,8 @@ class CanNode:
             logging.getLogger(library).addHandler(logging.NullHandler())  # what it logs is said here
         self.node = node
         self.bus_off = False
+        self.patience = SEND_TIMEOUT  # s for which a full buffer is no fault
+        self._full_since = math.inf  # s
         try:
             self._bus = can.Bus(**bus)
         except Exception as error:  # the makers' libraries raise all kinds of errors
@@ -112,12 +137,19 @@ class CanNode:
             with contextlib.suppress(struct.error):  # a frame that is too short
                 self._network.notify(message.arbitration_id, message.data, message.timestamp)
 
-    def send(self, identifier: int, data: bytes = b"") -> None:
-        """Send a frame. Raises DriverError."""
+    def send(self, identifier: int, data: bytes = b"") -> bool:
+        """Send a frame; whether it was taken: the buffer may be full for ``patience``. Raises DriverError."""
         try:
             self._network.send_message(identifier, data)
         except (can.CanError, OSError) as error:
-            raise DriverError(f"the CAN bus does not take frames: {error}") from error
+            now = time.monotonic()
+            self._full_since = min(self._full_since, now)
+            number = getattr(error, "error_code", None) or getattr(error, "errno", None)
+            if number != errno.ENOBUFS or now > self._full_since + self.patience:
+                raise DriverError(f"the CAN bus does not take frames: {error}") from error
+            return False
+        self._full_since = math.inf
+        return True
 
     def command(self, state: str) -> None:
         """Send the NMT command for ``state``, such as OPERATIONAL. Raises DriverError."""

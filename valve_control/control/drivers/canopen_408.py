@@ -36,6 +36,8 @@ POLL = 0.01  # s between two readings by SDO, at least
 PATIENCE = 3  # unanswered requests in a row before the node counts as gone
 GRACE = 0.5  # s for the way to ACTIVE
 HEARTBEATS = 2.5  # periods without one after which it is lost
+BEATS = 4  # heartbeats of this driver within the watchdog's time
+OWN_STATE = bytes([OPERATIONAL])
 FRAMES = 55 + 98 + 98  # bits of SYNC and both PDOs, stuffed at worst, with the spaces behind them
 DATA = struct.Struct("<Hh")  # control word and set point; status word and actual value
 
@@ -58,7 +60,7 @@ PARAMETERS = (
               low=0, high=32767),
     Parameter("canopen.on_sync", True, "", "the set point acts at the next SYNC; false: when it arrives"),
     Parameter("canopen.watchdog", 0.1, "s", "silence after which the valve itself reports a fault "
-              "(0x1400:05); 0: it does not watch", low=0.0, high=60.0),
+              "(0x1400:05, else 0x1016); 0: it does not watch", low=0.0, high=60.0),
     Parameter("canopen.heartbeat", 0.1, "s", "period of the valve's heartbeat (0x1017); 0: none",
               low=0.0, high=60.0),
 )  # fmt: skip
@@ -78,6 +80,8 @@ class Valve408:
         self._on = False
         self._faults: dict[str, str] = {}  # that switched the output off
         self._unwatched = False
+        self._consumed = 0  # node id of this driver, whose heartbeat the valve watches; 0: it does not
+        self._beat_at = 0.0  # s, of the next heartbeat of this driver
         self._silent = 0  # unanswered requests in a row
         self._status = 0
         self._actual: int | None = None
@@ -170,7 +174,10 @@ class Valve408:
     def _configure(self, node: "CanNode") -> None:
         """Configure the valve and start the exchange of PDOs."""
         self._running = False
-        self._unwatched = not configure(node, self._p) and self._p["watchdog"] > 0.0
+        watched, self._consumed = configure(node, self._p)
+        self._unwatched = not watched and self._p["watchdog"] > 0.0
+        node.patience = 0.5 * self._p["watchdog"] if watched else node.patience
+        self._beat_at = 0.0
         self._faults = {}
         self._status, self._lost_lately = 0b1000, Lately()
         self._running = True
@@ -193,8 +200,7 @@ class Valve408:
     def _send(self) -> None:
         assert self._node is not None
         setpoint = self._setpoint if self._on else self._counts(self._off)
-        self._node.send(0x200 + self._p["node"], DATA.pack(self._control(), setpoint))
-        self._sent = True
+        self._sent = self._node.send(0x200 + self._p["node"], DATA.pack(self._control(), setpoint))
 
     def write(self, signal: float) -> None:
         """Send the set point; it acts at the next SYNC, or when it arrives. Raises DriverError."""
@@ -218,6 +224,9 @@ class Valve408:
                 self._send()
             self._sent = False
             self._actual = None
+            now = time.monotonic()
+            if self._consumed and now >= self._beat_at and node.send(0x700 + self._consumed, OWN_STATE):
+                self._beat_at = now + self._p["watchdog"] / BEATS
             node.send(SYNC)
             while self._actual is None and (left := self._ticks.due()) > 0.0:
                 node.pump(left)
@@ -308,7 +317,8 @@ class Valve408:
             )
         if self._unwatched:
             found.append(
-                Condition("no_watchdog", "degraded", "the valve does not watch its set point (0x1400:05): it "
+                Condition("no_watchdog", "degraded", "the valve watches neither its set "
+                          "point (0x1400:05) nor a heartbeat (0x1016): it "
                           "would keep the last one if this process died")
             )  # fmt: skip
         return tuple(found)

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a CiA 408 valve is found and configured, in pre-operational, by its object dictionary.
 
-Objects 0x14xx to 0x1Axx and 0x1017 are those of CiA 301, 0x6040 to 0x6311 those of CiA 408.
+Objects 0x14xx to 0x1Axx, 0x1016 and 0x1017 are those of CiA 301, 0x6040 to 0x6311 those of CiA 408.
 """
 
+import contextlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -43,8 +44,11 @@ def find(node: "CanNode", settings: Mapping[str, Any]) -> int:
     return reference
 
 
-def configure(node: "CanNode", settings: Mapping[str, Any]) -> bool:
-    """Set modes, PDOs and watchdogs, start the node; whether it watches its set point. Raises DriverError."""
+def configure(node: "CanNode", settings: Mapping[str, Any]) -> tuple[bool, int]:
+    """Set modes, PDOs and watchdogs, start the node. Raises DriverError.
+
+    Returns whether it watches this driver, and the node id whose heartbeat it wants for that, 0 for none.
+    """
     node.command("PRE-OPERATIONAL")
     node.bus_off = False
     try:
@@ -75,10 +79,17 @@ def _map(node: "CanNode", index: int, base: int, kind: int, objects: tuple[int, 
     node.put(index, 1, "I", identifier | NO_REMOTE)
 
 
-def _watch(node: "CanNode", milliseconds: int) -> bool:
-    """Set the time after which the valve misses its set point, 0: never; returns whether it watches."""
-    try:
-        node.put(0x1400, 5, "H", milliseconds)
-    except LookupError:
-        return False
-    return milliseconds > 0
+def _watch(node: "CanNode", milliseconds: int) -> tuple[bool, int]:
+    """Set the time after which the valve misses its set point or, if it cannot, a heartbeat; 0: never.
+
+    Returns whether it watches, and the node id of the heartbeat, 0 for none.
+    """
+    own = 127 if node.node != 127 else 126
+    for index, sub, form, value in (
+        (0x1400, 5, "H", milliseconds),
+        (0x1016, 1, "I", own << 16 | milliseconds),
+    ):
+        with contextlib.suppress(LookupError):
+            node.put(index, sub, form, value)
+            return milliseconds > 0, own if index == 0x1016 and milliseconds else 0
+    return False, 0

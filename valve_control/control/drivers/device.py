@@ -43,6 +43,7 @@ class Device:
         self._retry_at = 0.0
         self._on = False
         self._beyond: float | None = None  # V, of the last reading if it is out of range
+        self._broken = False  # the last reading has no live zero; the output is at 0 V
         self._lost_until = -math.inf
         self.readings = self.lost = self.late = self.silences = self.reopened = 0
 
@@ -72,7 +73,7 @@ class Device:
         """Give ``voltage`` [V] within the limits, 0 V if it is not finite, if the output is on."""
         side = self.voltage
         if self._on and self._gone is None and self._fault is None:
-            finite = voltage if math.isfinite(voltage) else 0.0
+            finite = voltage if math.isfinite(voltage) and not self._broken else 0.0
             try:
                 self._driver.write(side.scale.signal(max(side.low, min(side.high, finite))))
             except DriverError as error:
@@ -137,6 +138,7 @@ class Device:
             self._lost_until = time.monotonic() + LATCH
         side = self.position
         volts = side.scale.volts(reading.signal)
+        self._broken = reading.signal < side.scale.live_zero
         if side.low <= volts <= side.high:
             self._beyond = None
             return Reading(volts, reading.lost)
@@ -175,7 +177,10 @@ class Device:
         found = self._driver.conditions()
         if self._fault is not None:
             found += (self._fault,)
-        if self._beyond is not None:
+        if self._broken:
+            text = "the reading is below its live zero: the wire is broken, or the LVDT has no supply"
+            found += (Condition("wire_broken", "safe", text),)
+        elif self._beyond is not None:
             side = self.position
             text = f"the reading is {self._beyond:.4g} V, outside {side.low:g} to {side.high:g} V"
             found += (Condition("out_of_range", "degraded", text),)

@@ -58,6 +58,7 @@ class ModbusTcp:
         self._held = False  # a voltage may be in the output register
         self._lost = 0
         self._silent = 0  # unanswered requests in a row
+        self._partial = False  # bytes of an answer have come
         self._timeouts, self._late, self._busy = Lately(), Lately(), Lately()
         self._refused: dict[str, str] = {}
         self._client: Any = None
@@ -71,6 +72,14 @@ class ModbusTcp:
         logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # what it logs is said here
         p = self._p
         self._client = ModbusTcpClient(p["host"], port=p["port"], timeout=p["timeout"], retries=0)
+        receive = self._client.recv
+
+        def received(size: int | None) -> bytes:
+            data: bytes = receive(size)
+            self._partial = self._partial or len(data) > 0
+            return data
+
+        self._client.recv = received
         self._refused, self._silent, self._on, self._touched = {}, 0, False, False
         try:
             if not self._client.connect():
@@ -192,6 +201,7 @@ class ModbusTcp:
         try:
             if self._client is None or not self._client.connected:
                 raise ConnectionException("closed")
+            self._partial = False
             answer = getattr(self._client, name)(*words, device_id=self._p["unit"])
         except (ConnectionException, OSError):
             self._drop()
@@ -202,6 +212,11 @@ class ModbusTcp:
             if self._silent >= PATIENCE:
                 self._drop()
                 raise DriverError(f"{self._where} has not answered {PATIENCE} requests in a row") from None
+            if self._partial:  # the rest of the answer would be taken for the beginning of the next
+                self._client.close()
+                if not self._client.connect():
+                    self._drop()
+                    raise DriverError(f"{self._where} closed the connection") from None
             return None
         self._silent = 0
         return answer

@@ -10,6 +10,9 @@ NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 FORMULA = re.compile(rf"\*\s*(?P<factor>{NUMBER})\s*(?P<offset>[+-]\s*{NUMBER.removeprefix('[+-]?')})?")
 
 
+FULL = 10.0  # V
+
+
 class ScaleError(ValueError):
     """Says why a scale cannot be used; the message is one sentence for the user."""
 
@@ -27,6 +30,12 @@ class Scale(NamedTuple):
     def signal(self, volts: float) -> float:
         """Signal that has ``volts``."""
         return (volts - self.offset) / self.factor
+
+    @property
+    def live_zero(self) -> float:
+        """Signal below which a wire is broken (NAMUR NE 43: 3.6 of 4 mA), -inf where 0 is a signal too."""
+        least = min(self.signal(-FULL), self.signal(FULL))
+        return 0.9 * least if least > 0.0 else -math.inf
 
     def reversed(self) -> "Scale":
         """The scale of the other polarity."""

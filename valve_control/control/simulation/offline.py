@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulates one whole run offline: law, valve and command as in the nodes, without middleware."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from valve_control.control import closed_loop
 from valve_control.control.analysis import steps
 from valve_control.control.analysis.indices import Indices, indices, rms
 from valve_control.control.analysis.limit_cycle import LimitCycle, limit_cycle
-from valve_control.control.compiling import explained
+from valve_control.control.compiling import LawError, explained
 from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
@@ -143,6 +144,17 @@ def simulate(
     )
 
 
+def finite_run(*arguments: Any, **options: Any) -> Run:
+    """Run of ``simulate`` whose numbers are finite. Raises LawError at the first that is not."""
+    with np.errstate(all="ignore"):
+        run = simulate(*arguments, **options)
+    numbers = np.column_stack([run.voltage, run.measurement, *run.terms.values()])
+    bad = np.flatnonzero(~np.isfinite(numbers).all(axis=1))
+    if len(bad):
+        raise LawError(f"{run.controller} produced NaN or infinity after {bad[0] * run.period:.3f} s")
+    return run
+
+
 def _at_limit(voltage: Floats, law: Any, plant: Any) -> npt.NDArray[np.bool_]:
     """Whether ``voltage`` [V] of the amplifier is at its limit by the Params of ``law`` and ``plant``."""
     if not isinstance(law, linearisation.Params):
@@ -190,14 +202,14 @@ def _ran(
     ``terms``: n rows for those of the law, or none.
     """
     n = len(led)
-    signals = np.zeros((n, len(closed_loop.SIGNALS)))
+    signals = np.full((n, len(closed_loop.SIGNALS)), np.nan)  # of samples that are not computed yet
     plant = registry.plant_of(loop.plant).module
     rest = plant.initial(loop.plant)
     first = plant.read(loop.plant, rest, noise[0])
     module = linearisation.module_of(loop.law.module, loop.behind)
     end = closed_loop.parts(module.initial(loop.behind, Start(first, 0.0, first, 0.0, 0.0)), rest)
     params = closed_loop.parts(loop.behind, loop.plant)
-    with explained(loop.law.title):
+    with _timed(signals, loop.plant.period), explained(loop.law.title):
         for start in range(0, n, PIECE):
             piece = slice(start, start + PIECE)
             end = closed_loop.run_valve(
@@ -206,6 +218,16 @@ def _ran(
             if told is not None:
                 told(len(led[piece]))
     return signals, end
+
+
+@contextmanager
+def _timed(signals: Floats, period: float) -> Iterator[None]:
+    """Add to a LawError in the block when it was raised: at the first sample that ``signals`` do not have."""
+    try:
+        yield
+    except LawError as error:
+        time = np.argmax(np.isnan(signals[:, 0])) * period
+        raise LawError(f"{error} after {time:.3f} s") from error
 
 
 def _unstable(loop: _Loop, values: Values, alone: bool, least: float, compiled: bool) -> list[str]:

@@ -38,7 +38,7 @@ class Event(IntEnum):
     STOP = 6  # with 0 V
     RESET = 7
     COMMAND_GONE = 8  # the upper level left
-    COMMAND_PUBLISHERS = 9  # `number` of them, 0 for one or none
+    COMMAND_PUBLISHERS = 9  # `number` of them, 0 for one or none; below 0: of those of another message type
     LVDT_PUBLISHERS = 10
     VOLTAGE_PUBLISHERS = 11
     TRAJECTORY = 12  # position, velocity and acceleration as `command`, `reading` and `number`; its stamp as
@@ -53,6 +53,10 @@ OBSERVED = {
     "spool_trajectory": (Event.TRAJECTORY_PUBLISHERS, "trajectory_publishers"),
     "spool_position": (Event.LVDT_PUBLISHERS, "lvdt_publishers"),
     "valve_voltage": (Event.VOLTAGE_PUBLISHERS, "voltage_publishers"),
+}
+NUMBER = "std_msgs/msg/Float64"
+TYPES = {topic: NUMBER for topic in OBSERVED} | {
+    "spool_trajectory": "trajectory_msgs/msg/JointTrajectoryPoint"
 }
 COUNTED = tuple(event for event, _ in OBSERVED.values())
 
@@ -170,8 +174,8 @@ class Journal:
             self._note(Event.COMMAND_GONE)
 
     def publishers(self, topic: str, count: int) -> None:
-        """Report how many publishers there are on ``topic``, one of OBSERVED."""
-        several = count if count > 1 else 0
+        """Report how many publishers ``topic``, one of OBSERVED, has; -n: n have another message type."""
+        several = count if count > 1 or count < 0 else 0
         if several != self._publishers[topic]:
             self._publishers[topic] = several
             event, _ = OBSERVED[topic]
@@ -221,10 +225,13 @@ class Journal:
 
 
 def observe(supervisor: Supervisor, event: Event, count: int) -> None:
-    """Tell ``supervisor`` that there are ``count`` publishers (0: one or none)."""
+    """Tell ``supervisor`` of ``count`` publishers (0: one or none, -n: n of another message type)."""
     for topic, (kind, name) in OBSERVED.items():
         if kind is event:
-            supervisor.observe(name, f"{count} publishers on {topic}" if count else "")
+            text = f"{count} publishers on {topic}" if count else ""
+            if count < 0:
+                text = f"{-count} of the publishers on {topic} have another message type than {TYPES[topic]}"
+            supervisor.observe(name, text)
 
 
 class Block(NamedTuple):

@@ -38,9 +38,10 @@ CONDITIONS = (
     ReportedCondition(
         ("law_not_finite",),
         "safe",
-        "the control law … produced NaN or infinity",
-        "its gains are far from any stable set",
-        "the gains",
+        "the control law … produced NaN or infinity after … s; … raised … (file, line) after … s",
+        "its gains are far from any stable set, or the law of a package is wrong; 0 V for "
+        "`lvdt.hold_off`, each time twice as long",
+        "the gains; the named line",
     ),
 )
 

@@ -28,9 +28,9 @@ CONDITIONS = (
     ReportedCondition(
         ("lvdt_missing",),
         "safe",
-        "no LVDT reading yet",
-        "no message has arrived on `spool_position`",
-        "start the driver; compare topic, namespace, QoS (`ros2 topic info -v`)",
+        "no LVDT reading yet; LVDT readings come every … ms, sample_period is … ms",
+        "no message has arrived on `spool_position`, or they have had a wrong period since the activation",
+        "start the driver; compare topic, namespace, QoS (`ros2 topic info -v`); `sample_period`",
     ),
     ReportedCondition(
         ("lvdt_silent",),

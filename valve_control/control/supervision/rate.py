@@ -2,9 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures the period of the LVDT readings: it should be the sample period of the law.
 
-The time between readings is averaged over windows; of the last windows the middle one counts, so that a few
-standstills of sender or receiver, each of which falls into one window or two, are no false alarm. A small
-deviation must last: a sender that is held up for a while makes good what it lacks.
+The time between readings is averaged over windows. The first window, which is short, is judged before the
+first voltage. Later the middle one of nine counts, so that a few standstills are no false alarm. Two right
+windows in a row end an alarm. A small deviation must last: a sender that is held up for a while
+makes good what it lacks.
+
+A gap is no period. A window begins and ends at a reading that came in time after the one before, so that a
+delay and the burst that makes it good are in the same window. After a silence both are left out.
 
 Readings may keep their mean period and still come in bursts: a driver or a network collects several and hands
 them on together. Each voltage but the last of a burst is then replaced before the spool can move.
@@ -16,11 +20,16 @@ from valve_control.control.supervision.conditions import ReportedCondition
 
 WINDOW = 0.1  # s; a reading at its end that is late by 1 ms is 1 %
 WINDOWS = 9  # the middle of them counts
+RIGHT = 2  # windows in a row that end an alarm
+WRONG = 3  # short windows in a row that are an alarm at the start
 LEAST = 20  # readings in a window
 REPORTED = 0.02  # relative deviation that is reported
 LASTING = 20  # windows for which a deviation below the limit lasts before it is reported
 QUICK = 0.4  # of the sample period; a reading that comes sooner after the one before is in a burst with it
+LATE = 1.6  # times the window's mean; a reading that comes later after the one before does not end the window
+BURST = 100  # readings that may come quickly after a silence; more are the sender's period
 CROWDED = 0.4  # share of readings that come quickly, from which a window has bursts; two at a time make 0.5
+ANY = 1.0  # limit from which on no period is too short: it is set where readings have no clock
 CALMED = 0.75  # of a limit, below which it counts as kept again
 
 
@@ -30,7 +39,8 @@ CONDITIONS = (
         "degraded beyond 2 %, safe beyond `lvdt.period_limit`",
         "LVDT readings come every … ms, sample_period is … ms",
         "the driver's rate differs from the design rate of the law; the median of nine windows of "
-        "0.1 s counts; a deviation within the limit is reported after 2 s",
+        "0.1 s counts, at the start the first 20 readings; two right windows end it; a deviation "
+        "within the limit is reported after 2 s",
         "`sample_period`, or the driver's rate",
     ),
     ReportedCondition(
@@ -62,6 +72,9 @@ class State(NamedTuple):
     quick: int = 0  # readings of the open window that came quickly
     share: float = 0.0  # of quick readings in the last window
     crowded: int = 0  # windows in a row with bursts, at most LASTING
+    passing: int = (
+        BURST + 1
+    )  # readings that may still pass before a window is open, the first at any rate; 0: open
 
 
 UNKNOWN = State(0.0, 0, (), 0, 0)
@@ -71,34 +84,58 @@ def step(p: Params, s: State, elapsed: float, periods: int) -> State:
     """State after one more reading, ``elapsed`` [s] after the one ``periods`` before it (0.0 s: unknown)."""
     if elapsed == 0.0:
         return s
-    time, count, means, off, level, quick, share, crowded = s
-    time, count = time + elapsed, count + periods
-    if elapsed < QUICK * p.period:
-        quick += 1
-    if count < LEAST or time < WINDOW:
-        return State(time, count, means, off, level, quick, share, crowded)
-    means = (*means[1 - WINDOWS :], time / count)
+    quickly = elapsed < QUICK * p.period
+    if s.passing > 0:
+        return s._replace(passing=s.passing - 1 if quickly or s.passing > BURST else 0)
+    time, count, quick = s.time + elapsed, s.periods + periods, s.quick + quickly
+    length = WINDOW if s.means else 0.0
+    mean = time / count
+    in_time = not quickly and elapsed <= LATE * mean * periods
+    if count < LEAST or time < length or not (in_time or count >= 2 * LEAST and time >= 2.0 * length):
+        return s._replace(time=time, periods=count, quick=quick)
     share = quick / count
-    crowded = min(crowded + 1, LASTING) if share > CROWDED else 0
-    period = _middle(means)
-    if period == 0.0:
-        return State(0.0, 0, means, 0, level, 0, share, crowded)
-    deviation = period / p.period - 1.0
-    off = 0
-    if abs(deviation) > (CALMED * REPORTED if level > 0 else REPORTED):
-        side = 1 if deviation > 0.0 else -1
-        off = side * (min(abs(s.off), LASTING) + 1 if s.off * side > 0 else 1)
-    level = 0
-    if abs(deviation) > (CALMED * p.limit if s.level == 2 else p.limit):
-        level = 2
-    elif off != 0 and (abs(off) > LASTING or s.level > 0):
-        level = 1
-    return State(0.0, 0, means, off, level, 0, share, crowded)
+    crowded = min(s.crowded + 1, LASTING) if share > CROWDED else 0
+    s = State(0.0, 0, (*s.means[1 - WINDOWS :], mean), s.off, s.level, 0, share, crowded, 0)
+    return _judged(p, s)
+
+
+def _judged(p: Params, s: State) -> State:
+    """State with the level that its means have after the last of them."""
+    last = abs(s.means[-1] / p.period - 1.0)
+    if len(s.means) == 1:  # at the start
+        if last <= p.limit:
+            return s._replace(off=0)
+        return s._replace(level=2) if s.off + 1 == WRONG else s._replace(means=(), off=s.off + 1)
+    if s.level == 2:
+        right = s.means[-RIGHT:]
+        if max(abs(mean / p.period - 1.0) for mean in right) > CALMED * p.limit:
+            return s
+        return s._replace(means=right, off=0, level=0)
+    if 2 * len(s.means) <= WINDOWS:
+        return s._replace(off=0)
+    deviation = measured(s) / p.period - 1.0
+    if abs(deviation) > p.limit:
+        return s._replace(off=0, level=2)
+    if abs(deviation) <= (CALMED * REPORTED if s.level > 0 else REPORTED):
+        return s._replace(off=0, level=0)
+    side = 1 if deviation > 0.0 else -1
+    off = side * (min(abs(s.off), LASTING) + 1 if s.off * side > 0 else 1)
+    return s._replace(off=off, level=1 if abs(off) > LASTING or s.level > 0 else 0)
 
 
 def interrupted(s: State) -> State:
-    """State after a silence, whose time says nothing of the period."""
-    return State(0.0, 0, s.means, s.off, s.level, 0, s.share, s.crowded)
+    """State after a silence, whose time says nothing of the period, nor do readings that make it good."""
+    return s._replace(time=0.0, periods=0, quick=0, passing=BURST + 1)
+
+
+def anew(s: State) -> State:
+    """State for another sample period: the means are judged by it from now on."""
+    return UNKNOWN._replace(means=s.means)
+
+
+def is_right(p: Params, s: State) -> bool:
+    """Whether a voltage may be given: the period is known and within the limit, or any is right."""
+    return (s.level < 2 and len(s.means) > 0) or p.limit >= ANY
 
 
 def bursts(s: State) -> bool:
@@ -113,12 +150,19 @@ def bursts_text(p: Params, s: State) -> str:
 
 
 def measured(s: State) -> float:
-    """Period of the readings [s]: the middle one of the last windows, 0.0 if there were too few."""
-    return _middle(s.means)
+    """Period of the readings [s]: the middle one of the last windows, 0.0 before the first."""
+    return sorted(s.means)[len(s.means) // 2] if s.means else 0.0
 
 
-def _middle(means: tuple[float, ...]) -> float:
-    return sorted(means)[len(means) // 2] if 2 * len(means) > WINDOWS else 0.0
+def refusal(p: Params, s: State, period: float) -> str:
+    """One sentence why ``period`` [s] cannot become the sample period, "" if it can."""
+    now = measured(s)
+    if now == 0.0 or abs(now / period - 1.0) <= p.limit:
+        return ""
+    return (
+        f"sample_period cannot become {1e3 * period:.3g} ms while LVDT readings come every "
+        f"{1e3 * now:.3g} ms; change the period of the readings first"
+    )
 
 
 def text(p: Params, s: State) -> str:

@@ -99,7 +99,7 @@ class Supervisor:
             if made.lvdt.comparison is None:
                 watch.end_watches(m)
         if former is not None and made.lvdt.period != former.lvdt.period:
-            m.pace = rate.UNKNOWN
+            m.pace = rate.anew(m.pace)
             clear(m, "lvdt_rate")
             clear(m, "lvdt_bursts")
         if (
@@ -152,6 +152,12 @@ class Supervisor:
             self._steps.go_on(self._params, m, begun, bumpless_transfer.followed(former, begun))
         else:
             self._steps.take_over(self._params, m, begun, True)
+
+    def period_refusal(self, period: float) -> str:
+        """One sentence why ``period`` [s] cannot become the sample period now, "" if it can."""
+        if not self._form or period == self._params.lvdt.period:
+            return ""
+        return rate.refusal(self._params.lvdt.pace, self.memory.pace, period)
 
     def reset(self) -> None:
         """Set estimates and filters to their start, without a bump; doubts about the LVDT are dropped."""
@@ -273,6 +279,12 @@ class Supervisor:
                 latch(m, "assumptions", text)
 
     # What it says
+
+    @property
+    def expected_pace(self) -> rate.Params:
+        """The period that the readings should have."""
+        pace: rate.Params = self._params.lvdt.pace
+        return pace
 
     @property
     def answered(self) -> bool:

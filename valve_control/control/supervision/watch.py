@@ -14,7 +14,7 @@ import types
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, get_type_hints
 
-from valve_control.control.compiling import bind
+from valve_control.control.compiling import bind, in_words
 from valve_control.control.laws import command_lead, linearisation, reshaping, velocity
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.places import law_hold, law_initial, law_step
@@ -531,10 +531,11 @@ def tell_cycles(m: Memory, cycle: oscillation.State, found: lock_in.LockInResult
 
 
 def leave_the_finite(p: Params, m: Memory) -> None:
-    """Switch off: the law has produced NaN or infinity, or raised an error."""
+    """Switch off for a while: the law has produced NaN or infinity, or raised an error."""
     count(m, "law_not_finite")
+    m.pause = cycle_watch.paused(p.cycles, m.pause, m.now)
     switch_off(p, m, "law_not_finite", False)
-    report(m, "law_not_finite", f"the control law {m.name} produced NaN or infinity")
+    report(m, "law_not_finite", f"the control law {m.name} produced NaN or infinity after {m.now:.3f} s")
     m.former = None
 
 
@@ -649,7 +650,8 @@ def advance(p: Params, m: Memory, gap: int, reading: float) -> bool:
             hold(p, m, gap, reading)
             return True
         return control(p, m, reading)
-    except (ArithmeticError, ValueError):
+    except Exception as error:  # a law of another package may raise any
+        report(m, "law_not_finite", f"the control law {m.name} raised {in_words(error)} after {m.now:.3f} s")
         return False
 
 

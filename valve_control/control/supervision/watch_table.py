@@ -120,8 +120,10 @@ OF_NODES = (
     ReportedCondition(
         ("command_publishers", "trajectory_publishers", "lvdt_publishers", "voltage_publishers"),
         "degraded",
-        "2 publishers on spool_command (spool_trajectory, spool_position, valve_voltage)",
-        "another node publishes too; a publisher that was killed stays in the graph for up to 20 s",
+        "2 publishers on spool_command (spool_trajectory, spool_position, valve_voltage); … of the "
+        "publishers on … have another message type than …",
+        "another node publishes too, or with a message type that is not read; a publisher that was "
+        "killed stays in the graph for up to 20 s",
         "`ros2 topic info -v`",
     ),
 )  # what is no watch's, but that of who runs the supervisor

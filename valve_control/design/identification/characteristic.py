@@ -43,6 +43,7 @@ TOLD_OVERLAP, TOLD_GAIN = 0.05, 0.03  # V and share of the gain, from which on t
 LEAST_SHARED = 0.08  # V  half of the hysteresis, below which its shares are not told
 SEEN, LEAST_WAY = 3.0, 5e-4  # times the noise and V, beyond which a way behind a turn counts
 EXACT = 0.02  # V  beyond which a point of the turn counts less
+BENT, BENT_LEAST = 0.06, 0.03  # share of that half, and V, rms, by which the turn may differ from the fit
 BEYOND = 1.2  # times that half, which the friction of a fit may have
 BEGUN = (0.005, 0.02, 0.08)  # V  preslidings from which its search begins
 SAME = 0.1  # of the friction, by which that of the curve may differ where its presliding is to count
@@ -194,7 +195,8 @@ def _shares(x: Floats, w: Floats, noise: float, half: float) -> Shares | None:
 
     Behind a turn the voltage first goes through the play while the spool stands still; then the bristles
     turn round with the way Δx of the spool. So w, what the voltage has beyond the position, is
-    half - 2·F·exp(-Δx/δ), and its amplitude at Δx = 0 is that of the friction F alone.
+    half - 2·F·exp(-Δx/δ), and its amplitude at Δx = 0 is that of the friction F alone. A spool that swings on
+    its bristles at the turn shakes them loose: that is no exponential and tells nothing of a play.
     """
     turn = int(np.argmin(x[: len(x) // 2]))
     way, rest = x[turn:] - x[turn], half - w[turn:]
@@ -213,6 +215,10 @@ def _shares(x: Floats, w: Floats, noise: float, half: float) -> Shares | None:
         for delta in BEGUN
     ]
     level, delta = min(made, key=lambda one: one.cost).x
+    left = rest - 2.0 * level * np.exp(-way / delta)
+    bent = float(np.sqrt(np.mean(left**2))) > max(BENT * half, BENT_LEAST)
+    if bent and delta > HARDLY * PRESLIDING[0]:
+        return None
     return Shares(max(0.0, half - float(level)), min(half, float(level)), float(delta))
 
 
