@@ -6,13 +6,17 @@ The gains of config/tuned on their valves, or (--commissioned) those that commis
 valves, under strokes of 40 V/s, sines, and steps. The commands come at 1000, 500, 200 and 100 Hz, by clocks
 that drift, with jitter, with late messages and with pauses. Each figure is the ratio to the same motion with
 commands in time at the same rate: true rms error, c_u and largest voltage. Prints a table of
-docs/explanation/command_course.md as Markdown.
+docs/howto/cascade.md as Markdown.
+
+With --dds the tuned gains run over DDS: controller, simulator and command source are processes with timers of
+their own. Each figure is the ratio to the offline run with commands in time; the error is that of the readings.
 """
 
 import argparse
 import sys
 from collections.abc import Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +26,7 @@ from valve_control.arrays import Floats
 from valve_control.cli.common import Parser, write_json
 from valve_control.control.analysis.indices import rms
 from valve_control.control.commands import scenarios
-from valve_control.control.parameters import files
+from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import NODES
 from valve_control.control.simulation import offline
 from valve_control.control.simulation.delivery import Delivery
@@ -130,14 +134,69 @@ def table(found: dict[tuple[str, int, str], dict[str, tuple[float, float, float]
     return lines
 
 
+def over_dds(folder: Path, message: str) -> dict[str, dict[str, Any]]:
+    """Ratios of each set of tuned gains on strokes and sines over DDS, with the longest pause [s] of a run."""
+    from valve_control.nodes.harness import demo
+    from valve_control.nodes.harness.processes import bar
+
+    found: dict[str, dict[str, Any]] = {}
+    shapes = {
+        "strokes": {
+            "scenario": "point_to_point", "amplitude": STROKE.amplitude, "start": SETTLED,
+            "max_velocity": STROKE.max_velocity, "max_accel": STROKE.max_accel, "cycle": STROKE.cycle,
+        },
+        "sine": {"scenario": "sine", "amplitude": 1.0, "frequency": 5.0, "start": SETTLED},
+    }  # fmt: skip
+    for valve in VALVES:
+        for law in LAWS:
+            for name, shape in shapes.items():
+                settings = {**demo.PACE, **shape, "duration": SECONDS, "message": message}
+                run = demo.DemoRun(
+                    f"{valve}_{law}_{name}", "", (f"{valve}.yaml", f"tuned/{valve}_{law}.yaml"), settings
+                )
+                with bar(run.name, SECONDS) as progress:
+                    got = demo.run_cascade(run, folder, progress)
+                values = demo.values_of(run)
+                twin = offline.simulate(
+                    values["controller"], values["valve_simulator"], build.commands(values["command_source"]),
+                    alone=True,
+                )  # fmt: skip
+                pairs = []
+                for command, reading, voltage in (
+                    (got.command, got.measurement, got.voltage),
+                    (twin.command, twin.measurement, twin.voltage),
+                ):
+                    begin = round(SETTLED / got.period)
+                    u, e = voltage[begin:], (reading - command)[begin:]
+                    pairs.append((rms(e), rms(np.diff(u)) / rms(u), float(np.max(np.abs(u)))))
+                ratios = [a / b for a, b in zip(*pairs, strict=True)]
+                found[run.name] = {"ratios": ratios, "dds": pairs[0], "offline": pairs[1], "pause": got.pause}
+                row = ", ".join(f"{ratio:.2f}" for ratio in ratios)
+                print(f"{run.name}: error, c_u, voltage {row}; longest pause {1e3 * got.pause:.1f} ms")
+    return found
+
+
 def _options() -> Parser:
     parser = running.options("command_times", __doc__.splitlines()[0].partition(": ")[2])
     parser.add_argument("--commissioned", type=int, nargs="*", default=[], metavar="SEED")
     parser.add_argument("--budget", type=int, default=200, help="sets of gains of a commissioning (200)")
+    parser.add_argument("--dds", action="store_true", help="over DDS, on this host")
     return parser
 
 
 def _work(arguments: argparse.Namespace) -> None:
+    if arguments.dds:
+        from valve_control.nodes.harness.processes import run_tool
+
+        folder, found = Path("out/command_times"), dict[str, Any]()
+
+        def work() -> int:
+            found.update(over_dds(folder, "command"))
+            return 0
+
+        run_tool("command_times", folder, work)
+        write_json(arguments, found)
+        return
     cases = commissioned(arguments.commissioned, arguments.budget) if arguments.commissioned else tuned()
     found = {}
     for rate in RATES:

@@ -52,9 +52,9 @@ class DemoRun(NamedTuple):
 TABLE_1 = "point to point (Table 1, Fig. 5)"
 TUNED = "the same with gains that valve-control tune found"
 SINE = "6 Hz sine, model (3) (Fig. 4)"
-# The controller and the demo itself listen; the upper level sends a command when the last one has been used.
+# The controller and the demo itself listen; the upper level has a clock of its own.
 # A desktop may put a process aside for tens of milliseconds, which is not what the demo is about.
-PACE = {"listeners": 2, "trigger": "valve_voltage", "lvdt.hold_samples": 100}
+PACE = {"listeners": 2, "trigger": "timer", "lvdt.hold_samples": 100}
 CALIBRATED = "d3fxe_experiment.yaml"
 STROKES = {**PACE, "duration": 6.0}
 SINE_SETTINGS = {"scenario": "sine", "amplitude": 1.0, "frequency": 6.0, "duration": 6.0}
@@ -129,13 +129,12 @@ def measure(listener: Listener, period: float, duration: float) -> Measured:
     last = answer_shift(reading_times[inside[-SHIFT_SAMPLES:]], voltage_times)
     lost = len(inside) - min(SHIFT_SAMPLES, len(inside)) - (last - first)
     answers = np.minimum(first + np.arange(len(inside)), len(voltages) - 1)
-    newest = np.searchsorted(command_times, reading_times[inside], side="right") - 1
     reading_number = listener.sequence["spool_position"][int(inside[0])]
     voltage_number = listener.sequence["valve_voltage"][first]
     begin, end = float(reading_times[inside[0]]), float(reading_times[inside[-1]])
     return Measured(
         period=period,
-        command=commands[newest],
+        command=np.interp(reading_times[inside], command_times, commands),  # the motion at that time
         measurement=readings[inside],
         voltage=voltages[answers],
         latency=voltage_times[answers] - reading_times[inside],
