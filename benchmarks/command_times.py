@@ -9,7 +9,7 @@ commands in time at the same rate: true rms error, c_u and largest voltage. Prin
 docs/howto/cascade.md as Markdown.
 
 With --dds the tuned gains run over DDS: controller, simulator and command source are processes with timers of
-their own. Each figure is the ratio to the offline run with commands in time; the error is that of the readings.
+their own. Each figure is the ratio to the offline run with commands in time, with the error of the readings.
 """
 
 import argparse
@@ -135,7 +135,7 @@ def table(found: dict[tuple[str, int, str], dict[str, tuple[float, float, float]
 
 
 def over_dds(folder: Path, message: str) -> dict[str, dict[str, Any]]:
-    """Ratios of each set of tuned gains on strokes and sines over DDS, with the longest pause [s] of a run."""
+    """Ratios of each set of tuned gains on strokes and a sine over DDS, and the longest pause [s]."""
     from valve_control.nodes.harness import demo
     from valve_control.nodes.harness.processes import bar
 
@@ -188,14 +188,14 @@ def _work(arguments: argparse.Namespace) -> None:
     if arguments.dds:
         from valve_control.nodes.harness.processes import run_tool
 
-        folder, found = Path("out/command_times"), dict[str, Any]()
+        folder, live = Path("out/command_times"), dict[str, Any]()
 
         def work() -> int:
-            found.update(over_dds(folder, "command"))
+            live.update(over_dds(folder, "command"))
             return 0
 
         run_tool("command_times", folder, work)
-        write_json(arguments, found)
+        write_json(arguments, live)
         return
     cases = commissioned(arguments.commissioned, arguments.budget) if arguments.commissioned else tuned()
     found = {}
