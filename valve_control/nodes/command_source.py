@@ -202,7 +202,9 @@ class CommandSource(Worker):
                 self._done = True
                 self.get_logger().info("done, holds the last command")
         command = float(self._commands[index])
-        if self._trigger == "timer" and self._shape is not None:  # a time stamp tells when it is sent
+        if (
+            self._trigger == "timer" and self._shape is not None and not trajectory
+        ):  # a time stamp tells when it is sent
             command = scenarios.command(self._shape, min(time, (len(self._commands) - 1) * self._period))
         if self._fault == "not_finite":
             command = math.nan

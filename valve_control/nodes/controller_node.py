@@ -172,6 +172,7 @@ class Controller(Managed):
         self._journal.apply(values, params)
         self._params = params
         self._period = parameter.number(values, "sample_period")
+        self._paced = parameter.number(values, "lvdt.period_limit") < rate.ANY
         self._memory_period = parameter.number(values, "memory_period")
         self._decimation = int(parameter.number(values, "state_decimation"))
         if values["lockstep"] != self._lockstep:
@@ -456,11 +457,12 @@ class Controller(Managed):
         self._published = time.time_ns()
 
     def _take_commands(self) -> None:
-        """Pass waiting commands to the supervisor."""
+        """Pass waiting commands to the supervisor; times mean nothing where readings may come at any pace."""
         for command, info in self._commands.take():
-            self._use_command(command, info["source_timestamp"], self._since(info))
+            self._use_command(command, info["source_timestamp"] * self._paced, self._since(info))
         for point, info in self._trajectories.take():
-            self._use_point(point, point.time or info["source_timestamp"], self._since(info))
+            stamp = point.time or info["source_timestamp"]
+            self._use_point(point, stamp * self._paced, self._since(info))
 
     def _since(self, info: dict[str, Any]) -> float:
         """How long [s] after the last reading or silence a message came: by the middleware, or by now."""
