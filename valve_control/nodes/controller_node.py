@@ -462,7 +462,7 @@ class Controller(Managed):
             self._use_command(command, info["source_timestamp"] * self._paced, self._since(info))
         for point, info in self._trajectories.take():
             stamp = point.time or info["source_timestamp"]
-            self._use_point(point, stamp * self._paced, self._since(info))
+            self._use_point(point, stamp, self._since(info) if self._paced else math.nan)
 
     def _since(self, info: dict[str, Any]) -> float:
         """How long [s] after the last reading or silence a message came: by the middleware, or by now."""
@@ -492,7 +492,7 @@ class Controller(Managed):
     def _use_paired(self, command: float | TrajectoryPoint) -> None:
         """In lockstep times of sending mean nothing."""
         if isinstance(command, TrajectoryPoint):
-            self._use_point(command)
+            self._use_point(command, command.time, math.nan)
         else:
             self._use_command(command)
 

@@ -230,9 +230,8 @@ class _ByJournal(_Replay):
         """Pass on to the supervisor what ``row`` lists; returns the voltage [V], None if the row has none."""
         supervisor, event = self._supervisor, Event(int(row[EVENT]))
         if event is Event.TRAJECTORY:
-            timed = not math.isnan(row[VOLTAGE])
             point = Motion(row[COMMAND], row[READING], row[NUMBER])
-            supervisor.trajectory(point, row[ELAPSED] if timed else math.nan, row[VOLTAGE])
+            supervisor.trajectory(point, row[ELAPSED] or math.nan, row[VOLTAGE])
         elif event is Event.TRAJECTORY_REFUSED:
             supervisor.trajectory_refused(int(row[COMMAND]), int(row[READING]), int(row[NUMBER]))
         elif event is Event.COMMAND or not math.isnan(row[COMMAND]):

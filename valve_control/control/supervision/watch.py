@@ -199,8 +199,8 @@ def linearised(p: Params, voltage: float) -> float:
 def command(p: Params, m: Memory, value: float, stamp: float, since: float) -> None:
     """Take in a command ``value`` [V], sent at ``stamp`` [s] of its sender's clock.
 
-    It came ``since`` [s] after the last reading. Without a stamp (NaN) it is that of the next sample. It is
-    limited; one that is not finite is refused, and any while a trajectory commands.
+    It came ``since`` [s] after the last reading. Without one of both (NaN) it is that of the next sample. It
+    is limited; one that is not finite is refused, and any while a trajectory commands.
     """
     if not math.isfinite(value):
         m.command = command_watch.taken(p.command, m.command, value, m.now)
@@ -223,7 +223,7 @@ def sent_at(p: Params, m: Memory, stamp: float, since: float) -> float:
 
     Readings tell how the clock of this process and that of the samples differ, messages that of the sender.
     """
-    if not math.isfinite(stamp):
+    if not (math.isfinite(stamp) and math.isfinite(since)):
         return m.now + p.course.period
     came = m.clock + since
     m.sender = clock.step(m.sender, came, came - stamp)
