@@ -90,7 +90,7 @@ def add_commands(commands: Any) -> None:
     group.add_argument(
         "--resume",
         metavar="FOLDER",
-        help="go on after the last whole test of a commissioning in FOLDER that failed; it is the --folder too",
+        help="go on after the last whole test of a failed commissioning in FOLDER, which is the --folder too",
     )
     group.add_argument("--undo", action="store_true", help="restore the previous parameters and exit")
     group.add_argument("--activate", action="store_true", help="with --undo: activate the controller too")

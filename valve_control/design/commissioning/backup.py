@@ -85,7 +85,7 @@ def write_tests(folder: Path, node: str, limits: SafetyLimits, records: Mapping[
     """Write the whole tests of ``node`` that were made within ``limits``. Raises OSError."""
     arrays = {f"{name}.{field}": v for name, record in records.items() for field, v in _fields(record)}
     packed = io.BytesIO()
-    np.savez_compressed(packed, node=np.array(node), limits=np.array(limits), **arrays)  # type: ignore[arg-type]
+    np.savez_compressed(packed, node=np.array(node), limits=np.array(limits), **arrays)
     outputs.write(str(folder / TESTS), packed.getvalue())
 
 
@@ -98,15 +98,7 @@ def read_tests(folder: Path, node: str, limits: SafetyLimits, period: float) -> 
         with np.load(path) as kept:
             told = str(kept["node"]), SafetyLimits(*map(float, kept["limits"]))
             names = {name.rpartition(".")[0] for name in kept.files} - {""}
-            records = {
-                name: Record(
-                    float(kept[f"{name}.period"]),
-                    *(kept[f"{name}.{signal}"] for signal in ("reading", "voltage", "command")),
-                    tuple(map(int, kept[f"{name}.begins"])),
-                    kept[f"{name}.latency"],
-                )
-                for name in names
-            }
+            records = {name: _record(kept, name) for name in names}
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise ParameterError(f"{path} is damaged: {error}") from error
     if told != (node, limits) or any(record.period != period for record in records.values()):
@@ -115,6 +107,13 @@ def read_tests(folder: Path, node: str, limits: SafetyLimits, period: float) -> 
             f"of travel; --resume needs the same node, --max-voltage, --travel and sample_period"
         )
     return records
+
+
+def _record(kept: Mapping[str, Any], name: str) -> Record:
+    reading, voltage, command, begins, latency = (
+        kept[f"{name}.{field}"] for field in ("reading", "voltage", "command", "begins", "latency")
+    )
+    return Record(float(kept[f"{name}.period"]), reading, voltage, command, tuple(map(int, begins)), latency)
 
 
 def _fields(record: Record) -> list[tuple[str, Any]]:

@@ -149,7 +149,7 @@ def reversible(bench: Bench, before: Values, said: Callable[[str], None]) -> Ite
                     bench.on()
                     said("it is active, as before")
                 except Fault as fault:
-                    said(f"it was active, and could not be activated: {fault}")
+                    said(f"it was activated again, as before: {fault}")
         raise
 
 
@@ -527,7 +527,7 @@ class _Commissioning:
                         self._at_rest(SPRING)
                     record = self._driven(name, course, about, marks, over)
                 except Pause as pause:
-                    self._count(name)
+                    self._pauses[name] += 1
                     stretch, at = marks[-1]
                     tries = tries + 1 if stretch == first else 1
                     if tries > AGAIN:
@@ -574,7 +574,7 @@ class _Commissioning:
                 self._bench.drive(courses.rest(duration), limits, lambda done: None)
                 return
             except Pause:
-                self._count("rest")
+                self._pauses["rest"] += 1
                 self._bench.off()
                 if tries == AGAIN:
                     raise
@@ -590,13 +590,9 @@ class _Commissioning:
         try:
             self._bench.watch(self._limits)
         except Pause:
-            self._count(SEARCH)
-
-    def _count(self, name: str) -> None:
-        now = time.monotonic()
-        if now > self._paused + APART:
-            self._pauses[name] += 1
-        self._paused = now
+            now = time.monotonic()
+            self._pauses[SEARCH] += now > self._paused + APART
+            self._paused = now
 
     def _ask(self, text: str) -> None:
         if not self._steps.confirm(text):
