@@ -8,8 +8,8 @@ with the defaults (the paper's ARC); what comes out is a tuned law, or a sentenc
 before. Every voltage from the first limit on is looked at. Beside the verification run on the running valve,
 strokes and sines of another size are simulated on the true one, with the gains from before and the new ones;
 on a solenoid valve the four motions of benchmarks.solenoid, with preview and with the command alone.
-With --pauses one of the three processes is stopped for some milliseconds every some seconds, and controller and
-simulator have the usual patience.
+With --pauses one of the three processes is stopped for some milliseconds every some seconds. Controller and
+simulator then have the usual patience with single readings.
 """
 
 import argparse
@@ -54,6 +54,7 @@ ANSWER = 20.0  # s
 SWING = 20.0  # V  the largest motion that can be believed, as a sine of the valve's bandwidth
 SIZE = 0.5  # of the motions of benchmarks.invented, which are larger than what the limits let a valve follow
 WANTED_SECONDS = 180.0
+OF_PAUSES = {"lvdt.period_limit": 1000.0}  # a busy machine is no other rate; silence is
 STOPPED, APART = (0.005, 0.06), (5.0, 15.0)  # s  that a process stands still, and from one time to the next
 # The simulated valve waits for its voltage, and the controller for readings: a busy machine is no dead time.
 PATIENT_VALVE = {"patience": 1.0}
@@ -148,7 +149,7 @@ def _with_solenoids(seed: int, period: float) -> Drawn:
 
 @contextmanager
 def pausing(children: Sequence["subprocess.Popen[bytes]"], seed: int) -> Iterator[list[float]]:
-    """Within the block one of the ``children`` after another stands still; yields for how long [s] each did."""
+    """Within the block one of the ``children`` after another stands still; yields for how long [s]."""
     chosen, over, stood = random.Random(seed), threading.Event(), list[float]()
 
     def stop() -> None:
@@ -177,11 +178,11 @@ def gone_through(
     draw: Callable[[int, float], Drawn] = _linear,
     pauses: bool = False,
 ) -> dict[str, Any]:
-    """Commission the valve ``seed``; ``wanted``: arguments of ``commission``; ``pauses``: of its processes."""
+    """Commission the valve ``seed``; ``wanted``: arguments of ``commission``; ``pauses``: of processes."""
     frequency, order, valve, errors = draw(seed, period)
     # What a user has to say of a valve that is faster than that of the defaults.
     fastest = max(500.0, 2.0 * math.pi * frequency * SWING)
-    usual = {"sample_period": period, "lvdt.max_rate": fastest, **({} if pauses else PATIENT)}
+    usual = {"sample_period": period, "lvdt.max_rate": fastest, **(OF_PAUSES if pauses else PATIENT)}
     patience = {} if pauses else PATIENT_VALVE
     about: dict[str, Any] = {"seed": seed, "frequency_hz": frequency, "order": order, "valve": valve}
     kept = folder / "kept"

@@ -48,6 +48,7 @@ TURNS = 4  # of the triangle
 BOXES = (1.0, 2.0)
 DOUBTED = (2.0, 3.0)  # likewise, where the model does not explain the readings
 AGAIN = 3  # times that a stretch which a pause has spoiled is repeated
+RESTS = 10  # times that a rest is tried, which is no test
 APART = 1.0  # s  between two reports of a pause, below which they are about the same one
 # Of both verification runs: limits, and that each command counts as it comes.
 SAME = (
@@ -567,7 +568,7 @@ class _Commissioning:
 
         Where the law from before, or a pause, left the spool is not the commissioning's doing.
         """
-        for tries in range(AGAIN + 1):
+        for left in reversed(range(RESTS)):
             try:
                 self._bench.on()
                 limits = self._limits._replace(travel=np.inf)
@@ -576,7 +577,7 @@ class _Commissioning:
             except Pause:
                 self._pauses["rest"] += 1
                 self._bench.off()
-                if tries == AGAIN:
+                if left == 0:
                     raise
 
     def _background(self, work: Callable[[Callable[..., None]], T], told: Callable[..., None]) -> T:
