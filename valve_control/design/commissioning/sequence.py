@@ -33,7 +33,7 @@ from valve_control.design.commissioning.gains import TunedGains, Verification, V
 from valve_control.design.commissioning.plan import Plan, limiting
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Friction, Rest, Static
-from valve_control.design.identification import lvdt
+from valve_control.design.identification import dead_time, lvdt
 from valve_control.design.identification.response import Response
 from valve_control.design.tuning import tuner, verification
 from valve_control.design.tuning.tuner import Tuned
@@ -243,7 +243,7 @@ class _Commissioning:
             *known.notes,
             *notes,
             *_ended(verified),
-            *_way(way),
+            *dead_time.way_notes(way),
             *_paused(self._pauses),
         ]
         notes += _louder(self._plan, made.tuned, rest)
@@ -268,7 +268,7 @@ class _Commissioning:
 
     def _tested(self) -> Tests:
         """Noise, friction and response of the valve in open loop, and the plant that is fitted to them."""
-        still = self._test(REST, lambda first, begun: courses.rest(self._still), lambda turned: self._still)
+        still = self._test(REST, lambda first, begun: courses.rest(self._still), lambda *about: self._still)
         rest = statics.at_rest(still)
         slow = self._triangle()
         static = statics.slow(slow, rest, self._limits)
@@ -307,7 +307,7 @@ class _Commissioning:
         return self._test(
             SLOW,
             lambda first, begun: courses.triangle(limits, rate, TURNS, begun, self._period, first),
-            lambda turned: courses.triangle_time(limits, rate, TURNS, turned),
+            lambda first, turned: courses.triangle_time(limits, rate, TURNS - max(0, first - 1), turned),
             f"a slow triangle of the voltage up to ±{limits.voltage:g} V, turned at {courses.REACH:.0%} of "
             "the travel",
         )
@@ -319,7 +319,7 @@ class _Commissioning:
             lambda first, begun: courses.stepped_sine(
                 self._limits, planned.steps, planned.amplitude, planned.offset, begun, self._period, first
             ),
-            lambda begun: length,
+            lambda first, begun: length - planned.steps[first].start,
             f"{length:.0f} s of sines of {planned.amplitude:.2g} V from {planned.steps[0].frequency:g} to "
             f"{planned.steps[-1].frequency:g} Hz",
         )
@@ -485,7 +485,7 @@ class _Commissioning:
         return self._drive(
             name,
             course,
-            lambda begun: len(motion.wanted) * self._period,
+            lambda first, begun: len(motion.since(first).wanted) * self._period,
             lambda record, first, end: gains.judged_part(motion.since(first), record, end),
         )
 
@@ -493,7 +493,7 @@ class _Commissioning:
         self,
         name: str,
         course: Callable[[int, Begun], Course],
-        about: Callable[[Sequence[float]], float],
+        about: Callable[[int, Sequence[float]], float],
         text: str = "",
     ) -> Record:
         """Record of the test ``name``, which is made unless there is one; ``text``: of the question."""
@@ -508,14 +508,14 @@ class _Commissioning:
         self,
         name: str,
         course: Callable[[int, Begun], Course],
-        about: Callable[[Sequence[float]], float],
+        about: Callable[[int, Sequence[float]], float],
         chosen: Callable[[Record, int, int], Record] = lambda record, first, end: record.part(0, end),
     ) -> Record:
         """Record of the step ``name``, of which a stretch that a pause spoils is repeated.
 
-        ``course`` begins with a stretch, from rest; ``about``: how long [s] it takes, by the times [s] at
-        which stretches have begun; ``chosen``: of the record of a course that began with a stretch, what
-        counts of it until a sample. Raises Fault.
+        ``course`` begins with a stretch, from rest; ``about``: how long [s] it takes from then on, by
+        the times [s] at which stretches have begun; ``chosen``: of the record of a course that began with a
+        stretch, what counts of it until a sample. Raises Fault.
         """
         parts: list[Record] = []
         first, tries, over = 0, 0, 0.0
@@ -544,7 +544,7 @@ class _Commissioning:
         self,
         name: str,
         course: Callable[[int, Begun], Course],
-        about: Callable[[Sequence[float]], float],
+        about: Callable[[int, Sequence[float]], float],
         marks: list[tuple[int, float]],
         over: float,
     ) -> Record:
@@ -552,12 +552,12 @@ class _Commissioning:
 
         ``over`` [s]: of the step before it.
         """
+        first, _ = marks[0]
 
         def progress(done: float) -> None:
-            total = over + about([at for _, at in marks[1:]])
+            total = over + about(first, [at for _, at in marks[1:]])
             self._steps.progress(name, min(over + done, total), total)
 
-        first, _ = marks[0]
         begun = course(first, lambda stretch, at: marks.append((stretch, at)))
         record = self._bench.drive(begun, self._limits, progress)
         progress(math.inf)
@@ -674,16 +674,6 @@ def _unexplained(
             f"presliding {1e3 * found.presliding:.2g} mV; such a spool may swing on its bristles"
         )
     return notes
-
-
-def _way(way: Spread) -> list[str]:
-    """A sentence about the dead time that the way of the messages adds."""
-    if not math.isfinite(way.p50):
-        return []
-    return [
-        f"voltages were sent {1e3 * way.p50:.2g} ms after their readings (median; 99 %: "
-        f"{1e3 * way.p99:.2g} ms): middleware and controller add this dead time, which is not the valve's"
-    ]
 
 
 def _paused(pauses: Mapping[str, int]) -> list[str]:
