@@ -17,18 +17,23 @@ T = TypeVar("T")
 
 
 def yield_cores() -> None:
-    """Let this thread and all that it starts run only while no other wants the core.
+    """Let this process and all that it starts run only while no other wants the core.
 
     With autogroups (sched(7)) Linux shares the cores between sessions before it looks at their processes. The
-    leader of a session, which has it to itself, therefore lowers the session too.
+    leader of a session therefore lowers the session too.
     """
+    _yield_thread()
+    if os.getsid(0) == os.getpid():
+        with suppress(OSError):
+            Path("/proc/self/autogroup").write_text("19", encoding="ascii")
+
+
+def _yield_thread() -> None:
+    """``yield_cores`` of this thread and all that it starts."""
     try:
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     except (AttributeError, OSError):  # no Linux, or not allowed
         os.nice(19)
-    if os.getsid(0) == os.getpid():
-        with suppress(OSError):
-            Path("/proc/self/autogroup").write_text("19", encoding="ascii")
 
 
 def spare_cores() -> int:
@@ -68,7 +73,7 @@ def in_background(work: Callable[[Callable[..., None]], T], told: Callable[..., 
             raise Stopped
 
     def run() -> None:
-        yield_cores()
+        _yield_thread()
         try:
             future.set_result(work(report))
         except BaseException as error:
