@@ -37,7 +37,7 @@ def add_commands(commands: Any) -> None:
         description="Commission a running valve, simulated or real: noise at rest, static gain, friction "
         "and dead zone, frequency response, model, gains, verification run. The controller itself keeps "
         "voltage and travel within their limits. Ctrl-C, a fault or a failure lead to 0 V at once and "
-        "restore the previous parameters.",
+        "restore the previous parameters, and activity.",
     )
     commission.add_argument(
         "--node", default="/controller", metavar="NAME", help="full name of the controller node (/controller)"
