@@ -18,6 +18,7 @@ SLIDING = 0.2  # of the stroke after a turn, from which on the spool is taken to
 MOVED = 0.03  # of the stroke, from which on it has moved after a turn ...
 DEVIATIONS = 5.0  # ... and times the noise of the averaged reading
 LEAST_STROKE = 0.1  # V
+ROUNDING = 1e-9  # V  of a mean voltage
 HELD = 3.0  # times as large as in motion: the most that friction at rest is believed to be
 
 
@@ -120,7 +121,8 @@ def friction(static: Static, lag: float, rest: Rest) -> Friction:
 
 def _turns(voltage: Floats) -> npt.NDArray[np.int64]:
     """Samples at which a triangle turns, the last one being its end."""
-    steps = np.sign(np.diff(voltage))
+    steps = np.diff(voltage)
+    steps = np.sign(np.where(np.abs(steps) > ROUNDING, steps, 0.0))
     moving = np.flatnonzero(steps)
     if len(moving) == 0:
         return np.zeros(0, dtype=np.int64)
