@@ -121,3 +121,11 @@ def test_a_faster_or_slower_clock_makes_no_reading_late():
     for period in (0.00099, 0.00101):
         index, late = timing.placed(period * numbers, numbers, 0.001)
         assert np.array_equal(index, numbers) and not np.any(late)
+
+
+def test_late_readings_at_both_ends_leave_no_stretch_without_a_length():
+    sent = 0.001 * np.arange(400)
+    sent[[0, 1, -2, -1]] += [0.0009, 0.0008, 0.003, 0.004]
+    readings = [(k, round(1e9 * t), 0.0) for k, t in enumerate(sent)]
+    record = _paired(readings, readings, [(0, 0.0)], PERIOD, False)
+    assert np.all(np.isfinite(record.voltage))

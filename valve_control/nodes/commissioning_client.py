@@ -359,15 +359,17 @@ def _paired(
     reading = np.full(count, np.nan)
     reading[index] = [value for _, _, value in readings]
     reading[index[late]] = np.nan
-    times = np.interp(np.arange(count), index[~late], sent[~late])
-    edges = np.append(times, times[-1] + period)
+    known, at = index[~late], sent[~late]  # and beyond them by the period
+    known, at = np.append(known, count), np.append(at, at[-1] + (count - known[-1]) * period)
+    known, at = np.append(-1, known), np.append(at[0] - (known[0] + 1) * period, at)
+    edges = np.interp(np.arange(count + 1), known, at)
     if waits:
         voltage = volts[np.maximum(np.searchsorted(given, edges[1:], side="left") - 1, 0)]
     else:
         voltage = timing.means(edges, given, volts)
     ordered = np.array([stamp - first for stamp, _ in commands]) * 1e-9
     wanted = np.array([value for _, value in commands])
-    last = np.maximum(np.searchsorted(ordered, times, side="right") - 1, 0)
+    last = np.maximum(np.searchsorted(ordered, edges[:-1], side="right") - 1, 0)
     return Record(period, reading, voltage, wanted[last], latency=latency)
 
 
