@@ -14,6 +14,7 @@ from valve_control.arrays import Floats
 from valve_control.control.commands.scenarios import Step
 from valve_control.design.commissioning.bench import Begun, Course, Point, SafetyLimits, nothing_begun
 
+PIECE = 0.5  # s  of a rest, that a pause spoils
 REACH = 0.8  # of the travel, at which a course turns round
 CLOSE = 0.9  # of the travel, that a spool may go on to after a turn
 LOWER = 0.9  # factor by which a sine is made smaller where the reading reaches that
@@ -21,10 +22,14 @@ CALM = 0.05  # s  between two such factors, so that the spool can follow
 LATE, MISSED = 0.005, 1.5  # s, sample periods: part of a ramp that is made good after a pause of this process
 
 
-def rest(duration: float) -> Course:
-    """0 V for ``duration`` [s]."""
+def rest(duration: float, begun: Begun = nothing_begun, first: int = 0) -> Course:
+    """0 V for ``duration`` [s], of which each PIECE is a stretch for ``begun``, from the ``first`` on."""
+    before = first * PIECE
     seen = yield 0.0
-    while seen.time < duration:
+    while before + seen.time < duration:
+        if before + seen.time >= (first + 1) * PIECE:
+            first += 1
+            begun(first, seen.time)
         seen = yield 0.0
 
 

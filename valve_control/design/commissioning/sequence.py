@@ -268,7 +268,11 @@ class _Commissioning:
 
     def _tested(self) -> Tests:
         """Noise, friction and response of the valve in open loop, and the plant that is fitted to them."""
-        still = self._test(REST, lambda first, begun: courses.rest(self._still), lambda *about: self._still)
+        still = self._test(
+            REST,
+            lambda first, begun: courses.rest(self._still, begun, first),
+            lambda first, begun: self._still - first * courses.PIECE,
+        )
         rest = statics.at_rest(still)
         slow = self._triangle()
         static = statics.slow(slow, rest, self._limits)
