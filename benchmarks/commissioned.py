@@ -8,16 +8,22 @@ with the defaults (the paper's ARC); what comes out is a tuned law, or a sentenc
 before. Every voltage from the first limit on is looked at. Beside the verification run on the running valve,
 strokes and sines of another size are simulated on the true one, with the gains from before and the new ones;
 on a solenoid valve the four motions of benchmarks.solenoid, with preview and with the command alone.
+With --pauses one of the three processes is stopped for some milliseconds every some seconds. Controller and
+simulator then have the usual patience with single readings.
 """
 
 import argparse
 import json
 import math
 import os
+import random
+import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,13 +47,15 @@ from valve_control.parameter import Value, Values, defaults, number, updated
 
 # Second, third and fourth order; slow with much friction, fast with little; much and little noise.
 SEEDS = (4, 8, 9, 11, 12)
-SOLENOIDS = range(1000, 1010)
+SOLENOIDS = range(1000, 1020)
 LEAST = 100  # voltages, after which the loop runs
 LONGEST = 400.0  # s  after which a commissioning counts as hung
 ANSWER = 20.0  # s
 SWING = 20.0  # V  the largest motion that can be believed, as a sine of the valve's bandwidth
 SIZE = 0.5  # of the motions of benchmarks.invented, which are larger than what the limits let a valve follow
 WANTED_SECONDS = 180.0
+OF_PAUSES = {"lvdt.period_limit": 1000.0}  # a busy machine is no other rate; silence is
+STOPPED, APART = (0.005, 0.06), (5.0, 15.0)  # s  that a process stands still, and from one time to the next
 # The simulated valve waits for its voltage, and the controller for readings: a busy machine is no dead time.
 PATIENT_VALVE = {"patience": 1.0}
 PATIENT = {"lvdt.hold_samples": 5000, "lvdt.period_limit": 1000.0, "lvdt.frozen_samples": 0}
@@ -139,6 +147,28 @@ def _with_solenoids(seed: int, period: float) -> Drawn:
     return Drawn(number(values, "solenoid.natural_frequency"), 3, values, errors)
 
 
+@contextmanager
+def pausing(children: Sequence["subprocess.Popen[bytes]"], seed: int) -> Iterator[list[float]]:
+    """Within the block one of the ``children`` after another stands still; yields for how long [s]."""
+    chosen, over, stood = random.Random(seed), threading.Event(), list[float]()
+
+    def stop() -> None:
+        while children and not over.wait(chosen.uniform(*APART)):
+            child, length = chosen.choice(children), chosen.uniform(*STOPPED)
+            child.send_signal(signal.SIGSTOP)
+            time.sleep(length)
+            child.send_signal(signal.SIGCONT)
+            stood.append(length)
+
+    helper = threading.Thread(target=stop)
+    helper.start()
+    try:
+        yield stood
+    finally:
+        over.set()
+        helper.join()
+
+
 def gone_through(
     folder: Path,
     seed: int,
@@ -146,17 +176,21 @@ def gone_through(
     wanted: Sequence[str],
     travel: float,
     draw: Callable[[int, float], Drawn] = _linear,
+    pauses: bool = False,
 ) -> dict[str, Any]:
-    """Commission the valve ``seed``; ``wanted``: arguments of ``commission``."""
+    """Commission the valve ``seed``; ``wanted``: arguments of ``commission``; ``pauses``: of processes."""
     frequency, order, valve, errors = draw(seed, period)
     # What a user has to say of a valve that is faster than that of the defaults.
     fastest = max(500.0, 2.0 * math.pi * frequency * SWING)
-    usual = {"sample_period": period, "lvdt.max_rate": fastest, **PATIENT}
+    usual = {"sample_period": period, "lvdt.max_rate": fastest, **(OF_PAUSES if pauses else PATIENT)}
+    patience = {} if pauses else PATIENT_VALVE
     about: dict[str, Any] = {"seed": seed, "frequency_hz": frequency, "order": order, "valve": valve}
     kept = folder / "kept"
     with (
-        process("valve_simulator", arguments_of({**valve, **PATIENT_VALVE}), folder / "simulator.log"),
-        process("controller", arguments_of(usual), folder / "controller.log"),
+        process(
+            "valve_simulator", arguments_of({**valve, **patience}), folder / "simulator.log"
+        ) as simulator,
+        process("controller", arguments_of(usual), folder / "controller.log") as controller,
     ):
         seen = Seen()
         try:
@@ -179,7 +213,8 @@ def gone_through(
                 )  # fmt: skip
                 hung = False
                 try:
-                    wait_until(lambda: seen.look() and child.poll() is not None, "its end", (), LONGEST)
+                    with pausing([simulator, controller, child] if pauses else [], seed) as stood:
+                        wait_until(lambda: seen.look() and child.poll() is not None, "its end", (), LONGEST)
                 except RuntimeError:
                     hung = time.monotonic() - began > LONGEST
                     if not hung:
@@ -189,6 +224,7 @@ def gone_through(
                     child.wait()
             about["seconds"] = time.monotonic() - began
             about["status"] = child.returncode
+            about["stood_still_s"] = stood
             after = seen.parameters()
             about["largest_voltage"] = seen.largest()
             about["readings"] = len(seen.values["spool_position"])
@@ -201,7 +237,9 @@ def gone_through(
         about["as_before"] = after == before
         return about
     found = json.loads((kept / "commission.json").read_text())
-    about.update({name: found[name] for name in ("verification", "applied", "seconds", "notes")})
+    about.update(
+        {name: found[name] for name in ("verification", "applied", "seconds", "notes", "pauses", "way_s")}
+    )
     about["seconds"] = {**found["seconds"], "all": sum(found["seconds"].values())}
     about["found"] = found["valve"]
     about["as_told"] = after == {**before, **found["applied"]}
@@ -250,6 +288,7 @@ def main() -> int:
         "--seed", type=int, action="append", metavar="N", help=f"valve {SEEDS}; again for more"
     )
     options.add_argument("--solenoid", action="store_true", help="valves of benchmarks.solenoid, law alone")
+    options.add_argument("--pauses", action="store_true", help="stop one of the processes now and then")
     options.add_argument("--controller", default="dcarc", help="law to tune (dcarc)")
     options.add_argument("--sample-period", type=float, default=0.001, metavar="S", help="(0.001)")
     options.add_argument("--max-voltage", type=float, default=4.0, metavar="V", help="(4)")
@@ -273,7 +312,11 @@ def main() -> int:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         try:
             draw = _with_solenoids if arguments.solenoid else _linear
-            rows.append(gone_through(folder, seed, arguments.sample_period, wanted, arguments.travel, draw))
+            rows.append(
+                gone_through(
+                    folder, seed, arguments.sample_period, wanted, arguments.travel, draw, arguments.pauses
+                )
+            )
         finally:
             rclpy.shutdown()
         print(told(rows[-1]), flush=True)

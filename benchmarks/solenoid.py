@@ -38,7 +38,7 @@ from valve_control.control.simulation import batch, comparison
 from valve_control.control.simulation.robustness import Quantity
 from valve_control.design import evolution
 from valve_control.design.commissioning import model, sequence
-from valve_control.design.commissioning.bench import Fault, SafetyLimits
+from valve_control.design.commissioning.bench import Fault, Record, SafetyLimits
 from valve_control.design.commissioning.plan import Plan, check
 from valve_control.design.commissioning.plant import EXPLAINED
 from valve_control.design.tuning import box, limit_cycles, search, trial
@@ -283,6 +283,9 @@ class _Steps:
 
     def progress(self, name: str, done: float, total: float) -> None:
         self.step = name
+
+    def tested(self, name: str, record: Record) -> None:
+        pass
 
     def found(self, valve: Values) -> None:
         pass

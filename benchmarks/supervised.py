@@ -12,7 +12,18 @@ from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import registry
 from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.design.commissioning.bench import Course, Fault, Record, SafetyLimits, Seen, Told
+from valve_control.control.supervision.trajectory import Motion
+from valve_control.design.commissioning.bench import (
+    Course,
+    Diagnosis,
+    Fault,
+    Pause,
+    Point,
+    Record,
+    SafetyLimits,
+    Seen,
+    Told,
+)
 from valve_control.design.commissioning.watch import Watch
 from valve_control.parameter import ParameterError, Value, Values, defaults, updated
 
@@ -42,7 +53,6 @@ class SupervisedValve:
         self.readings: list[float] = []
         self.applied: list[dict[str, Value]] = []
         self.active = True
-        self.late = 1  # samples from one command to the next
 
     def sample(self) -> tuple[float, float]:
         """One reading [V] and the voltage [V] that answers it."""
@@ -76,15 +86,25 @@ class SupervisedValve:
         command = next(course)
         period = self.params.period
         watch = Watch(limits)
-        limited = 0.0
+
+        def record() -> Record:
+            return Record(period, np.array(readings), np.array(voltages), np.array(commands))
+
         while True:
-            if len(readings) % self.late == 0:
-                limited = max(-10.0, min(10.0, command))
-            self.supervisor.command(limited)
+            limited = command.position if isinstance(command, Point) else max(-10.0, min(10.0, command))
+            if isinstance(command, Point):
+                self.supervisor.trajectory(Motion(*command), period)
+            else:
+                self.supervisor.command(limited)
             reading, voltage = self.sample()
             watch.reading(reading)
             watch.voltage(voltage)
-            watch.diagnosis(self.supervisor.mode is Mode.SAFE, self.supervisor.reason)
+            supervisor = self.supervisor
+            safe, conditions = supervisor.mode is Mode.SAFE, frozenset(supervisor.conditions)
+            try:
+                watch.diagnosis(Diagnosis(safe, True, conditions, supervisor.reason))
+            except Pause as pause:
+                raise Pause(str(pause), record()) from pause
             readings.append(reading)
             voltages.append(voltage)
             commands.append(limited)
@@ -92,7 +112,7 @@ class SupervisedValve:
             try:
                 command = course.send(Seen(len(readings) * period, reading))
             except StopIteration:
-                return Record(period, np.array(readings), np.array(voltages), np.array(commands))
+                return record()
 
     def watch(self, limits: SafetyLimits) -> None:
         """Look at one more sample. Raises Fault."""

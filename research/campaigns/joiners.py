@@ -32,9 +32,9 @@ from valve_control.nodes.harness.processes import (
     run_tool,
     tool_options,
     wait_until,
-    yield_cores,
 )
 from valve_control.nodes.transport import leave_own_profile
+from valve_control.priority import yield_cores
 
 NODES = ("controller", "valve_simulator", "command_source")
 CONFIG = ("d3fxe.yaml", "command_source.yaml")

@@ -13,6 +13,7 @@ class Steps:
 
     def __init__(self, answers=None):
         self.answers, self.asked, self.told, self.valve, self.refusals = answers, [], [], None, []
+        self.records = {}
 
     def confirm(self, text):
         self.asked.append(text)
@@ -20,6 +21,9 @@ class Steps:
 
     def progress(self, *progress):
         self.told.append(progress)
+
+    def tested(self, name, record):
+        self.records[name] = record
 
     def found(self, valve):
         self.valve = valve

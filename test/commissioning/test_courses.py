@@ -86,16 +86,16 @@ def test_a_ramp_makes_no_leap_after_a_pause_of_the_process():
 def test_a_motion_is_played_by_the_numbers_of_the_readings():
     wanted = np.array([0.0, 1.0, 2.0, 3.0])
     course = courses.motion(wanted, PERIOD)
-    assert next(course) == 0.0
-    assert course.send(Seen(2 * PERIOD, 0.0)) == 2.0  # a reading was lost
-    assert course.send(Seen(3 * PERIOD, 0.0)) == 3.0
-    assert course.send(Seen(4 * PERIOD, 0.0)) == 0.0
+    assert next(course) == (0.0, 1.0 / PERIOD, 0.0)
+    assert course.send(Seen(2 * PERIOD, 0.0)).position == 2.0  # a reading was lost
+    assert course.send(Seen(3 * PERIOD, 0.0)).position == 3.0
+    assert course.send(Seen(4 * PERIOD, 0.0)) == (0.0, 0.0, 0.0)
 
 
 def test_how_long_a_triangle_takes_is_known_better_after_each_turn():
     """Told before its first turn: that of the limit of the voltage; the valve turns it at 0.4 of that."""
     limits, turned, told = SafetyLimits(4.0, 2.0), [], []
-    course = courses.triangle(limits, 1.6, 4, turned.append)
+    course = courses.triangle(limits, 1.6, 4, lambda turn, at: turned.append(at))
     given = [next(course)]
     with pytest.raises(StopIteration):
         while True:

@@ -34,7 +34,7 @@ def verification(former, measured, chatter=None):
         return Indices(0.1, 0.1, pair[0], 1.0, pair[1])
 
     record = Record(PERIOD, WANTED, WANTED, WANTED)
-    return gains.Verification(record, made(measured), made(measured), made(measured), 0.0, made(former), [])
+    return gains.Verification(record, made(measured), made(measured), made(former), [])
 
 
 def test_gains_from_before_that_are_better_in_both_are_tried_and_win():
@@ -147,8 +147,9 @@ def test_the_approach_of_a_verification_run_is_not_judged():
     found = []
     for off in (0.0, 0.5):
         record = Record(PERIOD, motion.wanted + off * away + 1e-3, motion.wanted + off * away, motion.wanted)
-        one = gains.judged(PLAN, values, made, motion, record)
-        found.append((one.measured, one.expected, one.reasons, one.away, len(one.record.reading)))
+        part = gains.judged_part(motion, record, len(motion.wanted))
+        one = gains.judged(PLAN, values, made, motion, part)
+        found.append((one.measured, one.expected, one.reasons, len(one.record.reading)))
     assert found[0] == found[1] and found[0][-1] == len(motion.wanted) - n
 
 
@@ -156,7 +157,7 @@ def test_a_run_of_which_nothing_is_left_to_judge_is_told():
     motion = gains.VerifyingMotion(WANTED, len(WANTED) - 1)
     short = Record(PERIOD, WANTED[:10], WANTED[:10], WANTED[:10])
     with pytest.raises(Fault, match="no reading of the motions of the verification run came in 10 samples"):
-        gains.judged_part(motion, short)
+        gains.judged_part(motion, short, 10)
 
 
 def test_weights_rest_between_the_positions_in_which_0_v_can_leave_the_spool():

@@ -182,3 +182,10 @@ def test_a_spool_stands_still_where_it_begins():
         for begin in (travel, -travel):
             stood = plant.positions(params, np.zeros(500), begin)
             assert stood == pytest.approx(np.full(500, begin), abs=1e-6)
+
+
+def test_rounding_of_a_mean_voltage_is_no_turn():
+    voltage = driven_triangle()
+    held = voltage[np.arange(len(voltage)) // 4 * 4]  # commands that came late, every fourth
+    rounded = held + 1e-15 * np.random.default_rng(1).standard_normal(len(held))
+    assert np.array_equal(statics._turns(rounded), statics._turns(held))

@@ -87,10 +87,12 @@ class Everything:
         return True
 
     def largest(self):
-        """The largest voltage [V] since the controller got its limit, and at the end that of 0 V."""
+        """The largest voltage [V] while the controller had its limit."""
         assert self.limited[0][1] == VOLTAGE
         stamps = np.array(self.listener.stamps[self.topic])
-        given = np.abs(self.listener.values[self.topic])[stamps > self.limited[0][0]]
+        since, limits = np.array([(0, 0.0), *self.limited]).T
+        during = limits[np.searchsorted(since, stamps) - 1] == VOLTAGE
+        given = np.abs(self.listener.values[self.topic])[during]
         assert len(given) > 100  # an end in the noise at rest comes after 200
         return np.max(given)
 
@@ -115,12 +117,13 @@ class Everything:
 
 
 @contextmanager
-def running(ros, tmp_path):
+def running(ros, tmp_path, *more):
     with (
-        process("valve_simulator", VALVE, tmp_path / "sim.log"),
-        process("controller", [*BEFORE, *PATIENT], tmp_path / "c.log"),
+        process("valve_simulator", VALVE, tmp_path / "sim.log") as simulator,
+        process("controller", [*BEFORE, *PATIENT, *more], tmp_path / "c.log") as controller,
     ):
         seen = Everything(ros)
+        seen.processes = [simulator, controller]
         try:
             spin_until(ros, lambda: len(seen.voltages) > 100, "voltages")
             yield seen
@@ -282,13 +285,12 @@ def aborted(ros, stack, folder, namespace, planned, reached):
         assert seen.largest() <= VOLTAGE
         if how == "no controller":
             break
-        assert "the controller is inactive and gives 0 V" in said
+        assert "the controller was switched to 0 V" in said
         assert "all its parameters are as before" in said
-        assert not seen.active()
+        assert seen.active() and ("it is active, as before" in said) == how.startswith(("SIG", "second"))
         if step in ("tuning", "verification"):
             valve = files.load(str(folder / "kept" / "valve.yaml"))["valve_simulator"]
             assert valve["friction.coulomb"] == pytest.approx(0.6, abs=0.06), "the model stays"
-        yield lambda: seen.voltages[-1] == 0.0, "0 V", 20.0
         assert seen.parameters() == before, said
         if how == "no simulator":
             simulator.wait()
@@ -345,6 +347,40 @@ def test_an_invented_valve(ros, tmp_path):
     assert former is None or row["verification"]["measured"]["e_rms"] < former["e_rms"]
     on = row["on_the_valve"]
     assert np.prod(on["after"]) < np.prod(on["before"])
+
+
+@pytest.mark.alone
+@pytest.mark.campaign
+def test_pauses_of_its_processes_end_no_commissioning(ros, tmp_path):
+    """One of the three stands still for 5 to 60 ms every 5 to 15 s; 20 ms are 0 V."""
+    with running(ros, tmp_path, "-p", "lvdt.hold_samples:=4") as seen:
+        before = seen.parameters()
+        with (
+            commission(tmp_path, "--controller", "dcarc", "--alone", *QUICK) as child,
+            commissioned.pausing([*seen.processes, child], 44) as stood,
+        ):
+            status = ended(seen, child, 400.0)
+        said = (tmp_path / "said.log").read_text()
+        assert status == 0, said
+        found = json.loads((tmp_path / "kept" / "commission.json").read_text())
+        assert len(stood) > 5 and sum(found["pauses"].values()) >= 1, found["pauses"]
+        assert any("paused" in note for note in found["notes"])
+        assert seen.largest() <= VOLTAGE and seen.active()
+        assert seen.parameters() == {**before, **found["applied"]}
+        assert found["valve"]["friction"]["coulomb"] == pytest.approx(0.6, abs=0.12)
+        assert found["valve"]["static_gain"] == pytest.approx(0.829, rel=0.2)
+        with commission(tmp_path, "--undo") as child:
+            assert ended(seen, child) == 0, (tmp_path / "said.log").read_text()
+        log = tmp_path / "said.log"
+        again = ["--controller", "dcarc", "--alone", *QUICK, "--resume", str(tmp_path / "kept")]
+        with commission(tmp_path, *again) as child:
+            spin_until(
+                ros, lambda: "sets of gains" in log.read_text() or child.poll() is not None, "a search", 120.0
+            )
+            assert "slow triangle of the voltage" not in log.read_text() and child.poll() is None
+            child.send_signal(signal.SIGINT)
+            assert ended(seen, child) == 130
+        assert seen.parameters() == before and seen.active()
 
 
 @pytest.mark.campaign

@@ -23,7 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         from valve_control.cli import command, streams
 
         streams.prepare()
-        status = command.run(sys.argv[1:])
+        status = command.run(sys.argv[1:], alone=True)
     except BaseException:
         interrupts.ignore()
         if not interrupts.come():

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from valve_control import __version__
-from valve_control.cli.common import Parser, ended
+from valve_control.cli.common import Parser, ended, give_way
 from valve_control.control.laws.registry import LEFT_OUT
 
 EXAMPLES = """examples:
@@ -49,6 +49,7 @@ GROUPS = {  # in the order of the help; others of a group follow
     "the machine": ("commission", "export"),
     "recordings": ("analyze", "replay", "bag"),
 }
+SEARCHES = ("identify", "study", "tune")  # that give way to a loop; commission, which is one, does it itself
 WIDTH = 78  # columns of the list of commands
 
 
@@ -103,8 +104,8 @@ def parser() -> argparse.ArgumentParser:
     return Commands().top
 
 
-def run(argv: Sequence[str]) -> int:
-    """Run the command with ``argv``; returns the exit status."""
+def run(argv: Sequence[str], alone: bool = False) -> int:
+    """Run the command with ``argv``; returns the exit status. ``alone``: the process does nothing else."""
     # For small matrices BLAS threads that wait for each other take four times as long on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     commands = Commands()
@@ -115,4 +116,6 @@ def run(argv: Sequence[str]) -> int:
     for name, sentence in LEFT_OUT.items():
         if name not in asked:  # else it is the refusal
             print(f"valve-control: {sentence}", file=sys.stderr)
+    if alone and arguments.task in SEARCHES:
+        give_way(arguments)
     return ended("valve-control", arguments.task, lambda: arguments.run(arguments))

@@ -4,18 +4,20 @@
 
 import argparse
 import math
-import os
 import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control import interrupts, outputs
+from valve_control import interrupts, outputs, priority
 from valve_control.cli.common import check_processes, check_search, event, say, write_json, wrote
-from valve_control.parameter import ParameterError, defaults, word
+from valve_control.parameter import ParameterError, defaults, number, word
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from valve_control.design.commissioning.backup import Backup
+    from valve_control.design.commissioning.bench import Record
     from valve_control.design.commissioning.plan import Plan
     from valve_control.design.commissioning.sequence import Result
     from valve_control.nodes.commissioning_client import Controller
@@ -35,7 +37,7 @@ def add_commands(commands: Any) -> None:
         description="Commission a running valve, simulated or real: noise at rest, static gain, friction "
         "and dead zone, frequency response, model, gains, verification run. The controller itself keeps "
         "voltage and travel within their limits. Ctrl-C, a fault or a failure lead to 0 V at once and "
-        "restore the previous parameters.",
+        "restore the previous parameters, and activity.",
     )
     commission.add_argument(
         "--node", default="/controller", metavar="NAME", help="full name of the controller node (/controller)"
@@ -77,10 +79,19 @@ def add_commands(commands: Any) -> None:
     )
     group.add_argument("--seed", type=int, default=1, metavar="N", help="seed of the search (1)")
     group.add_argument(
-        "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="number of threads (all cores)"
+        "--threads",
+        type=int,
+        default=priority.spare_cores(),
+        metavar="N",
+        help="number of threads (all cores but one)",
     )
     group = commission.add_argument_group("course of the commissioning")
     group.add_argument("--yes", action="store_true", help="do not ask before each step")
+    group.add_argument(
+        "--resume",
+        metavar="FOLDER",
+        help="go on after the last whole test of a failed commissioning in FOLDER, which is the --folder too",
+    )
     group.add_argument("--undo", action="store_true", help="restore the previous parameters and exit")
     group.add_argument("--activate", action="store_true", help="with --undo: activate the controller too")
     output = commission.add_argument_group("output")
@@ -126,6 +137,10 @@ def _check(arguments: argparse.Namespace) -> None:
             raise ParameterError(f"--{name.replace('_', '-')} is {value:g}; it must be above 0, and finite")
     if arguments.activate and not arguments.undo:
         raise ParameterError("--activate goes with --undo; a commissioning activates the controller itself")
+    if arguments.resume is not None:
+        if arguments.undo:
+            raise ParameterError("--resume goes on with a commissioning, and --undo takes it back; give one")
+        arguments.folder = arguments.resume
     if not all(part.isidentifier() for part in arguments.node.strip("/").split("/")):
         raise ParameterError(f"--node {arguments.node} is no full name of a node, such as /boom/controller")
     if arguments.controller is not None:
@@ -186,6 +201,7 @@ def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
         firm=arguments.max_chatter is not None,
         sensor_delay=arguments.sensor_delay,
         alone=arguments.alone,
+        gives_way=True,
     )
 
 
@@ -209,19 +225,25 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
         )
     plan = _plan(arguments, word(before, "controller"))
     check(plan, before)
+    records = {}
+    if arguments.resume is not None:
+        records = backup.read_tests(folder, controller.name, plan.limits, number(before, "sample_period"))
+        say(arguments, f"{folder} has whole tests: {', '.join(sorted(records))}")
     controller.meet_valve()
     refused = sorted(path.name for path in folder.glob(REFUSED.format("*")))
-    aside = backup.set_aside(folder, [REPORT, RESULT, TUNED, VALVE, *refused])
+    aside = backup.set_aside(folder, [REPORT, RESULT, TUNED, VALVE, backup.TESTS, *refused])
     if aside is not None:
         say(arguments, f"moved the files of an earlier commissioning to {aside}")
     backup.write(folder, controller.name, before)
     wrote(arguments, folder / backup.PARAMETERS, ": the parameters from before")
-    steps = _Steps(arguments)
+    steps = _Steps(
+        arguments, lambda records: backup.write_tests(folder, controller.name, plan.limits, records)
+    )
     told: list[str] = []
     written: list[Path] = []
     try:
         with sequence.reversible(controller, before, told.append):
-            result = sequence.run(controller, plan, before, steps)
+            result = sequence.run(controller, plan, before, steps, records=records)
             steps.close()
             for name, text in _texts(arguments, result).items():
                 written.append(folder / name)
@@ -229,7 +251,7 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
             backup.mark(folder, controller.name, backup.DONE)
     except BaseException as error:
         steps.close()
-        backup_safe = "all its parameters are as before" in told
+        backup_safe = sequence.AS_BEFORE in told
         if isinstance(error, Fault) and not backup_safe:
             told.append(f"its parameters from before are in {folder}; --undo brings them back")
         for text in told:
@@ -252,8 +274,12 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
 class _Steps:
     """Asks before each step, shows its progress, and writes what is found on the way."""
 
-    def __init__(self, arguments: argparse.Namespace) -> None:
+    def __init__(
+        self, arguments: argparse.Namespace, write: "Callable[[Mapping[str, Record]], None]"
+    ) -> None:
         self._arguments = arguments
+        self._write = write  # whole tests
+        self._tests: dict[str, Any] = {}
         self._bar: Any = None
         self._refusals = 0
 
@@ -284,6 +310,11 @@ class _Steps:
         self._bar.total = total
         self._bar.update(done - self._bar.n)
         event(done=done, total=total)
+
+    def tested(self, name: str, record: "Record") -> None:
+        """Keep a whole test, after which another commissioning can go on."""
+        self._tests[name] = record
+        self._write(self._tests)
 
     def found(self, valve: "Values") -> None:
         """Write the fitted valve, which is worth having whatever becomes of the gains."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from valve_control import interrupts, outputs
+from valve_control import interrupts, outputs, priority
 from valve_control.control.compiling import LawError
 from valve_control.control.laws.registry import LEFT_OUT
 from valve_control.parameter import ParameterError
@@ -101,6 +101,13 @@ def check_processes(name: str, count: int) -> None:
             f"--{name} is {count}; it must lie between 1 and {MOST_PER_CORE * cores}, {MOST_PER_CORE} for "
             f"each of the {cores} cores of this machine"
         )
+
+
+def give_way(arguments: argparse.Namespace) -> None:
+    """Let this process run while no other wants the core, and leave one of all cores to a loop that runs."""
+    priority.yield_cores()
+    if getattr(arguments, "threads", 0) == os.cpu_count() and priority.loop_runs():
+        arguments.threads = priority.spare_cores()
 
 
 def check_search(seed: int, valves: int, unseen: int, budget: int) -> None:

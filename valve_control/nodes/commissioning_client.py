@@ -19,9 +19,21 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
+from trajectory_msgs.msg import JointTrajectoryPoint
 
+from valve_control.control.analysis import timing
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.design.commissioning.bench import Course, Fault, Record, SafetyLimits, Seen, Told
+from valve_control.design.commissioning.bench import (
+    Course,
+    Diagnosis,
+    Fault,
+    Pause,
+    Point,
+    Record,
+    SafetyLimits,
+    Seen,
+    Told,
+)
 from valve_control.design.commissioning.watch import Watch
 from valve_control.nodes.adapter import (
     EVERYTHING,
@@ -29,6 +41,7 @@ from valve_control.nodes.adapter import (
     NumberSubscription,
     PolledSubscription,
     encoded,
+    encoded_point,
     number_of,
 )
 from valve_control.nodes.rclpy_internals import WaitSet
@@ -41,6 +54,7 @@ AGAIN = 1.5  # s  after which it is asked again: a server that does not know the
 SILENT = 1.0  # s  without a reading, or without a voltage, from which on something is broken
 LOOK = 0.01  # s  most between two looks at what has come
 LAST_WORD = 0.2  # s  in which the last messages arrive
+SIMULATOR = "valve_simulator"  # gives a voltage the whole period of its reading, however late it comes
 Sample = tuple[int, int, float]  # number, time of sending [ns], V
 
 
@@ -64,6 +78,8 @@ class Controller:
         self._voltages = NumberSubscription(node, self._topics["valve_voltage"], EVERYTHING)
         self._diagnostics = PolledSubscription(node, DiagnosticArray, "/diagnostics", EVERYTHING)
         self._commands = node.create_publisher(Float64, self._topics["spool_command"], SAMPLES)
+        self._points = node.create_publisher(JointTrajectoryPoint, self._topics["spool_trajectory"], SAMPLES)
+        self._waits = False  # whether the valve waits for its voltage
         self._clients = {
             service: node.create_client(kind, f"{self.name}/{service}")
             for service, kind in (
@@ -92,7 +108,12 @@ class Controller:
         """Wait for readings, and see that nobody else commands. Raises Fault."""
         end = time.monotonic() + MEET
         came: list[Sample] = []
-        while not (came and self._commands.get_subscription_count() and self._count("valve_voltage")):
+        commanding = (self._commands, self._points)
+        while not (
+            came
+            and all(publisher.get_subscription_count() for publisher in commanding)
+            and self._count("valve_voltage")
+        ):
             if time.monotonic() > end:
                 topic = self._topics["spool_position" if not came else "spool_command"]
                 raise Fault(
@@ -103,12 +124,13 @@ class Controller:
             self._executor.spin_once(timeout_sec=0.05)
             came += self._taken(self._readings)
         # What was killed stays in the graph for a while.
-        alone = {"spool_command": 1, "spool_trajectory": 0, "spool_position": 1, "valve_voltage": 1}
-        for topic, own in alone.items():
-            while self._count(topic) > own:
+        for topic in self._topics:
+            while self._count(topic) > 1:
                 if time.monotonic() > end + MEET:
                     raise Fault(f"somebody else publishes on {self._topics[topic]}; end that first")
                 self._executor.spin_once(timeout_sec=0.05)
+        senders = self._node.get_publishers_info_by_topic(self._topics["spool_position"])
+        self._waits = any(info.node_name == SIMULATOR for info in senders)
 
     def _count(self, topic: str) -> int:
         return int(self._node.count_publishers(self._topics[topic]))
@@ -165,17 +187,21 @@ class Controller:
         end, text = time.monotonic() + ANSWER, "nothing"
         while time.monotonic() < end:
             self._executor.spin_once(timeout_sec=LOOK)
-            for error, text in self._said():
-                if not error and text not in ("inactive", "unconfigured"):
+            for said in self._said():
+                if said.active and not said.safe:
                     return
+                text = said.text
         raise Fault(f"the controller says: {text}")
 
-    def _said(self) -> Iterator[tuple[bool, str]]:
-        """What the controller has said of itself, and whether it gives 0 V."""
+    def _said(self) -> Iterator[Diagnosis]:
+        """What the controller has said of itself."""
         for message, _ in self._diagnostics.take():
             for status in message.status:
                 if status.name == self.name.lstrip("/"):
-                    yield status.level == DiagnosticStatus.ERROR, status.message
+                    figures = {entry.key: entry.value for entry in status.values}
+                    conditions = frozenset(figures.get("conditions", "").split(", "))
+                    safe = status.level == DiagnosticStatus.ERROR
+                    yield Diagnosis(safe, figures.get("active") == "True", conditions, status.message)
 
     def off(self) -> None:
         """Deactivate the controller, which gives 0 V. Raises Fault."""
@@ -237,12 +263,29 @@ class Controller:
         readings: list[Sample] = []
         voltages: list[Sample] = []
         commands: list[tuple[int, float]] = []
-        following: float | None = None
+        following: float | Point | None = None
+        began, due = time.time_ns(), 0  # due: number of the reading that the next command is for
 
-        def give(value: float) -> None:
-            limited = max(-limits.voltage, min(limits.voltage, value))
-            self._commands.publish(encoded(limited))
+        def ahead() -> float:
+            """Time [s] until the next reading is due."""
+            return min(max(0.0, self._period - (time.time_ns() - readings[-1][1]) * 1e-9), self._period)
+
+        def give(value: float | Point) -> None:
+            limited = value.position if isinstance(value, Point) else value
+            limited = max(-limits.voltage, min(limits.voltage, limited))
+            if isinstance(value, Point):
+                # The point is of the next reading; that of now is sent, since its stamp tells when it was.
+                early = 0.0 if self._waits or not readings else ahead()
+                rate = value.velocity - value.acceleration * early
+                at = began + round((due * self._period - early) * 1e9)
+                here = limited - (value.velocity - 0.5 * value.acceleration * early) * early
+                self._points.publish(encoded_point(here, rate, value.acceleration, at))
+            else:
+                self._commands.publish(encoded(limited))
             commands.append((time.time_ns(), limited))
+
+        def record() -> Record:
+            return _paired(readings, voltages, commands, self._period, self._waits)
 
         give(next(course))
         while True:
@@ -250,7 +293,10 @@ class Controller:
             wait_set.add_subscription(self._readings.handle)
             wait_set.add_subscription(self._voltages.handle)
             wait_set.wait(round(LOOK * 1e9))
-            came, answers = self._look(watch)
+            try:
+                came, answers = self._look(watch)
+            except Pause as pause:
+                raise Pause(str(pause), record() if readings and voltages else None) from pause
             voltages += answers
             if came:
                 if following is not None:
@@ -258,13 +304,14 @@ class Controller:
                 readings += came
                 # A middleware that does not number has 0 for all.
                 number = came[-1][0] - readings[0][0] or len(readings) - 1
+                due = number + 1
                 told(number * self._period)
                 try:
-                    following = course.send(Seen((number + 1) * self._period, came[-1][2]))
+                    following = course.send(Seen(due * self._period, came[-1][2]))
                 except StopIteration:
                     if not voltages:
                         raise Fault(f"no voltage has come on {self._topics['valve_voltage']}") from None
-                    return _paired(readings, voltages, commands, self._period)
+                    return record()
             if following is not None and voltages and voltages[-1][1] >= readings[-1][1]:
                 give(following)
                 following = None
@@ -277,8 +324,8 @@ class Controller:
             watch.voltage(value)
         for _, _, value in readings:
             watch.reading(value)
-        for error, text in self._said():
-            watch.diagnosis(error, text)
+        for said in self._said():
+            watch.diagnosis(said)
         for name, came in (("reading", readings), ("voltage", voltages)):
             if came:
                 self._heard[name] = now
@@ -292,25 +339,46 @@ class Controller:
 
 
 def _paired(
-    readings: list[Sample], voltages: list[Sample], commands: list[tuple[int, float]], period: float
+    readings: list[Sample],
+    voltages: list[Sample],
+    commands: list[tuple[int, float]],
+    period: float,
+    waits: bool,
 ) -> Record:
-    """Each reading with the voltage that is in force until the next one, and the command of that voltage."""
+    """Each reading with the voltage that acted until the next one, and the command of that voltage.
+
+    A valve that ``waits`` for its voltage gives it the whole time between two readings, and its time goes on
+    with its readings. Any other applies a voltage when it comes: the mean counts, and readings that were late
+    do not.
+    """
     numbers = np.array([number for number, _, _ in readings])
     index = numbers - numbers[0]
     if np.any(np.diff(index) <= 0):  # a middleware that does not number
         index = np.arange(len(readings))
+    first = readings[0][1]
+    sent = np.array([stamp - first for _, stamp, _ in readings]) * 1e-9
+    given = np.array([stamp - first for _, stamp, _ in voltages]) * 1e-9
+    volts = np.array([value for _, _, value in voltages])
+    latency = timing.latencies(sent, given)
+    late = np.zeros(len(index), dtype=np.bool_)
+    if not waits:
+        index, late = timing.placed(sent, index, period)
     count = int(index[-1]) + 1
     reading = np.full(count, np.nan)
     reading[index] = [value for _, _, value in readings]
-    stamps = np.interp(np.arange(count), index, [stamp for _, stamp, _ in readings])
-    until = np.append(stamps[1:], stamps[-1] + period * 1e9)
-    given = np.array([stamp for _, stamp, _ in voltages])
-    volts = np.array([value for _, _, value in voltages])
-    newest = np.searchsorted(given, until, side="left") - 1
-    sent = np.array([stamp for stamp, _ in commands])
+    reading[index[late]] = np.nan
+    known, at = index[~late], sent[~late]  # and beyond them by the period
+    known, at = np.append(known, count), np.append(at, at[-1] + (count - known[-1]) * period)
+    known, at = np.append(-1, known), np.append(at[0] - (known[0] + 1) * period, at)
+    edges = np.interp(np.arange(count + 1), known, at)
+    if waits:
+        voltage = volts[np.maximum(np.searchsorted(given, edges[1:], side="left") - 1, 0)]
+    else:
+        voltage = timing.means(edges, given, volts)
+    ordered = np.array([stamp - first for stamp, _ in commands]) * 1e-9
     wanted = np.array([value for _, value in commands])
-    last = np.maximum(np.searchsorted(sent, stamps, side="right") - 1, 0)
-    return Record(period, reading, volts[np.maximum(newest, 0)], wanted[last])
+    last = np.maximum(np.searchsorted(ordered, edges[:-1], side="right") - 1, 0)
+    return Record(period, reading, voltage, wanted[last], latency=latency)
 
 
 @contextmanager

@@ -710,6 +710,7 @@ class Controller(Managed):
         supervisor = self._supervisor
         values: dict[str, Any] = {
             "controller": supervisor.name,
+            "active": self.working,
             "mode": supervisor.mode.name.lower(),
             "conditions": ", ".join(supervisor.conditions),
             "samples": supervisor.samples,

@@ -5,7 +5,8 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import median_filter
+import numpy.typing as npt
+from scipy.ndimage import median_filter, minimum_filter1d
 
 from valve_control.arrays import Floats, Integers
 from valve_control.control.analysis.indices import PAUSE
@@ -172,6 +173,41 @@ def numbered_by_time(time: Integers, period: float) -> Integers:
     missing[0] = 0.0
     missing[missing > LEAP] = 0.0
     return count + np.cumsum(missing).astype(np.int64)
+
+
+def placed(sent: Floats, numbers: Integers, period: float) -> tuple[Integers, npt.NDArray[np.bool_]]:
+    """Sample of each reading by the time ``sent`` [s] at which it came, and which of them were late.
+
+    While their sender stood still, time went on: the ``numbers`` do not show it. A reading is late if those
+    that follow have made good what it missed.
+    """
+    measured = true_period(np.round(1e9 * sent).astype(np.int64), numbers)
+    if not abs(measured / period - 1.0) <= PART_DEVIATION:
+        measured = period
+    behind = sent / measured - numbers
+    soonest = minimum_filter1d(behind, 2 * APART + 1, origin=-APART, mode="nearest")
+    missing = np.round(np.maximum.accumulate(soonest) - soonest[0]).astype(np.int64)
+    return numbers + missing, behind - soonest > LATE - 1.0
+
+
+def means(edges: Floats, sent: Floats, values: Floats) -> Floats:
+    """Mean of ``values`` between two ``edges`` [s] each; one holds from its time ``sent`` [s] to the next."""
+    begin, end = min(edges[0], sent[0]) - 1.0, max(edges[-1], sent[-1]) + 1.0
+    times, held = np.concatenate([[begin], sent, [end]]), np.concatenate([values[:1], values])
+    integral = np.interp(edges, times, np.concatenate([[0.0], np.cumsum(held * np.diff(times))]))
+    mean: Floats = np.diff(integral) / np.diff(edges)
+    return mean
+
+
+def latencies(sent: Floats, answers: Floats) -> Floats:
+    """Time [s] from each reading ``sent`` [s] to the first of the ``answers`` [s] before the next reading."""
+    if len(answers) == 0:
+        return np.empty(0)
+    after = np.searchsorted(answers, sent, side="right")
+    answer = answers[np.minimum(after, len(answers) - 1)]
+    answered = (answer > sent) & (answer <= np.append(sent[1:], np.inf))
+    waited: Floats = (answer - sent)[answered]
+    return waited
 
 
 def deviating(time: Integers, sequence: Integers, wanted: float, parts: bool = True) -> list[Stretch]:

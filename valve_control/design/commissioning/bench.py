@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Says what a commissioning needs of a running valve, and what it gets from it."""
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import NamedTuple, Protocol
+
+import numpy as np
 
 from valve_control.arrays import Floats
 from valve_control.parameter import Value, Values
@@ -28,20 +30,79 @@ class Seen(NamedTuple):
     reading: float  # V
 
 
-Course = Generator[float, Seen, None]  # commands [V], one for each reading
+class Point(NamedTuple):
+    """A point of a trajectory."""
+
+    position: float  # V
+    velocity: float  # V/s
+    acceleration: float  # V/s²
+
+
+Course = Generator[float | Point, Seen, None]  # commands [V] or points, one for each reading
+Begun = Callable[[int, float], None]  # a stretch of a course, and the time [s] at which it begins
+
+
+def nothing_begun(stretch: int, time: float) -> None:
+    """Placeholder for a receiver of the stretches of a course."""
 
 
 class Record(NamedTuple):
-    """Readings since a course began, one entry a sample period, and the voltage that answered each."""
+    """Readings since a course began, one entry a sample period, and the voltage that acted after each."""
 
     period: float  # s
-    reading: Floats  # V  NaN: lost
-    voltage: Floats  # V
+    reading: Floats  # V  NaN: lost or late
+    voltage: Floats  # V  mean until the next reading
     command: Floats  # V  in force when the voltage was given
+    begins: tuple[int, ...] = (0,)  # samples at which a part begins, with a spool at rest
+    latency: Floats = np.empty(0)  # s  from each reading that was answered to its voltage
+
+    def part(self, first: int, end: int) -> "Record":
+        """Samples ``first`` to before ``end``, as one part."""
+        reading, voltage, command = (
+            signal[first:end] for signal in (self.reading, self.voltage, self.command)
+        )
+        return Record(self.period, reading, voltage, command, latency=self.latency)
+
+    def parts(self) -> "list[Record]":
+        """Each part."""
+        ends = (*self.begins[1:], len(self.reading))
+        return [self.part(first, end) for first, end in zip(self.begins, ends, strict=True)]
+
+
+def joined(parts: Sequence[Record]) -> Record:
+    """One record of several, whose parts stay apart."""
+    if len(parts) == 1:
+        return parts[0]
+    begins, count = [], 0
+    for part in parts:
+        begins += [count + begin for begin in part.begins]
+        count += len(part.reading)
+    reading, voltage, command, latency = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("reading", "voltage", "command", "latency")
+    )
+    return Record(parts[0].period, reading, voltage, command, tuple(begins), latency)
+
+
+class Diagnosis(NamedTuple):
+    """What a controller says of itself."""
+
+    safe: bool  # whether it gives 0 V for a reason
+    active: bool
+    conditions: frozenset[str]
+    text: str  # for the user
 
 
 class Fault(RuntimeError):
     """Ends a commissioning at once; the message is one clause for the user."""
+
+
+class Pause(Fault):
+    """Something stood still, so that the controller gave 0 V; ``record``: of the course until then."""
+
+    def __init__(self, text: str, record: Record | None = None) -> None:
+        super().__init__(text)
+        self.record = record
 
 
 class Swings(Fault):
@@ -50,6 +111,10 @@ class Swings(Fault):
 
 class Bench(Protocol):
     """A running controller with its valve."""
+
+    @property
+    def active(self) -> bool:
+        """Whether the controller works. Raises Fault."""
 
     def values(self) -> Values:
         """All parameters of the controller. Raises Fault."""
@@ -61,7 +126,10 @@ class Bench(Protocol):
         """Let the controller work, if it does not. Raises Fault if it refuses."""
 
     def drive(self, course: Course, limits: SafetyLimits, told: Told) -> Record:
-        """Give the commands of ``course`` until it ends. Raises Fault at a fault or beyond ``limits``."""
+        """Give the commands of ``course`` until it ends. Raises Fault at a fault or beyond ``limits``.
+
+        Raises Pause with the record until then.
+        """
 
     def watch(self, limits: SafetyLimits) -> None:
         """Look at what has come meanwhile. Raises Fault as ``drive`` does."""

@@ -11,11 +11,14 @@ from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices, indices
 from valve_control.control.laws import dcarc
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.plant.models import scale_of
 from valve_control.control.simulation import offline
+from valve_control.control.supervision import trajectory, watch
 from valve_control.design.commissioning import model, plant
 from valve_control.design.commissioning.bench import Fault, Progress, Record
+from valve_control.design.commissioning.courses import derivatives
 from valve_control.design.commissioning.plan import Plan
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Rest
@@ -23,7 +26,7 @@ from valve_control.design.identification.first_gains import FRICTION_TERMS
 from valve_control.design.tuning import box, trial, tuner
 from valve_control.design.tuning.trial import Problem, TuningMotion
 from valve_control.design.tuning.tuner import Aim, Tuned
-from valve_control.parameter import Values, defaults, number, updated
+from valve_control.parameter import Values, defaults, number, updated, word
 
 WORSE = 1.5  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
@@ -48,10 +51,19 @@ class TunedGains(NamedTuple):
 
 
 class VerifyingMotion(NamedTuple):
-    """The commands of a verification run."""
+    """The motion of a verification run."""
 
     wanted: Floats  # V
     judged: int  # first sample that is judged
+    stretches: tuple[int, ...] = ()  # samples, ``judged`` first, from which on the run can be repeated
+
+    def since(self, stretch: int) -> "VerifyingMotion":
+        """The run with the stretches from this number on."""
+        left = self.stretches[stretch:]
+        if stretch == 0:
+            return self
+        wanted = np.concatenate([self.wanted[: self.judged], self.wanted[left[0] :]])
+        return VerifyingMotion(wanted, self.judged, tuple(s - left[0] + self.judged for s in left))
 
 
 class Verification(NamedTuple):
@@ -59,9 +71,7 @@ class Verification(NamedTuple):
 
     record: Record
     measured: Indices
-    expected: Indices  # with the new gains, on the commands as they came
-    punctual: Indices  # with the new gains, on commands that come in time
-    away: float  # V  how far the commands were from those, at most
+    expected: Indices  # with the new gains
     former: Indices | None  # with the parameters from before, None if those are unstable
     reasons: list[str]  # why the gains are not accepted
     before: Indices | None = None  # measured with the parameters from before, None if they were not tried
@@ -204,7 +214,9 @@ def verifying_motion(made: TunedGains, period: float) -> VerifyingMotion:
     approach = [np.zeros(round(HOME / period)), made.motions[-1].wanted, pause]
     parts = [part for motion in made.motions for part in (motion.wanted, pause)]
     whole = np.concatenate([*approach, *parts, np.zeros(round(REST / period))])
-    return VerifyingMotion(whole, sum(len(part) for part in approach))
+    judged = sum(len(part) for part in approach)
+    lengths = [len(motion.wanted) + len(pause) for motion in made.motions[:-1]]
+    return VerifyingMotion(whole, judged, tuple(judged + int(n) for n in np.cumsum([0, *lengths])))
 
 
 class _Simulated(NamedTuple):
@@ -214,11 +226,19 @@ class _Simulated(NamedTuple):
     bounded: bool  # whether it stays finite, and below the limit of the voltage most of the time
 
 
-def _simulated(values: Values, valve: Values, command: Floats, judged: int) -> _Simulated:
-    """Run of a controller with ``values`` on the ``valve``, from a spool at rest in the centre."""
+def _simulated(values: Values, valve: Values, wanted: Floats, judged: int) -> _Simulated:
+    """Run of a controller with ``values`` on the ``valve``, from a spool at rest in the centre.
+
+    The ``wanted`` motion [V] comes as points of a trajectory, as on the running valve.
+    """
+    follow = watch.places_of(LAWS[word(values, "controller")], 0.0)["law_commanded"]
+    params = build.law_params(values)
+    points = zip(wanted, *derivatives(wanted, number(valve, "sample_period")), strict=True)
+    command = np.array([follow(params, trajectory.Motion(*map(float, point))) for point in points])
+    as_points = updated(CONTROLLER, values, {"reshaping.lead": 0.0, "command_limit": 100.0})
     with np.errstate(over="ignore", invalid="ignore"):
-        run = offline.simulate(values, valve, command)
-        found = indices((run.measurement - command)[judged:], run.voltage[judged:], run.period)
+        run = offline.simulate(as_points, valve, command)
+        found = indices((run.measurement - wanted)[judged:], run.voltage[judged:], run.period)
     bounded = np.all(np.isfinite(run.measurement)) and np.mean(run.at_limit[judged:]) < SATURATED
     return _Simulated(found, bool(bounded))
 
@@ -230,20 +250,18 @@ def _limited(plan: Plan, before: Values, made: TunedGains) -> Values:
 
 
 def judged(
-    plan: Plan, before: Values, gains: TunedGains, motion: VerifyingMotion, whole: Record
+    plan: Plan, before: Values, gains: TunedGains, motion: VerifyingMotion, record: Record
 ) -> Verification:
-    """Judge the record of a verification run by the simulation of the same commands.
+    """Judge the ``record`` of a verification run, its judged part, by the simulation of its ``motion``.
 
-    ``motion``: its commands, as they would have come in time. Raises ParameterError.
+    Raises ParameterError.
     """
     chatter = max(plan.chatter, gains.tuned.chatter or 0.0)
-    record = judged_part(motion, whole)
     measured = _indices(record)
     limited = {"u_max": plan.limits.voltage, "command_limit": plan.limits.travel}
     values = _limited(plan, before, gains)
-    made = _simulated(values, gains.valve, whole.command, motion.judged).indices
-    punctual = _simulated(values, gains.valve, motion.wanted, motion.judged).indices
-    old = _simulated(updated(CONTROLLER, before, limited), gains.valve, whole.command, motion.judged)
+    made = _simulated(values, gains.valve, motion.wanted, motion.judged).indices
+    old = _simulated(updated(CONTROLLER, before, limited), gains.valve, motion.wanted, motion.judged)
     former = old.indices if old.bounded else None
     reasons = []
     most = WORSE * made.e_rms + SLACK
@@ -255,15 +273,17 @@ def judged(
     most_chatter = WORSE * max(chatter, made.c_u)
     if not measured.c_u <= most_chatter:
         reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
-    part = slice(motion.judged, min(len(motion.wanted), len(whole.command)))
-    away = float(np.nanmax(np.abs(whole.command[part] - motion.wanted[part])))
-    return Verification(record, measured, made, punctual, away, former, reasons)
+    return Verification(record, measured, made, former, reasons)
 
 
-def judged_part(motion: VerifyingMotion, whole: Record) -> Record:
-    """The part of a ``whole`` verification run that is judged. Raises Fault if it has no reading."""
-    signals = (whole.reading, whole.voltage, whole.command)
-    part = Record(whole.period, *(signal[motion.judged :] for signal in signals))
+def judged_part(motion: VerifyingMotion, whole: Record, end: int) -> Record:
+    """The part of a ``whole`` verification run, until the sample ``end``, that is judged.
+
+    Raises Fault if it has no reading.
+    """
+    part = whole.part(motion.judged, end)
+    wanted = motion.wanted[motion.judged : motion.judged + len(part.reading)]
+    part = part._replace(command=np.pad(wanted, (0, len(part.reading) - len(wanted))))
     if not np.any(np.isfinite(part.reading) & np.isfinite(part.voltage) & np.isfinite(part.command)):
         raise Fault(
             f"no reading of the motions of the verification run came in {len(whole.reading)} samples; check "
@@ -342,6 +362,7 @@ def against(plan: Plan, made: Verification, record: Record) -> Verification:
 
 def _indices(record: Record) -> Indices:
     known = np.isfinite(record.reading) & np.isfinite(record.voltage) & np.isfinite(record.command)
+    known[list(record.begins[1:])] = False  # which follow no sample of the part before
     return indices(
         np.where(known, record.reading - record.command, 0.0),
         np.where(known, record.voltage, 0.0),

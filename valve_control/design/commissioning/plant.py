@@ -201,10 +201,23 @@ def unexplained(
 
 
 def simulated(found: Plant, record: Record) -> Floats:
-    """Position [V], n, of the valve under the voltages of ``record``, from where its spool stands first."""
-    begin = first_reading(record.reading, record.period)
+    """Position [V], n, of the valve under the voltages of ``record``.
+
+    Each part begins where its spool stands first.
+    """
+    valve_params = _params(found, record.period)
+    return np.concatenate(
+        [
+            positions(valve_params, part.voltage, first_reading(part.reading, part.period))
+            for part in record.parts()
+        ]
+    )
+
+
+def _params(found: Plant, period: float) -> Any:
+    """``found`` as a simulated valve without noise and limits."""
     if found.magnet is not None:
-        return positions(magnet.solenoid_params(found.magnet, record.period), record.voltage, begin)
+        return magnet.solenoid_params(found.magnet, period)
     disturbance = valve.FREE._replace(
         coulomb=found.friction.coulomb,
         static_ratio=found.friction.static_ratio,
@@ -213,9 +226,8 @@ def simulated(found: Plant, record: Record) -> Floats:
         presliding=found.presliding,
         offset=found.offset,
     )
-    lvdt = IDEAL._replace(delay=found.delay / record.period)
-    plant = valve.design(found.model, record.period, 1e6, 1.0, disturbance, lvdt)
-    return positions(plant, record.voltage, begin)
+    lvdt = IDEAL._replace(delay=found.delay / period)
+    return valve.design(found.model, period, 1e6, 1.0, disturbance, lvdt)
 
 
 def first_reading(reading: Floats, period: float) -> float | None:

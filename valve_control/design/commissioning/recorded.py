@@ -86,7 +86,11 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedV
 
     Raises ParameterError, one sentence, for a recording without excitation.
     """
-    voltage, reading, notes = _most_motion(held(tested.voltage), tested.position, tested.period)
+    voltage, position, times = held(tested.voltage), tested.position, tested.times
+    if times is not None:
+        voltage, position = times.voltage, np.where(times.late, np.nan, position)
+    voltage, reading, notes = _most_motion(voltage, position, tested.period)
+    notes += [] if times is None else dead_time.way_notes(times.way)
     voltage = np.nan_to_num(voltage)
     seen = lvdt.observe(reading)
     usable = np.isfinite(reading)

@@ -9,20 +9,31 @@ process.
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from valve_control import interrupts
+from valve_control import interrupts, priority
+from valve_control.control.analysis.timing import Spread, spread
 from valve_control.design.commissioning import backup, courses, gains, model, plant, small_signal, statics
-from valve_control.design.commissioning.bench import Bench, Course, Fault, Record, Swings
+from valve_control.design.commissioning.bench import (
+    Begun,
+    Bench,
+    Course,
+    Fault,
+    Pause,
+    Record,
+    Swings,
+    joined,
+)
 from valve_control.design.commissioning.gains import TunedGains, Verification, VerifyingMotion
 from valve_control.design.commissioning.plan import Plan, limiting
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Friction, Rest, Static
-from valve_control.design.identification import lvdt
+from valve_control.design.identification import dead_time, lvdt
 from valve_control.design.identification.response import Response
 from valve_control.design.tuning import tuner, verification
 from valve_control.design.tuning.tuner import Tuned
@@ -36,6 +47,9 @@ TURNS = 4  # of the triangle
 # those for the first do not hold.
 BOXES = (1.0, 2.0)
 DOUBTED = (2.0, 3.0)  # likewise, where the model does not explain the readings
+AGAIN = 3  # times that a stretch which a pause has spoiled is repeated
+RESTS = 10  # times that a rest is tried, which is no test
+APART = 1.0  # s  between two reports of a pause, below which they are about the same one
 # Of both verification runs: limits, and that each command counts as it comes.
 SAME = (
     "u_max", "lvdt.limit", "command_limit", "command_timeout", "command.bridge", "command.lag",
@@ -45,6 +59,9 @@ QUIETER = ((1.0, "again"), (0.5, "once more"))  # power of what is too loud, by 
 NAMED = 3  # parts of the tests that a note names as not explained
 # Of the step "model", in percent, what is done when the fits of the response are, and when the valve is.
 RESPONSE, VALVE, WHOLE = 25.0, 95.0, 100.0
+REST, SLOW, SINE = "noise at rest", "slow triangle", "stepped sine"  # the tests
+SEARCH = "search"  # during which pauses are counted
+T = TypeVar("T")
 
 
 class Tests(NamedTuple):
@@ -75,11 +92,16 @@ class Result(NamedTuple):
     verification: Verification
     notes: list[str]
     seconds: dict[str, float]  # by step
+    pauses: dict[str, int]  # by step
+    way: Spread  # s  from a reading to its voltage in the tests; NaN: not known
 
     @property
     def tests(self) -> Tests:
         """What the tests told, with which another law may be commissioned."""
         return Tests(self.rest, self.slow, self.static, self.sine, self.response, self.plant)
+
+
+AS_BEFORE = "all its parameters are as before"
 
 
 class Refused(RuntimeError):
@@ -95,6 +117,9 @@ class Steps(Protocol):
     def progress(self, name: str, done: float, total: float) -> None:
         """``done`` of ``total`` of the step ``name`` are over."""
 
+    def tested(self, name: str, record: Record) -> None:
+        """The test ``name`` is whole."""
+
     def found(self, valve: Values) -> None:
         """The valve as parameters of the simulated one, as soon as it is known."""
 
@@ -104,21 +129,28 @@ class Steps(Protocol):
 
 @contextmanager
 def reversible(bench: Bench, before: Values, said: Callable[[str], None]) -> Iterator[None]:
-    """At whatever ends the block: 0 V at once, then the parameters ``before``.
+    """At whatever ends the block: 0 V at once, then the parameters ``before``, and active if it was.
 
     ``said`` gets what became of it.
     """
+    active = bench.active
     try:
         yield
     except BaseException:
         with interrupts.held_back():
             try:
                 bench.off()
-                said("the controller is inactive and gives 0 V")
+                said("the controller was switched to 0 V")
             except Fault as fault:
                 said(f"the controller could not be switched off: {fault}")
             restore(bench, before)
-            said("all its parameters are as before")
+            said(AS_BEFORE)
+            if active:
+                try:
+                    bench.on()
+                    said("it is active, as before")
+                except Fault as fault:
+                    said(f"it was activated again, as before: {fault}")
         raise
 
 
@@ -138,22 +170,40 @@ def _bring_to(bench: Bench, wanted: Values, done: str = "set") -> int:
     return len(changes)
 
 
-def run(bench: Bench, plan: Plan, before: Values, steps: Steps, tests: Tests | None = None) -> Result:
+def run(
+    bench: Bench,
+    plan: Plan,
+    before: Values,
+    steps: Steps,
+    tests: Tests | None = None,
+    records: Mapping[str, Record] | None = None,
+) -> Result:
     """Commission the valve of ``bench``, whose controller has the parameters ``before``.
 
-    ``tests`` that were made of this valve within the same limits are not made again.
+    ``tests`` that were made of this valve within the same limits are not made again, nor are those of which
+    there are ``records``.
 
     Raises Fault, ParameterError (one sentence) or Refused; the controller then is as it was left: call it
     within ``reversible``.
     """
-    return _Commissioning(bench, plan, before, steps).run(tests)
+    return _Commissioning(bench, plan, before, steps, records).run(tests)
 
 
 class _Commissioning:
     """One valve on its way from the parameters ``before`` to new ones."""
 
-    def __init__(self, bench: Bench, plan: Plan, before: Values, steps: Steps) -> None:
+    def __init__(
+        self,
+        bench: Bench,
+        plan: Plan,
+        before: Values,
+        steps: Steps,
+        records: Mapping[str, Record] | None = None,
+    ) -> None:
         self._bench, self._plan, self._before, self._steps = bench, plan, before, steps
+        self._records = dict(records or {})
+        self._pauses: Counter[str] = Counter()
+        self._paused = -math.inf  # s, the last report of one
         self._limits, self._period = plan.limits, number(before, "sample_period")
         self._seconds: dict[str, float] = {}
         self._still = max(STILL, NOISE * lvdt.WINDOW * self._period)  # s
@@ -185,13 +235,16 @@ class _Commissioning:
         self._bench.watch(
             self._limits._replace(voltage=number(before, "u_max"), travel=number(before, "lvdt.limit"))
         )
+        answers = [record.latency for record in (tests.slow, tests.sine) if record is not None]
+        way = spread(np.concatenate([np.empty(0), *answers]))
         notes = [
             *tests.response.notes,
             *_unexplained(found, tests.slow, tests.sine, self._planned(tests.rest, tests.static), rest),
             *known.notes,
             *notes,
-            *_late(verified),
             *_ended(verified),
+            *dead_time.way_notes(way),
+            *_paused(self._pauses),
         ]
         notes += _louder(self._plan, made.tuned, rest)
         return Result(
@@ -209,24 +262,37 @@ class _Commissioning:
             verification=verified,
             notes=notes,
             seconds=self._seconds,
+            pauses=dict(self._pauses),
+            way=way,
         )
 
     def _tested(self) -> Tests:
         """Noise, friction and response of the valve in open loop, and the plant that is fitted to them."""
-        rest = statics.at_rest(self._drive("noise at rest", courses.rest(self._still), lambda: self._still))
+        still = self._test(
+            REST,
+            lambda first, begun: courses.rest(self._still, begun, first),
+            lambda first, begun: self._still - first * courses.PIECE,
+        )
+        rest = statics.at_rest(still)
         slow = self._triangle()
         static = statics.slow(slow, rest, self._limits)
         planned = self._planned(rest, static)
         sine = self._sine(planned)
         with self._timed("model"):
             self._modelled(0.0)
-            response, fits, friction = small_signal.linear(
-                sine, planned, static, rest, lambda done, total: self._modelled(RESPONSE * done / total)
+            response, fits, friction = self._background(
+                lambda told: small_signal.linear(
+                    sine, planned, static, rest, lambda done, total: told(RESPONSE * done / total)
+                ),
+                self._modelled,
             )
-            found = plant.fitted(
-                [slow, sine], fits, friction, static.offset, rest,
-                lambda done, total: self._modelled(RESPONSE + (VALVE - RESPONSE) * done / total),
-                self._plan.threads, lambda: small_signal.richer(response),
+            found = self._background(
+                lambda told: plant.fitted(
+                    [slow, sine], fits, friction, static.offset, rest,
+                    lambda done, total: told(RESPONSE + (VALVE - RESPONSE) * done / total),
+                    self._plan.threads, lambda: small_signal.richer(response),
+                ),
+                self._modelled,
             )  # fmt: skip
             self._modelled(VALVE)
         return Tests(rest, slow, static, sine, response, found)
@@ -237,32 +303,30 @@ class _Commissioning:
     def _open_loop(self) -> None:
         """From inactive to 0 V: open loop within the limits, the other parameters as before."""
         _bring_to(self._bench, {**self._before, **limiting(self._before, self._limits)})
-        self._bench.on()
-        # Where the law from before left the spool is not the commissioning's doing.
-        self._bench.drive(courses.rest(SPRING), self._limits._replace(travel=np.inf), lambda done: None)
+        self._at_rest(SPRING)
         self._bench.apply({"lvdt.limit": self._limits.travel})
 
     def _triangle(self) -> Record:
         limits, rate = self._limits, RATE * self._limits.voltage
-        self._ask(
+        return self._test(
+            SLOW,
+            lambda first, begun: courses.triangle(limits, rate, TURNS, begun, self._period, first),
+            lambda first, turned: courses.triangle_time(limits, rate, TURNS - max(0, first - 1), turned),
             f"a slow triangle of the voltage up to ±{limits.voltage:g} V, turned at {courses.REACH:.0%} of "
-            "the travel"
-        )
-        turned: list[float] = []
-        return self._drive(
-            "slow triangle",
-            courses.triangle(limits, rate, TURNS, turned.append, self._period),
-            lambda: courses.triangle_time(limits, rate, TURNS, turned),
+            "the travel",
         )
 
     def _sine(self, planned: small_signal.Plan) -> Record:
         length = planned.steps[-1].end
-        self._ask(
+        return self._test(
+            SINE,
+            lambda first, begun: courses.stepped_sine(
+                self._limits, planned.steps, planned.amplitude, planned.offset, begun, self._period, first
+            ),
+            lambda first, begun: length - planned.steps[first].start,
             f"{length:.0f} s of sines of {planned.amplitude:.2g} V from {planned.steps[0].frequency:g} to "
-            f"{planned.steps[-1].frequency:g} Hz"
+            f"{planned.steps[-1].frequency:g} Hz",
         )
-        course = courses.stepped_sine(self._limits, planned.steps, planned.amplitude, planned.offset)
-        return self._drive("stepped sine", course, lambda: length)
 
     def _gains(
         self, found: Plant, known: model.Known, rest: Rest
@@ -329,10 +393,12 @@ class _Commissioning:
 
         def searched(plan: Plan, step: str) -> TunedGains:
             def told(done: float, total: float) -> None:
-                self._bench.watch(self._limits)
+                self._look()
                 self._steps.progress(step, done, total)
 
-            return gains.tuned(plan, self._before, found, known, rest, wider, told)
+            return self._background(
+                lambda told: gains.tuned(plan, self._before, found, known, rest, wider, told), told
+            )
 
         plan = self._plan._replace(law=law)
         made = searched(plan, step)
@@ -405,35 +471,140 @@ class _Commissioning:
             self._bench.off()
             _bring_to(self._bench, kept)
             self._bench.apply({"lvdt.limit": self._before["lvdt.limit"]})
-            self._bench.on()
-            self._bench.drive(courses.rest(STILL), self._limits._replace(travel=np.inf), lambda done: None)
+            self._at_rest(STILL)
             self._bench.apply({"lvdt.limit": kept["lvdt.limit"]})
             return made._replace(ended=str(fault))
         _bring_to(self._bench, kept)
-        return gains.against(self._plan, made, gains.judged_part(motion, record))
+        return gains.against(self._plan, made, record)
 
     def _moved(self, name: str, motion: VerifyingMotion) -> Record:
-        """Record of the whole ``motion``."""
-        wanted = motion.wanted
-        return self._drive(name, courses.motion(wanted, self._period), lambda: len(wanted) * self._period)
+        """Record of the judged part of ``motion``."""
 
-    def _drive(self, name: str, course: Course, about: Callable[[], float]) -> Record:
-        """Record of ``course``, the step ``name``; ``about``: how long [s] it takes."""
-        with self._timed(name):
-            record = self._bench.drive(
-                course,
-                self._limits,
-                lambda done: self._steps.progress(name, min(done, about()), about()),
+        def course(first: int, begun: Begun) -> Course:
+            rest = motion.since(first)
+            return courses.motion(
+                rest.wanted, self._period, rest.stretches[1:], lambda number, at: begun(first + number, at)
             )
-            self._steps.progress(name, about(), about())
+
+        return self._drive(
+            name,
+            course,
+            lambda first, begun: len(motion.since(first).wanted) * self._period,
+            lambda record, first, end: gains.judged_part(motion.since(first), record, end),
+        )
+
+    def _test(
+        self,
+        name: str,
+        course: Callable[[int, Begun], Course],
+        about: Callable[[int, Sequence[float]], float],
+        text: str = "",
+    ) -> Record:
+        """Record of the test ``name``, which is made unless there is one; ``text``: of the question."""
+        if name not in self._records:
+            if text:
+                self._ask(text)
+            self._records[name] = self._drive(name, course, about)
+        self._steps.tested(name, self._records[name])
+        return self._records[name]
+
+    def _drive(
+        self,
+        name: str,
+        course: Callable[[int, Begun], Course],
+        about: Callable[[int, Sequence[float]], float],
+        chosen: Callable[[Record, int, int], Record] = lambda record, first, end: record.part(0, end),
+    ) -> Record:
+        """Record of the step ``name``, of which a stretch that a pause spoils is repeated.
+
+        ``course`` begins with a stretch, from rest; ``about``: how long [s] it takes from then on, by
+        the times [s] at which stretches have begun; ``chosen``: of the record of a course that began with a
+        stretch, what counts of it until a sample. Raises Fault.
+        """
+        parts: list[Record] = []
+        first, tries, over = 0, 0, 0.0
+        with self._timed(name):
+            while True:
+                marks = [(first, 0.0)]
+                try:
+                    if tries:
+                        self._bench.off()
+                        self._at_rest(SPRING)
+                    record = self._driven(name, course, about, marks, over)
+                except Pause as pause:
+                    self._pauses[name] += 1
+                    stretch, at = marks[-1]
+                    tries = tries + 1 if stretch == first else 1
+                    if tries > AGAIN:
+                        raise Fault(f"{pause}, {tries} times in one stretch of the step {name}") from pause
+                    if pause.record is not None and stretch != first:
+                        parts.append(chosen(pause.record, first, round(at / self._period)))
+                        over += at
+                    first = stretch
+                    continue
+                return joined([*parts, chosen(record, first, len(record.reading))])
+
+    def _driven(
+        self,
+        name: str,
+        course: Callable[[int, Begun], Course],
+        about: Callable[[int, Sequence[float]], float],
+        marks: list[tuple[int, float]],
+        over: float,
+    ) -> Record:
+        """Record of a course; ``marks`` has its first stretch and gets the others. Raises Fault.
+
+        ``over`` [s]: of the step before it.
+        """
+        first, _ = marks[0]
+
+        def progress(done: float) -> None:
+            total = over + about(first, [at for _, at in marks[1:]])
+            self._steps.progress(name, min(over + done, total), total)
+
+        begun = course(first, lambda stretch, at: marks.append((stretch, at)))
+        record = self._bench.drive(begun, self._limits, progress)
+        progress(math.inf)
         return record
+
+    def _at_rest(self, duration: float) -> None:
+        """Let the controller work at 0 V for ``duration`` [s], whatever the travel. Raises Fault.
+
+        Where the law from before, or a pause, left the spool is not the commissioning's doing.
+        """
+        for left in reversed(range(RESTS)):
+            try:
+                self._bench.on()
+                limits = self._limits._replace(travel=np.inf)
+                self._bench.drive(courses.rest(duration), limits, lambda done: None)
+                return
+            except Pause:
+                self._pauses["rest"] += 1
+                self._bench.off()
+                if left == 0:
+                    raise
+
+    def _background(self, work: Callable[[Callable[..., None]], T], told: Callable[..., None]) -> T:
+        """What ``work`` returns; over ROS it gives way to the loop. ``told`` gets its progress."""
+        if self._plan.gives_way:
+            return priority.in_background(work, told)
+        return work(told)
+
+    def _look(self) -> None:
+        """Look at what has come during a search at 0 V; a pause is counted and nothing else."""
+        try:
+            self._bench.watch(self._limits)
+        except Pause:
+            now = time.monotonic()
+            self._pauses[SEARCH] += now > self._paused + APART
+            self._paused = now
 
     def _ask(self, text: str) -> None:
         if not self._steps.confirm(text):
             raise Refused("stopped by the user")
 
     def _modelled(self, percent: float) -> None:
-        self._bench.watch(self._limits)
+        self._look()
         # A search that is longer than it was expected to be takes nothing back.
         self._percent = max(self._percent, percent)
         self._steps.progress("model", self._percent, WHOLE)
@@ -509,16 +680,12 @@ def _unexplained(
     return notes
 
 
-def _late(made: Verification) -> list[str]:
-    """A sentence about commands that came late, where that makes most of the error."""
-    late, punctual = made.expected.e_rms, made.punctual.e_rms
-    if not late > gains.WORSE * punctual + gains.SLACK:
+def _paused(pauses: Mapping[str, int]) -> list[str]:
+    """A sentence about pauses."""
+    if not pauses:
         return []
-    return [
-        f"the commands of the verification run came late, and were up to {made.away:.2g} V away from those "
-        f"in time: with them the simulation has {1e3 * late:.3g} mV of error, and {1e3 * punctual:.3g} mV "
-        "with commands in time"
-    ]
+    told = ", ".join(f"{name} {count}" for name, count in pauses.items())
+    return [f"readings, controller or host paused ({told}): the stretches of tests were repeated"]
 
 
 def _ended(made: Verification) -> list[str]:
@@ -572,11 +739,12 @@ def as_dict(result: Result) -> dict[str, Any]:
         "verification": {
             "measured": made.measured._asdict(),
             "simulated": made.expected._asdict(),
-            "simulated_in_time": made.punctual._asdict(),
             "measured_before": None if made.before is None else made.before._asdict(),
             "simulated_before": None if made.former is None else made.former._asdict(),
             "unseen_valves": verification.as_dict(result.tuned.chosen.verified),
         },
         "notes": result.notes,
         "seconds": result.seconds,
+        "pauses": result.pauses,
+        "way_s": {"median": result.way.p50, "p99": result.way.p99},
     }

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tells rest position, noise, static gain, friction and dead zone from a rest and from a slow triangle."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ SLIDING = 0.2  # of the stroke after a turn, from which on the spool is taken to
 MOVED = 0.03  # of the stroke, from which on it has moved after a turn ...
 DEVIATIONS = 5.0  # ... and times the noise of the averaged reading
 LEAST_STROKE = 0.1  # V
+ROUNDING = 1e-9  # V  of a mean voltage
 HELD = 3.0  # times as large as in motion: the most that friction at rest is believed to be
 
 
@@ -52,8 +54,9 @@ def at_rest(record: Record) -> Rest:
 def slow(record: Record, rest: Rest, limits: SafetyLimits) -> Static:
     """Static gain, friction and dead zone from the slow triangle of a ``record``. Raises ParameterError."""
     width = max(1, round(WINDOW / record.period))
-    reading = _averaged(_filled(record.reading), width)
-    voltage = _averaged(record.voltage, width)
+    parts = record.parts()
+    reading = np.concatenate([_averaged(_filled(part.reading), width) for part in parts])
+    voltage = np.concatenate([_averaged(part.voltage, width) for part in parts])
     stroke = float(np.ptp(reading))
     if stroke < LEAST_STROKE:
         raise ParameterError(
@@ -64,10 +67,10 @@ def slow(record: Record, rest: Rest, limits: SafetyLimits) -> Static:
         raise ParameterError(
             "the spool moves against the voltage; turn the sign of one of them before anything else"
         )
-    ends = _turns(record.voltage)
+    turns = [begin + _turns(part.voltage) for begin, part in zip(record.begins, parts, strict=True)]
     rows, sides, zones = [], [], []
     least = max(MOVED * stroke, DEVIATIONS * (rest.noise + rest.resolution) / np.sqrt(width))
-    for first, end in zip(ends[:-1], ends[1:], strict=True):
+    for first, end in (leg for ends in turns for leg in pairwise(ends.tolist())):
         side = float(np.sign(voltage[end] - voltage[first]))
         moved = side * (reading[first : end + 1] - reading[first])
         # The averaged turn itself reaches a little beyond both of its sides.
@@ -86,7 +89,9 @@ def slow(record: Record, rest: Rest, limits: SafetyLimits) -> Static:
     matrix = np.column_stack([data[:, 0], np.ones(len(data)), side_of])
     (slope, offset, friction), *_ = np.linalg.lstsq(matrix, data[:, 1], rcond=None)
     residual = data[:, 1] - matrix @ np.array([slope, offset, friction])
-    steps = np.abs(np.diff(record.voltage[ends[0] : ends[-1] + 1]))
+    steps = np.abs(
+        np.concatenate([np.diff(record.voltage[ends[0] : ends[-1] + 1]) for ends in turns if len(ends)])
+    )
     return Static(
         gain=1.0 / float(slope),
         offset=float(offset),
@@ -116,7 +121,8 @@ def friction(static: Static, lag: float, rest: Rest) -> Friction:
 
 def _turns(voltage: Floats) -> npt.NDArray[np.int64]:
     """Samples at which a triangle turns, the last one being its end."""
-    steps = np.sign(np.diff(voltage))
+    steps = np.diff(voltage)
+    steps = np.sign(np.where(np.abs(steps) > ROUNDING, steps, 0.0))
     moving = np.flatnonzero(steps)
     if len(moving) == 0:
         return np.zeros(0, dtype=np.int64)

@@ -4,13 +4,16 @@
 
 import math
 
-from valve_control.design.commissioning.bench import Fault, SafetyLimits, Swings
+from valve_control.design.commissioning.bench import Diagnosis, Fault, Pause, SafetyLimits, Swings
 
 BEYOND = 3  # readings in a row: a single one may be wrong
 ROUNDING = 1e-9  # V
-SWINGS = "oscillates"
-# Words of a warning that ends it.
-ENDS = ("saturated for", "publishers on", "inactive", "unconfigured")
+SWINGS = {"oscillation", "lvdt_hum"}
+PUBLISHERS = {"command_publishers", "trajectory_publishers", "lvdt_publishers", "voltage_publishers"}
+ENDS = {"saturation", *PUBLISHERS}
+# With 0 V: readings stopped or were late, or the controller or its host stood still. What else is reported
+# then may follow from it. If it does not, it is there without a pause too, when the stretch is repeated.
+PAUSES = {"lvdt_silent", "lvdt_missing", "lvdt_period", "stalled"}
 
 
 class Watch:
@@ -34,9 +37,12 @@ class Watch:
         if not math.isfinite(value) or abs(value) > self._limits.voltage + ROUNDING:
             raise Fault(f"the voltage is {value:.4g} V, beyond the limit of ±{self._limits.voltage:g} V")
 
-    def diagnosis(self, error: bool, text: str) -> None:
-        """Take in what the controller says of itself; ``error``: it gives 0 V."""
-        if error or any(word in text for word in ENDS):
-            raise Fault(f"the controller says: {text}")
-        if SWINGS in text:
-            raise Swings(f"the controller says: {text}")
+    def diagnosis(self, said: Diagnosis) -> None:
+        """Take in what the controller says of itself."""
+        text = f"the controller says: {said.text}"
+        if not said.active or said.conditions & ENDS:
+            raise Fault(text)
+        if said.safe:
+            raise Pause(text) if said.conditions & PAUSES else Fault(text)
+        if said.conditions & SWINGS:
+            raise Swings(text)

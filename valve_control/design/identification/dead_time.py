@@ -7,8 +7,10 @@ of the sensor lies behind the spool: the reading alone is late. A law that takes
 true spool off by the dead time in question.
 """
 
+import math
 from typing import NamedTuple
 
+from valve_control.control.analysis.timing import Spread
 from valve_control.parameter import ParameterError, Values
 
 LONGEST = 1.0  # s
@@ -60,3 +62,13 @@ def notes(total: float, sensor: float) -> list[str]:
         f"by its velocity times {late}"
     )
     return made
+
+
+def way_notes(way: Spread) -> list[str]:
+    """A sentence about the time from a reading to its voltage, if it is known."""
+    if not math.isfinite(way.p50):
+        return []
+    return [
+        f"voltages were sent {1e3 * way.p50:.2g} ms after their readings (median; 99 %: "
+        f"{1e3 * way.p99:.2g} ms): middleware and controller add this dead time, which is not the valve's"
+    ]

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from valve_control.arrays import Floats
+from valve_control.control.analysis.timing import Spread
 from valve_control.control.commands import scenarios
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND, CONTROLLER
@@ -43,6 +45,15 @@ class Experiment(NamedTuple):
     u_max: float  # V
     notes: tuple[str, ...]
     feedback: str = ""  # the law that the voltage came from, if it looks at the reading
+    times: "RecordedTimes | None" = None  # of a recorded test whose stamps tell them
+
+
+class RecordedTimes(NamedTuple):
+    """What the times of the messages of a recorded test tell, sample by sample."""
+
+    voltage: Floats  # V  mean until the next reading: a driver applies a voltage when it comes
+    late: npt.NDArray[np.bool_]  # readings
+    way: Spread  # s  from a reading to its voltage
 
 
 def simulated(controller: Values, valve: Values, command: Values, motion: Floats | None = None) -> Experiment:

@@ -7,12 +7,13 @@ from itertools import pairwise
 import numpy as np
 
 from valve_control.arrays import Floats, Integers
+from valve_control.control.analysis import timing
 from valve_control.control.analysis.timing import leaps, numbered_by_time, true_period
 from valve_control.control.commands import scenarios
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
 from valve_control.design.identification import response
-from valve_control.design.identification.experiment import Experiment, held
+from valve_control.design.identification.experiment import Experiment, RecordedTimes, held
 from valve_control.design.identification.response import Segment
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import in_order
@@ -95,6 +96,7 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
     period = _kept_period(aligned, sequence, notes)
     index = _numbered(aligned, sequence, period, notes)
     voltage, position, time = _samples(aligned, valve, index, period)
+    times = _times(aligned, valve, index, time, period)
     length = len(time)
     if length > count:
         notes.append(f"{length - count} of {length} readings were lost and are left out")
@@ -112,6 +114,8 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
             longest = int(np.argmax(np.diff(bounds)))
             whole = slice(bounds[longest], bounds[longest + 1])
             voltage, position = voltage[whole], position[whole]
+            if times is not None:
+                times = times._replace(voltage=times.voltage[whole], late=times.late[whole])
             which = f"only {(whole.stop - whole.start) * period:.4g} s between two leaps are used"
         notes.append(f"{_leaping(time, cuts.tolist(), period)}; {which}")
     else:
@@ -130,7 +134,22 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
         u_max=float(initial.get("u_max", 10.0)),
         notes=tuple(notes),
         feedback=feedback,
+        times=times,
     )
+
+
+def _times(
+    aligned: Aligned, valve: ValveRecording, index: Integers, time: Floats, period: float
+) -> RecordedTimes | None:
+    """What stamps tell; None: nothing, or the valve is a simulated one, which waits for its voltage."""
+    if aligned.answered is None or not aligned.wall or valve.simulator is not None:
+        return None
+    given = valve.signals["valve_voltage"]
+    sent = (given.time - aligned.stamp[0]) * 1e-9
+    late = np.zeros(len(time), dtype=np.bool_)
+    late[index] = timing.placed(aligned.time, index, period)[1]
+    means = timing.means(np.append(time, time[-1] + period), sent, given.value)
+    return RecordedTimes(means, late, timing.spread(aligned.latency))
 
 
 def _source(recording: Recording, valve: ValveRecording) -> Node | None:

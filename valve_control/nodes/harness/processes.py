@@ -10,7 +10,7 @@ import sys
 import time
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -196,15 +196,3 @@ def run_tool(name: str, folder: Path, work: Callable[[], int]) -> int:
         return status
     print("\nstopped; no node is left running", file=sys.stderr)
     return interrupts.STATUS
-
-
-def yield_cores() -> None:
-    """Let this process and its children run only while no other wants the core.
-
-    For strangers on the graph: what they do to the nodes is then the middleware's doing, not a busy core's.
-    To be called in a session of their own: with autogroups (sched(7)) Linux shares the cores between sessions
-    before it looks at their processes.
-    """
-    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    with suppress(OSError):
-        Path("/proc/self/autogroup").write_text("19", encoding="ascii")

@@ -1,0 +1,158 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""A pause spoils a stretch of a test, not the commissioning; a failed one goes on after its whole tests."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from supervised import Steps, SupervisedValve
+
+from valve_control.design.commissioning import backup, gains, plant, sequence
+from valve_control.design.commissioning.bench import Fault, SafetyLimits
+from valve_control.design.commissioning.plan import Plan
+from valve_control.design.tuning.trial import TuningMotion
+from valve_control.parameter import ParameterError
+
+LIMITS = SafetyLimits(3.0, 1.5)
+PLAN = Plan(LIMITS, "pid", 0.3, 40, 3, 8, 1, 1, alone=True)
+OF_VALVE = {"friction.coulomb": 0.6, "disturbance.offset": 0.2, "lvdt.noise": 0.004, "lvdt.delay": 0.0012}
+BEFORE = {"controller": "oarc", "u_max": 9.0, "oarc.k1": 77.0, "command_limit": 8.0}
+STOOD = 60  # samples
+
+
+class Pausing(SupervisedValve):
+    """Its controller stands still before some of its samples, and gives 0 V then."""
+
+    def __init__(self, pauses=(), every=0):
+        super().__init__(OF_VALVE, BEFORE)
+        self.pauses, self.every, self.paused = set(pauses), every, 0
+
+    def sample(self):
+        at = len(self.readings)
+        if self.active and (at in self.pauses or (self.every and at > 3000 and at % self.every == 0)):
+            self.paused += 1
+            self.supervisor.silence(STOOD * 0.001, stalled=True)
+            for _ in range(STOOD):
+                self.state = self._step(self.params, self.state, 0.0)
+        return super().sample()
+
+
+def made(valve):
+    """Records and fitted valve of the tests."""
+    before, steps = valve.values(), Steps()
+    run = sequence._Commissioning(valve, PLAN, before, steps)
+    valve.off()
+    run._open_loop()
+    return run._tested(), run, steps
+
+
+def test_tests_with_pauses_tell_the_same_valve(monkeypatch):
+    """At random moments 5 to 15 s apart; each stretch is whole in the end."""
+    monkeypatch.setattr(plant, "fitted", lambda *about: None)
+    moments = np.cumsum(np.random.default_rng(44).uniform(5000.0, 15000.0, 12)).astype(int)
+    (found, run, steps), (usual, *_) = made(valve := Pausing(moments)), made(Pausing())
+    assert valve.paused >= 3 and run._pauses.total() == valve.paused
+    assert np.max(np.abs(valve.voltages)) <= LIMITS.voltage
+    assert 2 <= len(found.slow.begins) + len(found.sine.begins) - 1 <= 1 + valve.paused
+    assert len(found.sine.reading) == pytest.approx(len(usual.sine.reading), abs=2)
+    assert found.static.gain == pytest.approx(usual.static.gain, rel=0.01)
+    assert found.static.friction == pytest.approx(usual.static.friction, rel=0.02)
+    assert found.static.dead_zone == pytest.approx(usual.static.dead_zone, rel=0.1)
+    assert len(found.response.frequency) == len(usual.response.frequency)
+    assert all(done <= total for _, done, total in steps.told)
+
+
+@pytest.mark.campaign
+def test_a_model_from_tests_with_pauses_is_that_of_the_valve():
+    found, *_ = made(Pausing(range(7000, 80000, 7000)))
+    assert len(found.slow.begins) > 1 and len(found.sine.begins) > 1
+    assert found.plant.model.static_gain == pytest.approx(0.829, rel=0.01)
+    assert found.plant.friction.coulomb == pytest.approx(0.6, abs=0.02)
+    assert found.plant.error < 1.3  # 1.14 without pauses
+
+
+def test_a_stretch_that_pauses_spoil_four_times_ends_it():
+    valve = Pausing(every=150)
+    before = valve.values()
+    with (
+        pytest.raises(Fault, match="stood still .* 4 times in one stretch of the step"),
+        sequence.reversible(valve, before, lambda said: None),
+    ):
+        sequence.run(valve, PLAN, before, Steps())
+    assert valve.values() == before and valve.active
+
+
+def test_a_pause_during_a_search_is_counted_and_nothing_else():
+    valve = Pausing()
+    run = sequence._Commissioning(valve, PLAN, valve.values(), Steps())
+    watched = valve.watch
+
+    def watch(limits):
+        watched(limits)
+        raise sequence.Pause("the controller's process stood still")
+
+    valve.watch = watch
+    run._modelled(50.0)
+    assert run._pauses == {sequence.SEARCH: 1} and valve.active
+
+
+def test_a_motion_that_a_pause_spoils_is_repeated_behind_another_approach():
+    motions = [
+        TuningMotion(name, 0.4 * np.sin(2.0 * np.pi * turns / 1500.0 * np.arange(1500)))
+        for name, turns in (("a", 2), ("b", 4))
+    ]
+    tuned = gains.TunedGains(SimpleNamespace(chatter=None, law="oarc"), motions, {}, {})
+    motion = gains.verifying_motion(tuned, 0.001)
+    assert motion.stretches == (motion.judged, motion.judged + 1500 + 300)
+    whole = len(motion.wanted) - motion.judged
+    for pause, begins in ((700, (0,)), (motion.judged + 900, (0,)), (motion.judged + 2500, (0, 1800))):
+        valve = Pausing()
+        valve.pauses = {1000 + pause}
+        valve.apply({"u_max": LIMITS.voltage})
+        run = sequence._Commissioning(valve, PLAN, valve.values(), Steps())
+        run._at_rest(1.0)
+        record = run._moved("verification", motion)
+        assert record.begins == begins and valve.paused == 1
+        assert len(record.reading) == pytest.approx(whole, abs=2)
+        assert np.array_equal(record.command[:whole], motion.wanted[motion.judged :])
+        assert gains._indices(record).e_rms < 0.03
+
+
+class Ends(Steps):
+    def tested(self, name, record):
+        super().tested(name, record)
+        if name == sequence.SINE:
+            raise Fault("the test wants it")
+
+
+def test_a_failed_commissioning_goes_on_after_its_whole_tests(tmp_path):
+    valve, steps = Pausing([9000]), Ends()
+    with pytest.raises(Fault):
+        sequence.run(valve, PLAN, valve.values(), steps)
+    assert set(steps.records) == {sequence.REST, sequence.SLOW, sequence.SINE}
+    backup.write_tests(tmp_path, "/controller", LIMITS, steps.records)
+    records = backup.read_tests(tmp_path, "/controller", LIMITS, 0.001)
+    for name, record in steps.records.items():
+        assert records[name].begins == record.begins
+        assert np.array_equal(records[name].reading, record.reading, equal_nan=True)
+    del records[sequence.SINE]
+    again = Ends()
+    samples = len(valve.readings)
+    with pytest.raises(Fault):
+        sequence.run(valve, PLAN, valve.values(), again, records=records)
+    assert len(valve.readings) - samples < 1.2 * len(steps.records[sequence.SINE].reading)
+    assert {name for name, *_ in again.told} == {sequence.SINE}
+    assert again.records[sequence.SLOW] is records[sequence.SLOW]
+    for node, limits, period in (
+        ("/other", LIMITS, 0.001),
+        ("/controller", SafetyLimits(3.0, 1.0), 0.001),
+        ("/controller", LIMITS, 0.002),
+    ):
+        with pytest.raises(ParameterError, match=r"--resume needs the same node, --max-voltage"):
+            backup.read_tests(tmp_path, node, limits, period)
+    (tmp_path / backup.TESTS).write_bytes(b"PK nothing")
+    with pytest.raises(ParameterError, match="is damaged"):
+        backup.read_tests(tmp_path, "/controller", LIMITS, 0.001)
+    with pytest.raises(ParameterError, match="no whole test"):
+        backup.read_tests(tmp_path / "nowhere", "/controller", LIMITS, 0.001)

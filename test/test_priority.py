@@ -1,0 +1,77 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""A search gives way to a loop, and whoever waits for it goes on at once."""
+
+import os
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from valve_control import priority
+
+
+def policy():
+    return os.sched_getscheduler(0)
+
+
+def test_a_search_in_the_background_yields_the_cores_and_reports_to_its_caller():
+    told, inner = [], []
+
+    def work(report):
+        report(1, 2)
+        child = threading.Thread(target=lambda: inner.append(policy()))
+        child.start()
+        child.join()
+        report(2, 2)
+        return policy()
+
+    before = policy()
+    found = priority.in_background(work, lambda *done: told.append((done, threading.current_thread())))
+    assert found == os.SCHED_IDLE and inner == [os.SCHED_IDLE] and policy() == before
+    assert told == [((1, 2), threading.main_thread()), ((2, 2), threading.main_thread())]
+
+
+def test_an_end_of_the_caller_ends_the_search_at_its_next_report():
+    ended = threading.Event()
+
+    def work(report):
+        try:
+            while True:
+                report()
+        finally:
+            ended.set()
+
+    def told():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        priority.in_background(work, told)
+    assert ended.wait(5.0)
+    with pytest.raises(ValueError, match="of the search"):
+        priority.in_background(lambda report: int("of the search"), print)
+
+
+def test_a_loop_on_this_host_is_seen_and_has_a_core(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    assert priority.spare_cores() == 1
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    assert priority.spare_cores() == 1
+    command = [sys.executable, "-c", "input()", "/lib/valve_control/valve_driver"]
+    monkeypatch.setattr(priority, "LOOPS", ("valve_driver_of_this_test",))
+    assert not priority.loop_runs()
+    monkeypatch.setattr(priority, "WORDS", 4)
+    monkeypatch.setattr(priority, "LOOPS", ("valve_driver",))
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as child:
+        assert priority.loop_runs()
+        child.communicate(b"\n")
+
+
+def test_a_command_of_its_own_process_yields():
+    script = (
+        "import os; from valve_control.cli import command; from valve_control import priority; "
+        "command.run(['tune', '--threads', '0'], alone=True); print(os.sched_getscheduler(0))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.stdout.split()[-1] == str(os.SCHED_IDLE), done
