@@ -61,6 +61,7 @@ USUAL = TuningLimits(
     saturated=0.02,
     pause_s=0.01,
 )  # where nothing else is asked for
+OVERSHOOT = 0.05  # -  that is asked for of a reference that brakes in time
 
 
 class Problem(NamedTuple):

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from valve_control.arrays import Floats
 from valve_control.control.analysis import steps
 from valve_control.control.laws.law import Law
-from valve_control.control.linear import margins
+from valve_control.control.linear import margins, stability
 from valve_control.control.simulation.delivery import Delivery
-from valve_control.design.tuning import limit_cycles, overshoot, pauses, trial
+from valve_control.design.tuning import limit_cycles, limits, overshoot, pauses, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TrialResult, TuningMotion, Workers
 from valve_control.parameter import number
 
@@ -34,8 +34,9 @@ class Verified(NamedTuple):
     pause_s: float | None  # pauses.shortest
     reasons: list[str]  # why the gains are not accepted, as sentences; []: they are
     notes: list[str]  # what else is not as it was asked for, as sentences
-    overshoot: float = 0.0  # -  of steps, median of the valves; and
-    settling: float = 0.0  # s  of them; inf: not while a step is held
+    overshoot: float = 0.0  # -  of steps, overshoot.typical; and
+    worst_overshoot: float = 0.0  # -  in the worst step of each valve, median of the valves
+    settling: float = 0.0  # s  of steps; inf: not while they are held
     uneven_chatter: float | None = None  # mean c_u where commands come UNEVEN; None: not looked at
 
 
@@ -102,17 +103,17 @@ def verified(
             missed("saturation", f"on {what} the amplifier saturates in {100.0 * share:.2g} % of the samples")
     if chatter is not None and not seen.chatter <= SLACK * chatter:
         missed("chatter", f"c_u is {seen.chatter:.3f} on valves that were not seen, above {chatter:g}")
-    (answer,) = overshoot.answers(law, problem, [gains], workers)
-    overshot, settling = (float(median) for median in np.median(answer, axis=1))
+    answers = overshoot.answers(law, problem, gains, workers)
+    overshot, settling = (overshoot.typical(rows) for rows in answers)
     if overshot > OVERSHOT * problem.limits.overshoot:
         notes.append(
             f"steps are overshot by {100.0 * overshot:.2g} % on valves that were not seen, above "
             f"{100.0 * problem.limits.overshoot:g} %"
         )
     if math.isinf(settling) and math.isfinite(problem.limits.overshoot):
-        share = float(np.mean(np.isinf(answer[1])))
+        share = float(np.mean(np.isinf(answers[1])))
         notes.append(
-            f"on {100.0 * share:.2g} % of the valves a step is not settled to {100.0 * steps.BAND:g} % "
+            f"{100.0 * share:.2g} % of the steps are not settled to {100.0 * steps.BAND:g} % "
             f"within {overshoot.HELD:g} s"
         )
     return Verified(
@@ -124,9 +125,28 @@ def verified(
         reasons=reasons,
         notes=notes,
         overshoot=overshot,
+        worst_overshoot=float(np.median(np.max(answers[0], axis=0))),
         settling=settling,
         uneven_chatter=_uneven_chatter(law, problem, gains, workers),
     )
+
+
+def of_valves(law: Law, problem: Problem, saturated: Floats, workers: Workers = None) -> limits.Counts:
+    """How many of the plants of ``problem`` miss each limit with its own gains, and the best of them.
+
+    ``saturated``: share of saturated samples of each. Overshoot: of the worst step.
+    """
+    gains, counts = GainSet({}, 0.0), limits.Counts()
+    params, wanted = law.build(problem.values), limits.asked(problem.limits)
+    seen = [stability.behind_curve(problem.values, plant)[0] for plant in problem.plants]
+    found = margins.margins(law, params, margins.prepared(seen))
+    restless = set(limit_cycles.after_all(law, problem, gains, problem.plants, workers).tolist())
+    overshot = np.max(overshoot.answers(law, problem, gains, workers)[0], axis=0)
+    for i, share in enumerate(saturated):
+        one = margins.Margins(*(values[i : i + 1] for values in found))
+        values = {"saturation": float(share), "not at rest": float(i in restless)}
+        limits.count(counts, wanted, {**limits.of_margins(one), **values, "overshoot": float(overshot[i])})
+    return counts
 
 
 def _uneven_chatter(law: Law, problem: Problem, gains: GainSet, workers: Workers) -> float | None:
@@ -138,14 +158,14 @@ def _uneven_chatter(law: Law, problem: Problem, gains: GainSet, workers: Workers
     return trial.run(law, late, [gains], workers)[0].chatter
 
 
-def _margins_missed(limits: trial.TuningLimits, worst: dict[str, float | None]) -> list[str]:
+def _margins_missed(asked: trial.TuningLimits, worst: dict[str, float | None]) -> list[str]:
     if (worst["radius"] or 0.0) >= 1.0 + margins.EDGE:
         return [f"a valve of the box makes the loop unstable (largest pole {worst['radius']:.4f})"]
     texts = {
-        "gain_db": ("gain margin", "dB", 1.0, limits.gain_db),
-        "reduction_db": ("gain margin downwards", "dB", 1.0, limits.gain_db),
-        "phase_deg": ("phase margin", "deg", 1.0, limits.phase_deg),
-        "delay_s": ("delay margin", "ms", 1e3, limits.delay_s),
+        "gain_db": ("gain margin", "dB", 1.0, asked.gain_db),
+        "reduction_db": ("gain margin downwards", "dB", 1.0, asked.gain_db),
+        "phase_deg": ("phase margin", "deg", 1.0, asked.phase_deg),
+        "delay_s": ("delay margin", "ms", 1e3, asked.delay_s),
     }
     reasons = []
     for name, (text, unit, scale, limit) in texts.items():
@@ -155,15 +175,13 @@ def _margins_missed(limits: trial.TuningLimits, worst: dict[str, float | None]) 
                 f"the {text} falls to {scale * value:.3g} {unit} in the box, below {scale * limit:g} {unit}"
             )
     peak = worst["sensitivity_db"]
-    if not (math.inf if peak is None else peak) <= limits.sensitivity_db:
+    if not (math.inf if peak is None else peak) <= asked.sensitivity_db:
         shown = "without end" if peak is None else f"{peak:.3g} dB"
-        reasons.append(f"the sensitivity peaks at {shown}, above {limits.sensitivity_db:g} dB")
+        reasons.append(f"the sensitivity peaks at {shown}, above {asked.sensitivity_db:g} dB")
     swing = worst["swing_v"]
-    if not (math.inf if swing is None else swing) <= limits.swing:
+    if not (math.inf if swing is None else swing) <= asked.swing:
         shown = "any size" if swing is None else f"{swing:.3g} V"
-        reasons.append(
-            f"in the loop friction sustains swings about rest of {shown}, above {limits.swing:g} V"
-        )
+        reasons.append(f"in the loop friction sustains swings about rest of {shown}, above {asked.swing:g} V")
     return reasons
 
 
@@ -187,6 +205,7 @@ def as_dict(v: Verified) -> dict[str, Any]:
         },
         "valves": v.seen.e_rms.shape[1],
         "overshoot": v.overshoot if np.isfinite(v.overshoot) else None,
+        "worst_overshoot": v.worst_overshoot if np.isfinite(v.worst_overshoot) else None,
         "settling_s": v.settling if np.isfinite(v.settling) else None,
         "uneven_c_u": v.uneven_chatter if v.uneven_chatter and np.isfinite(v.uneven_chatter) else None,
         "restless": len(v.restless),
