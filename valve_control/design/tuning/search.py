@@ -59,8 +59,9 @@ LAST_POPULATION, LAST_STEP = 24, 0.15  # of the run that goes on from the best o
 BACK_OFF = 0.9  # share of the limit of saturation, and 1/share of those of the margins, that the search keeps
 QUIETER = 0.96  # share of the limit of the chatter that it keeps
 PRICE = 6.0  # logarithm of the error for one of the chatter beyond its limit
-OVERSHOT = 2.0  # logarithm of the error for one of the overshoot beyond its limit, each with LITTLE more
-LITTLE, MOST = 0.01, 10.0  # -  of overshoot; and what counts of it at most
+WORTH = 2.0  # times the error, that the limit of the overshoot may cost
+HALF = 0.5  # logarithm of the overshoot over its limit, each with LITTLE more, that costs half of it
+LITTLE = 0.01  # -  of overshoot
 LAYERS = 4  # of the front, that are measured for their overshoot where none keeps its limit
 WALL = 2.0  # logarithm of the error for missing one margin by all of it, at least
 HIGHER, LOWER = 1.2, 0.95  # factors of that after each generation whose best set misses one, or does not
@@ -133,7 +134,10 @@ def overshoot_cost(overshot: float | None, most: float) -> float:
     """What an overshoot beyond ``most`` costs beside; nothing before it is measured."""
     if overshot is None or math.isinf(most):
         return 0.0
-    return OVERSHOT * max(0.0, math.log((min(overshot, MOST) + LITTLE) / (BACK_OFF * most + LITTLE)))
+    if math.isinf(overshot):
+        return math.log(WORTH)
+    beyond = max(0.0, math.log((overshot + LITTLE) / (BACK_OFF * most + LITTLE)))
+    return math.log(WORTH) * beyond / (beyond + HALF)
 
 
 class _Trials:
@@ -205,7 +209,8 @@ class _Trials:
 
     def best(self, chatter: float) -> EvaluatedGains | None:
         """The point of least cost under a limit of the chatter. None if there is none."""
-        return min(self.points, key=lambda p: self._cost(p, chatter), default=None)
+        known = [p for p in self.points if p.overshoot is not None or math.isinf(self._most)]
+        return min(known or self.points, key=lambda p: self._cost(p, chatter), default=None)
 
     def front_at_rest(self) -> None:
         """Drop the points of the front on which a loop does not come to rest, until there are none.
@@ -237,9 +242,11 @@ class _Trials:
             self._least.clear()
 
     def _nearest_wish(self) -> list[EvaluatedGains]:
-        """The point of least overshoot, if one is measured."""
+        """The point of least error and overshoot, if one is measured."""
         known = [p for p in self.points if p.overshoot is not None]
-        return [min(known, key=lambda p: (p.overshoot, p.error))] if known else []
+        if not known:
+            return []
+        return [min(known, key=lambda p: math.log(p.error) + overshoot_cost(p.overshoot, self._most))]
 
     def _measured(self, points: Sequence[EvaluatedGains]) -> list[EvaluatedGains]:
         """``points`` with their overshoot."""

@@ -187,21 +187,28 @@ def _order(judged: Verified) -> tuple[bool, int]:
 def _within(
     most: float, points: Sequence[EvaluatedGains], aim: Aim
 ) -> tuple[list[EvaluatedGains], list[str]]:
-    """Those of ``points`` within ``most`` [-] of overshoot, or the nearest and a sentence about that."""
-    within = [point for point in points if point.within(most)]
-    if within or not points:
-        return within, []
-    known = [point for point in points if point.overshoot is not None]
+    """Those of ``points`` within ``most`` [-] of overshoot, or the nearest and a sentence about that.
+
+    The limit may cost search.WORTH times the least error at the chatter that is asked for.
+    """
+    known = [point for point in points if point.within(most) or point.overshoot is not None]
+    if math.isinf(most) or not known:
+        return list(points), []
     quiet = [point for point in known if aim.chatter is None or point.chatter <= NEAR * aim.chatter] or known
-    least = min(quiet, key=lambda p: (_overshoot(p), p.error))
-    limit = max(most, QUIET * _overshoot(least))
-    loudest = max(NEAR * (aim.chatter or math.inf), least.chatter)
-    free = min((point for point in points if point.chatter <= loudest), key=lambda p: p.error)
+    free = min(quiet, key=lambda p: p.error)
+    worth = [point for point in quiet if point.error <= search.WORTH * free.error]
+    least = min(worth, key=lambda p: (_overshoot(p), p.error))
+    if _overshoot(least) <= most:
+        return [point for point in known if point.within(most)], []
+    nearest = min(quiet, key=lambda p: (_overshoot(p), p.error))
     note = (
-        f"no set within {100.0 * most:g} % of overshoot: the least is {100.0 * _overshoot(least):.2g} % "
-        f"(error {1e3 * least.error:.3g} mV); without this limit {1e3 * free.error:.3g} mV"
+        f"no set within {100.0 * most:g} % of overshoot at up to {search.WORTH:g} times the error: "
+        f"the least is {100.0 * _overshoot(least):.2g} % (error {1e3 * least.error:.3g} mV); "
+        f"without this limit {1e3 * free.error:.3g} mV"
     )
-    return [point for point in known if _overshoot(point) <= limit], [note]
+    if nearest != least:
+        note += f"; {100.0 * _overshoot(nearest):.2g} % has {1e3 * nearest.error:.3g} mV"
+    return [point for point in known if _overshoot(point) <= QUIET * _overshoot(least)], [note]
 
 
 def _overshoot(point: EvaluatedGains) -> float:
