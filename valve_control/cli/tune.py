@@ -196,15 +196,16 @@ def _asked(
 
 
 def _tune(arguments: argparse.Namespace) -> int:
-    written: list[str] = []
+    old: list[str] = []
     try:
-        return _tuned(arguments, written)
+        return _tuned(arguments, old)
     finally:
-        _tell_old(arguments, written)
+        for path in filter(os.path.isfile, old):
+            print(f"{path} is from before and was not replaced", file=sys.stderr)
 
 
-def _tuned(arguments: argparse.Namespace, replaced: list[str]) -> int:
-    """Tune; ``replaced`` gets the files that are written."""
+def _tuned(arguments: argparse.Namespace, old: list[str]) -> int:
+    """Tune; ``old`` gets the names of results that this run has not written."""
     from valve_control.control.laws.registry import LAWS
     from valve_control.control.simulation.cluster import ClusterError
     from valve_control.design.tuning import tuner
@@ -216,6 +217,8 @@ def _tuned(arguments: argparse.Namespace, replaced: list[str]) -> int:
     paths = _paths(arguments.output, laws)
     arguments.command = files
     check_outputs(arguments, [*paths.values(), arguments.html])
+    each = [arguments.output, *_paths(arguments.output, list(LAWS)).values(), arguments.html, arguments.json]
+    old += dict.fromkeys(path for path in each if path is not None)
     asked = laws if PID in laws or arguments.alone else [*laws, PID]
     problem, unseen = _problems(arguments, settings, files, asked, recorded)
     counts = [len(tuner.variants(LAWS[name], problem.values)) for name in asked]
@@ -243,7 +246,7 @@ def _tuned(arguments: argparse.Namespace, replaced: list[str]) -> int:
         result["recording"] = _on_recording(recorded, found, problem.values)
     for name, path in written.items():
         _save(path, name, problem.values, found[name], arguments)
-        replaced.append(path)
+        old.remove(path)
         wrote(arguments, path)
     for name, one in found.items():
         for reason in one.chosen.verified.reasons:
@@ -262,22 +265,12 @@ def _tuned(arguments: argparse.Namespace, replaced: list[str]) -> int:
             arguments.html,
             tuning_report.page(unseen, aim, found, missing, laws, written, _typed(arguments)),
         )
-        replaced.append(arguments.html)
+        old.remove(arguments.html)
     write_json(arguments, result)
-    replaced.append(arguments.json)
+    if arguments.json is not None:
+        old.remove(arguments.json)
     search.kept.forget()
     return 0 if all(name in found and found[name].chosen.holds for name in laws) else FAILED
-
-
-def _tell_old(arguments: argparse.Namespace, written: Sequence[str]) -> None:
-    """Say which files of these names are from before, so that nobody takes them for results."""
-    from valve_control.control.laws.registry import LAWS
-
-    names = [arguments.html, arguments.json, arguments.output]
-    names += _paths(arguments.output, [*LAWS, ""]).values()
-    for path in dict.fromkeys(names):
-        if path not in (None, "", "-", *written) and Path(path).is_file():
-            print(f"{path} is from before and was not replaced", file=sys.stderr)
 
 
 class _Search:

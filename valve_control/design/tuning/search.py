@@ -143,7 +143,14 @@ def overshoot_cost(overshot: float | None, most: float) -> float:
 class _Trials:
     """Sets of gains that were tried, and what came of them."""
 
-    def __init__(self, law: Law, problem: Problem, free: Sequence[Free], workers: Workers) -> None:
+    def __init__(
+        self,
+        law: Law,
+        problem: Problem,
+        free: Sequence[Free],
+        workers: Workers,
+        chatter: float | None = None,
+    ) -> None:
         self.points: list[EvaluatedGains] = []
         self.tried = self.missed = 0
         self._law, self._problem, self._free, self._workers = law, problem, free, workers
@@ -154,7 +161,7 @@ class _Trials:
         self._most = problem.limits.overshoot
         self._overshot: dict[tuple[float, ...], float] = {}
         self.counts: limits.Counts = {}
-        self._wanted = limits.asked(problem.limits)
+        self._wanted = limits.asked(problem.limits, chatter)
         self.nearest: tuple[float, EvaluatedGains] | None = None  # to a result, and how far it is off
 
     def judged(self, several: Sequence[Floats], chatter: float, wall: float = WALL) -> Judged:
@@ -381,15 +388,17 @@ def search(
     told: Told,
     workers: Workers = None,
     known: Sequence[Values] = (),
+    chatter: float | None = None,
 ) -> SearchResult:
     """Try ``budget`` sets of gains of ``law``, those of the parameters ``known`` among the first.
 
-    Raises ParameterError for a law that has none to choose.
+    ``chatter``: limit of it beyond which sets are counted, None: none. Raises ParameterError for a law that
+    has none to choose.
     """
     free = trial.free_numbers(law, problem.values, problem.preview, problem.scale)
     if not free:
         raise ParameterError(f"{law.name} has no gains to choose; there is nothing to tune")
-    trials = _Trials(law, problem, free, workers)
+    trials = _Trials(law, problem, free, workers, chatter)
 
     def judge(several: Sequence[Floats], chatter: float, wall: float = WALL) -> Judged:
         found = trials.judged(several, chatter, wall)

@@ -131,6 +131,7 @@ def tuned(
             lambda done, before=tried: told(before + done),  # type: ignore[misc]
             workers,
             known,
+            aim.chatter,
         )
         points += [(variant, point) for point in found.points]
         nearest += [(variant, found.nearest)] if found.nearest is not None else []
