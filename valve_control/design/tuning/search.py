@@ -295,8 +295,9 @@ class _Trials:
         longest = self._problem.limits.pause_s
         for point in new:
             strayed = pauses.shortest(self._law, self._problem, point.gains, longest) or math.inf
-            self._count({"pause": math.nextafter(strayed, 0.0)})
-            if math.isfinite(strayed):
+            borne = math.isinf(strayed)
+            self._count({"pause": strayed if borne else math.nextafter(strayed, 0.0)})
+            if not borne:
                 self._rested[point.shares] = 1.0
                 self.missed += 1
         new = [p for p in new if p.shares not in self._rested]
