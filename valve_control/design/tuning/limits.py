@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts which limits of tuning are missed, by how many sets of gains or valves, and the best that was seen.
 
-The limits have three ranks. Stability and margins are hard. Saturation, rest and pauses are hard where the
-shipped gains of a law keep them. Overshoot and chatter are wishes: a result that misses one says so.
+The limits have three ranks. Stability and margins are hard. Saturation, rest and pauses are hard where they
+can be kept: by a set of the search, or by the gains from before it. Overshoot and chatter are wishes: a
+result that misses one says so.
 """
 
 import math
@@ -15,8 +16,8 @@ import numpy as np
 from valve_control.control.linear.margins import EDGE, Margins
 from valve_control.design.tuning.trial import TuningLimits
 
-MARGINS = "margin"
-SHIPPED = "where shipped gains keep it"
+MARGINS = "hard"
+KEPT = "hard where it can be kept"
 WISH = "wish"
 
 
@@ -38,9 +39,9 @@ LIMITS = (
     Limit("delay margin", "ms", 1e3, False, MARGINS),
     Limit("sensitivity peak", "dB", 1.0, True, MARGINS),
     Limit("swing", "V", 1.0, True, MARGINS),
-    Limit("saturation", "%", 100.0, True, SHIPPED),
-    Limit("pause", "ms", 1e3, False, SHIPPED),
-    Limit("not at rest", "%", 100.0, True, SHIPPED),
+    Limit("saturation", "%", 100.0, True, KEPT),
+    Limit("pause", "ms", 1e3, False, KEPT),
+    Limit("not at rest", "%", 100.0, True, KEPT),
     Limit("overshoot", "%", 100.0, True, WISH),
     Limit("chatter", "", 1.0, True, WISH),
 )

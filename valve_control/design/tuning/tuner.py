@@ -111,10 +111,11 @@ def tuned(
     """Tune ``law`` on ``problem`` with ``budget`` sets of gains in each variant, and verify on ``unseen``.
 
     The gains of the parameters ``known`` are among the first that are tried. ``told`` gets the sets of gains
-    tried so far, ``verifying`` the number of points that were verified before the one that comes next. Raises
+    tried so far, ``verifying`` the number of points that were verified before the one that comes next.
+
     A result comes always. Where no gains keep what is asked for it is the nearest, which is accepted unless
-    it misses a margin, or a limit that the gains from before the search keep. ParameterError for a law that
-    has no gains to choose.
+    it misses a margin, or another limit that a set of the search or the gains from before it keep. Raises
+    ParameterError for a law that has no gains to choose.
     """
     points: list[tuple[Mapping[str, Value], EvaluatedGains]] = []
     nearest: list[tuple[Mapping[str, Value], EvaluatedGains]] = []
@@ -148,7 +149,10 @@ def tuned(
 
     @functools.cache
     def firm(limit: str) -> bool:
-        return aim.firm if limit == "chatter" else _shipped_keep(limit, law, problem, workers)
+        if limit == "chatter":
+            return aim.firm
+        able = [p for _, p in points if limit != "saturation" or p.saturated <= problem.limits.saturated]
+        return bool(able) or _shipped_keep(limit, law, problem, workers)
 
     for wanted in _aims(front, aim):
         refused: list[EvaluatedGains] = []
@@ -176,7 +180,7 @@ def tuned(
     notes += _wishes(front, aim, kept)
     if chosen.verified.reasons and not points:
         notes.append("valve-control margins --box shows where in the box a margin is missed")
-    notes += chosen.verified.notes
+    notes += chosen.verified.notes + verification.unsettled(chosen.verified)
     return Tuned(law.name, front_of, chosen, tried, missed, kept.chatter, notes, rows)
 
 
@@ -282,8 +286,8 @@ def as_dict(result: Tuned) -> dict[str, Any]:
         "chosen": {**chosen.changes, **ahead},
         "front": [
             {
-                "error": point.error,
-                "chatter": point.chatter,
+                "error": point.error if math.isfinite(point.error) else None,
+                "chatter": point.chatter if math.isfinite(point.chatter) else None,
                 "overshoot": point.overshoot,
                 "parameters": {**variant, **point.gains.changes},
             }

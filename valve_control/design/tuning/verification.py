@@ -37,6 +37,7 @@ class Verified(NamedTuple):
     overshoot: float = 0.0  # -  of steps, overshoot.typical; and
     worst_overshoot: float = 0.0  # -  in the worst step of each valve, median of the valves
     settling: float = 0.0  # s  of steps; inf: not while they are held
+    unsettled_share: float = 0.0  # share of the steps that are not settled then
     uneven_chatter: float | None = None  # mean c_u where commands come UNEVEN; None: not looked at
 
 
@@ -110,12 +111,6 @@ def verified(
             f"steps are overshot by {100.0 * overshot:.2g} % on valves that were not seen, above "
             f"{100.0 * problem.limits.overshoot:g} %"
         )
-    if math.isinf(settling) and math.isfinite(problem.limits.overshoot):
-        share = float(np.mean(np.isinf(answers[1])))
-        notes.append(
-            f"{100.0 * share:.2g} % of the steps are not settled to {100.0 * steps.BAND:g} % "
-            f"within {overshoot.HELD:g} s"
-        )
     return Verified(
         seen=seen,
         unseen=unseen,
@@ -127,8 +122,19 @@ def verified(
         overshoot=overshot,
         worst_overshoot=float(np.median(np.max(answers[0], axis=0))),
         settling=settling,
+        unsettled_share=float(np.mean(np.isinf(answers[1]))),
         uneven_chatter=_uneven_chatter(law, problem, gains, workers),
     )
+
+
+def unsettled(v: Verified) -> list[str]:
+    """A sentence, if the median valve has not settled while a step is held."""
+    if math.isfinite(v.settling):
+        return []
+    return [
+        f"{100.0 * v.unsettled_share:.2g} % of the steps are not settled to {100.0 * steps.BAND:g} % within "
+        f"{overshoot.HELD:g} s"
+    ]
 
 
 def of_valves(law: Law, problem: Problem, saturated: Floats, workers: Workers = None) -> limits.Counts:
