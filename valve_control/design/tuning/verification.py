@@ -145,13 +145,18 @@ def of_valves(law: Law, problem: Problem, saturated: Floats, workers: Workers = 
     gains, counts = GainSet({}, 0.0), limits.Counts()
     params, wanted = law.build(problem.values), limits.asked(problem.limits)
     seen = [stability.behind_curve(problem.values, plant)[0] for plant in problem.plants]
-    found = margins.margins(law, params, margins.prepared(seen))
+    found = margins.margins(law, params, margins.prepared(seen)) if law.feedback else None
     restless = set(limit_cycles.after_all(law, problem, gains, problem.plants, workers).tolist())
     overshot = np.max(overshoot.answers(law, problem, gains, workers)[0], axis=0)
     for i, share in enumerate(saturated):
-        one = margins.Margins(*(values[i : i + 1] for values in found))
-        values = {"saturation": float(share), "not at rest": float(i in restless)}
-        limits.count(counts, wanted, {**limits.of_margins(one), **values, "overshoot": float(overshot[i])})
+        values = {
+            "saturation": float(share),
+            "not at rest": float(i in restless),
+            "overshoot": float(overshot[i]),
+        }
+        if found is not None:
+            values |= limits.of_margins(margins.Margins(*(row[i : i + 1] for row in found)))
+        limits.count(counts, wanted, values)
     return counts
 
 
