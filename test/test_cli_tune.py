@@ -204,7 +204,7 @@ def test_a_file_from_before_is_not_taken_for_a_result(run, tmp_path, commands):
 
 
 @pytest.mark.parametrize(
-    ("seed", "law"), zip(range(5100, 5106), ("dcarc", "arc", "oarc", "pid", "dcarc", "pid"), strict=True)
+    ("seed", "law"), [*zip(range(5100, 5106), ("dcarc", "arc", "oarc", "pid", "dcarc", "pid"), strict=True)]
 )
 def test_a_random_valve_always_has_a_result(run, tmp_path, seed, law):
     """Of model (3) with friction, and with solenoids, with the default limits and hardly a search."""
