@@ -6,6 +6,9 @@ Each valve has order 2 to 4, 3 to 40 Hz, friction up to 1.5 V, dead time up to 2
 What is run are the commands that a user types: ``identify`` on simulated data, ``tune`` of dcarc and pid
 around what it has written, ``simulate`` of both on the valve itself. Motions are as fast as the valve is,
 up to 14 Hz.
+
+``--drawn`` tunes dcarc, arc, oarc and pid with the default options around random valves instead, of model (3)
+and with solenoids in turn. Each row goes to a file as soon as it is there.
 """
 
 import argparse
@@ -15,6 +18,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -23,6 +27,7 @@ from typing import Any
 import numpy as np
 import tqdm
 
+from benchmarks import solenoid
 from valve_control import outputs
 from valve_control.control.commands.scenarios import command, strokes
 from valve_control.control.parameters import files
@@ -36,6 +41,8 @@ LAWS = ("dcarc", "pid")
 # What identify has measured; gain, flow force, offset, static friction and drift stay open.
 KNOWN = ("speed", "lvdt.delay", "lvdt.noise", "friction.coulomb")
 WANTED = {"median_ratio": 0.6, "largest_ratio": 1.0}
+ALL = ("dcarc", "arc", "oarc", "pid")
+WITHIN = 0.05  # of overshoot, by default
 
 
 def invented(random: np.random.Generator) -> tuple[float, Values]:
@@ -142,6 +149,85 @@ def _on_the_valve(folder: Path, law: str, wanted: str) -> dict[str, Any]:
     }
 
 
+def drawn(seed: int) -> Values:
+    """A random valve: of model (3) with friction for even seeds, with solenoids for odd ones."""
+    if seed % 2:
+        return solenoid.drawn(seed)
+    random = np.random.default_rng(seed)
+    low_high = {
+        "gain_scale": (0.7, 1.4),
+        "friction.coulomb": (0.0, 1.6),
+        "friction.static_ratio": (1.0, 1.6),
+        "friction.presliding": (0.01, 0.04),
+        "flow_force": (-0.3, 0.3),
+        "disturbance.offset": (-0.5, 0.5),
+        "lvdt.noise": (0.001, 0.008),
+        "lvdt.delay": (0.0, 0.001),
+    }
+    own: dict[str, Value] = {name: float(random.uniform(*ends)) for name, ends in low_high.items()}
+    return {"valve": "fourth_order", "friction.stribeck_velocity": 0.03, "lvdt.resolution": 0.003, **own}
+
+
+def tuned(folder: Path, seed: int, budget: int) -> dict[str, Any]:
+    """What ``tune`` makes of the valve ``seed`` with default options, and of each law."""
+    began = time.monotonic()
+    (folder / "valve.yaml").write_text(files.as_yaml({"/**/valve_simulator": drawn(seed)}, []))
+    done = typed(
+        folder, "tune", "--controller", ",".join(ALL), "--params-file", "valve.yaml", "--budget", str(budget),
+        "--threads", "1", "--json", "-",
+    )  # fmt: skip
+    row: dict[str, Any] = {"seed": seed, "status": done.returncode, "seconds": time.monotonic() - began}
+    if not done.stdout:
+        return {**row, "refused": done.stderr.strip().splitlines()[-1]}
+    laws = json.loads(done.stdout)["laws"]
+    for law, one in laws.items():
+        kept = ("accepted", "reasons", "notes", "verified", "limits", "chosen", "front")
+        row[law] = {name: one[name] for name in kept}
+    if all(law in laws for law in LAWS):
+        row["ratio"] = at_equal_chatter(laws["dcarc"]["front"], laws["pid"]["front"])
+    return row
+
+
+def at_equal_chatter(front: Sequence[dict[str, Any]], other: Sequence[dict[str, Any]]) -> float | None:
+    """Error over the ``other``'s, median over the front's chatters where both have a point as quiet."""
+    ratios = []
+    for point in front:
+        quiet = [p["error"] for p in other if p["chatter"] <= point["chatter"]]
+        if quiet:
+            ratios.append(point["error"] / min(quiet))
+    return float(np.median(ratios)) if ratios else None
+
+
+def drawn_summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Results and accepted gains of each law, errors at equal chatter, and overshoots within WITHIN."""
+    ratios = [row["ratio"] for row in rows if row.get("ratio") is not None]
+    there = [row[law] for row in rows for law in ALL if law in row]
+    within = [(one["verified"]["overshoot"] or math.inf) <= WITHIN for one in there]
+    return {
+        "valves": len(rows),
+        "results": {law: sum(law in row for row in rows) for law in ALL},
+        "accepted": {law: sum(bool(row.get(law, {}).get("accepted")) for row in rows) for law in ALL},
+        "median_ratio": float(np.median(ratios)) if ratios else math.nan,
+        "share_within_overshoot": float(np.mean(within)) if within else math.nan,
+        "seconds": float(np.median([row["seconds"] for row in rows])) if rows else math.nan,
+    }
+
+
+def _drawn(folder: Path, seeds: Sequence[int], budget: int, path: str) -> None:
+    """Tune around one valve after the other; what ``path`` has already is not done again."""
+    lines = Path(path).read_text(encoding="utf-8").splitlines() if Path(path).is_file() else []
+    rows = [json.loads(line) for line in lines]
+    for seed in seeds:
+        if seed not in [row["seed"] for row in rows]:
+            place = folder / str(seed)
+            place.mkdir()
+            rows.append(tuned(place, seed, budget))
+            with Path(path).open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(rows[-1]) + "\n")
+    for key, value in drawn_summary(rows).items():
+        print(f"{key:28}{value}")
+
+
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """What is asked for: every law stable on its box, dcarc's error against the PID's."""
     ratios = [row["ratio"] for row in rows if "ratio" in row]
@@ -163,10 +249,15 @@ def main() -> int:
     options.add_argument("--seed", type=int, default=1, help="of the first valve (1)")
     options.add_argument("--budget", type=int, default=800, help="sets of gains of each law (800)")
     options.add_argument("--json", default="out/invented.json", metavar="FILE", help="(out/invented.json)")
+    options.add_argument("--drawn", action="store_true", help="tune all laws around random valves")
     arguments = options.parse_args()
     Path(arguments.json).parent.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory(prefix="valve_control-invented-") as name:
+        if arguments.drawn:
+            seeds = range(arguments.seed, arguments.seed + arguments.valves)
+            _drawn(Path(name), seeds, arguments.budget, arguments.json)
+            return 0
 
         def one(seed: int) -> dict[str, Any]:
             folder = Path(name) / str(seed)

@@ -377,6 +377,7 @@ def tuned_values(before: "Values", applied: "Values") -> "Values":
 
 def _tell(arguments: argparse.Namespace, result: "Result", written: list[Path]) -> None:
     from valve_control.design.commissioning import sequence
+    from valve_control.design.tuning import limits
 
     made = result.verification
     say(
@@ -386,8 +387,10 @@ def _tell(arguments: argparse.Namespace, result: "Result", written: list[Path]) 
         + (f"; {1e3 * made.former.e_rms:.2f} mV with the parameters from before" if made.former else "")
         + ")",
     )
-    for note in result.notes:
+    for note in (*result.notes, *result.tuned.notes):
         say(arguments, note)
+    for line in limits.as_text(result.tuned.limits, f"sets of gains of {result.tuned.law}"):
+        say(arguments, line)
     for path in written:
         wrote(arguments, path)
     write_json(arguments, sequence.as_dict(result))

@@ -31,6 +31,8 @@ from valve_control.parameter import ParameterError, number, updated, word
 if TYPE_CHECKING:
     from valve_control.control.simulation.robustness import Quantity, Study, StudyResult
 
+LOOKED_AT = 64  # valves of a study, whose limits are looked at
+
 
 def add_commands(commands: Any) -> None:
     """Add study to the command's sub-commands."""
@@ -111,6 +113,7 @@ def _study(arguments: argparse.Namespace) -> int:
         "controller": chosen.settings["controller"]["controller"],
         **robustness.summary(found, limit),
     }
+    result["limits"] = _limits(chosen, found, arguments.threads)
     if arguments.json != "-":
         _print(result)
         print(f"all results are in {folder}")
@@ -221,6 +224,38 @@ def _print(result: dict[str, Any]) -> None:
         f"{result['valves']} valves ({', '.join(shares)})"
     )
     print(f"worst by e_rms (--replay N): {', '.join(map(str, result['worst']['e_rms']))}")
+    from valve_control.design.tuning import limits
+
+    if result["limits"]:
+        print("\n".join(limits.as_text(result["limits"], f"of the first {LOOKED_AT} valves")))
+
+
+def _limits(chosen: "Study", found: "StudyResult", threads: int) -> list[dict[str, Any]]:
+    """How many of the first LOOKED_AT valves miss each limit of `tune`; [] for a command that rests."""
+    import numpy as np
+
+    from valve_control.control.parameters import build
+    from valve_control.control.simulation import robustness
+    from valve_control.design.tuning import limits, trial, verification
+
+    asked, counts = trial.USUAL._replace(overshoot=trial.OVERSHOOT), []
+    count = min(LOOKED_AT, chosen.valves)
+    points, periods = robustness.draw(chosen, 0, count)
+    for period in np.unique(periods):
+        values = robustness.sampled(chosen, "controller", float(period))
+        wanted = build.commands(robustness.sampled(chosen, "command_source", float(period)))
+        if np.ptp(wanted) == 0.0:
+            return []
+        own = np.flatnonzero(periods == period)
+        plants = [
+            build.valve_params(robustness.valve_of(chosen, int(i), points[i], float(period))) for i in own
+        ]
+        problem = trial.Problem(
+            values, [trial.TuningMotion("command", wanted)], plants, plants, asked, False, False, chosen.seed
+        )
+        law = LAWS[word(values, "controller")]
+        counts.append(verification.of_valves(law, problem, found.results.saturated[own], threads))
+    return limits.as_rows(limits.together(counts), limits.asked(asked))
 
 
 def _draw(path: Path, found: "StudyResult", controller: str) -> None:

@@ -77,9 +77,17 @@ def add_commands(commands: Any) -> None:
     )
     bag_options(group)
     group = tune.add_argument_group("objective")
-    group.add_argument("--max-chatter", type=float, metavar="C_U", help="limit of the mean chatter")
     group.add_argument(
-        "--max-error", type=float, metavar="V", help="limit of the error; the chatter is minimised"
+        "--max-chatter",
+        type=float,
+        metavar="C_U",
+        help="limit of the mean chatter; where no gains keep it, the quieter ones are taken",
+    )
+    group.add_argument(
+        "--max-error",
+        type=float,
+        metavar="V",
+        help="limit of the error, as near as gains come; the chatter is minimised",
     )
     group.add_argument("--error", choices=("rms", "max"), default="rms", help="error that is minimised (rms)")
     group.add_argument(
@@ -96,22 +104,28 @@ def add_commands(commands: Any) -> None:
     tune.set_defaults(run=_tune)
 
 
+def _limit(text: str) -> float | None:
+    """A limit, or None for "none"."""
+    return None if text == "none" else float(text)
+
+
 def _limit_options(limits: Any) -> None:
+    limits.description = "none switches a limit off."
     limits.add_argument(
-        "--gain-margin", type=float, default=3.0, metavar="DB", help="least gain margin, up and down (3 dB)"
+        "--gain-margin", type=_limit, default=3.0, metavar="DB", help="least gain margin, up and down (3 dB)"
     )
     limits.add_argument(
-        "--phase-margin", type=float, default=20.0, metavar="DEG", help="least phase margin (20 degrees)"
+        "--phase-margin", type=_limit, default=20.0, metavar="DEG", help="least phase margin (20 degrees)"
     )
     limits.add_argument(
-        "--delay-margin", type=float, default=0.0005, metavar="S", help="least delay margin (0.0005 s)"
+        "--delay-margin", type=_limit, default=0.0005, metavar="S", help="least delay margin (0.0005 s)"
     )
     limits.add_argument(
-        "--peak", type=float, default=12.0, metavar="DB", help="largest peak of the sensitivity (12 dB)"
+        "--peak", type=_limit, default=12.0, metavar="DB", help="largest peak of the sensitivity (12 dB)"
     )
     limits.add_argument(
         "--swing",
-        type=float,
+        type=_limit,
         default=0.04,
         metavar="V",
         help="largest oscillation about rest that friction sustains in the loop, unless the valve alone "
@@ -119,25 +133,25 @@ def _limit_options(limits: Any) -> None:
     )
     limits.add_argument(
         "--saturation",
-        type=float,
+        type=_limit,
         default=0.02,
         metavar="X",
         help="largest mean share of saturated samples (0.02)",
     )
     limits.add_argument(
         "--overshoot",
-        type=float,
+        type=_limit,
         default=5.0,
         metavar="%",
-        help="largest overshoot of steps of the command, median of the valves (5 percent; 0: no limit)",
+        help="largest overshoot of steps of the command, median of the valves; a result that "
+        "misses it says so (5 percent)",
     )
     limits.add_argument(
         "--pause",
-        type=float,
+        type=_limit,
         default=0.01,
         metavar="S",
-        help="longest pause of the command after which the reference has to return to the motion (0.01 "
-        "s; 0: no requirement)",
+        help="longest pause of the command after which the reference has to return to the motion (0.01 s)",
     )
 
 
@@ -182,6 +196,16 @@ def _asked(
 
 
 def _tune(arguments: argparse.Namespace) -> int:
+    old: list[str] = []
+    try:
+        return _tuned(arguments, old)
+    finally:
+        for path in filter(os.path.isfile, old):
+            print(f"{path} is from before and was not replaced", file=sys.stderr)
+
+
+def _tuned(arguments: argparse.Namespace, old: list[str]) -> int:
+    """Tune; ``old`` gets the names of results that this run has not written."""
     from valve_control.control.laws.registry import LAWS
     from valve_control.control.simulation.cluster import ClusterError
     from valve_control.design.tuning import tuner
@@ -193,6 +217,8 @@ def _tune(arguments: argparse.Namespace) -> int:
     paths = _paths(arguments.output, laws)
     arguments.command = files
     check_outputs(arguments, [*paths.values(), arguments.html])
+    each = [arguments.output, *_paths(arguments.output, list(LAWS)).values(), arguments.html, arguments.json]
+    old += dict.fromkeys(path for path in each if path is not None)
     asked = laws if PID in laws or arguments.alone else [*laws, PID]
     problem, unseen = _problems(arguments, settings, files, asked, recorded)
     counts = [len(tuner.variants(LAWS[name], problem.values)) for name in asked]
@@ -210,7 +236,6 @@ def _tune(arguments: argparse.Namespace) -> int:
                 )
             except ParameterError as error:
                 if isinstance(error, ClusterError) or (len(laws) == 1 and name in laws):
-                    _tell_old([*paths.values(), arguments.html, arguments.json])
                     raise
                 missing[name] = str(error)
                 print(error, file=sys.stderr)
@@ -221,11 +246,13 @@ def _tune(arguments: argparse.Namespace) -> int:
         result["recording"] = _on_recording(recorded, found, problem.values)
     for name, path in written.items():
         _save(path, name, problem.values, found[name], arguments)
+        old.remove(path)
         wrote(arguments, path)
-    _tell_old([path for name, path in paths.items() if name not in written])
     for name, one in found.items():
         for reason in one.chosen.verified.reasons:
             print(f"{name}: not accepted, because {reason}", file=sys.stderr)
+        for note in one.notes:
+            print(f"{name}: {note}", file=sys.stderr)
     if arguments.json != "-":
         _print(found)
         if recorded is not None:
@@ -238,16 +265,12 @@ def _tune(arguments: argparse.Namespace) -> int:
             arguments.html,
             tuning_report.page(unseen, aim, found, missing, laws, written, _typed(arguments)),
         )
+        old.remove(arguments.html)
     write_json(arguments, result)
+    if arguments.json is not None:
+        old.remove(arguments.json)
     search.kept.forget()
     return 0 if all(name in found and found[name].chosen.holds for name in laws) else FAILED
-
-
-def _tell_old(paths: Sequence[str | None]) -> None:
-    """Say which of ``paths`` are there from before, so that nobody takes them for results."""
-    for path in paths:
-        if path not in (None, "-") and Path(path).is_file():
-            print(f"{path} is from before and was not replaced", file=sys.stderr)
 
 
 class _Search:
@@ -378,7 +401,7 @@ def _check(arguments: argparse.Namespace) -> None:
         ("pause", pauses.LONGEST),
     ):
         value = getattr(arguments, name)
-        if not 0.0 <= value <= most:
+        if value is not None and not 0.0 <= value <= most:
             raise ParameterError(
                 f"--{name.replace('_', '-')} is {value:g}; it must lie between 0 and {most:g}"
             )
@@ -438,21 +461,24 @@ def _paths(output: str | None, laws: list[str]) -> dict[str, str]:
 def _aim(arguments: argparse.Namespace) -> "Aim":
     from valve_control.design.tuning.tuner import Aim
 
-    return Aim(arguments.max_chatter, arguments.max_error)
+    return Aim(arguments.max_chatter, arguments.max_error, firm=False)
 
 
 def _limits(arguments: argparse.Namespace) -> "TuningLimits":
     from valve_control.design.tuning.trial import TuningLimits
 
+    def most(value: float | None) -> float:
+        return math.inf if value is None else value
+
     return TuningLimits(
-        arguments.gain_margin,
-        arguments.phase_margin,
-        arguments.delay_margin,
-        arguments.peak,
-        arguments.swing,
-        arguments.saturation,
-        arguments.pause,
-        0.01 * arguments.overshoot,
+        arguments.gain_margin or 0.0,
+        arguments.phase_margin or 0.0,
+        arguments.delay_margin or 0.0,
+        most(arguments.peak),
+        most(arguments.swing),
+        most(arguments.saturation),
+        arguments.pause or 0.0,
+        0.01 * most(arguments.overshoot),
     )
 
 
@@ -777,7 +803,7 @@ def _result(
 
 def _print(found: dict[str, "Tuned"]) -> None:
     from valve_control.control.linear import margins
-    from valve_control.design.tuning import verification
+    from valve_control.design.tuning import limits, overshoot, verification
 
     if not found:
         return
@@ -792,7 +818,12 @@ def _print(found: dict[str, "Tuned"]) -> None:
         print(
             f"{name:12}{''.join(numbers)}{reached['c_u'] or math.nan:8.3f}{worst.gain_db[0]:11.3g}"
             f"{worst.phase_deg[0]:13.3g}{1e3 * worst.delay_s[0]:12.3g}"
-            f"{100.0 * one.chosen.verified.overshoot:9.2g} %{1e3 * one.chosen.verified.settling:7.3g} ms"
+            f"{100.0 * one.chosen.verified.overshoot:9.2g} %"
+            + (
+                f"{1e3 * one.chosen.verified.settling:7.3g} ms"
+                if math.isfinite(one.chosen.verified.settling)
+                else f"{f'> {1e3 * overshoot.HELD:g}':>7} ms"
+            )
             + ("" if one.chosen.holds else "  not accepted")
         )
     valves = verification.as_dict(next(iter(found.values())).chosen.verified)["valves"]
@@ -805,3 +836,5 @@ def _print(found: dict[str, "Tuned"]) -> None:
                 f"{name}: c_u {uneven:.2f} with commands that come early or late by {verification.UNEVEN:g} "
                 "samples; --command-jitter tunes for such"
             )
+    for name, one in found.items():
+        print("\n".join(limits.as_text(one.limits, f"sets of gains of {name}")))

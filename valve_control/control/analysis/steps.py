@@ -36,20 +36,29 @@ def places(command: Floats, period: float) -> list[tuple[int, int]]:
 
 def answer(command: Floats, position: Floats, period: float) -> Answer | None:
     """How ``position`` (…×n) [V] answers the steps of ``command`` (n) [V]; None for one without steps."""
-    found = places(command, period)
-    if not found:
+    several = answers(command, position, period)
+    if not several:
         return None
     overshoot = np.zeros(position.shape[:-1])
     settling = np.zeros(position.shape[:-1])
-    for first, end in found:
+    for one in several:
+        overshoot = np.maximum(overshoot, one.overshoot)
+        settling = np.maximum(settling, one.settling)
+    return Answer(overshoot, settling)
+
+
+def answers(command: Floats, position: Floats, period: float) -> list[Answer]:
+    """How ``position`` (…×n) [V] answers each of the steps of ``command`` (n) [V]."""
+    several = []
+    for first, end in places(command, period):
         height = command[first] - command[first - 1]
         beyond = (position[..., first:end] - command[first]) / height
-        overshoot = np.maximum(overshoot, np.max(beyond, axis=-1))
         outside = ~(np.abs(beyond) <= BAND)  # NaN too
         last = (end - first) - np.argmax(outside[..., ::-1], axis=-1)
         time = np.where(np.any(outside, axis=-1), last * period, 0.0)
-        settling = np.maximum(settling, np.where(outside[..., -1], np.inf, time))
-    return Answer(overshoot, settling)
+        settled = np.where(outside[..., -1], np.inf, time)
+        several.append(Answer(np.maximum(0.0, np.max(beyond, axis=-1)), settled))
+    return several
 
 
 def in_words(overshoot: float, settling: float) -> str:

@@ -2,11 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tries how valves answer steps of the command: overshoot and settling time of a set of gains.
 
-The valves are those of a problem, without noise of the LVDT: it is the law that is judged. The first of the
-steps is left out, in which laws that adapt learn the valve. The others go out, back to 0 and part of the way
-back, since estimates that have moved at a position answer the way back otherwise than the way out.
+The valves are those of a problem, without noise of the LVDT: it is the law that is judged. Of each step the
+median of the valves counts, and of the steps the worst. The worst step of each valve would be an extreme: the
+median of that is the 89th percentile of six steps.
+
+First the spool follows a motion of the problem, and then the same steps. A law that adapts is another one
+before: one small step does not tell offset, gain and the friction that holds the spool from each other, and a
+part of the offset that counts as friction acts with the wrong sign when the spool turns back. The steps go
+out, back to 0 and part of the way back, since estimates that have moved at a position answer the way back
+otherwise than the way out.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,53 +24,87 @@ from valve_control.control.laws import linearisation
 from valve_control.control.laws.law import Law
 from valve_control.control.plant import registry
 from valve_control.control.simulation import batch
-from valve_control.design.tuning import limit_cycles, trial
+from valve_control.design.tuning import trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion, Workers
 from valve_control.parameter import number
 
-HEIGHTS = (0.1, -0.4, 0.0, 0.4, 0.0, 1.0, 0.4)  # of the reach of the motions; each is held for HELD
+HEIGHTS = (-0.4, 0.0, 0.4, 0.0, 1.0, 0.4)  # of the reach of the motions
+HELD, SHORT = 1.0, 0.25  # s  that each is held, in verification and in a search
+LEARNT = 1.0  # s  of the motion before
 
 
-def answers(
-    law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None
-) -> list[tuple[float, float]]:
-    """Overshoot [-] and settling time [s] with each of ``several``: medians of the valves' worst steps.
+def answers(law: Law, problem: Problem, gains: GainSet, workers: Workers = None) -> Floats:
+    """Overshoot [-] and settling time [s] (2×S×N) of N valves in S steps, with ``gains``.
 
-    Infinite where a run does not stay finite, or does not settle.
+    Infinite where a run does not stay finite, or does not settle within HELD.
     """
-    found = trial.shared(_here, law, problem, several, workers)
-    return [(float(row[0, 0, 0]), float(row[1, 0, 0])) for row in found]
+    return trial.shared(_held, law, problem, [gains], workers)[0]
 
 
-def tried(period: float, motions: Sequence[TuningMotion]) -> Floats:
-    """The steps [V], one entry a sample ``period`` [s]; they reach as far as the ``motions``."""
-    n = round(limit_cycles.HELD / period)
-    reach = max(float(np.max(np.abs(motion.wanted))) for motion in motions)
-    return np.concatenate([np.zeros(n // 10), *(np.full(n, height * reach) for height in HEIGHTS)])
+def medians(law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None) -> list[float]:
+    """Overshoot [-] with each of ``several`` in steps that are held for SHORT: ``typical``."""
+    return [typical(rows[0]) for rows in trial.shared(_short, law, problem, several, workers)]
 
 
-def _here(law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None) -> list[Floats]:
-    period = number(problem.values, "sample_period")
-    motion = tried(period, problem.motions)
-    first, _ = steps.places(motion, period)[1]
+def typical(rows: Floats) -> float:
+    """The worst of S steps of what N valves make of them (S×N), medians of the valves."""
+    return float(np.max(np.median(rows, axis=1)))
+
+
+def tried(period: float, motions: Sequence[TuningMotion], held: float = HELD) -> tuple[Floats, int]:
+    """Commands [V], one entry a sample ``period`` [s], and the number of the first that is judged.
+
+    The steps reach as far as the ``motions``. Before them are the beginning of the one that goes farthest,
+    and the same steps.
+    """
+    n = round(held / period)
+    farthest = max(motions, key=lambda motion: float(np.max(np.abs(motion.wanted)))).wanted
+    begins = int(np.argmax(farthest != farthest[0]))
+    learnt = farthest[begins : begins + round(LEARNT / period)]
+    reach = float(np.max(np.abs(farthest)))
+    short = round(SHORT / period)
+    parts = [np.zeros(short), learnt, np.zeros(short)]
+    parts += [np.full(short, height * reach) for height in (*HEIGHTS, 0.0)]
+    first = sum(map(len, parts))
+    return np.concatenate([*parts, *(np.full(n, height * reach) for height in HEIGHTS)]), first
+
+
+def _held(law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None) -> list[Floats]:
+    return _here(law, problem, several, threads, HELD)
+
+
+def _short(law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None) -> list[Floats]:
+    return _here(law, problem, several, threads, SHORT)
+
+
+def _here(
+    law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None, held: float
+) -> list[Floats]:
+    period, count = number(problem.values, "sample_period"), len(problem.plants)
+    motion, first = tried(period, problem.motions, held)
     bare = problem._replace(preview=False, delivery=None)
-    quiet = [registry.plant_of(p).quiet(p) for p in problem.plants]
-    plants, count = batch.records(quiet), len(quiet)
-    made = []
-    for gains in several:
-        values = trial.values_with(problem, gains)
-        params = trial.built(law, values)
-        led = trial.given(law, params, values, gains, bare, motion)
-        traces = np.empty((count, len(motion), 3))
-        wide = np.broadcast_to(motion, (count, len(motion)))
-        laws = np.repeat(batch.records([linearisation.behind(values, params)]), count)
-        batch.simulate(
-            batch.Batch(law.name, laws, plants, range(count), wide, led=np.broadcast_to(led, wide.shape)),
-            threads,
-            traces,
-        )
-        answer = steps.answer(motion[first - 1 :], traces[:, first - 1 :, 0], period)
-        assert answer is not None, "steps are steps"
-        middle = [float(np.median(np.nan_to_num(part, nan=np.inf, posinf=np.inf))) for part in answer]
-        made.append(np.array(middle).reshape(2, 1, 1))
-    return made
+    quiet = batch.records([registry.plant_of(p).quiet(p) for p in problem.plants])
+    values = [trial.values_with(problem, gains) for gains in several]
+    params = [trial.built(law, v) for v in values]
+    led = [
+        trial.given(law, p, v, gains, bare, motion)
+        for p, v, gains in zip(params, values, several, strict=True)
+    ]
+    loops = batch.records([linearisation.behind(v, p) for v, p in zip(values, params, strict=True)])
+    traces = np.empty((len(several) * count, len(motion), 3))
+    batch.simulate(
+        batch.Batch(
+            law.name,
+            np.repeat(loops, count),
+            np.tile(quiet, len(several)),
+            np.tile(np.arange(count), len(several)),
+            np.broadcast_to(motion, traces.shape[:2]),
+            led=np.repeat(np.array(led), count, axis=0),
+        ),
+        threads,
+        traces,
+    )
+    with np.errstate(invalid="ignore"):
+        found = steps.answers(motion[first - 1 :], traces[:, first - 1 :, 0], period)
+    rows = np.nan_to_num(np.array(found).swapaxes(0, 1), nan=math.inf, posinf=math.inf)
+    return [rows[:, :, i * count : (i + 1) * count] for i in range(len(several))]

@@ -18,13 +18,15 @@ their cost, so that the search sees on both sides of a margin where it gets bett
 the best sets of a run miss margins. Only those that keep all margins are results. One that would be the best
 so far, or is on the front, has to come to rest after steps, on valves that have used up half of the margins.
 Where such a set did not, those near the best are asked too for a while, so that a run sees where loops rest;
-where all rest, that would take a third of a search and show nothing. A search is repeatable by its seed,
-whatever the number of threads.
+where all rest, that would take a third of a search and show nothing. The overshoot of steps is a wish, like
+the chatter: beyond its limit it costs. It is measured where a set would be the best so far without that cost,
+so the more it costs the more sets are measured. If no set is a result, the nearest one is known. Every set
+that falls counts its reason. A search is repeatable by its seed, whatever the number of threads.
 """
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +39,7 @@ from valve_control.control.laws.law import Law
 from valve_control.control.laws.reshaping import LEAD_ACCEL
 from valve_control.control.linear import margins
 from valve_control.design import evolution
-from valve_control.design.tuning import designs, limit_cycles, overshoot, pauses, trial
+from valve_control.design.tuning import designs, limit_cycles, limits, overshoot, pauses, trial
 from valve_control.design.tuning.trial import AHEAD, GainSet, Problem, TrialResult, Workers
 from valve_control.parameter import ParameterError, Values
 
@@ -57,6 +59,10 @@ LAST_POPULATION, LAST_STEP = 24, 0.15  # of the run that goes on from the best o
 BACK_OFF = 0.9  # share of the limit of saturation, and 1/share of those of the margins, that the search keeps
 QUIETER = 0.96  # share of the limit of the chatter that it keeps
 PRICE = 6.0  # logarithm of the error for one of the chatter beyond its limit
+WORTH = 2.0  # times the error, that the limit of the overshoot may cost
+HALF = 0.5  # logarithm of the overshoot over its limit, each with LITTLE more, that costs half of it
+LITTLE = 0.01  # -  of overshoot
+LAYERS = 4  # of the front, that are measured for their overshoot where none keeps its limit
 WALL = 2.0  # logarithm of the error for missing one margin by all of it, at least
 HIGHER, LOWER = 1.2, 0.95  # factors of that after each generation whose best set misses one, or does not
 FAR = 0.5  # by which the margins may be missed together, as parts of them, to be simulated
@@ -77,6 +83,11 @@ class EvaluatedGains(NamedTuple):
     error: float  # V
     chatter: float
     saturated: float
+    overshoot: float | None = None  # -  of steps, median of the valves; None: not measured
+
+    def within(self, most: float) -> bool:
+        """Whether the overshoot is at most ``most``, as far as there is such a limit."""
+        return math.isinf(most) or (self.overshoot is not None and self.overshoot <= most)
 
 
 class Phase(NamedTuple):
@@ -99,6 +110,8 @@ class SearchResult(NamedTuple):
     points: list[EvaluatedGains]  # all that keep the margins and stayed finite
     tried: int
     missed: int  # of them, the margins or rest
+    counts: limits.Counts  # of the limits
+    nearest: EvaluatedGains | None  # to a result, if there is none
 
 
 def phases(chatter: float | None) -> list[Phase]:
@@ -117,10 +130,27 @@ def cost(point: EvaluatedGains, chatter: float, saturated: float) -> float:
     return math.log(point.error) + PRICE * (beyond + max(0.0, point.saturated - BACK_OFF * saturated))
 
 
+def overshoot_cost(overshot: float | None, most: float) -> float:
+    """What an overshoot beyond ``most`` costs beside; nothing before it is measured."""
+    if overshot is None or math.isinf(most):
+        return 0.0
+    if math.isinf(overshot):
+        return math.log(WORTH)
+    beyond = max(0.0, math.log((overshot + LITTLE) / (BACK_OFF * most + LITTLE)))
+    return math.log(WORTH) * beyond / (beyond + HALF)
+
+
 class _Trials:
     """Sets of gains that were tried, and what came of them."""
 
-    def __init__(self, law: Law, problem: Problem, free: Sequence[Free], workers: Workers) -> None:
+    def __init__(
+        self,
+        law: Law,
+        problem: Problem,
+        free: Sequence[Free],
+        workers: Workers,
+        chatter: float | None = None,
+    ) -> None:
         self.points: list[EvaluatedGains] = []
         self.tried = self.missed = 0
         self._law, self._problem, self._free, self._workers = law, problem, free, workers
@@ -128,6 +158,11 @@ class _Trials:
         self._rested: dict[tuple[float, ...], float] = {}  # share of the valves on which a set does not rest
         self._alert_until = 0  # number of the set of gains up to which those near the best are asked too
         self._least: dict[float, tuple[int, float]] = {}  # by limit: points looked at, and their least cost
+        self._most = problem.limits.overshoot
+        self._overshot: dict[tuple[float, ...], float] = {}
+        self.counts: limits.Counts = {}
+        self._wanted = limits.asked(problem.limits, chatter)
+        self.nearest: tuple[float, EvaluatedGains] | None = None  # to a result, and how far it is off
 
     def judged(self, several: Sequence[Floats], chatter: float, wall: float = WALL) -> Judged:
         """Costs of sets of gains under a limit of the chatter; ``wall`` is the cost of missing a margin."""
@@ -142,6 +177,8 @@ class _Trials:
             self.missed += missing > 0.0
             if missing > FAR:
                 costs[i] = MISSED + missing
+                untried = EvaluatedGains(inside[i], gains[i], math.inf, math.inf, math.inf)
+                self._near(MISSED + missing, untried)
             else:
                 kept.append(i)
         points: dict[int, EvaluatedGains] = {}
@@ -151,14 +188,23 @@ class _Trials:
                 point = _point(self._problem, inside[i], gains[i], outcome)
                 missing = violations[i] or 0.0
                 costs[i] = self._cost(point, chatter) + wall * missing
-                if missing == 0.0:
-                    points[i] = point
+                points[i] = point
+                self._count({"saturation": point.saturated, "chatter": point.chatter})
+                if missing > 0.0 or not math.isfinite(point.error):
+                    self._near(MISSED + missing, point)
         least = self._least_cost(chatter)
         most = least + (CLOSE if self.tried < self._alert_until else 0.0)
+        if math.isfinite(self._most):
+            able = [i for i in points if costs[i] < NOT_RUN and costs[i] <= most]
+            for i, point in zip(able, self._measured([points[i] for i in able]), strict=True):
+                points[i] = point
+                costs[i] += overshoot_cost(point.overshoot, self._most)
+        points = {i: point for i, point in points.items() if violations[i] == 0.0}
         asked = [i for i in points if costs[i] < NOT_RUN and costs[i] <= most]
         for i, share in zip(asked, self._restless([points[i] for i in asked]), strict=True):
             if share > 0.0:
                 self._alert_until = self.tried + len(several) + ALERT
+                self._near(share + 0.01 * costs[i], points[i])
                 costs[i] = RESTLESS + share
                 del points[i]
         self.points += [point for point in points.values() if math.isfinite(point.error)]
@@ -170,56 +216,99 @@ class _Trials:
 
     def best(self, chatter: float) -> EvaluatedGains | None:
         """The point of least cost under a limit of the chatter. None if there is none."""
-        return min(self.points, key=lambda p: self._cost(p, chatter), default=None)
+        known = [p for p in self.points if p.overshoot is not None or math.isinf(self._most)]
+        return min(known or self.points, key=lambda p: self._cost(p, chatter), default=None)
 
     def front_at_rest(self) -> None:
-        """Drop the points of the front on which a loop does not come to rest, until there are none."""
-        while untried := [p for p in front(self.points) if p.shares not in self._rested]:
-            restless = {
-                point.shares
-                for point, share in zip(untried, self._restless(untried), strict=True)
-                if share > 0.0
-            }
+        """Drop the points of the front on which a loop does not come to rest, until there are none.
+
+        The front is of those within the limit of the overshoot. Where there is none, it is the best point.
+        """
+        layers = 0
+        while True:
+            within = [p for p in self.points if p.within(self._most)]
+            unknown = [p for p in self.points if p.overshoot is None and not p.within(self._most)]
+            able = front([*within, *(unknown if layers < LAYERS else [])])
+            most = self._most if able else math.inf
+            able = able or self._nearest_wish()
+            untried = [p for p in able if p.shares not in self._rested]
+            if not untried:
+                return
+            layers += 1
+            if math.isfinite(self._most):
+                known = {p.shares: p for p in self._measured(untried)}
+                self.points = [known.get(p.shares, p) for p in self.points]
+                self._least.clear()
+                untried = [p for p in known.values() if p.within(most)]
+            restless = set()
+            for point, share in zip(untried, self._restless(untried), strict=True):
+                if share > 0.0:
+                    restless.add(point.shares)
+                    self._near(share, point)
             self.points = [point for point in self.points if point.shares not in restless]
             self._least.clear()
+
+    def _nearest_wish(self) -> list[EvaluatedGains]:
+        """The point of least error and overshoot, if one is measured."""
+        known = [p for p in self.points if p.overshoot is not None]
+        if not known:
+            return []
+        return [min(known, key=lambda p: math.log(p.error) + overshoot_cost(p.overshoot, self._most))]
+
+    def _measured(self, points: Sequence[EvaluatedGains]) -> list[EvaluatedGains]:
+        """``points`` with their overshoot."""
+        new = [p for p in points if p.shares not in self._overshot]
+        if new:
+            found = overshoot.medians(self._law, self._problem, [p.gains for p in new], self._workers)
+            for point, overshot in zip(new, found, strict=True):
+                self._overshot[point.shares] = overshot
+                self._count({"overshoot": overshot})
+        return [p._replace(overshoot=self._overshot[p.shares]) for p in points]
+
+    def _count(self, values: Mapping[str, float]) -> None:
+        limits.count(self.counts, self._wanted, values)
+
+    def _near(self, away: float, point: EvaluatedGains) -> None:
+        """Keep the ``point``, ``away`` from a result, if none is nearer."""
+        if self.nearest is None or away < self.nearest[0]:
+            self.nearest = away, point
 
     def _least_cost(self, chatter: float) -> float:
         """The least cost of all points under a limit of the chatter; only new ones are looked at."""
         seen, least = self._least.get(chatter, (0, math.inf))
         for point in self.points[seen:]:
-            least = min(least, self._cost(point, chatter))
+            if point.overshoot is not None or math.isinf(self._most):
+                least = min(least, self._cost(point, chatter))
         self._least[chatter] = len(self.points), least
         return least
 
     def _cost(self, point: EvaluatedGains, chatter: float) -> float:
-        return cost(point, chatter, self._problem.limits.saturated)
+        own = cost(point, chatter, self._problem.limits.saturated)
+        return own + overshoot_cost(point.overshoot, self._most)
 
     def _restless(self, points: Sequence[EvaluatedGains]) -> list[float]:
         """Share of the harder valves on which the loops of ``points`` do not come to rest.
 
-        1.0 where the reference does not come back after a pause of the command; and 1.0 and the overshoot of
-        steps where that is larger than the limit.
+        1.0 where the reference does not come back after a pause of the command.
         """
         new = [p for p in points if p.shares not in self._rested]
-        strayed = [p for p in new if not pauses.borne(self._law, self._problem, p.gains)]
-        self._rested.update((p.shares, 1.0) for p in strayed)
-        self.missed += len(strayed)
+        longest = self._problem.limits.pause_s
+        for point in new:
+            strayed = pauses.shortest(self._law, self._problem, point.gains, longest) or math.inf
+            borne = math.isinf(strayed)
+            self._count({"pause": strayed if borne else math.nextafter(strayed, 0.0)})
+            if not borne:
+                self._rested[point.shares] = 1.0
+                self.missed += 1
         new = [p for p in new if p.shares not in self._rested]
-        most = BACK_OFF * self._problem.limits.overshoot
-        if most > 0.0 and new:
-            answers = overshoot.answers(self._law, self._problem, [p.gains for p in new], self._workers)
-            beyond = {
-                p.shares: 1.0 + share for p, (share, _) in zip(new, answers, strict=True) if share > most
-            }
-            self._rested.update(beyond)
-            self.missed += len(beyond)
-            new = [p for p in new if p.shares not in beyond]
         if new:
             shares = limit_cycles.restless_shares(
                 self._law, self._problem, [point.gains for point in new], self._workers
             )
-            self._rested.update(zip([point.shares for point in new], shares, strict=True))
-            self.missed += sum(share > 0.0 for share in shares)
+            for point, share in zip(new, shares, strict=True):
+                self._rested[point.shares] = share
+                self._count({"not at rest": share})
+                self.missed += share > 0.0
         return [self._rested[point.shares] for point in points]
 
     def _violation(self, gains: GainSet) -> float | None:
@@ -231,7 +320,14 @@ class _Trials:
             raise
         except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
             return None
+        self._count(limits.of_margins(found))
         return trial.violation(self._problem.limits, found, 1.0 / BACK_OFF)
+
+    def result(self) -> SearchResult:
+        """What came of them. Without a result the nearest set is tried, however far it misses margins."""
+        self.front_at_rest()
+        nearest = None if self.points or self.nearest is None else self.nearest[1]
+        return SearchResult(self.points, self.tried, self.missed, self.counts, nearest)
 
 
 class _Run:
@@ -293,15 +389,17 @@ def search(
     told: Told,
     workers: Workers = None,
     known: Sequence[Values] = (),
+    chatter: float | None = None,
 ) -> SearchResult:
     """Try ``budget`` sets of gains of ``law``, those of the parameters ``known`` among the first.
 
-    Raises ParameterError for a law that has none to choose.
+    ``chatter``: limit of it beyond which sets are counted, None: none. Raises ParameterError for a law that
+    has none to choose.
     """
     free = trial.free_numbers(law, problem.values, problem.preview, problem.scale)
     if not free:
         raise ParameterError(f"{law.name} has no gains to choose; there is nothing to tune")
-    trials = _Trials(law, problem, free, workers)
+    trials = _Trials(law, problem, free, workers, chatter)
 
     def judge(several: Sequence[Floats], chatter: float, wall: float = WALL) -> Judged:
         found = trials.judged(several, chatter, wall)
@@ -325,8 +423,7 @@ def search(
         judge(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), plan[0].chatter)
     else:
         _Search(trials, judge, plan, budget, seed, held).go(scattered, costs)
-    trials.front_at_rest()
-    return SearchResult(trials.points, trials.tried, trials.missed)
+    return trials.result()
 
 
 class _Search:
@@ -399,7 +496,7 @@ def _point(
         shares,
         gains,
         trial.error_of(problem, outcome),
-        outcome.chatter,
+        outcome.chatter if math.isfinite(outcome.chatter) else math.inf,
         float(np.mean(outcome.saturated)),
     )
 

@@ -36,7 +36,10 @@ class TuningMotion(NamedTuple):
 
 
 class TuningLimits(NamedTuple):
-    """What has to hold on every valve of the box, but for ``saturated``, which is a mean."""
+    """What is asked for on every valve of the box, but for ``saturated``, which is a mean.
+
+    Not asked for: 0.0 of what is to be large, infinite for what is to be small.
+    """
 
     gain_db: float
     phase_deg: float
@@ -45,7 +48,7 @@ class TuningLimits(NamedTuple):
     swing: float  # V  at most; amplitude of swings about rest that friction sustains, by the loop
     saturated: float  # at most; share of the samples at the limit of the voltage
     pause_s: float = 0.0  # s  of the command, after which the reference comes back; pauses.shortest is longer
-    overshoot: float = 0.0  # -  of steps, at most, median of the valves; 0.0: not asked for
+    overshoot: float = math.inf  # -  of steps, at most, median of the valves
 
 
 USUAL = TuningLimits(
@@ -57,6 +60,7 @@ USUAL = TuningLimits(
     saturated=0.02,
     pause_s=0.01,
 )  # where nothing else is asked for
+OVERSHOOT = 0.05  # -  that is asked for of a reference that brakes in time
 
 
 class Problem(NamedTuple):

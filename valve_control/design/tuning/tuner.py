@@ -2,18 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tunes one law: search in each of its variants, choice of one point of the front, verification."""
 
+import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.design.tuning import search, verification
+from valve_control.design.tuning import limit_cycles, limits, pauses, search, trial, verification
 from valve_control.design.tuning.search import EvaluatedGains, Told
-from valve_control.design.tuning.trial import Problem, Workers
+from valve_control.design.tuning.trial import GainSet, Problem, Workers
 from valve_control.design.tuning.verification import Verified
 from valve_control.parameter import ParameterError, Value, Values, defaults, updated
 
@@ -30,7 +33,7 @@ class Aim(NamedTuple):
 
     chatter: float | None  # at most
     error: float | None  # V  at most
-    firm: bool = True  # False: where no gains keep the limit of the chatter, the quieter ones are taken
+    firm: bool = True  # False: where no gains keep the limit of the chatter, the quieter ones are accepted
 
 
 class Chosen(NamedTuple):
@@ -60,6 +63,8 @@ class Tuned(NamedTuple):
     tried: int
     missed: int  # of them, the margins or rest
     chatter: float | None = None  # limit of it that was kept
+    notes: Sequence[str] = ()  # on wishes that are missed
+    limits: Sequence[Mapping[str, Any]] = ()  # how often each was missed: limits.as_rows
 
 
 def variants(law: Law, values: Values) -> list[Mapping[str, Value]]:
@@ -106,10 +111,15 @@ def tuned(
     """Tune ``law`` on ``problem`` with ``budget`` sets of gains in each variant, and verify on ``unseen``.
 
     The gains of the parameters ``known`` are among the first that are tried. ``told`` gets the sets of gains
-    tried so far, ``verifying`` the number of points that were verified before the one that comes next. Raises
-    ParameterError, one sentence, if no gains keep the margins, or none of those that do fits ``aim``.
+    tried so far, ``verifying`` the number of points that were verified before the one that comes next.
+
+    A result comes always. Where no gains keep what is asked for it is the nearest, which is accepted unless
+    it misses a margin, or another limit that a set of the search or the gains from before it keep. Raises
+    ParameterError for a law that has no gains to choose.
     """
     points: list[tuple[Mapping[str, Value], EvaluatedGains]] = []
+    nearest: list[tuple[Mapping[str, Value], EvaluatedGains]] = []
+    counts: list[limits.Counts] = []
     tried = missed = 0
     for variant in variants(law, problem.values):
         values = updated(CONTROLLER, problem.values, variant)
@@ -122,13 +132,28 @@ def tuned(
             lambda done, before=tried: told(before + done),  # type: ignore[misc]
             workers,
             known,
+            aim.chatter,
         )
         points += [(variant, point) for point in found.points]
+        nearest += [(variant, found.nearest)] if found.nearest is not None else []
+        counts.append(found.counts)
         tried, missed = tried + found.tried, missed + found.missed
-    owner = {id(point): variant for variant, point in points}
-    front = search.front([point for _, point in points])
+    if not points and not nearest:
+        raise ParameterError(f"{law.name} cannot be built with any of {tried} sets of gains")
+    owner = {id(point): variant for variant, point in [*points, *nearest]}
+    usable, notes = _within(problem.limits.overshoot, [point for _, point in points], aim)
+    front = search.front(usable) or [min((p for _, p in nearest), key=lambda p: p.error)]
     chosen: Chosen | None = None
     verified = itertools.count()
+    kept = aim
+
+    @functools.cache
+    def firm(limit: str) -> bool:
+        if limit == "chatter":
+            return aim.firm
+        able = [p for _, p in points if limit != "saturation" or p.saturated <= problem.limits.saturated]
+        return bool(able) or _shipped_keep(limit, law, problem, workers)
+
     for wanted in _aims(front, aim):
         refused: list[EvaluatedGains] = []
         for point in ranked(front, wanted):
@@ -137,27 +162,98 @@ def tuned(
             verifying(next(verified))
             variant = owner[id(point)]
             there = unseen._replace(values=updated(CONTROLLER, unseen.values, variant))
-            judged = verification.verified(law, there, point.gains, wanted.chatter, workers)
-            if chosen is None or not judged.reasons:
-                chosen, aim = Chosen(variant, point, judged), wanted
-            if chosen.holds:
+            limit = aim.chatter if aim.firm else wanted.chatter
+            judged = verification.verified(law, there, point.gains, limit, workers, firm)
+            if chosen is None or _order(judged) < _order(chosen.verified):
+                chosen, kept = Chosen(variant, point, judged), wanted
+            if _order(judged) == (False, 0) or (judged.reasons == [] and notes):
                 break
             refused.append(point)
             if len(refused) == TRIES:
                 break
-        if chosen is not None and (chosen.holds or not _too_loud(chosen, wanted)):
+        if chosen is not None and (aim.firm or not _too_loud(chosen, wanted)):
             break
-    if chosen is None:
-        raise ParameterError(_nothing(law, front, aim, tried, missed))
-    return Tuned(law.name, [(owner[id(point)], point) for point in front], chosen, tried, missed, aim.chatter)
+    assert chosen is not None, "the last of the aims fits a point"
+    front_of = [(owner[id(point)], point) for point in front]
+    wanted_limits = limits.asked(problem.limits, aim.chatter)
+    rows = limits.as_rows(limits.together(counts), wanted_limits)
+    notes += _wishes(front, aim, kept)
+    if chosen.verified.reasons and not points:
+        notes.append("valve-control margins --box shows where in the box a margin is missed")
+    notes += chosen.verified.notes + verification.unsettled(chosen.verified)
+    return Tuned(law.name, front_of, chosen, tried, missed, kept.chatter, notes, rows)
+
+
+def _order(judged: Verified) -> tuple[bool, int]:
+    """The better the smaller: gains that hold first, then those with the fewest notes."""
+    return bool(judged.reasons), len(judged.notes)
+
+
+def _within(
+    most: float, points: Sequence[EvaluatedGains], aim: Aim
+) -> tuple[list[EvaluatedGains], list[str]]:
+    """Those of ``points`` within ``most`` [-] of overshoot, or the nearest and a sentence about that.
+
+    The limit may cost search.WORTH times the least error at the chatter that is asked for.
+    """
+    known = [point for point in points if point.within(most) or point.overshoot is not None]
+    if math.isinf(most) or not known:
+        return list(points), []
+    quiet = [point for point in known if aim.chatter is None or point.chatter <= NEAR * aim.chatter] or known
+    free = min(quiet, key=lambda p: p.error)
+    worth = [point for point in quiet if point.error <= search.WORTH * free.error]
+    least = min(worth, key=lambda p: (_overshoot(p), p.error))
+    if _overshoot(least) <= most:
+        return [point for point in known if point.within(most)], []
+    nearest = min(quiet, key=lambda p: (_overshoot(p), p.error))
+    note = (
+        f"no set within {100.0 * most:g} % of overshoot at up to {search.WORTH:g} times the error: "
+        f"the least is {100.0 * _overshoot(least):.2g} % (error {1e3 * least.error:.3g} mV); "
+        f"without this limit {1e3 * free.error:.3g} mV"
+    )
+    if nearest != least:
+        note += f"; {100.0 * _overshoot(nearest):.2g} % has {1e3 * nearest.error:.3g} mV"
+    return [point for point in known if _overshoot(point) <= QUIET * _overshoot(least)], [note]
+
+
+def _overshoot(point: EvaluatedGains) -> float:
+    return math.inf if point.overshoot is None else point.overshoot
+
+
+def _wishes(front: Sequence[EvaluatedGains], aim: Aim, kept: Aim) -> list[str]:
+    """Sentences about wishes that had to give way."""
+    if kept == aim:
+        return []
+    if aim.chatter is not None:
+        least, name = min(point.chatter for point in front), f"c_u {aim.chatter:g}"
+        return [f"no set within {name}: the least is {least:.3g}; those up to {kept.chatter:.3g} are taken"]
+    least = min(point.error for point in front)
+    return [f"no set with an error of {1e3 * (aim.error or 0.0):g} mV: the least is {1e3 * least:.3g} mV"]
+
+
+def _shipped_keep(limit: str, law: Law, problem: Problem, workers: Workers) -> bool:
+    """Whether ``law`` keeps the ``limit`` with the gains that it had before the search."""
+    gains = GainSet({}, 0.0)
+    try:
+        if limit == "pause":
+            return pauses.borne(law, problem, gains)
+        if limit == "saturation":
+            outcome = trial.run(law, problem, [gains], workers)[0]
+            return bool(np.mean(outcome.saturated) <= problem.limits.saturated)
+        return limit_cycles.restless_shares(law, problem, [gains], workers) == [0.0]
+    except ParameterError:
+        return False
 
 
 def _aims(front: Sequence[EvaluatedGains], aim: Aim) -> list[Aim]:
-    """``aim``, and what takes its place where no gains keep a limit of the chatter that may give way."""
-    if aim.firm or aim.chatter is None or not front:
-        return [aim]
-    least = min(point.chatter for point in front)
-    return [aim, aim._replace(chatter=QUIET * max(aim.chatter, least))]
+    """``aim``, and what takes its place where no gains keep it."""
+    if aim.chatter is not None:
+        least = min(point.chatter for point in front)
+        return [aim, aim._replace(chatter=QUIET * max(aim.chatter, least))]
+    if aim.error is not None:
+        least = min(point.error for point in front)
+        return [aim, aim._replace(error=max(aim.error, least / NEAR))]
+    return [aim]
 
 
 def _too_loud(chosen: Chosen, aim: Aim) -> bool:
@@ -167,26 +263,6 @@ def _too_loud(chosen: Chosen, aim: Aim) -> bool:
 
 def _near(a: EvaluatedGains, b: EvaluatedGains) -> bool:
     return abs(math.log(a.error / b.error)) < APART and abs(math.log(a.chatter / b.chatter)) < APART
-
-
-def _nothing(law: Law, front: Sequence[EvaluatedGains], aim: Aim, tried: int, missed: int) -> str:
-    if not front:
-        return (
-            f"{law.name}: none of {tried} sets of gains can be used ({missed} of them miss the margins in "
-            "the box, do not come to rest, or do not bear a pause of the command); lower the limits of the "
-            "margins, narrow the box, or give a larger --budget"
-        )
-    if aim.chatter is not None:
-        least = min(point.chatter for point in front)
-        return (
-            f"{law.name}: no gains that keep the margins have a chatter of {aim.chatter:g} or less; the "
-            f"least of {tried} sets is {least:.3g}"
-        )
-    least = min(point.error for point in front)
-    return (
-        f"{law.name}: no gains that keep the margins have an error of {aim.error:g} V or less; the least of "
-        f"{tried} sets is {least:.3g} V"
-    )
 
 
 def parameters_of(law: str, values: Values, chosen: Chosen) -> Values:
@@ -210,8 +286,9 @@ def as_dict(result: Tuned) -> dict[str, Any]:
         "chosen": {**chosen.changes, **ahead},
         "front": [
             {
-                "error": point.error,
-                "chatter": point.chatter,
+                "error": point.error if math.isfinite(point.error) else None,
+                "chatter": point.chatter if math.isfinite(point.chatter) else None,
+                "overshoot": point.overshoot,
                 "parameters": {**variant, **point.gains.changes},
             }
             for variant, point in result.front
@@ -220,6 +297,8 @@ def as_dict(result: Tuned) -> dict[str, Any]:
         "margins": worst,
         "accepted": chosen.holds,
         "reasons": chosen.verified.reasons,
+        "notes": list(result.notes),
+        "limits": list(result.limits),
         "chatter_limit": result.chatter,
         "tried": result.tried,
         "unusable": result.missed,

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reports what tuning found as one HTML page: verdict in words, front of every law, margins, responses."""
 
+import html
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,7 +17,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation import batch
-from valve_control.design.tuning import limit_cycles, pauses, trial, verification
+from valve_control.design.tuning import limit_cycles, limits, pauses, trial, verification
 from valve_control.design.tuning.trial import Problem, TuningMotion
 from valve_control.design.tuning.tuner import Aim, Tuned
 from valve_control.parameter import number, updated
@@ -47,6 +48,7 @@ def page(
         )
         sections["On valves that the search did not see"] = _reached(found)
         sections["Margins in the box"] = _margins(unseen, found)
+        sections["Limits that sets of gains missed"] = _limits(found)
         sections["Valves in the order of their error"] = _distribution(found)
         sections["Step and sine on a typical valve and on the worst one"] = _responses(unseen, found)
         sections["Parameters"] = _parameters(found)
@@ -99,6 +101,7 @@ def _verdict(
             )
         else:
             bad.append(f"{name} is not accepted: {'; '.join(one.chosen.verified.reasons)}.")
+    bad += [f"{name}: {note}." for name, one in found.items() for note in one.notes]
     return pages.paragraphs(sentences) + pages.notes([*bad, *(f"{text}." for text in missing.values())])
 
 
@@ -170,7 +173,7 @@ def _reached(found: Mapping[str, Tuned]) -> str:
 
 
 def _margins(unseen: Problem, found: Mapping[str, Tuned]) -> str:
-    limits = unseen.limits
+    asked = unseen.limits
 
     def text(value: float | None, scale: float = 1.0) -> str:
         return "without end" if value is None else f"{scale * value + 0.0:.3g}"
@@ -178,14 +181,14 @@ def _margins(unseen: Problem, found: Mapping[str, Tuned]) -> str:
     rows = [
         [
             "wanted",
-            f"{limits.gain_db:g}",
-            f"{limits.gain_db:g}",
-            f"{limits.phase_deg:g}",
-            f"{1e3 * limits.delay_s:g}",
-            f"{limits.sensitivity_db:g}",
+            f"{asked.gain_db:g}",
+            f"{asked.gain_db:g}",
+            f"{asked.phase_deg:g}",
+            f"{1e3 * asked.delay_s:g}",
+            f"{asked.sensitivity_db:g}",
             "",
-            f"{limits.swing:g}",
-            f"{1e3 * limits.pause_s:g}",
+            f"{asked.swing:g}",
+            f"{1e3 * asked.pause_s:g}",
         ]
     ]
     for name, one in found.items():
@@ -219,6 +222,12 @@ def _margins(unseen: Problem, found: Mapping[str, Tuned]) -> str:
         "command after which the reference does not come back while the motion lasts.</p>"
         + pages.table(head, rows)
     )
+
+
+def _limits(found: Mapping[str, Tuned]) -> str:
+    """How many sets missed each limit, and the best that one reached."""
+    lines = [limits.as_text(one.limits, f"sets of gains of {name}") for name, one in found.items()]
+    return "".join(f"<pre>{html.escape(chr(10).join(some))}</pre>" for some in lines)
 
 
 def _distribution(found: Mapping[str, Tuned]) -> str:

@@ -2,17 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Verifies gains on valves, noise and motions that the search did not see, before they are accepted."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from valve_control.arrays import Floats
+from valve_control.control.analysis import steps
 from valve_control.control.laws.law import Law
-from valve_control.control.linear import margins
+from valve_control.control.linear import margins, stability
 from valve_control.control.simulation.delivery import Delivery
-from valve_control.design.tuning import limit_cycles, overshoot, pauses, trial
+from valve_control.design.tuning import limit_cycles, limits, overshoot, pauses, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TrialResult, TuningMotion, Workers
 from valve_control.parameter import number
 
@@ -31,8 +33,11 @@ class Verified(NamedTuple):
     restless: npt.NDArray[np.int64]  # numbers of valves that do not rest after a step or a motion
     pause_s: float | None  # pauses.shortest
     reasons: list[str]  # why the gains are not accepted, as sentences; []: they are
-    overshoot: float = 0.0  # -  of steps, median of the valves; and
-    settling: float = 0.0  # s  of them
+    notes: list[str]  # what else is not as it was asked for, as sentences
+    overshoot: float = 0.0  # -  of steps, overshoot.typical; and
+    worst_overshoot: float = 0.0  # -  in the worst step of each valve, median of the valves
+    settling: float = 0.0  # s  of steps; inf: not while they are held
+    unsettled_share: float = 0.0  # share of the steps that are not settled then
     uneven_chatter: float | None = None  # mean c_u where commands come UNEVEN; None: not looked at
 
 
@@ -53,10 +58,12 @@ def verified(
     gains: GainSet,
     chatter: float | None,
     workers: Workers = None,
+    firm: Callable[[str], bool] = lambda limit: True,
 ) -> Verified:
     """Try ``gains`` on ``problem``, whose valves and seed are others than those of the search.
 
-    ``chatter``: the limit that was asked for, None: none.
+    ``chatter``: the limit that was asked for, None: none. ``firm``: whether gains that miss "saturation",
+    "pause", "not at rest" or "chatter" are not accepted; it is asked only where one is missed.
     """
     params = law.build(trial.values_with(problem, gains))
     found = margins.margins(law, params, margins.prepared([*problem.box, *problem.plants]))
@@ -64,36 +71,45 @@ def verified(
     others = problem._replace(motions=other_motions(problem.motions), seed=problem.seed + 500_000)
     unseen = trial.run(law, others, [gains], workers)[0]
     restless = limit_cycles.after_all(law, others, gains, problem.plants, workers)
-    reasons = [*_margins_missed(problem.limits, margins.as_dict(margins.worst(found)))]
+    reasons, notes = _margins_missed(problem.limits, margins.as_dict(margins.worst(found))), list[str]()
+
+    def missed(limit: str, sentence: str) -> None:
+        (reasons if firm(limit) else notes).append(sentence)
+
     if not np.all(np.isfinite(seen.e_rms)) or not np.all(np.isfinite(unseen.e_rms)):
         reasons.append("a run does not stay finite")
     if len(restless):
-        reasons.append(
+        missed(
+            "not at rest",
             f"{len(restless)} of {len(problem.plants)} valves do not rest within {limit_cycles.HELD:g} s "
-            "after a step or a motion"
+            "after a step or a motion",
         )
     (share,) = limit_cycles.restless_shares(law, problem, [gains], workers)
     if share > 0.0:
-        reasons.append(
+        missed(
+            "not at rest",
             f"{100.0 * share:.2g} % of the valves in the box do not rest within {limit_cycles.HELD:g} s "
-            "after a step when half of the margins is gone"
+            "after a step when half of the margins is gone",
         )
     pause = pauses.shortest(law, problem, gains)
     if not pauses.borne(law, problem, gains):
-        reasons.append(
+        missed(
+            "pause",
             f"after a pause of the command of {1e3 * problem.limits.pause_s:g} ms or less the reference does "
-            "not come back while the motion lasts"
+            "not come back while the motion lasts",
         )
     for outcome, what in ((seen, "the commands"), (unseen, "commands that were not seen")):
         share = float(np.mean(outcome.saturated))
         if share > problem.limits.saturated:
-            reasons.append(f"on {what} the amplifier saturates in {100.0 * share:.2g} % of the samples")
+            missed("saturation", f"on {what} the amplifier saturates in {100.0 * share:.2g} % of the samples")
     if chatter is not None and not seen.chatter <= SLACK * chatter:
-        reasons.append(f"c_u is {seen.chatter:.3f} on valves that were not seen, above {chatter:g}")
-    ((overshot, settling),) = overshoot.answers(law, problem, [gains], workers)
-    if 0.0 < OVERSHOT * problem.limits.overshoot < overshot:
-        reasons.append(
-            f"steps are overshot by {100.0 * overshot:.2g} %, above {100.0 * problem.limits.overshoot:g} %"
+        missed("chatter", f"c_u is {seen.chatter:.3f} on valves that were not seen, above {chatter:g}")
+    answers = overshoot.answers(law, problem, gains, workers)
+    overshot, settling = (overshoot.typical(rows) for rows in answers)
+    if overshot > OVERSHOT * problem.limits.overshoot:
+        notes.append(
+            f"steps are overshot by {100.0 * overshot:.2g} % on valves that were not seen, above "
+            f"{100.0 * problem.limits.overshoot:g} %"
         )
     return Verified(
         seen=seen,
@@ -102,10 +118,46 @@ def verified(
         restless=restless,
         pause_s=pause,
         reasons=reasons,
+        notes=notes,
         overshoot=overshot,
+        worst_overshoot=float(np.median(np.max(answers[0], axis=0))),
         settling=settling,
+        unsettled_share=float(np.mean(np.isinf(answers[1]))),
         uneven_chatter=_uneven_chatter(law, problem, gains, workers),
     )
+
+
+def unsettled(v: Verified) -> list[str]:
+    """A sentence, if the median valve has not settled while a step is held."""
+    if math.isfinite(v.settling):
+        return []
+    return [
+        f"{100.0 * v.unsettled_share:.2g} % of the steps are not settled to {100.0 * steps.BAND:g} % within "
+        f"{overshoot.HELD:g} s"
+    ]
+
+
+def of_valves(law: Law, problem: Problem, saturated: Floats, workers: Workers = None) -> limits.Counts:
+    """How many of the plants of ``problem`` miss each limit with its own gains, and the best of them.
+
+    ``saturated``: share of saturated samples of each. Overshoot: of the worst step.
+    """
+    gains, counts = GainSet({}, 0.0), limits.Counts()
+    params, wanted = law.build(problem.values), limits.asked(problem.limits)
+    seen = [stability.behind_curve(problem.values, plant)[0] for plant in problem.plants]
+    found = margins.margins(law, params, margins.prepared(seen)) if law.feedback else None
+    restless = set(limit_cycles.after_all(law, problem, gains, problem.plants, workers).tolist())
+    overshot = np.max(overshoot.answers(law, problem, gains, workers)[0], axis=0)
+    for i, share in enumerate(saturated):
+        values = {
+            "saturation": float(share),
+            "not at rest": float(i in restless),
+            "overshoot": float(overshot[i]),
+        }
+        if found is not None:
+            values |= limits.of_margins(margins.Margins(*(row[i : i + 1] for row in found)))
+        limits.count(counts, wanted, values)
+    return counts
 
 
 def _uneven_chatter(law: Law, problem: Problem, gains: GainSet, workers: Workers) -> float | None:
@@ -117,14 +169,14 @@ def _uneven_chatter(law: Law, problem: Problem, gains: GainSet, workers: Workers
     return trial.run(law, late, [gains], workers)[0].chatter
 
 
-def _margins_missed(limits: trial.TuningLimits, worst: dict[str, float | None]) -> list[str]:
+def _margins_missed(asked: trial.TuningLimits, worst: dict[str, float | None]) -> list[str]:
     if (worst["radius"] or 0.0) >= 1.0 + margins.EDGE:
         return [f"a valve of the box makes the loop unstable (largest pole {worst['radius']:.4f})"]
     texts = {
-        "gain_db": ("gain margin", "dB", 1.0, limits.gain_db),
-        "reduction_db": ("gain margin downwards", "dB", 1.0, limits.gain_db),
-        "phase_deg": ("phase margin", "deg", 1.0, limits.phase_deg),
-        "delay_s": ("delay margin", "ms", 1e3, limits.delay_s),
+        "gain_db": ("gain margin", "dB", 1.0, asked.gain_db),
+        "reduction_db": ("gain margin downwards", "dB", 1.0, asked.gain_db),
+        "phase_deg": ("phase margin", "deg", 1.0, asked.phase_deg),
+        "delay_s": ("delay margin", "ms", 1e3, asked.delay_s),
     }
     reasons = []
     for name, (text, unit, scale, limit) in texts.items():
@@ -134,15 +186,13 @@ def _margins_missed(limits: trial.TuningLimits, worst: dict[str, float | None]) 
                 f"the {text} falls to {scale * value:.3g} {unit} in the box, below {scale * limit:g} {unit}"
             )
     peak = worst["sensitivity_db"]
-    if peak is None or peak > limits.sensitivity_db:
+    if not (math.inf if peak is None else peak) <= asked.sensitivity_db:
         shown = "without end" if peak is None else f"{peak:.3g} dB"
-        reasons.append(f"the sensitivity peaks at {shown}, above {limits.sensitivity_db:g} dB")
+        reasons.append(f"the sensitivity peaks at {shown}, above {asked.sensitivity_db:g} dB")
     swing = worst["swing_v"]
-    if swing is None or swing > limits.swing:
+    if not (math.inf if swing is None else swing) <= asked.swing:
         shown = "any size" if swing is None else f"{swing:.3g} V"
-        reasons.append(
-            f"in the loop friction sustains swings about rest of {shown}, above {limits.swing:g} V"
-        )
+        reasons.append(f"in the loop friction sustains swings about rest of {shown}, above {asked.swing:g} V")
     return reasons
 
 
@@ -166,6 +216,7 @@ def as_dict(v: Verified) -> dict[str, Any]:
         },
         "valves": v.seen.e_rms.shape[1],
         "overshoot": v.overshoot if np.isfinite(v.overshoot) else None,
+        "worst_overshoot": v.worst_overshoot if np.isfinite(v.worst_overshoot) else None,
         "settling_s": v.settling if np.isfinite(v.settling) else None,
         "uneven_c_u": v.uneven_chatter if v.uneven_chatter and np.isfinite(v.uneven_chatter) else None,
         "restless": len(v.restless),
