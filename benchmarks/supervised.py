@@ -93,7 +93,7 @@ class SupervisedValve:
         while True:
             limited = command.position if isinstance(command, Point) else max(-10.0, min(10.0, command))
             if isinstance(command, Point):
-                self.supervisor.trajectory(Motion(*command), period)
+                self.supervisor.trajectory(Motion(*command))
             else:
                 self.supervisor.command(limited)
             reading, voltage = self.sample()

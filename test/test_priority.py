@@ -58,12 +58,13 @@ def test_a_loop_on_this_host_is_seen_and_has_a_core(monkeypatch):
     assert priority.spare_cores() == 1
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     assert priority.spare_cores() == 1
-    command = [sys.executable, "-c", "input()", "/lib/valve_control/valve_driver"]
+    command = [sys.executable, "-c", "print(flush=True); input()", "/lib/valve_control/valve_driver"]
     monkeypatch.setattr(priority, "LOOPS", ("valve_driver_of_this_test",))
     assert not priority.loop_runs()
     monkeypatch.setattr(priority, "WORDS", 4)
     monkeypatch.setattr(priority, "LOOPS", ("valve_driver",))
-    with subprocess.Popen(command, stdin=subprocess.PIPE) as child:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        child.stdout.readline()  # it runs
         assert priority.loop_runs()
         child.communicate(b"\n")
 
