@@ -34,7 +34,9 @@ BITS = {12: 20.0 / 2**12, 16: 20.0 / 2**16}  # V  steps of converters over ±10 
 NOISES = ("0", "1", "10", "hum")  # counts, or hum
 WHEN = ("start", "rest", "motion")
 TUNED = tuple(
-    f"{valve_name}_{law}" for valve_name in ("d3fxe", "d3fxe_experiment") for law in ("arc", "oarc", "dcarc", "pid")
+    f"{valve_name}_{law}"
+    for valve_name in ("d3fxe", "d3fxe_experiment")
+    for law in ("arc", "oarc", "dcarc", "pid")
 )
 
 
@@ -43,7 +45,9 @@ class Fault(NamedTuple):
 
     held: bool = False
     powered: bool = True
-    reading: Callable[[float, float], float] = lambda true, last: true  # of the true and the last sound one [V]
+    reading: Callable[[float, float], float] = lambda true, last: (
+        true
+    )  # of the true and the last sound one [V]
 
 
 FAULTS = {

@@ -23,6 +23,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant.amplifier import saturate
 from valve_control.control.supervision import (
+    answer,
     bumpless_transfer,
     command_course,
     command_watch,
@@ -340,6 +341,8 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
         if not back:
             m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
             return sent(p, m)
+    elif not answers(p, m, reading, 1 + gap):
+        return sent(p, m)
     if m.law is None:
         begin(p, m, reading)
     if not advance(p, m, 0, reading):
@@ -408,6 +411,21 @@ def bridge(p: Params, m: Memory, gap: int, reading: float) -> None:
     m.command = m.command._replace(value=newest)
     if not finite:
         leave_the_finite(p, m)
+
+
+def answers(p: Params, m: Memory, reading: float, samples: int) -> bool:
+    """Whether the spool answers the voltage of the ``samples`` before ``reading`` [V]; else switch off."""
+    doubted = m.trust.doubt.times > 0.0
+    wrong, m.response = answer.step(
+        p.lvdt.judge, m.response, reading, m.judged.rate, m.voltage, samples, doubted
+    )
+    if wrong == "" or p.lvdt.comparison is None or not p.answered:
+        if answer.agrees(p.lvdt.judge, m.response) and not doubted:
+            m.proven = m.law
+        return True
+    report(m, "lvdt_disagrees", f"{lvdt.TEXTS['disagrees']}: {plausibility.TEXTS[wrong]}")
+    switch_off(p, m, "lvdt_disagrees", False)
+    return False
 
 
 def has_leapt(m: Memory) -> bool:
@@ -544,8 +562,9 @@ def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
     m.trust = trust
     count(m, "safe_stops")
     m.voltage = p.neutral
-    m.former = m.law
+    m.former = m.law if trust.doubt.times == 0.0 else m.proven
     m.law = None
+    m.response = answer.NOTHING
     m.transfer = bumpless_transfer.NOTHING
     m.fading = False
     m.lead = None
@@ -792,7 +811,7 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
         () if STOPPING else ("watches",),
     )
     state = module.State | None
-    memory = _record(Memory, {"law": state, "former": state}, TOLD)
+    memory = _record(Memory, {"law": state, "former": state, "proven": state}, TOLD)
     memory.__name__, memory.changes = "State", True
     others = {
         "Params": params,

@@ -1,0 +1,77 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""A spool that does not answer the voltage: dead LVDT with noise, stuck spool, supply off."""
+
+import numpy as np
+import pytest
+from grids import grid
+
+from research.campaigns import dirty
+from valve_control.control.supervision import answer, lvdt
+from valve_control.control.supervision.record import Mode
+
+FEEDBACK = ("arc", "oarc", "dcarc", "pid", *dirty.TUNED)
+STANDING = 0.3  # s
+BEYOND = 5.0  # V  lvdt.disturbance times the largest static gain; the law itself follows the command
+
+
+@grid(
+    "fault, law, noise, when",
+    ["dead at -10 V", "dead at -9 V", "dead at 0 V", "flipped"],
+    FEEDBACK,
+    dirty.NOISES,
+    dirty.WHEN,
+)
+def test_a_wrong_reading_with_noise_moves_the_spool_no_further_than_the_bound(fault, law, noise, when):
+    found = dirty.outcome(dirty.run(law, dirty.FAULTS[fault], noise, when, 12))
+    assert found.reaction < 0.2 and found.standing < 0.1 and found.beyond < 4.0
+
+
+@grid("fault, law, noise, when", ["dead where it is", "flat"], FEEDBACK, dirty.NOISES, dirty.WHEN)
+def test_a_dead_reading_that_nobody_can_tell_yet_moves_it_by_the_disturbance(fault, law, noise, when):
+    """At rest on its command a dead reading asks for nothing: a law winds up as slowly as it likes."""
+    found = dirty.outcome(dirty.run(law, dirty.FAULTS[fault], noise, when, 12))
+    assert found.beyond < BEYOND
+    assert when == "rest" or (found.standing < STANDING and found.reaction < 0.2)
+
+
+@grid("fault, law, noise", ["stuck", "supply off"], FEEDBACK, dirty.NOISES)
+def test_a_spool_without_force_gets_no_voltage_but_short_trials(fault, law, noise):
+    samples = dirty.run(law, dirty.FAULTS[fault], noise, "start", 12)
+    voltages, said, theta, held = [], "", None, None
+    for _, voltage, _, supervisor in samples:
+        theta = theta or supervisor.theta
+        voltages.append(voltage)
+        said += "" if supervisor.reason in said else supervisor.reason
+        held = supervisor.theta if supervisor.mode is Mode.SAFE else held
+    assert "the spool does not follow it: supply off, stuck spool or dead LVDT" in said
+    assert "wrong sign" not in said
+    assert np.mean(np.abs(voltages[500:])) < 1.0
+    if theta is not None and len(theta) == 4:  # a1, a0, b0 and b0·dn
+        assert held == pytest.approx(theta, rel=0.05, abs=0.7 * theta[2])  # b0 times the 0.7 V of friction
+
+
+@grid("law, bits, when", dirty.TUNED, dirty.BITS, ["rest", "motion"], strength=1)
+@pytest.mark.parametrize("command", [1.0, 5.0])
+def test_tuned_gains_stay_in_control(law, bits, when, command):
+    *_, last = dirty.run(law, dirty.FAULTS["none"], "1", when, bits, wanted=command)
+    assert last[3].counts["safe_stops"] == 0 and last[3].mode is not Mode.SAFE
+
+
+def judged(readings, voltage):
+    """What is said first of ``readings`` [V] under ``voltage`` [V], and after how many."""
+    p, s = lvdt.Params(11.0, 500.0, 0.1, 20, 0.5, 0.001, 20.0, 1200.0, 1200.0, 5.0), answer.NOTHING
+    for k, reading in enumerate(readings):
+        wrong, s = answer.step(p, s, reading, 0.0, voltage, 1, False)
+        if wrong:
+            return k, wrong
+    return None
+
+
+def test_the_due_motion_is_that_of_the_laziest_valve():
+    """10 V less 5 V of friction move 0.3 V within 12 ms, 5 ms after the filter; 5 V move nothing."""
+    k, wrong = judged(np.zeros(100), 10.0)
+    assert wrong == "unanswered" and 10 <= k <= 20
+    assert judged(np.zeros(3000), 5.0) is None
+    assert judged(-0.5 * 1200.0 * 5.0 * (0.001 * np.arange(100)) ** 2, 10.0)[1] == "wrong_sign"
+    assert judged(0.5 * 1200.0 * 5.0 * (0.001 * np.arange(60)) ** 2, 10.0) is None
