@@ -136,7 +136,7 @@ def outcome(samples: Iterator[tuple[float, float, float, Supervisor]]) -> Outcom
         stretch = stretch + 1 if abs(voltage) > limit else 0
         standing = max(standing, stretch)
         said.update(dict.fromkeys(supervisor.conditions))
-        named = [one for one in supervisor.conditions if one.startswith("lvdt") and "bridged" not in one]
+        named = [one for one in supervisor.conditions if one.startswith(("lvdt", "spool")) and "bridged" not in one]
         if math.isinf(reaction) and (supervisor.mode is Mode.SAFE or named):
             reaction = k * PERIOD
         if math.isinf(reaction):

@@ -48,26 +48,29 @@ def step(
         return "", s
     time = samples * p.period
     held = DOUBTED * p.disturbance if doubted else p.disturbance
-    asked = reading * p.a0 / p.b0
-    asked = asked * SPREAD if (voltage - asked) * asked > 0.0 else asked / SPREAD
-    pull = s.pull + time / (lvdt.DEAD_TIME + time) * (voltage - asked - s.pull)
-    if s.side == 0.0 and abs(pull) <= held:
-        return "", State(pull, 0.0, 0.0, 0.0, 0.0)
-    side = math.copysign(1.0, pull) if s.side == 0.0 else s.side
+    force = s.pull + time / (lvdt.DEAD_TIME + time) * (pull(voltage, reading * p.a0 / p.b0) - s.pull)
+    if s.side == 0.0 and abs(force) <= held:
+        return "", State(force, 0.0, 0.0, 0.0, 0.0)
+    side = math.copysign(1.0, force) if s.side == 0.0 else s.side
     if abs(reading) > lvdt.INSIDE * p.limit and reading * side > 0.0:
-        return "", State(pull, 0.0, 0.0, 0.0, 0.0)
+        return "", State(force, 0.0, 0.0, 0.0, 0.0)
     if s.side == 0.0:
-        return "", State(pull, side, min(0.0, side * speed), 0.0, reading)
-    excess = side * pull - held
+        return "", State(force, side, min(0.0, side * speed), 0.0, reading)
+    excess = side * force - held
     rate = (s.rate + time * p.b0 * excess) / (1.0 + time * p.a1)
     if rate <= 0.0:
-        return "", State(pull, side if excess > 0.0 else 0.0, rate, 0.0, reading)
+        return "", State(force, side if excess > 0.0 else 0.0, rate, 0.0, reading)
     due, gone = s.due + time * rate, side * (reading - s.start)
     if due < LEAST * p.tolerance:
-        return "", State(pull, side, rate, due, s.start)
+        return "", State(force, side, rate, due, s.start)
     if gone < SHARE * due:
         return "wrong_sign" if gone < -SHARE * due else "unanswered", NOTHING
-    return "", State(pull, side, 0.0, 0.0, reading)
+    return "", State(force, side, 0.0, 0.0, reading)
+
+
+def pull(voltage: float, asked: float) -> float:
+    """Part of the ``voltage`` [V] beyond what a reading asks for, ``asked`` [V] on the identified valve."""
+    return voltage - (asked * SPREAD if (voltage - asked) * asked > 0.0 else asked / SPREAD)
 
 
 def agrees(p: lvdt.Params, s: State) -> bool:

@@ -631,11 +631,14 @@ def take_over(p: Params, m: Memory, former: Any | None, following: bool) -> None
     start = Start(y, m.voltage, y, v, v)
     base = target(p, m)  # which may end a way home and begin an offset
     base -= m.transfer.command.value
+    held, left = law_steady_command(p.law, start), 0.0
     # A spool that follows has the rate of the command; one from elsewhere has to lose its own.
-    offset = bumpless_transfer.Offset(law_steady_command(p.law, start) - base, 0.0 if following else v)
+    offset = bumpless_transfer.Offset(held - base, 0.0)
+    if not following:
+        offset, left = bumpless_transfer.Offset(0.0, v), bumpless_transfer.JOINING * p.transfer.time
     law = p.law if former is None else law_resumed(p.law, former)
     m.law = law_initial(law, start)
-    m.transfer = bumpless_transfer.State(m.transfer.voltage, offset, True)
+    m.transfer = bumpless_transfer.State(m.transfer.voltage, offset, True, held, left)
     m.fading = True
 
 
@@ -684,7 +687,7 @@ def hold(p: Params, m: Memory, gap: int, reading: float) -> None:
             m.command = m.command._replace(value=used + i * (newest - used) / (gap + 1))
         m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, between)
         take_in(p, m, now)
-        wanted = target(p, m)
+        wanted = bumpless_transfer.joined(p.transfer, m.transfer, target(p, m))
         m.law = law_hold(p.law, m.law, wanted, between, m.voltage)
         if m.fading:
             fade(p, m)
@@ -697,7 +700,7 @@ def control(p: Params, m: Memory, reading: float) -> bool:
         law = law._replace(u_max=min(law.u_max, p.probation))
     follow(p, m, m.now)
     take_in(p, m, m.now)
-    wanted = target(p, m)
+    wanted = bumpless_transfer.joined(p.transfer, m.transfer, target(p, m))
     m.effective = wanted
     m.used = m.command.value
     if m.transfer.taking_over:
@@ -720,7 +723,9 @@ def fade(p: Params, m: Memory) -> None:
     """Let both offsets of a takeover decay by one period."""
     m.transfer = bumpless_transfer.step(p.transfer, m.transfer)
     voltage, command = m.transfer.voltage, m.transfer.command
-    m.fading = voltage.value != 0.0 or voltage.rate != 0.0 or command.value != 0.0 or command.rate != 0.0
+    m.fading = m.transfer.left > 0.0 or (
+        voltage.value != 0.0 or voltage.rate != 0.0 or command.value != 0.0 or command.rate != 0.0
+    )
 
 
 def follow(p: Params, m: Memory, now: float) -> None:

@@ -51,6 +51,7 @@ from valve_control.control.supervision import (
     noise_watch,
     plausibility,
     rate,
+    stick_watch,
 )
 from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values
@@ -98,6 +99,7 @@ WATCHES = (
     ),
     Watch(answer, ("response", "proven")),
     Watch(noise_watch, ("noise",), REPORTS),
+    Watch(stick_watch, ("stick",), REPORTS),
     Watch(gain_watch, ("gain",), REPORTS),
     Watch(hum_watch, ("hum",), REPORTS),
     Watch(
