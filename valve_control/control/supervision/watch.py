@@ -687,7 +687,8 @@ def hold(p: Params, m: Memory, gap: int, reading: float) -> None:
             m.command = m.command._replace(value=used + i * (newest - used) / (gap + 1))
         m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, between)
         take_in(p, m, now)
-        wanted = bumpless_transfer.joined(p.transfer, m.transfer, target(p, m))
+        wanted = target(p, m)
+        wanted = bumpless_transfer.joined(p.transfer, m.transfer, wanted)
         m.law = law_hold(p.law, m.law, wanted, between, m.voltage)
         if m.fading:
             fade(p, m)
@@ -700,7 +701,8 @@ def control(p: Params, m: Memory, reading: float) -> bool:
         law = law._replace(u_max=min(law.u_max, p.probation))
     follow(p, m, m.now)
     take_in(p, m, m.now)
-    wanted = bumpless_transfer.joined(p.transfer, m.transfer, target(p, m))
+    wanted = target(p, m)
+    wanted = bumpless_transfer.joined(p.transfer, m.transfer, wanted)
     m.effective = wanted
     m.used = m.command.value
     if m.transfer.taking_over:
