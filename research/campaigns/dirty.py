@@ -32,6 +32,7 @@ MAINS = 50.0  # Hz
 HUM = 0.02  # V
 BITS = {12: 20.0 / 2**12, 16: 20.0 / 2**16}  # V  steps of converters over ±10 V
 NOISES = ("0", "1", "10", "hum")  # counts, or hum
+NAMED = ("lvdt_doubted", "lvdt_noise", "lvdt_mains", "lvdt_hum", "lvdt_gain", "spool_sticks")  # beside 0 V
 WHEN = ("start", "rest", "motion")
 TUNED = tuple(
     f"{valve_name}_{law}"
@@ -136,7 +137,7 @@ def outcome(samples: Iterator[tuple[float, float, float, Supervisor]]) -> Outcom
         stretch = stretch + 1 if abs(voltage) > limit else 0
         standing = max(standing, stretch)
         said.update(dict.fromkeys(supervisor.conditions))
-        named = [one for one in supervisor.conditions if one.startswith(("lvdt", "spool")) and "bridged" not in one]
+        named = [one for one in supervisor.conditions if one in NAMED]
         if math.isinf(reaction) and (supervisor.mode is Mode.SAFE or named):
             reaction = k * PERIOD
         if math.isinf(reaction):
