@@ -92,11 +92,17 @@ def setting(name: str) -> tuple[Values, Values]:
 
 
 def run(
-    name: str, fault: Fault, noise: str, when: str, bits: int, own: Values | None = None, wanted: float = 1.0
+    name: str,
+    fault: Fault,
+    noise: str,
+    when: str,
+    bits: int,
+    valve_changes: Values | None = None,
+    wanted: float = 1.0,
 ) -> Iterator[tuple[float, float, float, Supervisor]]:
     """Command, voltage and true position [V] of each sample from the fault on, and the supervisor."""
     values, plant = setting(name)
-    values = updated(CONTROLLER, values, own or {})
+    plant = updated(VALVE, plant, valve_changes or {})
     supervisor = Supervisor()
     supervisor.apply(values, build.law_params(values))
     p = build.valve_params(plant)

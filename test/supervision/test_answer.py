@@ -63,6 +63,26 @@ def test_tuned_gains_stay_in_control(law, bits, when, command):
     assert last[3].counts["safe_stops"] == 0 and last[3].mode is not Mode.SAFE
 
 
+@pytest.mark.parametrize(
+    ("friction", "fault", "law", "wanted", "sticks"),
+    [
+        (1.16, "none", "d3fxe_pid", 1.0, False),
+        (1.16, "none", "open_loop", 2.0, False),
+        (4.64, "none", "d3fxe_pid", 1.0, True),
+        (4.64, "none", "pid", 1.0, True),
+        (1.16, "stuck", "open_loop", 2.0, True),
+        (1.16, "stuck", "compensator", 2.0, True),
+    ],
+)
+def test_a_spool_that_rests_away_from_command_or_voltage_is_told(friction, fault, law, wanted, sticks):
+    """Hunting against the friction of cold oil, and a law without feedback that never gives much voltage."""
+    changes = {"friction.coulomb": friction}
+    said = set()
+    for *_, supervisor in dirty.run(law, dirty.FAULTS[fault], "1", "start", 12, changes, wanted):
+        said |= set(supervisor.conditions)
+    assert ("spool_sticks" in said) == sticks and supervisor.counts["safe_stops"] == 0
+
+
 def judged(readings, voltage):
     """What is said first of ``readings`` [V] under ``voltage`` [V], and after how many."""
     p, s = lvdt.Params(11.0, 500.0, 0.1, 20, 0.5, 0.001, 20.0, 1200.0, 1200.0, 5.0), answer.NOTHING
