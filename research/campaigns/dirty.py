@@ -23,7 +23,7 @@ from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.parameter import Values, defaults, updated
+from valve_control.parameter import Values, defaults, number, updated
 
 PERIOD = 0.001  # s
 BEGIN = 0.7  # s  of the fault, unless it is there from the start
@@ -139,7 +139,7 @@ def outcome(samples: Iterator[tuple[float, float, float, Supervisor]]) -> Outcom
     for k, (command, voltage, position, supervisor) in enumerate(samples):
         low, high = min(low, command), max(high, command)
         beyond = max(beyond, low - position, position - high)
-        limit = float(supervisor.values["lvdt.disturbance"])
+        limit = number(supervisor.values, "lvdt.disturbance")
         stretch = stretch + 1 if abs(voltage) > limit else 0
         standing = max(standing, stretch)
         said.update(dict.fromkeys(supervisor.conditions))
