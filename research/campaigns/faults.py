@@ -178,8 +178,8 @@ FAULTS = (
           REPORT, CONTROLLERS),
     Fault("command_publishers", "command_source", "fault.command", "second_publisher", 700, "reported",
           "publishers on spool_command", 0.5 + ALLOWANCE, CONTROLLERS),
-    Fault("spool_stuck", "valve_simulator", "fault.valve", "stuck", 1500, "saturation", "saturated",
-          SATURATION + 1.0 / FREQUENCY + REPORT, FEEDBACK),
+    Fault("spool_stuck", "valve_simulator", "fault.valve", "stuck", 1500, "safe", "does not follow",
+          1.0 / FREQUENCY + REPORT, FEEDBACK),
     Fault("valve_weak", "valve_simulator", "fault.valve", "weak", 900, "reported", "left the assumed",
           1.0 / FREQUENCY + REPORT, WATCHED),
     Fault("controller_stopped", "controller", "", "", 400, "centred", "stood still",
@@ -387,9 +387,6 @@ def onset(campaign: Campaign, fault: Fault, start: float) -> float:
     if fault.name in ("command_not_finite", "command_out_of_range"):
         commands, sent = campaign.after("spool_command", start)
         return first(sent, ~(np.abs(commands) <= 2.0 * AMPLITUDE))
-    if fault.follows == "saturation":
-        voltages, sent = campaign.after("valve_voltage", start)
-        return first(sent, np.abs(voltages) >= U_MAX)
     if fault.follows == "centred":
         _, sent = campaign.after("valve_voltage", start - 0.1)
         return first(sent[:-1], np.diff(sent) > 0.1)

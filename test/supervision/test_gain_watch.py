@@ -43,7 +43,7 @@ def entries(p, c, ratio, frequency, friction, seconds, s=gain_watch.NOTHING):
 
 @pytest.mark.parametrize("ratio", [0.5, 0.9, 1.0, 1.2, 1.45, 2.0])
 def test_the_change_is_measured_with_friction_and_offset(ratio):
-    c = plausibility.design(MODEL, PERIOD, 1.0, 0.1, 5.0)
+    c = plausibility.design(MODEL, PERIOD, 1.0, 0.1)
     p = gain_watch.design({}, c)
     s = entries(p, c, 1.0, 1.0, 0.5, 6.0)
     s = entries(p, c, ratio, 1.0, 0.5, 20.0, s)
@@ -52,7 +52,7 @@ def test_the_change_is_measured_with_friction_and_offset(ratio):
 
 
 def test_fast_motion_tells_nothing():
-    c = plausibility.design(MODEL, PERIOD, 1.0, 0.1, 5.0)
+    c = plausibility.design(MODEL, PERIOD, 1.0, 0.1)
     p = gain_watch.design({}, c)
     s = entries(p, c, 1.0, 5.0, 0.5, 6.0)
     assert s.usual == 0.0

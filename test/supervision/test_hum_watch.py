@@ -13,7 +13,7 @@ from test_cycle_watch import PERIOD, TUNED, Loop, sine
 from valve_control.control.supervision import hum_watch, plausibility
 
 THETA = (40.0, 1200.0, 1200.0)  # 1/s, 1/s², 1/s²
-CHECK = plausibility.design(THETA, PERIOD, 0.04, 0.1, 1.0)
+CHECK = plausibility.design(THETA, PERIOD, 0.04, 0.1)
 SENSORS = ({}, {"lvdt.noise": 0.0, "lvdt.resolution": 10.0 / 2**11})
 
 

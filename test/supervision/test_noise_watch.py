@@ -54,7 +54,7 @@ def test_motion_and_rounding_are_no_noise(config, law, bits):
 @given(st.floats(0.0005, 0.1), st.floats(0.0, 40.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=30, deadline=None)
 def test_white_noise_on_a_motion_is_measured(deviation, speed, seed):
-    check = plausibility.design((20.0, 1200.0, 1200.0), PERIOD, 1.0, 0.1, 5.0)._replace(span=PERIOD)
+    check = plausibility.design((20.0, 1200.0, 1200.0), PERIOD, 1.0, 0.1)._replace(span=PERIOD)
     p, s = noise_watch.design({"sample_period": PERIOD}, check), noise_watch.NOTHING
     nothing = plausibility.initial(check, 0.0, 0.0).shown
     readings = speed * PERIOD * np.arange(253) + deviation * np.random.default_rng(seed).standard_normal(253)
@@ -67,6 +67,6 @@ def test_white_noise_on_a_motion_is_measured(deviation, speed, seed):
 
 def test_a_large_noise_is_told_in_figures():
     s = noise_watch.NOTHING._replace(usual=0.0021, noise=0.12)
-    check = plausibility.design((20.0, 1200.0, 1200.0), PERIOD, 1.0, 0.1, 5.0)
+    check = plausibility.design((20.0, 1200.0, 1200.0), PERIOD, 1.0, 0.1)
     p = noise_watch.design({"sample_period": PERIOD}, check)
     assert noise_watch.text(p, s) == "LVDT noise is 120 mV rms, 2.1 mV at the start"

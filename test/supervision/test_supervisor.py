@@ -535,20 +535,21 @@ def test_stream_of_refused_commands_is_a_silent_command():
 
 
 @pytest.mark.parametrize("law", ["arc", "oarc", "pid"])
-def test_long_saturation_is_reported_and_winds_nothing_up(law):
-    loop = Loop(law, saturation_limit=0.2, lvdt__frozen_samples=0).run(300)
+def test_a_stuck_spool_is_switched_off_and_winds_nothing_up(law):
+    """Its voltage is 0 V but for short trials, and the estimates are those of the valve that moved."""
+    loop = Loop(law, lvdt__frozen_samples=0).run(300)
     stuck = loop.s.x.x0
     usual = loop.largest_step(0)
     theta = loop.supervisor.theta
     for _ in range(600):
         loop.step(lambda reading: stuck)
         loop.s = loop.s._replace(x=loop.s.x._replace(x0=stuck, x1=0.0))
-    assert loop.supervisor.counts["saturated"] > 0
+    assert loop.supervisor.mode is Mode.SAFE and "lvdt_disagrees" in loop.supervisor.conditions
+    assert np.mean(np.abs(loop.voltages[-500:])) < 1.0
     if theta is not None:
         p = build.law_params(loop.values)
-        assert all(
-            a <= b <= c for a, b, c in zip(p.theta_min, loop.supervisor.theta, p.theta_max, strict=True)
-        )
+        room = np.subtract(p.theta_max, p.theta_min)
+        assert np.all(np.abs(np.subtract(loop.supervisor.theta, theta)) < 0.05 * room)
     loop.run(2500)
     assert loop.supervisor.mode is Mode.OK
     assert loop.largest_step(len(loop.voltages) - 500) <= 1.5 * usual
@@ -557,7 +558,7 @@ def test_long_saturation_is_reported_and_winds_nothing_up(law):
 def test_saturation_is_said():
     loop = Loop("arc", saturation_limit=0.05, lvdt__frozen_samples=0)
     loop.command = lambda: 9.0
-    loop.p = loop.p._replace(gain_scale=0.2)
+    loop.p = loop.p._replace(gain_scale=0.7)
     loop.run(400)
     assert "saturation" in loop.supervisor.conditions
 

@@ -182,6 +182,7 @@ FAULTS = (
     Fault(4.30, 1, "gone"),
     Fault(4.60, 600, "flipped"),
     Fault(6.50, 400, "half"),
+    Fault(7.02, 900, "dead"),
     Fault(7.50, 2, "jump"),
     Fault(7.00, 1, "reset"),
     Fault(8.00, 2, "reset"),
@@ -241,6 +242,7 @@ def faulty(
         shown = shown if "frozen" in now else reading
         skipped = 3 if "late" in now else 50 if "gap" in now else int(lost[k])
         reading = -reading if "flipped" in now else 0.5 * reading if "half" in now else shown
+        reading = 0.0006 * (k % 3) - 10.0 if "dead" in now else reading
         reading += 3.0 if "jump" in now else 0.0
         reading = math.nan if "missing" in now else 1e3 if "beyond" in now else reading
         number += 1 + skipped

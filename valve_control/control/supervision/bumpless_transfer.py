@@ -4,7 +4,9 @@
 
 Two steps remain: one in the voltage, between what was applied until now and what the new law would apply; and
 one in the command, between the command under which the new law would go on as things are and the real one.
-Both are made good by an offset that leaves its first value with slope 0, or with the spool's own speed.
+Both are made good by an offset that leaves its first value with slope 0, or with the spool's own speed. A
+command that the spool has not followed until now moves, and an offset would carry its rate into the first
+step: it comes in by a share that rises from 0 to 1 without a kink.
 """
 
 import math
@@ -35,11 +37,14 @@ class State(NamedTuple):
     voltage: Offset
     command: Offset
     taking_over: bool  # whether the law has not made its first step yet, which tells the voltage's offset
+    held: float = 0.0  # V  command under which the spool rests
+    left: float = 0.0  # s  until the command has come in wholly
 
 
 ZERO = Offset(0.0, 0.0)
 NOTHING = State(ZERO, ZERO, False)
 NEGLIGIBLE = 1e-9  # V; here the decay ends
+JOINING = 5.0  # time constants within which a command comes in
 
 
 def design(time: float, period: float) -> Params:
@@ -49,7 +54,17 @@ def design(time: float, period: float) -> Params:
 
 def step(p: Params, s: State) -> State:
     """State one period later."""
-    return State(decayed(p, s.voltage), decayed(p, s.command), s.taking_over)
+    left = max(0.0, s.left - p.period)
+    return State(decayed(p, s.voltage), decayed(p, s.command), s.taking_over, s.held, left)
+
+
+def joined(p: Params, s: State, command: float) -> float:
+    """Command [V] between that of rest and ``command`` [V], by a share without slope at both ends."""
+    if s.left <= 0.0:
+        return command
+    x = s.left / (JOINING * p.time)
+    share = x * x * x * (10.0 + x * (6.0 * x - 15.0))
+    return command + share * (s.held - command)
 
 
 def decayed(p: Params, o: Offset) -> Offset:
@@ -62,7 +77,7 @@ def decayed(p: Params, o: Offset) -> Offset:
 
 def begun(s: State, offset: float) -> State:
     """State after the law's first step, which differs by ``offset`` [V] from the voltage until now."""
-    return State(Offset(offset, 0.0), s.command, False)
+    return s._replace(voltage=Offset(offset, 0.0), taking_over=False)
 
 
 def resumed(params: Any, former: Any) -> Any:

@@ -30,6 +30,8 @@ ROUNDING = 1e-7  # of the limit; smaller changes are rounding of a driver, no st
 DEAD_TIME = 0.005  # s  for which the voltage must pull before the spool has to answer
 MOST = 16.0  # squared steps that one leap of the readings adds to the scatter
 STEPS = 3.0  # of the converter that a spool must have moved before a reading that stands is frozen
+BRAKED = 0.05  # tolerances within which a spool may stop dead, however fine the converter
+PUSHED = 3.0  # tolerances that a voltage beyond every disturbance must have moved a spool before that
 INSIDE = 0.85  # of the limit; nearer to it a spool may stop dead at the end of its stroke
 TEXTS = {
     "not_finite": "LVDT readings are not finite",
@@ -64,9 +66,9 @@ CONDITIONS = (
         "safe",
         "LVDT readings stand still while the voltage moves",
         "`lvdt.frozen_samples` equal readings. Noisy readings: while the voltage moved by "
-        "`lvdt.frozen_voltage`. Readings of a quiet converter: while the spool must have moved by "
-        "three converter steps, because it stopped faster than force and friction can stop it, or "
-        "because the voltage pulls it by more than `lvdt.disturbance`",
+        "`lvdt.frozen_voltage`. Readings of a quiet converter: while the spool must have moved, by "
+        "three converter steps because it stopped faster than force and friction can stop it, or by "
+        "three times `lvdt.tolerance` because the voltage pulls it by more than `lvdt.disturbance`",
         "frozen driver or jammed spool; the valve stays off until the reading changes, or until "
         "you deactivate and activate",
     ),
@@ -168,10 +170,10 @@ def frozen(p: Params, s: Standing, reading: float, lowest: float, highest: float
         return highest - lowest > p.frozen_voltage
     if p.b0 == 0.0:
         return False
-    least = STEPS * s.grain if s.grain > 0.0 else p.tolerance
+    least = max(STEPS * s.grain, BRAKED * p.tolerance) if s.grain > 0.0 else p.tolerance
     at_stop = abs(reading) > INSIDE * p.limit
     outwards = at_stop and s.pushed * reading > 0.0
-    if s.pulled * p.period >= DEAD_TIME and abs(s.pushed) > least and not outwards:
+    if s.pulled * p.period >= DEAD_TIME and abs(s.pushed) > PUSHED * p.tolerance and not outwards:
         return True
     speed = s.begun - 2.0 * s.grain / PACE
     if speed <= 0.0 or at_stop:

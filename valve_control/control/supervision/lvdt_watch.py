@@ -98,12 +98,13 @@ NOTHING = State(0, 0, "", plausibility.TRUST)
 
 
 def model_of(values: Values, params: Any) -> tuple[float, float, float] | None:
-    """The model (a1 [1/s], a0, b0 [1/s²]) that readings are judged by: that which the law begins with.
+    """The model (a1 [1/s], a0, b0 [1/s²]) that readings are judged by: the identified valve.
 
-    A law without a model of the valve is watched with that of ``arc.theta_initial``. None: there is no such
-    model.
+    That which a law begins with that adapts. The numbers of another are gains, which ``tune`` changes; it is
+    watched with ``arc.theta_initial``, which ``identify`` and ``commission`` write whatever the law. None:
+    there is no such model.
     """
-    model = LAWS[word(values, "controller")].model
+    model = LAWS[word(values, "controller")].model if hasattr(params, "theta_initial") else None
     a1, a0, b0 = numbers(values, "arc.theta_initial")[:3] if model is None else model(params)
     return None if min(a1, a0, b0) <= 0.0 else (a1, a0, b0)
 
@@ -118,7 +119,6 @@ def comparison(values: Values, params: Any) -> plausibility.Params | None:
         number(values, "sample_period"),
         number(values, "lvdt.slow"),
         number(values, "lvdt.excitation"),
-        number(values, "lvdt.disturbance"),
     )
 
 

@@ -11,8 +11,7 @@ through the same low-pass filter and over moved time only:
 
 A wrong sign turns both round, and w also where friction, which has the sign of the velocity, is taken out;
 friction, offset, flow force, dead time and a wrong model do not turn all of them.
-Beside that a reading that rests on one side while the voltage pulls to the other by more than any disturbance
-has the wrong sign. See docs/explanation/plausibility.md.
+See docs/explanation/plausibility.md; answer.py judges a voltage beyond every disturbance.
 """
 
 import math
@@ -26,13 +25,10 @@ BLOCK = 0.14  # readings are averaged over this
 LOW_PASS = 0.4  # time constant of each of the three stages
 LAG = 0.1  # of the voltage on its way through amplifier, valve and LVDT
 FORGET = 10.0  # of the correlations, moved time
-PATIENCE = 0.7  # for which a reading must rest on the wrong side
 WARM = 3.0  # after a start of the filters
-SETTLED = 3.0  # under a voltage beyond every disturbance, until the spool has followed it
 EVIDENCE = 1.2  # of correlation beyond AGAINST, times moved time
 AGAINST = 0.3  # correlation that a sound LVDT is allowed to have with the wrong sign
 LEAST = 6.0  # blocks of motion before anything is concluded
-FLAT = 0.15  # of the motion that the voltage must have made
 AGREED = 75.0  # blocks of motion after a doubt, from which readings may be found sound again
 CLEAR = 1.3  # factor of the slope that is no doubt
 SAME = 1.4  # factor that is none after twice as many blocks, when the slope is better known
@@ -44,8 +40,7 @@ ONE_WAY = 1e-6  # variance of that sign below which all motion went one way, and
 TEXTS = {
     "": "",
     "wrong_sign": "wrong sign",
-    "wrong_side": "wrong sign or offset",
-    "flat": "they stay where they are while it is saturated on either side; too flat, or stuck spool",
+    "unanswered": "the spool does not follow it: supply off, stuck spool or dead LVDT",
 }
 
 
@@ -53,9 +48,10 @@ CONDITIONS = (
     ReportedCondition(
         ("lvdt_disagrees",),
         "safe",
-        "LVDT readings disagree with the voltage: wrong sign; gain about …; … too flat, or stuck spool",
+        "LVDT readings disagree with the voltage: wrong sign; gain about …; the spool does not follow it",
         "see [Does the reading answer the voltage?](../explanation/plausibility.md)",
-        "wiring and scaling of the LVDT; polarity of the amplifier; then `~/reset`",
+        "supply of valve and amplifier; wiring and scaling of the LVDT; polarity of the amplifier; "
+        "then `~/reset`",
     ),
     ReportedCondition(
         ("lvdt_doubted",),
@@ -81,9 +77,6 @@ class Params(NamedTuple):
     b0: float  # 1/s²
     slow: float  # V/s  what moves slower counts as at rest
     excitation: float  # V  least standard deviation from which is concluded
-    disturbance: float  # V  largest one
-    patience: float  # s
-    settled: float  # s
     evidence: float  # s
 
 
@@ -122,13 +115,7 @@ class Shown(NamedTuple):
     moved: float  # blocks of motion since then
     sums: Sums
     against: float  # s  evidence of a wrong sign
-    wrong_side: float  # s  for which the reading has rested on the wrong side
     wrong_sign: float  # 1.0 once that is certain
-    pulled: float  # s  for which the voltage has been beyond every disturbance, with its sign
-    span_voltage: float  # V  from the last such voltage on one side to that on the other, and
-    span_reading: float  # V  of what the reading asked for there
-    last_voltage: float  # V  the last such voltage and
-    last_reading: float  # V  what the reading asked for
     usual: float  # -  slope in the long run, 0.0: not known yet
 
 
@@ -180,7 +167,6 @@ def design(
     period: float,
     slow: float,
     excitation: float,
-    disturbance: float,
 ) -> Params:
     """Watch with the model ``theta`` (a1 [1/s], a0, b0 [1/s²]) at ``period`` [s]; the rest in V, V/s."""
     a1, a0, b0 = theta
@@ -199,9 +185,6 @@ def design(
         b0=b0,
         slow=slow,
         excitation=excitation,
-        disturbance=disturbance,
-        patience=PATIENCE * own,
-        settled=SETTLED * own,
         evidence=EVIDENCE * own,
     )
 
@@ -210,7 +193,7 @@ def initial(p: Params, reading: float, voltage: float, usual: float = 0.0) -> St
     """State at rest at ``reading`` [V] under ``voltage`` [V]; ``usual``: slope, if known from before."""
     shown = Shown(
         reading, reading, reading, 0.0, voltage, voltage, voltage, voltage, p.warm, 0.0,
-        NOTHING, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, usual,
+        NOTHING, 0.0, 0.0, usual,
     )  # fmt: skip
     return State(0.0, 0.0, 0.0, shown)
 
@@ -220,7 +203,7 @@ def anew(s: State) -> State:
     b = s.shown
     shown = Shown(
         b.y1, b.y2, b.y3, b.velocity, b.u1, b.u2, b.u3, b.u4, b.warm, 0.0,
-        NOTHING, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, b.usual,
+        NOTHING, 0.0, 0.0, b.usual,
     )  # fmt: skip
     return State(s.held, s.reading, s.voltage, shown)
 
@@ -246,9 +229,7 @@ def _block(p: Params, s: Shown, reading: float, voltage: float) -> Shown:
     u4 = s.u4 + p.lag * (u3 - s.u4)
     velocity = (y3 - s.y3) / p.span
     warm, moved, sums = max(0.0, s.warm - 1.0), s.moved, s.sums
-    against, wrong_side, pulled, usual = s.against, 0.0, 0.0, s.usual
-    span_voltage, span_reading = s.span_voltage, s.span_reading
-    last_voltage, last_reading = s.last_voltage, s.last_reading
+    against, usual = s.against, s.usual
     if s.warm == 0.0:
         w = ((velocity - s.velocity) / p.span + p.a1 * velocity + p.a0 * y3) / p.b0
         if abs(velocity) > p.slow:
@@ -261,20 +242,9 @@ def _block(p: Params, s: Shown, reading: float, voltage: float) -> Shown:
                 present = slope(p, sums)
                 if present > 0.0:
                     usual += max(SMOOTH, 1.0 / (moved - 2.0 * AGREED + 1.0)) * (present - usual)
-        if abs(u4) > p.disturbance:
-            # A spool that is stuck on that side does not ask for what the voltage is, turned round.
-            if u4 * w < 0.0 and abs(w) > p.excitation and abs(u4 + w) < p.disturbance:
-                wrong_side = s.wrong_side + p.span
-            pulled = math.copysign(p.span, u4) + (s.pulled if s.pulled * u4 > 0.0 else 0.0)
-            if abs(pulled) > p.settled:
-                if last_voltage * u4 < 0.0:
-                    span_voltage, span_reading = u4 - last_voltage, w - last_reading
-                last_voltage, last_reading = u4, w
-    certain = against > p.evidence or wrong_side > p.patience
     return Shown(
-        y1, y2, y3, velocity, u1, u2, u3, u4, warm, moved, sums, against, wrong_side,
-        1.0 if certain else s.wrong_sign, pulled, span_voltage, span_reading, last_voltage, last_reading,
-        usual,
+        y1, y2, y3, velocity, u1, u2, u3, u4, warm, moved, sums, against,
+        1.0 if against > p.evidence else s.wrong_sign, usual,
     )  # fmt: skip
 
 
@@ -336,12 +306,6 @@ def slope(p: Params, m: Sums) -> float:
     return along / across
 
 
-def flat(p: Params, s: Shown) -> bool:
-    """Whether the reading stayed where it was while the voltage pulled to one side and then to the other."""
-    free = abs(s.span_voltage) - 2.0 * p.disturbance
-    return free > 0.0 and s.span_reading * math.copysign(1.0, s.span_voltage) < FLAT * free
-
-
 def doubted(d: Doubt, s: State | None, now: float, first: float, longest: float) -> Doubt:
     """Doubt after one more finding at ``now`` [s]: lasts ``first`` [s], each time twice as long."""
     usual = d.usual if d.times > 0.0 else 0.0 if s is None else s.shown.usual
@@ -368,9 +332,7 @@ def verdict(p: Params, s: State, d: Doubt) -> tuple[str, Doubt]:
     """Name of what is wrong with the readings after a block, "": nothing, and the doubt that remains."""
     shown = s.shown
     if shown.wrong_sign > 0.0:
-        return "wrong_sign" if shown.against > 0.0 else "wrong_side", d
-    if flat(p, shown):
-        return "flat", d
+        return "wrong_sign", d
     if d.times > 0.0:
         found = ratio(p, shown, d)
         if found > 0.0:

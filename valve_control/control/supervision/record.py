@@ -13,6 +13,7 @@ from valve_control.control.laws import command_lead
 from valve_control.control.laws import velocity as tachometer
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.supervision import (
+    answer,
     bumpless_transfer,
     command_course,
     command_watch,
@@ -69,6 +70,7 @@ class Fixed:
     voltage: float = 0.0  # V
     sequence: int | None = None  # number of the last reading
     judged: lvdt.State = lvdt.NOTHING  # the readings one by one
+    response: answer.State = answer.NOTHING  # of the spool to the voltage
     pace: rate.State = rate.UNKNOWN  # their period
     trust: lvdt_watch.State = lvdt_watch.NOTHING  # in the LVDT
     measurement: float = math.nan  # V  last believable reading, none before the first
@@ -86,6 +88,7 @@ class Fixed:
     lead: command_lead.State | None = None  # of the command, none without it or without the law
     law: Any | None = None  # state of the law, none while it does not have the valve
     former: Any | None = None  # state of the law when it had the valve last, none if that is of no use
+    proven: Any | None = None  # state of the law when reading and voltage agreed last
     kept: tuple[str, tuple[float, ...] | None] = ("", None)  # law and its estimates before the start
     saturated_for: float = 0.0  # s
     cycle: oscillation.State = oscillation.NOTHING

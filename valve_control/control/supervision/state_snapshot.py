@@ -16,7 +16,7 @@ from valve_control.control.supervision.record import KEPT, NEVER, Memory
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import Values
 
-LAW_STATES = ("law", "former")  # of the memory: states of a law, each with the law's name
+LAW_STATES = ("law", "former", "proven")  # of the memory: states of a law, each with the law's name
 
 
 class Account(NamedTuple):

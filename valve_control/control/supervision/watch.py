@@ -23,6 +23,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant.amplifier import saturate
 from valve_control.control.supervision import (
+    answer,
     bumpless_transfer,
     clock,
     command_course,
@@ -342,6 +343,8 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
         if not back:
             m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
             return sent(p, m)
+    elif not answers(p, m, reading, 1 + gap):
+        return sent(p, m)
     if m.law is None:
         begin(p, m, reading)
     if not advance(p, m, 0, reading):
@@ -410,6 +413,21 @@ def bridge(p: Params, m: Memory, gap: int, reading: float) -> None:
     m.command = m.command._replace(value=newest)
     if not finite:
         leave_the_finite(p, m)
+
+
+def answers(p: Params, m: Memory, reading: float, samples: int) -> bool:
+    """Whether the spool answers the voltage of the ``samples`` before ``reading`` [V]; else switch off."""
+    doubted = m.trust.doubt.times > 0.0
+    wrong, m.response = answer.step(
+        p.lvdt.judge, m.response, reading, m.judged.rate, m.voltage, samples, doubted
+    )
+    if wrong == "" or p.lvdt.comparison is None or not p.answered:
+        if answer.agrees(p.lvdt.judge, m.response) and not doubted:
+            m.proven = m.law
+        return True
+    report(m, "lvdt_disagrees", f"{lvdt.TEXTS['disagrees']}: {plausibility.TEXTS[wrong]}")
+    switch_off(p, m, "lvdt_disagrees", False)
+    return False
 
 
 def has_leapt(m: Memory) -> bool:
@@ -547,8 +565,9 @@ def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
     m.trust = trust
     count(m, "safe_stops")
     m.voltage = p.neutral
-    m.former = m.law
+    m.former = m.law if trust.doubt.times == 0.0 else m.proven
     m.law = None
+    m.response = answer.NOTHING
     m.transfer = bumpless_transfer.NOTHING
     m.fading = False
     m.lead = None
@@ -615,11 +634,14 @@ def take_over(p: Params, m: Memory, former: Any | None, following: bool) -> None
     start = Start(y, m.voltage, y, v, v)
     base = target(p, m)  # which may end a way home and begin an offset
     base -= m.transfer.command.value
+    held, left = law_steady_command(p.law, start), 0.0
     # A spool that follows has the rate of the command; one from elsewhere has to lose its own.
-    offset = bumpless_transfer.Offset(law_steady_command(p.law, start) - base, 0.0 if following else v)
+    offset = bumpless_transfer.Offset(held - base, 0.0)
+    if not following:
+        offset, left = bumpless_transfer.Offset(0.0, v), bumpless_transfer.JOINING * p.transfer.time
     law = p.law if former is None else law_resumed(p.law, former)
     m.law = law_initial(law, start)
-    m.transfer = bumpless_transfer.State(m.transfer.voltage, offset, True)
+    m.transfer = bumpless_transfer.State(m.transfer.voltage, offset, True, held, left)
     m.fading = True
 
 
@@ -669,6 +691,7 @@ def hold(p: Params, m: Memory, gap: int, reading: float) -> None:
         m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, between)
         take_in(p, m)
         wanted = target(p, m)
+        wanted = bumpless_transfer.joined(p.transfer, m.transfer, wanted)
         m.law = law_hold(p.law, m.law, wanted, between, m.voltage)
         if m.fading:
             fade(p, m)
@@ -682,6 +705,7 @@ def control(p: Params, m: Memory, reading: float) -> bool:
     follow(p, m, m.now)
     take_in(p, m)
     wanted = target(p, m)
+    wanted = bumpless_transfer.joined(p.transfer, m.transfer, wanted)
     m.effective = wanted
     m.used = m.command.value
     if m.transfer.taking_over:
@@ -704,7 +728,9 @@ def fade(p: Params, m: Memory) -> None:
     """Let both offsets of a takeover decay by one period."""
     m.transfer = bumpless_transfer.step(p.transfer, m.transfer)
     voltage, command = m.transfer.voltage, m.transfer.command
-    m.fading = voltage.value != 0.0 or voltage.rate != 0.0 or command.value != 0.0 or command.rate != 0.0
+    m.fading = m.transfer.left > 0.0 or (
+        voltage.value != 0.0 or voltage.rate != 0.0 or command.value != 0.0 or command.rate != 0.0
+    )
 
 
 def follow(p: Params, m: Memory, now: float) -> None:
@@ -788,7 +814,7 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
         () if STOPPING else ("watches",),
     )
     state = module.State | None
-    memory = _record(Memory, {"law": state, "former": state}, TOLD)
+    memory = _record(Memory, {"law": state, "former": state, "proven": state}, TOLD)
     memory.__name__, memory.changes = "State", True
     others = {
         "Params": params,

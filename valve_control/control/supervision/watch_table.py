@@ -14,6 +14,7 @@ Why each of the guides stays one (a step that takes and returns one State would 
 lvdt, lvdt_watch   decide whether the reading counts at all, before the law steps, and end the time at 0 V
 rate               needs the real time between readings, which exported C does not have
 plausibility       makes the blocks that the other two kinds look at, and its doubt limits the law's voltage
+answer             doubt halves what it allows, and the law starts again with the estimates that it proves
 command_watch,     give the law its command; their states are read at five places of a sample
 command_course
 cycle_watch        has five slots: four change once in a cycle or never, and one State of all five would cost
@@ -38,6 +39,7 @@ import types
 from typing import Any, NamedTuple
 
 from valve_control.control.supervision import (
+    answer,
     command_course,
     command_watch,
     cycle_watch,
@@ -49,6 +51,7 @@ from valve_control.control.supervision import (
     noise_watch,
     plausibility,
     rate,
+    stick_watch,
 )
 from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values
@@ -94,7 +97,9 @@ WATCHES = (
             *("lvdt.disturbance", "lvdt.excitation", "lvdt.slow", "lvdt.hold_off", "lvdt.hold_off_limit"),
         ),
     ),
+    Watch(answer, ("response", "proven")),
     Watch(noise_watch, ("noise",), REPORTS),
+    Watch(stick_watch, ("stick",), REPORTS),
     Watch(gain_watch, ("gain",), REPORTS),
     Watch(hum_watch, ("hum",), REPORTS),
     Watch(

@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Tells of a spool that rests away from the command, or against a large part of ``lvdt.disturbance``.
+
+A law without feedback never gives a voltage that answer.py could judge, and one that hunts against friction
+makes no even cycles. Time in which the spool so rests counts, other time counts back.
+"""
+
+from typing import NamedTuple
+
+from valve_control.control.supervision import answer, plausibility
+from valve_control.control.supervision.conditions import ReportedCondition
+from valve_control.parameter import Values, number
+
+AWAY = 0.3  # of the largest disturbance, from the command
+AGAINST = 0.5  # of the largest disturbance
+LASTING = 1.0  # s
+BACK = 0.2  # s that one second of other time counts back
+
+
+CONDITIONS = (
+    ReportedCondition(
+        ("spool_sticks",),
+        "degraded",
+        "the spool rests … V from the command and … V from the voltage: friction, supply, or dead LVDT",
+        "for 1 s, of which other time takes back a fifth, the reading rests (`lvdt.slow`) by more than 0.3 "
+        "times `lvdt.disturbance` away from the command, or by more than half of it away from the voltage",
+        "temperature and cleanliness of the oil; supply of valve and amplifier; LVDT",
+    ),
+)
+
+
+class Params(NamedTuple):
+    """How far a resting spool may be away."""
+
+    away: float  # V  from the command
+    against: float  # V
+    slow: float  # V/s
+    span: float  # s  of a block
+    asked: float  # -  voltage for each volt of the reading
+
+
+class State(NamedTuple):
+    """For how long the spool has rested so, and where it was then."""
+
+    time: float  # s
+    away: float  # V  from the command
+    pull: float  # V
+    sticks: float  # 1.0: reported
+
+
+NOTHING = State(0.0, 0.0, 0.0, 0.0)
+
+
+def design(values: Values, c: plausibility.Params) -> Params:
+    """Watch with the controller's ``values`` beside the plausibility check ``c``."""
+    largest = number(values, "lvdt.disturbance")
+    return Params(AWAY * largest, AGAINST * largest, c.slow, c.span, c.a0 / c.b0)
+
+
+def step(p: Params, s: State, seen: plausibility.SeenBlock) -> State:
+    """State after one more block."""
+    away = seen.command - seen.shown.y3
+    pull = answer.pull(seen.shown.u4, p.asked * seen.shown.y3)
+    if abs(seen.shown.velocity) < p.slow and (abs(away) > p.away or abs(pull) > p.against):
+        time = min(2.0 * LASTING, s.time + p.span)
+        return State(time, away, pull, 1.0 if time > LASTING else s.sticks)
+    time = max(0.0, s.time - BACK * p.span)
+    return State(time, s.away, s.pull, s.sticks if time > 0.0 else 0.0)
+
+
+def found(p: Params, s: State) -> bool:
+    """Whether the spool sticks."""
+    return s.sticks > 0.0
+
+
+def text(p: Params, s: State) -> str:
+    """One sentence about it."""
+    where = f"{abs(s.away):.2g} V from the command and {abs(s.pull):.2g} V from the voltage"
+    return f"the spool rests {where}: friction, supply, or dead LVDT"
+
+
+def stopped(s: State) -> State:
+    """State after the voltage was switched off."""
+    return NOTHING
+
+
+def forgotten(s: State) -> State:
+    """State after a reset, or under another model of the valve."""
+    return NOTHING
