@@ -31,8 +31,8 @@ TRUE = {
 
 
 def operated(wanted, controller="oarc"):
-    """A recording: that law on the true valve."""
-    made = Run(controller={"controller": controller}, simulator=TRUE)
+    """A recording in lockstep: that law on the true valve."""
+    made = Run(controller={"controller": controller, "lockstep": True}, simulator=TRUE)
     for command in wanted:
         made.sample(float(command))
     return made

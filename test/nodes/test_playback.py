@@ -21,14 +21,14 @@ from valve_control.recordings.bags.errors import BagError
 
 @pytest.fixture(scope="module")
 def run():
-    made = Run(controller={"lvdt.frozen_samples": 0})
+    made = Run(controller={"lvdt.frozen_samples": 0, "lockstep": True})
     made.move(600)
     return made
 
 
 @pytest.mark.parametrize("law", ["arc", "oarc"])
 def test_a_running_controller_gives_the_recorded_voltages_in_lockstep(tmp_path, law):
-    made = Run(controller={"controller": law, "lvdt.frozen_samples": 0})
+    made = Run(controller={"controller": law, "lvdt.frozen_samples": 0, "lockstep": True})
     made.move(1500)
     bag = write(tmp_path / "bag", made.messages)
     arguments = ["-p", f"controller:={law}", "-p", "lockstep:=true"]

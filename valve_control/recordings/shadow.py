@@ -321,7 +321,8 @@ class _ByTimes(_Replay):
             for command, sent in zip(
                 commands.value[taken:count].tolist(), commands.time[taken:count].tolist(), strict=True
             ):
-                stamp = math.nan if lockstep else 1.0 + (sent - begin) * 1e-9
+                in_time = lockstep or sent == time  # as in the row of a table
+                stamp = math.nan if in_time else 1.0 + (sent - begin) * 1e-9
                 self._supervisor.command(command, stamp, (sent - last) * 1e-9)
             taken = max(taken, count)
             elapsed = 0.0 if lockstep else (time - last) * 1e-9
