@@ -318,10 +318,10 @@ class _ByTimes(_Replay):
             while changes and changes[0].time < time:
                 self._use(changes.pop(0).values)
             lockstep = self._values["lockstep"] is True
+            in_time = lockstep or self._valve.paired or self._valve.coarse  # no command has a time of its own
             for command, sent in zip(
                 commands.value[taken:count].tolist(), commands.time[taken:count].tolist(), strict=True
             ):
-                in_time = lockstep or sent == time  # as in the row of a table
                 stamp = math.nan if in_time else 1.0 + (sent - begin) * 1e-9
                 self._supervisor.command(command, stamp, (sent - last) * 1e-9)
             taken = max(taken, count)

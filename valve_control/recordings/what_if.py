@@ -59,7 +59,8 @@ def replay(
 def _motion(valve: ValveRecording, signals: Aligned, grid: Aligned, values: Values) -> Floats:
     """Command [V] at each sample of ``grid``, as a controller with these ``values`` has it."""
     recorded = valve.recorded["spool_command"]
-    if values["lockstep"] is True or not signals.wall or len(recorded.time) == 0:
+    together = values["lockstep"] is True or valve.paired or valve.coarse  # no command has a time of its own
+    if together or not signals.wall or len(recorded.time) == 0:
         return grid.command
     sent = (recorded.time - signals.stamp[0]) * 1e-9
     sound = np.isfinite(recorded.value)
