@@ -55,6 +55,9 @@ def test_what_waits_is_taken_and_not_what_comes_meanwhile(ros):
     assert taken == [float(i) for i in range(SAMPLES.depth)]
 
 
+ANY_PACE = ("-p", "lvdt.period_limit:=1000.0")  # the tests give readings as fast as they are answered
+
+
 class Eager(Controller):
     """A controller for whose every voltage there is a reading at once."""
 
@@ -71,7 +74,7 @@ class Eager(Controller):
 
 
 def test_controller_returns_from_readings_that_never_end(ros):
-    node = Eager()
+    node = Eager(cli_args=["--ros-args", *ANY_PACE])
     try:
         spin_until(ros, lambda: node.lvdt.get_subscription_count() == 1, "match")
         node.lvdt.publish(encoded(0.0))
@@ -104,7 +107,8 @@ def test_of_valves_that_fail_at_once_each_is_told_in_its_turn(ros):
 def test_valves_that_fall_silent_at_once_do_not_wait_for_their_next_reminder(ros):
     """One that is held up acts again when it is its turn, 2 ms later, and not in 0.1 s."""
     valves = [
-        Controller(warms=False, alone=False, cli_args=["--ros-args", "-r", f"__ns:=/w{i}"]) for i in range(3)
+        Controller(warms=False, alone=False, cli_args=["--ros-args", "-r", f"__ns:=/w{i}", *ANY_PACE])
+        for i in range(3)
     ]
     try:
         lvdts = [ros.create_publisher(Float64, f"/w{i}/spool_position", SAMPLES) for i in range(3)]

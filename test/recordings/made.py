@@ -101,8 +101,17 @@ def diagnostic(name, level, text, **values):
 class Run:
     """A controller on a valve, from ``begin`` [ns] on."""
 
-    def __init__(self, seed=1, namespace="", controller=None, simulator=None, memory_every=100, begin=BEGIN):
-        self.memory_every = memory_every
+    def __init__(
+        self,
+        seed=1,
+        namespace="",
+        controller=None,
+        simulator=None,
+        memory_every=100,
+        begin=BEGIN,
+        stamped=False,
+    ):  # fmt: skip
+        self.memory_every, self.stamped = memory_every, stamped
         self.remembered = -(10**9)
         self.random = np.random.default_rng(seed)
         self.namespace = namespace
@@ -148,8 +157,8 @@ class Run:
         self.say(f"{self.namespace}/controller", new)
 
     def times(self, stamp):
-        """Time stamp [ns] of a command, none in lockstep, and time [s] since the last reading."""
-        return (0, 0.0) if self.values["lockstep"] else (stamp, (stamp - self.answered) * 1e-9)
+        """Time stamp [ns] of a command, if its middleware has one, and time [s] since the last reading."""
+        return (stamp, (stamp - self.answered) * 1e-9) if self.stamped else (0, 0.0)
 
     def point(self, position, velocity=0.0, acceleration=0.0, ago=0):
         """A point of a trajectory for the next sample, or, with a tuple, one with other counts of entries."""

@@ -126,6 +126,22 @@ def test_whatever_comes_the_result_is_within_the_limit_and_ends_at_the_newest(co
     assert command_course.value(P, s, stamps[-1] + 100.0) == commands[-1]
 
 
+@pytest.mark.parametrize(
+    "intervals",
+    [(0.0013, 0.0007), (0.001, 0.001, 0.002), (1e-6, 0.001), (2e-4, 2e-4, 2e-4, 0.0034), (0.0001, 0.0019)],
+)
+def test_commands_at_uneven_times_are_followed_for_ever(intervals):
+    """As of two senders, bursts, or a rate that the sender's clock does not divide."""
+    stamps = np.cumsum(np.resize(intervals, 12000))
+    commands = np.sin(2.0 * math.pi * 3.0 * stamps)
+    s, errors = None, []
+    for command, stamp in zip(commands.tolist(), stamps.tolist(), strict=True):
+        s = command_course.taken(P, s, command, stamp, stamp)
+        got = command_course.value(P, s, stamp + 0.001)
+        errors.append(got - math.sin(2.0 * math.pi * 3.0 * (stamp + 0.001)))
+    assert np.max(np.abs(errors)) < 0.25 and rms(np.array(errors)) < 0.02  # NaN is neither
+
+
 @given(st.floats(0.0, 0.02), st.floats(0.001, 0.02))
 def test_the_horizon_has_the_derivatives_that_it_says_and_no_kink(bridge, interval):
     until = command_course.LATE * interval + bridge

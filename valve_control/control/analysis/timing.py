@@ -191,11 +191,15 @@ def placed(sent: Floats, numbers: Integers, period: float) -> tuple[Integers, np
 
 
 def means(edges: Floats, sent: Floats, values: Floats) -> Floats:
-    """Mean of ``values`` between two ``edges`` [s] each; one holds from its time ``sent`` [s] to the next."""
+    """Mean of ``values`` between two ``edges`` [s] each; one holds from its time ``sent`` [s] to the next.
+
+    Between edges of the same time, the value there.
+    """
     begin, end = min(edges[0], sent[0]) - 1.0, max(edges[-1], sent[-1]) + 1.0
     times, held = np.concatenate([[begin], sent, [end]]), np.concatenate([values[:1], values])
     integral = np.interp(edges, times, np.concatenate([[0.0], np.cumsum(held * np.diff(times))]))
-    mean: Floats = np.diff(integral) / np.diff(edges)
+    lengths, there = np.diff(edges), held[np.searchsorted(times, edges[:-1], side="right") - 1]
+    mean: Floats = np.divide(np.diff(integral), lengths, out=there, where=lengths > 0.0)
     return mean
 
 

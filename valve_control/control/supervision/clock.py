@@ -15,7 +15,7 @@ OFFSET = 0.5  # s  time constant of the line's offset
 DRIFT = 1.0  # s  of its drift; twice OFFSET gives a damping of 1
 LARGEST = 0.05  # s/s  drift of a clock
 LIMIT = 0.001  # s  of an innovation
-LEAP = 0.1  # s  by which a message is late that begins the line anew: a clock was set
+LEAP = 0.1  # s  by which a message is late that begins the line anew, with its drift: a clock was set
 EARLY = 0.005  # s  by which one is early that does
 WINDOW = 0.25  # s  the smallest residual is that of this window and of the one before
 SETTLING = 0.1  # s  time constant with which it counts
@@ -42,8 +42,8 @@ def step(s: State, time: float, difference: float) -> State:
     elapsed = max(0.0, time - s.time)
     line = s.offset + s.drift * elapsed
     innovation = difference - line
-    if s.messages == 0.0 or innovation > LEAP or innovation < -EARLY:
-        return State(time, difference, 0.0, 1.0, 0.0, 0.0, time, 0.0)
+    if s.messages == 0.0 or innovation > LEAP or innovation < -EARLY or elapsed > OFFSET:
+        return State(time, difference, s.drift, 1.0, 0.0, 0.0, time, 0.0)
     messages = s.messages + 1.0
     innovation = clip(innovation, -LIMIT, LIMIT)
     offset = line + max(1.0 / messages, min(1.0, elapsed / OFFSET)) * innovation

@@ -130,7 +130,11 @@ def taken(p: Params, s: State | None, command: float, sent: float, stamp: float)
             command, sent, s.stamp, s.interval, s.change, s.known, s.leapt, smooth, quick, exact,
             s.held_error, s.smooth_error, s.quick_error, s.exact_error,
         )  # fmt: skip
-    interval = elapsed if s.known == 1 else s.interval + USUAL * (min(elapsed, 3.0 * s.interval) - s.interval)
+    interval = (
+        max(elapsed, p.period)
+        if s.known == 1
+        else s.interval + USUAL * (min(elapsed, 3.0 * s.interval) - s.interval)
+    )
     smooth, quick, exact = after(s.smooth, elapsed), after(s.quick, elapsed), after(s.exact, elapsed)
     held = command - s.command
     rough, near, fine = command - smooth.position, command - quick.position, command - exact.position
@@ -155,12 +159,17 @@ def taken(p: Params, s: State | None, command: float, sent: float, stamp: float)
             )
             quick = corrected(quick, near, span, QUICK_X, QUICK_V, QUICK_A, QUICK_J, QUICK_S, QUICK_C)
             exact = corrected(exact, fine, span, EXACT_X, EXACT_V, EXACT_A, EXACT_J, EXACT_S, EXACT_C)
+    worst = 4.0 * p.limit * p.limit
+    held_error = faded(s.held_error, abs(held) - common, worst)
+    smooth_error = faded(s.smooth_error, abs(rough) - common, worst)
+    quick_error = faded(s.quick_error, abs(near) - common, worst)
+    exact_error = faded(s.exact_error, abs(fine) - common, worst)
+    smooth = bounded(smooth, command, smooth_error, worst)
+    quick = bounded(quick, command, quick_error, worst)
+    exact = bounded(exact, command, exact_error, worst)
     return State(
         command, sent, stamp, interval, held, known, leapt, smooth, quick, exact,
-        faded(s.held_error, abs(held) - common),
-        faded(s.smooth_error, abs(rough) - common),
-        faded(s.quick_error, abs(near) - common),
-        faded(s.exact_error, abs(fine) - common),
+        held_error, smooth_error, quick_error, exact_error,
     )  # fmt: skip
 
 
@@ -172,9 +181,18 @@ def postponed(s: State, now: float) -> State:
     )  # fmt: skip
 
 
-def faded(error: float, missed: float) -> float:
-    """Fading sum of the square errors [V²], after one more error [V]."""
-    return FORGETTING * error + missed * missed + LEAST
+def faded(error: float, missed: float, worst: float) -> float:
+    """Fading sum of the square errors [V²], after one more error [V]; ``worst`` at most."""
+    after_it = FORGETTING * error + missed * missed + LEAST
+    return after_it if after_it < worst else worst
+
+
+def bounded(c: Course, command: float, error: float, worst: float) -> Course:
+    """The course ``c``, or rest at ``command`` [V] where it misses commands by more than a motion can.
+
+    Its gains are those of even intervals. With others the polynomial through six commands may be unstable.
+    """
+    return c if error < worst else Course(command, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 # Predictors

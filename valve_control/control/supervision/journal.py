@@ -22,7 +22,8 @@ from valve_control.control.supervision.supervisor import Supervisor, unused
 from valve_control.parameter import Values
 
 COLUMNS = ("time", "event", "command", "reading", "number", "elapsed", "voltage")
-LONG = 10**14  # ns, about a day, after which the stamps of commands count from another moment
+LONG = 10**16  # ns, 116 days, after which stamps count from another moment: their seconds have 2 ns
+LATER = 1000.0  # s
 HEAD = 5  # numbers before the rows: which journal, number of the first row, time 0; times in s and ns
 
 
@@ -72,7 +73,8 @@ class Journal:
         self._base = 0  # ns
         self._count = 0  # rows since the beginning
         self._command = math.nan  # taken, and not in a row yet
-        self._epoch = 0  # ns  of the sender's clock, since which stamps count
+        self._epochs = {"command": 0, "trajectory": 0}  # ns  of the senders' clocks, since which stamps count
+        self._stamps = {"command": 0.0, "trajectory": 0.0}  # s  the last ones
         self._publishers = dict.fromkeys(OBSERVED, 0)
         self.owes_account = True  # of parameters that came into use
 
@@ -88,7 +90,7 @@ class Journal:
         ``since`` [s]: how long after the last reading, silence or skipped reading it came.
         """
         self._close_command()
-        time = self._seconds(stamp)
+        time = self._seconds("command", stamp)
         self._supervisor.command(value, time, since)
         self._command = value
         if math.isnan(value) or stamp:
@@ -97,19 +99,20 @@ class Journal:
     def trajectory(self, point: Motion, stamp: int = 0, since: float = 0.0) -> None:
         """A point of a trajectory, of the time ``stamp`` [ns], 0 if that is not known; ``since`` as above."""
         self._close_command()
-        time = self._seconds(stamp)
+        time = self._seconds("trajectory", stamp)
         self._supervisor.trajectory(point, time, since)
         self._command = point.position
         times = (time, since) if stamp else (0.0, math.nan)
         self._note(Event.TRAJECTORY, point.velocity, point.acceleration, *times)
 
-    def _seconds(self, stamp: int) -> float:
-        """``stamp`` [ns] in s, from a moment on that keeps it short: no bit of a microsecond is lost."""
+    def _seconds(self, kind: str, stamp: int) -> float:
+        """``stamp`` [ns] in s, from a moment on that keeps it short, by another one LATER than before."""
         if stamp == 0:
             return math.nan
-        if abs(stamp - self._epoch) > LONG:
-            self._epoch = stamp - 10**9
-        return (stamp - self._epoch) * 1e-9
+        if abs(stamp - self._epochs[kind]) > LONG:
+            self._epochs[kind] = stamp - round((self._stamps[kind] + LATER) * 1e9)
+        self._stamps[kind] = (stamp - self._epochs[kind]) * 1e-9
+        return self._stamps[kind]
 
     def trajectory_refused(self, positions: int, velocities: int, accelerations: int) -> None:
         """A point of a trajectory with so many entries."""

@@ -283,6 +283,7 @@ def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
     """
     m.now += elapsed
     m.clock += elapsed
+    m.pulse = clock.NOTHING  # what is reported of the gap is less than it was
     expire(m)
     m.course = None
     m.trust = m.trust._replace(sound=0)
