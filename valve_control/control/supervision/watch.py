@@ -321,7 +321,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     expected = m.now + p.lvdt.period
     m.now += (1 + min(lost, p.lvdt.hold_samples)) * p.lvdt.period
     m.clock += elapsed if elapsed > 0.0 else (1 + lost) * p.lvdt.period
-    m.pulse = clock.step(m.pulse, m.clock, m.clock - m.now)
+    m.pulse = clock.NOTHING if unpaced else clock.step(m.pulse, m.clock, m.clock - m.now)
     if lost > 0 and m.course is not None and m.course.stamp == expected == m.course.sent:
         m.course = command_course.postponed(m.course, m.now)  # what came without a time meanwhile is of now
     expire(m)
