@@ -180,7 +180,7 @@ FAULTS = (
           "publishers on spool_command", 0.5 + ALLOWANCE, CONTROLLERS),
     Fault("spool_stuck", "valve_simulator", "fault.valve", "stuck", 1500, "safe", "does not follow",
           1.0 / FREQUENCY + REPORT, FEEDBACK),
-    Fault("valve_weak", "valve_simulator", "fault.valve", "weak", 900, "reported", "left the assumed",
+    Fault("valve_weak", "valve_simulator", "fault.valve", "weak", 1500, "safe", "does not follow",
           1.0 / FREQUENCY + REPORT, WATCHED),
     Fault("controller_stopped", "controller", "", "", 400, "centred", "stood still",
           VOLTAGE_TIMEOUT + ALLOWANCE, CONTROLLERS),
