@@ -26,6 +26,7 @@ from valve_control.control.parameters import build, drivers, files
 from valve_control.control.parameters.drivers import SIMULATED
 from valve_control.control.simulation import offline
 from valve_control.control.supervision.journal import COLUMNS, HEAD
+from valve_control.nodes.adapter import EVERYTHING
 from valve_control.nodes.device_controller import DeviceController
 from valve_control.nodes.harness.lockstep import CONFIG
 from valve_control.nodes.harness.processes import Listener, node_arguments, node_values, process
@@ -156,7 +157,7 @@ def test_topics_may_have_every_tenth_sample_while_the_journal_has_all(ros, tmp_p
         Float64MultiArray,
         "/controller/journal",
         lambda m: rows.extend(np.reshape(m.data[HEAD:], (-1, len(COLUMNS))).tolist()),
-        1000,
+        EVERYTHING,
     )
     with process("controller", words, tmp_path / "c.log"):
         spin_until(ros, lambda: rows and all(len(values) > 200 for values in heard.values()), "samples")

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float32
 
 from valve_control.nodes import right_of_way
-from valve_control.nodes.harness.processes import process, start
+from valve_control.nodes.harness.processes import process
 
 
 class Ear:
@@ -39,26 +39,22 @@ STANDS_BY = "another publisher on valve_voltage controls this valve"
 def test_of_two_controllers_on_one_valve_the_second_stands_by_until_the_first_ends(ros, tmp_path):
     """A third one that only publishes is reported by all."""
     ear, second = Ear(ros), ["-r", "__node:=other", "-p", "command_timeout:=0.0"]
-    with process("valve_simulator", [], tmp_path / "valve.log"):
-        with controller(tmp_path):
-            ear.hear("controller", "no command yet")
-            time.sleep(right_of_way.YOUNG)
-            other = process("controller", second, tmp_path / "other.log")
-            with other:
-                for node in ("controller", "other", "valve_simulator"):
-                    ear.hear(node, "2 publishers on valve_voltage")
-                ear.hear("other", STANDS_BY)
-            ear.hear_no_more("controller", "2 publishers on valve_voltage")
-            assert STANDS_BY not in (tmp_path / "c.log").read_text()
-            log = (tmp_path / "other.log").open("wb")
-            child = start("controller", second, log)
-            ear.said.clear()
+    with process("valve_simulator", [], tmp_path / "valve.log"), controller(tmp_path) as first:
+        ear.hear("controller", "no command yet")
+        time.sleep(right_of_way.YOUNG)
+        with process("controller", second, tmp_path / "other.log"):
+            for node in ("controller", "other", "valve_simulator"):
+                ear.hear(node, "2 publishers on valve_voltage")
             ear.hear("other", STANDS_BY)
-        ear.hear_no_more("other", STANDS_BY)
-        ear.hear("other", "no command yet")
-        child.send_signal(signal.SIGTERM)
-        child.wait(10.0)
-        log.close()
+        ear.hear_no_more("controller", "2 publishers on valve_voltage")
+        assert STANDS_BY not in (tmp_path / "c.log").read_text()
+        ear.said.clear()
+        with process("controller", second, tmp_path / "other_again.log"):
+            ear.hear("other", STANDS_BY)
+            first.send_signal(signal.SIGTERM)
+            first.wait(10.0)
+            ear.hear_no_more("other", STANDS_BY)
+            ear.hear("other", "no command yet")
 
 
 def test_a_publisher_of_another_message_type_is_named_as_such(ros, tmp_path):

@@ -58,10 +58,8 @@ def test_what_is_already_so_is_obtained_in_silence():
 
 
 def test_a_thread_that_has_ended_meanwhile_does_not_keep_the_others_from_theirs():
-    ended, asked = threading.Thread(target=lambda: None), []
-    ended.start()
-    ended.join()
-    threads = [ended.native_id, threading.get_native_id()]
+    asked, ended = [], 1 << 30  # beyond Linux's largest thread number, 1 << 22
+    threads = [ended, threading.get_native_id()]
 
     def ask(thread):
         os.sched_setaffinity(thread, os.sched_getaffinity(thread))

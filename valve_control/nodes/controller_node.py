@@ -265,7 +265,7 @@ class Controller(Managed):
     def begin(self) -> None:
         """Start from rest; messages that already wait are stale and dropped, but not in lockstep."""
         self._way = right_of_way.ACTIVE
-        self._active_since = time.monotonic()
+        self._active_since = NEVER
         assert self._readings is not None
         if not self._lockstep:
             for topic in (self._readings, self._commands, self._trajectories):
@@ -398,6 +398,8 @@ class Controller(Managed):
             self._journal.sample(reading, number, 0.0 if self._lockstep else elapsed, self._publish)
         ended = time.monotonic()
         self._latencies.append(self._published - info["source_timestamp"])
+        if self._active_since == NEVER:
+            self._active_since = began
         self._arrivals.append(began)
         self._durations.append(ended - began)
         if ended - began > self._period:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decides which of several controllers of one valve controls: at most one goes on.
 
-Who has been active for less than ``YOUNG`` and hears voltages of somebody else stops, since he would
+Who has answered readings for less than ``YOUNG`` and hears voltages of somebody else stops, since he would
 disturb a valve that is controlled. If two controlled before they saw each other, the one whose publisher has
 the larger GID stops: both know both GIDs, so they agree without a message. Who stopped begins again when
 nobody else gives voltages. Then the one with the smallest GID is the first. Voltages count, not publishers:
@@ -28,7 +28,7 @@ ACTIVE = State(False, 0)
 
 
 def step(s: State, others: int, active: float, is_first: bool) -> State:
-    """State after a window with ``others`` voltages of somebody else, ``active`` [s] after the activation.
+    """State after a window with ``others`` voltages of somebody else, ``active`` [s] after the first answer.
 
     ``is_first``: whether no publisher of voltages has a smaller GID.
     """
