@@ -50,11 +50,10 @@ from valve_control.control.supervision.record import (
     latch,
     node_only,
     report,
-    report_one,
     reported_of,
     stop_reporting,
 )
-from valve_control.control.supervision.watch_table import BESIDE, REPORTING, STOPPING
+from valve_control.control.supervision.watch_table import REPORTING
 from valve_control.parameter import Values, number, word
 
 BOTH = "spool_command is ignored while spool_trajectory commands"
@@ -305,7 +304,7 @@ def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
 def reset(p: Params, m: Memory) -> None:
     """Set estimates and filters to their start, without a bump, and drop doubts about the LVDT."""
     end_doubt(m)
-    forget_watches(m)
+    forget_reported(m)
     m.pause = cycle_watch.NEVER
     m.former = None
     if m.law is not None:
@@ -391,7 +390,7 @@ def refuse(p: Params, m: Memory, fault: str, lost: int) -> None:
         return
     if fault == "frozen" or m.trust.bridged > p.lvdt.hold_samples:
         switch_off(p, m, condition_of(fault), False)
-        report(m, condition_of(fault), lvdt.TEXTS[fault])
+        report(m, condition_of(fault), f"{lvdt.TEXTS[fault]}{lvdt.lateness(m.judged)}")
         return
     if fault == "jump":
         m.jumped_until = m.now + conditions.LATCH
@@ -436,37 +435,16 @@ def has_leapt(m: Memory) -> bool:
     return m.trust.bridged > 0 and m.jumped_until >= 0.0
 
 
+@node_only
 def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown) -> None:
     """Let the watches of the table look at a block, at whose end ``applied`` [V] is on; it has ``shown``."""
-    reported_of(
-        p.watches, m, plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown, m.effective)
-    )
-    for watch in STOPPING:
-        now = plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown, m.effective)
-        setattr(m, watch.slot, watch.module.step(getattr(p.watches, watch.slot), getattr(m, watch.slot), now))
-        wrong = watch.module.found(getattr(p.watches, watch.slot), getattr(m, watch.slot))
-        if wrong and m.trust.blocked == "" and p.answered:
-            report_one(p.watches, m, watch)
-            switch_off(p, m, watch.condition, False)
+    seen = plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown, m.effective)
+    reported_of(p.watches, m, seen)
 
 
 @node_only
-def unreported(p: Any, m: Memory, seen: plausibility.SeenBlock) -> None:
-    """Watches that only report, where nobody hears them."""
-
-
-def forget_watches(m: Memory) -> None:
-    """Drop what the watches of the table have learnt of the valve."""
-    for watch in STOPPING:
-        setattr(m, watch.slot, watch.module.forgotten(getattr(m, watch.slot)))
-    forget_reported(m)
-
-
-def end_watches(m: Memory) -> None:
-    """There is no plausibility check any more, on which the watches of the table depend."""
-    for watch in BESIDE:
-        setattr(m, watch.slot, watch.module.NOTHING)
-        clear(m, watch.condition)
+def unwatched(p: Params, m: Memory, applied: float, shown: plausibility.Shown) -> None:
+    """Watches that only report, where nobody hears them: in C and its twin."""
 
 
 def confront(p: Params, m: Memory) -> None:
@@ -577,8 +555,6 @@ def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
     m.swing = oscillation.NOTHING
     m.probe = lock_in.NOTHING
     m.source = ""
-    for watch in STOPPING:
-        setattr(m, watch.slot, watch.module.stopped(getattr(m, watch.slot)))
     forget_saturation(m)
     stop_reporting(m)
 
@@ -807,13 +783,7 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
     module = law.module
     hints = get_type_hints(module.Params)
     adapts = law.adapts and {"theta_initial", "theta_min", "theta_max"} <= hints.keys()
-    watches = collections.namedtuple("Watches", [w.slot for w in STOPPING])  # type: ignore[misc]
-    watches.__annotations__ = {w.slot: w.module.Params for w in STOPPING}
-    params = _record(
-        Params,
-        {"law": module.Params, "line": type(line), "watches": watches | None},
-        () if STOPPING else ("watches",),
-    )
+    params = _record(Params, {"law": module.Params, "line": type(line)}, ("watches",))
     state = module.State | None
     memory = _record(Memory, {"law": state, "former": state, "proven": state}, TOLD)
     memory.__name__, memory.changes = "State", True
@@ -822,9 +792,8 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
         "State": memory,
         "Theta": hints["theta_initial"] if adapts else Theta,
         "law_resumed": with_estimates if adapts else as_designed,
+        "watch_block": unwatched,
     }
-    if not STOPPING:  # nothing looks at the blocks, in C and in this twin of it
-        params.watches, others["reported_of"] = None, unreported
     made = with_places({**places_of(law, line), **others})
     kinds = {Params: params, Memory: memory, Any | None: state}
     for function in vars(made).values():
@@ -834,9 +803,6 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
 
     def designed(values: Values, law: Any, answered: bool = True) -> Any:
         whole = design(values, law, answered)
-        if STOPPING and whole.watches is not None:
-            own = watches(*(getattr(whole.watches, w.slot) for w in STOPPING))
-            whole = whole._replace(watches=own)
         return params(*(getattr(whole, name) for name in params._fields))
 
     made.design = designed
