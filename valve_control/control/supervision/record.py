@@ -195,7 +195,7 @@ def reported_of(p: Any, m: Memory, seen: plausibility.SeenBlock) -> None:
 def stop_reporting(m: Memory) -> None:
     """The voltage is switched off."""
     for watch in REPORTING:
-        setattr(m, watch.slot, watch.module.stopped(getattr(m, watch.slot)))
+        setattr(m, watch.slot, watch.stopped(getattr(m, watch.slot)))
 
 
 @node_only
@@ -203,7 +203,7 @@ def forget_reported(m: Memory) -> None:
     """Drop what the watches that only report have learnt of the valve."""
     for watch in REPORTING:
         before = getattr(m, watch.slot)
-        after = watch.module.forgotten(before)
+        after = watch.forgotten(before)
         if after is not before:
             setattr(m, watch.slot, after)
             clear(m, watch.condition)
