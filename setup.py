@@ -17,7 +17,6 @@ NODES = [
     "dashboard",
 ]
 TOOLS = ["demo", "lockstep"]
-MOVED = ["faults", "joiners", "paper"]  # research; they name the command of a checkout
 
 setup(
     name=NAME,
@@ -85,7 +84,6 @@ setup(
             "valve-control = valve_control.cli:main",
             *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
             *(f"{tool} = {NAME}.nodes.harness.{tool}:main" for tool in TOOLS),
-            *(f"{tool} = {NAME}.cli.moved:main" for tool in MOVED),
         ]
     },
 )

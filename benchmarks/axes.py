@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from benchmarks.batch import Measure, in_turns, timed
 from valve_control.control.axis import run as runs
+from valve_control.control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.compiling import compile_function
 from valve_control.control.motion.upper import LEVELS
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.control.plant import axis
 from valve_control.parameter import Values, updated
 

@@ -10,9 +10,9 @@ from typing import Any
 from tqdm import tqdm
 
 from benchmarks.batch import BenchmarkError
+from valve_control.control.axis.axis_parameters import AXIS
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis_parameters import AXIS
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.export import folder, unit
 from valve_control.export.unit import Unit

@@ -61,17 +61,6 @@ def test_the_example_on_the_command_line(installed, tmp_path):
     assert json.loads((tmp_path / "study.json").read_text())["controller"] == "lead"
 
 
-def test_the_example_can_be_launched(installed):
-    words = 'print(launching.law_option("lead"), launching.law_value("lead"))'
-    code = f"from valve_control.control.parameters import launching; {words}"
-    environment = {**os.environ, "PYTHONPATH": str(installed)}
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
-    assert done.returncode == 0 and done.stdout == "-p controller:=lead\n", done.stderr
-    without = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert without.returncode == 1 and "controller is 'lead'; it must be 'arc'" in without.stderr
-
-
 LAW = """
 import sys
 from typing import NamedTuple
@@ -128,16 +117,6 @@ BROKEN = [
     ('Law("mine"', 'Law("arc"', "the name is taken by a law of valve_control"),
     ('Law("mine"', 'Law("My law"', "its name is 'My law'; it must be one word in lower case"),
     ("import sys\n", "import sys\nimport not_there\n", "it cannot be imported: ModuleNotFoundError"),
-    (
-        "import sys\n",
-        "import sys\nfrom valve_control.laws.law import Law\n",
-        "it imports valve_control.laws, which is valve_control.control.laws now; change its imports",
-    ),
-    (
-        "import sys\n",
-        "import sys\nfrom valve_control import bags\n",
-        "it imports valve_control.bags, which is valve_control.recordings.bags now; change its imports",
-    ),
     (
         "import sys\n",
         "import sys\nimport valve_control.nowhere\n",

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from research.axes import hopsan, transmission_lines
-from valve_control.control.parameters.axis_parameters import AXIS, axis_params
+from valve_control.control.axis.axis_parameters import AXIS, axis_params
 from valve_control.control.plant import axis
 from valve_control.parameter import ParameterError, defaults
 

@@ -10,9 +10,9 @@ import pytest
 
 from valve_control.cli import main
 from valve_control.control.axis import run
+from valve_control.control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.motion import axis_pid, course
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.control.plant.machine import Reading
 from valve_control.parameter import ParameterError, defaults, updated
 

@@ -11,8 +11,8 @@ import scipy.signal
 
 from research.axes import study
 from research.axes.__main__ import main
+from valve_control.control.axis import axis_parameters as parameters
 from valve_control.control.axis import run
-from valve_control.control.parameters import axis_parameters as parameters
 
 
 class Known:

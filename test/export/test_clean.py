@@ -13,8 +13,8 @@ import changed
 import pytest
 from driven import EACH_COMPILER, SANITIZERS, WARNINGS
 
+from valve_control.control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.control.parameters.table import VALVE
 from valve_control.export import fmu, folder, sources, unit
 from valve_control.parameter import defaults, updated

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from valve_control.control.axis import run as run_axis
+from valve_control.control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.laws import command_lead
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.motion import axis_pid
 from valve_control.control.motion.course import Goal
-from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import machine
 from valve_control.control.simulation import offline

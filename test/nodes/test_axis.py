@@ -21,10 +21,9 @@ from std_msgs.msg import Float64, Header
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from valve_control.control.axis import run
+from valve_control.control.axis import axis_supervisor, run
+from valve_control.control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis_parameters import AXIS_NODES
-from valve_control.control.supervision import axis_supervisor
 from valve_control.control.supervision.record import Mode
 from valve_control.nodes import loop
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, NumberSubscription

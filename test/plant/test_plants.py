@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from valve_control.control import closed_loop
+from valve_control.control.axis import axis_parameters
 from valve_control.control.linear import stability
-from valve_control.control.parameters import axis_parameters, build
+from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES, VALVE
 from valve_control.control.plant import registry, solenoid_valve, valve
 from valve_control.control.plant.plant import PlantError, check, try_out

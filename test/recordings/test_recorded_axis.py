@@ -10,8 +10,8 @@ from made import BEGIN, EVENT, FLOAT, PERIOD, STORE, Message, Run, T, event, wri
 
 from valve_control.cli import main
 from valve_control.control.axis import run as axis_run
+from valve_control.control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.parameter import updated
 from valve_control.recordings.bags.writer import BagWriter
 

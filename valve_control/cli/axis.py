@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
-from valve_control.cli import moved
 from valve_control.cli.common import check_outputs, deliver, parameter_options, tell_notes, write_json, wrote
 from valve_control.control.laws.registry import LAWS
 from valve_control.parameter import Values, updated
@@ -35,14 +34,13 @@ def add_commands(commands: Any) -> None:
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     output.add_argument("--csv", metavar="FILE", help="signals as CSV")
     output.add_argument("--figure", metavar="FILE", help="motion, error, spool and pressures as PNG or SVG")
-    axis.add_argument("--delta", action=moved.Option)
     axis.set_defaults(run=_axis)
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
     from valve_control.control.axis import run
+    from valve_control.control.axis.axis_parameters import AXIS_NODES
     from valve_control.control.parameters import files
-    from valve_control.control.parameters.axis_parameters import AXIS_NODES
 
     direct: dict[str, dict[str, Any]] = {
         "controller": {"controller": arguments.controller},
@@ -51,7 +49,6 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
     }
     notes: list[str] = []
     changes = files.given(arguments.params_file, direct, arguments.set, notes, AXIS_NODES)
-    notes += files.without_effect(arguments.set, changes, AXIS_NODES)
     tell_notes(notes)
     begun = run.default_settings()
     return {node: updated(table, begun[node], changes[node]) for node, table in AXIS_NODES.items()}

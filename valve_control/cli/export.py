@@ -78,8 +78,8 @@ def _refuse_contradictions(arguments: argparse.Namespace) -> None:
 def _export(arguments: argparse.Namespace) -> None:
     from tqdm import tqdm
 
+    from valve_control.control.axis.axis_parameters import AXIS_NODES
     from valve_control.control.parameters import files
-    from valve_control.control.parameters.axis_parameters import AXIS_NODES
     from valve_control.export import folder, settable, unit
 
     path = folder.refuse_taken(arguments.output)
@@ -89,7 +89,6 @@ def _export(arguments: argparse.Namespace) -> None:
     direct = {"controller": {"controller": arguments.controller}}
     nodes = AXIS_NODES if arguments.plant == "axis" else NODES
     changes = files.given(arguments.params_file, direct, arguments.set, notes, nodes)
-    notes += files.without_effect(arguments.set, changes, nodes)
     used = {None: ["controller"], "valve": ["valve_simulator"], "axis": ["axis_simulator", "valve_simulator"]}
     exported = {node: nodes[node] for node in used[arguments.plant]}
     what = f"the {arguments.plant}" if arguments.plant else "a law"

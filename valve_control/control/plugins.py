@@ -4,12 +4,7 @@
 
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
-from importlib.util import find_spec
 from typing import Any, TypeVar
-
-PACKAGE = "valve_control"
-STOREYS = ("control", "design", "recordings")  # packages to which others moved in November 2026
-
 
 T = TypeVar("T")  # a NamedTuple with name and package
 
@@ -47,19 +42,4 @@ def _imported(point: EntryPoint, error: type[ValueError]) -> Any:
     try:
         return point.load()
     except Exception as reason:
-        moved = _moved(reason) if isinstance(reason, ImportError) else ""
-        text = moved or f"it cannot be imported: {type(reason).__name__}: {reason}"
-        raise error(text) from reason
-
-
-def _moved(reason: ImportError) -> str:
-    """A sentence if ``reason`` is that a package of valve_control has moved, else ""."""
-    first, _, rest = (reason.name or "").partition(".")
-    if first == PACKAGE and not rest:  # from valve_control import laws
-        rest = str(reason).removeprefix("cannot import name '").partition("'")[0]
-    room = rest.partition(".")[0]
-    for storey in STOREYS if first == PACKAGE else ():
-        new = f"{PACKAGE}.{storey}.{room}"
-        if find_spec(new) is not None:
-            return f"it imports {PACKAGE}.{room}, which is {new} now; change its imports"
-    return ""
+        raise error(f"it cannot be imported: {type(reason).__name__}: {reason}") from reason

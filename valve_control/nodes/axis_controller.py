@@ -18,11 +18,11 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from valve_control.control.axis import axis_supervisor
+from valve_control.control.axis.axis_parameters import AXIS_CONTROLLER
 from valve_control.control.motion import path
 from valve_control.control.motion.course import Goal, MotionLimits
-from valve_control.control.parameters.axis_parameters import AXIS_CONTROLLER
 from valve_control.control.plant.machine import Reading
-from valve_control.control.supervision import axis_supervisor
 from valve_control.control.supervision.record import Mode
 from valve_control.nodes.adapter import (
     NEWEST,

@@ -22,8 +22,8 @@ from std_srvs.srv import Trigger
 from valve_control import inputs, outputs, parameter
 from valve_control.control.laws.registry import LAWS, REFUSED
 from valve_control.control.linear import stability
-from valve_control.control.parameters import arguments, build, files
-from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.parameters import arguments, ros_file
+from valve_control.control.parameters.controller import CONTROLLER, law_params
 from valve_control.control.supervision import rate
 from valve_control.control.supervision.cache_warming import CacheWarming
 from valve_control.control.supervision.command_course import Motion
@@ -164,7 +164,7 @@ class Controller(Managed):
         if refusal := self._supervisor.period_refusal(parameter.number(values, "sample_period")):
             raise ParameterError(refusal)
         chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
-        return Built(build.law_params(values), realtime.request(values), named_terms(chosen))
+        return Built(law_params(values), realtime.request(values), named_terms(chosen))
 
     def _apply(self, values: Values, built: Built) -> None:
         params, wanted, terms = built
@@ -640,7 +640,7 @@ class Controller(Managed):
         name = word(self._values, "save_file")
         try:
             path = inputs.expanded(name, "save_file").absolute()
-            files.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
+            ros_file.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
         except (OSError, ValueError) as error:
             response.success = False
             reason = getattr(error, "strerror", None) or str(error)

@@ -15,8 +15,8 @@ from std_msgs.msg import Float64
 from valve_control.control.drivers.device import Device
 from valve_control.control.drivers.driver import Condition, DriverError
 from valve_control.control.parameters import drivers
+from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.parameters.drivers import DEVICE, LIVE
-from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.adapter import SAMPLES, PolledSubscription, acquainted, encoded
 from valve_control.nodes.controller_node import COMMANDING, WARMING, Built, Controller
 from valve_control.nodes.rclpy_internals import sender

@@ -7,6 +7,7 @@ a wait set holds only the subscriptions on which a node works. Services get thei
 timers and discovery too, now and then, one node at a time.
 """
 
+import argparse
 import gc
 import os
 import select
@@ -21,8 +22,8 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
-from valve_control.control.parameters.arguments import help_text, refuse_stray, refuse_unreadable
 from valve_control.nodes.adapter import PolledSubscription
 from valve_control.nodes.rclpy_internals import WaitSet, call_timer
 from valve_control.nodes.services import Reception, Unwatched
@@ -104,20 +105,15 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
-    node = Path(sys.argv[0]).stem
-    if text := help_text(node, make.__globals__["__doc__"], sys.argv[1:]):
-        try:
-            print(text, flush=True)
-        except BrokenPipeError:  # such as `| head`; at its exit Python would try again
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    parser = argparse.ArgumentParser(
+        prog=f"ros2 run valve_control {Path(sys.argv[0]).stem}",
+        usage="%(prog)s [--ros-args] [-p NAME:=VALUE] [--params-file FILE] [-r __ns:=/NAME]",
+        description=make.__globals__["__doc__"],
+        epilog="valve-control parameters lists the parameters of all nodes.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     try:
-        refuse_stray(sys.argv[1:])
-        refuse_unreadable(sys.argv[1:])
-    except ParameterError as error:
-        print(f"{node}: {error}", file=sys.stderr)
-        return 2
-    try:
+        parser.parse_args(remove_ros_args(sys.argv)[1:])
         check_log_folder(os.environ)
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy has no public type for bad --ros-args

@@ -13,9 +13,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
@@ -24,7 +26,6 @@ from valve_control.control.drivers import trial
 from valve_control.control.drivers.device import Device
 from valve_control.control.drivers.driver import Condition, DriverError
 from valve_control.control.parameters import drivers
-from valve_control.control.parameters.arguments import refuse_stray, values_of
 from valve_control.control.parameters.drivers import LIVE, VALVE_DRIVER, Sides
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
@@ -354,8 +355,9 @@ class ValveDriver(Managed):
 def check(arguments: Sequence[str]) -> int:
     """Dry run with the parameters of a command line; returns the exit status."""
     try:
-        refuse_stray(arguments)
-        values = values_of(arguments, "valve_driver", VALVE_DRIVER)
+        rclpy.init(args=["valve_driver", *arguments])
+        node = Node("valve_driver", enable_rosout=False, start_parameter_services=False)
+        values = ParameterSet(node, VALVE_DRIVER, drivers.sides, lambda values, sides: None).values
         device = drivers.device(values)
         tried = trial.run(device)
     except (ParameterError, DriverError) as error:

@@ -12,8 +12,8 @@ from valve_control import inputs
 from valve_control.control.laws.common import SAMPLE_PERIOD
 from valve_control.control.motion import axis_arc_sampled, axis_pid, upper
 from valve_control.control.parameters import build, files
-from valve_control.control.parameters.drivers import VALVE_DRIVER
-from valve_control.control.parameters.table import AUTOSTART, NODES
+from valve_control.control.parameters.controller import AUTOSTART, CONTROLLER
+from valve_control.control.parameters.valve import VALVE
 from valve_control.control.plant import axis, machine, registry, sensor, valve
 from valve_control.parameter import (
     Parameter,
@@ -149,9 +149,15 @@ AXIS: Table = (
     Parameter("pressure.delay", 0.0, "s", "dead time of the pressure sensors", 0.0, 1.0),
     Parameter("seed", 1, "", "seed of the noise of all sensors", 0, 2**31 - 1),
     Parameter("integration.steps", 4, "", "integration steps in a sample period", 1, 1000),
-    Parameter("joint", "axis", "", "node: name of the joint on joint_states"),
+    Parameter("joint", "axis", "", "node: name of the joint on joint_states", node_only=True),
     Parameter(
-        "listeners", 1, "", "node, lockstep: number of subscriptions of joint_states to wait for", 0, 100
+        "listeners",
+        1,
+        "",
+        "node, lockstep: number of subscriptions of joint_states to wait for",
+        0,
+        100,
+        node_only=True,
     ),
     Parameter(
         "fault.position",
@@ -159,6 +165,7 @@ AXIS: Table = (
         "",
         "node: injected fault of the position sensor",
         choices=("none", "silent", "frozen", "jump", "out_of_range", "not_finite"),
+        node_only=True,
     ),
     Parameter(
         "fault.pressure",
@@ -166,6 +173,7 @@ AXIS: Table = (
         "",
         "node: injected fault of both pressure sensors",
         choices=("none", "silent", "jump", "not_finite"),
+        node_only=True,
     ),
 )
 NOMINAL = 70e5  # Pa  pressure difference of relief.flow
@@ -204,8 +212,11 @@ AXIS_CONTROLLER: Table = (
         "",
         "node: data of the machine, for stroke and velocity gains: name of a file in config/axis, or "
         "path of a parameter file",
+        node_only=True,
     ),
-    Parameter("joint", "axis", "", "node: name of the joint on joint_states and in trajectories"),
+    Parameter(
+        "joint", "axis", "", "node: name of the joint on joint_states and in trajectories", node_only=True
+    ),
     Parameter(
         "message",
         "command",
@@ -213,7 +224,9 @@ AXIS_CONTROLLER: Table = (
         "command: numbers on spool_command; trajectory: points with derivatives on spool_trajectory",
         choices=("command", "trajectory"),
     ),
-    Parameter("lockstep", False, "", "node: answer each reading when all listeners are there"),
+    Parameter(
+        "lockstep", False, "", "node: answer each reading when all listeners are there", node_only=True
+    ),
     Parameter(
         "start_tolerance",
         0.002,
@@ -221,21 +234,52 @@ AXIS_CONTROLLER: Table = (
         "node: largest distance from the present goal to the start of a trajectory",
         0.0,
         50.0,
+        node_only=True,
     ),
     Parameter(
-        "error_limit", 0.05, "m", "node: position error at which the axis is stopped; 0: none", 0.0, 50.0
+        "error_limit",
+        0.05,
+        "m",
+        "node: position error at which the axis is stopped; 0: none",
+        0.0,
+        50.0,
+        node_only=True,
     ),
     Parameter(
-        "sensor.timeout", 0.05, "s", "node: silence of a sensor at which the axis is stopped", 0.001, 100.0
+        "sensor.timeout",
+        0.05,
+        "s",
+        "node: silence of a sensor at which the axis is stopped",
+        0.001,
+        100.0,
+        node_only=True,
     ),
     Parameter(
-        "sensor.tolerance", 0.002, "m", "node: tolerance of a position beyond stroke or speed", 0.0, 10.0
+        "sensor.tolerance",
+        0.002,
+        "m",
+        "node: tolerance of a position beyond stroke or speed",
+        0.0,
+        10.0,
+        node_only=True,
     ),
     Parameter(
-        "sensor.max_speed", 2.0, "m/s", "node: highest speed of a position that is not a jump", 1e-3, 1e3
+        "sensor.max_speed",
+        2.0,
+        "m/s",
+        "node: highest speed of a position that is not a jump",
+        1e-3,
+        1e3,
+        node_only=True,
     ),
     Parameter(
-        "sensor.pressure_high", 4e7, "Pa", "node: highest pressure that a pressure sensor can show", 1e5, 1e9
+        "sensor.pressure_high",
+        4e7,
+        "Pa",
+        "node: highest pressure that a pressure sensor can show",
+        1e5,
+        1e9,
+        node_only=True,
     ),
     Parameter(
         "sensor.pressure_jump",
@@ -244,15 +288,23 @@ AXIS_CONTROLLER: Table = (
         "node: change of a pressure between two readings that counts as a jump",
         1e4,
         1e9,
+        node_only=True,
     ),
     Parameter(
-        "sensor.hold_samples", 3, "", "node: number of wrong readings in a row that is bridged", 0, 1000
+        "sensor.hold_samples",
+        3,
+        "",
+        "node: number of wrong readings in a row that is bridged",
+        0,
+        1000,
+        node_only=True,
     ),
     Parameter(
         "stop.controller",
         "controller",
         "",
         "node: valve controller that a stop deactivates, which gives 0 V; empty: none",
+        node_only=True,
     ),
     Parameter(
         "stop.delay",
@@ -261,16 +313,16 @@ AXIS_CONTROLLER: Table = (
         "node: time from the command of 0 V, which centres the spool, to this deactivation",
         0.0,
         100.0,
+        node_only=True,
     ),
     AUTOSTART,
 )
 AXIS_NODES: dict[str, Table] = {
     "axis_simulator": AXIS,
     "axis_controller": AXIS_CONTROLLER,
-    "valve_simulator": NODES["valve_simulator"],
-    "controller": NODES["controller"],
+    "valve_simulator": VALVE,
+    "controller": CONTROLLER,
 }
-ROS_NODES: dict[str, Table] = {**NODES, **AXIS_NODES, "valve_driver": VALVE_DRIVER}
 
 
 def _refuse_impossible(values: Values) -> None:

@@ -15,11 +15,11 @@ import types
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from valve_control.control.axis import axis_parameters as parameters
+from valve_control.control.axis import axis_watch
 from valve_control.control.motion import axis_pid, path, upper
 from valve_control.control.motion.course import Goal
-from valve_control.control.parameters import axis_parameters as parameters
 from valve_control.control.plant.machine import Reading
-from valve_control.control.supervision import axis_watch
 from valve_control.control.supervision.record import Mode
 from valve_control.parameter import ParameterError, Values, number, word
 
