@@ -260,7 +260,7 @@ def study(
     """Results by valve of the axes 0 to ``axes`` - 1; ``done`` is called after each axis under a valve."""
     bases = {name: base_of(name, level) for name in VALVES}
     for base in bases.values():
-        run.warm_up(base)
+        run.indices_of(base._replace(goals=base.goals[:1]), np.empty((1, len(cascade.SIGNALS))))  # compiles
         Axis(base, random_axis(0)).driven(np.zeros(1))
     drawn = [random_axis(seed) for seed in range(axes)]
 

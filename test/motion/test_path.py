@@ -140,15 +140,6 @@ def test_the_roots_of_many_polynomials_are_those_of_each(rows):
             assert np.any((roots > at[i] - 1e-3) & (roots < at[i + 1] + 1e-3))
 
 
-def test_points_are_those_of_the_joint():
-    rows = [((1.0, 2.0), (3.0, 4.0), (), 7)]
-    assert path.points_of("b", ["a", "b"], rows) == [path.PathPoint(2.0, 4.0, None, 7)]
-    with pytest.raises(ParameterError, match="is for 'a', 'b', not for 'c'"):
-        path.points_of("c", ["a", "b"], rows)
-    with pytest.raises(ParameterError, match="2 positions, 1 velocities and 0 accelerations"):
-        path.points_of("a", ["a", "b"], [((1.0, 2.0), (3.0,), (), 7)])
-
-
 @pytest.mark.parametrize("present", [REST, Goal(0.2, 0.2, 1.0), Goal(0.3, -0.1, 0.0)])
 def test_a_goal_is_reached_from_any_motion_within_the_limits(present):
     made = path.towards(0.25, present, LIMITS, ABLE)

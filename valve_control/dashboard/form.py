@@ -40,7 +40,7 @@ class Row:
         self.box = ui.element("div").classes("vc-row").props(f'data-name="{self.name}"')
         with self.box:
             ui.label(self.name).classes("vc-name")
-            self._entry: ui.switch | ui.select | ui.input
+            self._entry: Any  # ui.switch, ui.select or ui.input, by the parameter's kind
             if isinstance(parameter.default, bool):
                 self._entry = ui.switch(on_change=self._chosen).props(title)
             elif parameter.choices:

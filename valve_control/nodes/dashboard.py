@@ -90,13 +90,13 @@ def field(descriptor: Any) -> Parameter | None:
     """A parameter from its ROS descriptor, None for what the page does not show."""
     if descriptor.type not in DEFAULTS or descriptor.read_only:
         return None
-    ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
-    limits = {"low": float(ranges[0].from_value), "high": float(ranges[0].to_value)} if ranges else {}
+    result = Parameter(descriptor.name, DEFAULTS[descriptor.type], "", descriptor.description)
+    for limits in (*descriptor.floating_point_range, *descriptor.integer_range):
+        result = result._replace(low=float(limits.from_value), high=float(limits.to_value))
     constraints = descriptor.additional_constraints
-    choices = tuple(constraints.removeprefix(ONE_OF).split(", ")) if constraints.startswith(ONE_OF) else ()
-    return Parameter(
-        descriptor.name, DEFAULTS[descriptor.type], "", descriptor.description, choices=choices, **limits
-    )
+    if constraints.startswith(ONE_OF):
+        result = result._replace(choices=tuple(constraints.removeprefix(ONE_OF).split(", ")))
+    return result
 
 
 def full_name(info: Any) -> str:
