@@ -15,13 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.batch import Measure, in_turns, timed
-from valve_control.control.axis import cascade
-from valve_control.control.axis import run as runs
-from valve_control.control.axis.axis_parameters import AXIS_NODES
+from valve_control.axis import axis, cascade
+from valve_control.axis import run as runs
+from valve_control.axis.axis_parameters import AXIS_NODES
+from valve_control.axis.upper import LEVELS
 from valve_control.control.compiling import compile_function
-from valve_control.control.motion.upper import LEVELS
 from valve_control.control.parameters import files
-from valve_control.control.plant import axis
 from valve_control.parameter import Values, updated
 
 Array = npt.NDArray[np.float64]

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from research.axes import hopsan, transmission_lines
-from valve_control.control.axis.axis_parameters import AXIS, axis_params
-from valve_control.control.plant import axis
+from valve_control.axis import axis
+from valve_control.axis.axis_parameters import AXIS, axis_params
 from valve_control.parameter import defaults
 
 FOLDER = Path(os.environ.get("HOPSAN_REFERENCES", "."))

@@ -9,12 +9,11 @@ import changed
 import numpy as np
 import pytest
 
+from valve_control.axis import axis_pid, course, run
+from valve_control.axis.axis_parameters import AXIS_NODES
+from valve_control.axis.machine import Reading
 from valve_control.cli import main
-from valve_control.control.axis import run
-from valve_control.control.axis.axis_parameters import AXIS_NODES
-from valve_control.control.motion import axis_pid, course
 from valve_control.control.parameters import files
-from valve_control.control.plant.machine import Reading
 from valve_control.parameter import ParameterError, defaults, updated
 
 

@@ -10,8 +10,8 @@ import scipy.optimize
 import scipy.signal
 
 from research.axes import study
-from valve_control.control.axis import axis_parameters as parameters
-from valve_control.control.axis import run
+from valve_control.axis import axis_parameters as parameters
+from valve_control.axis import run
 
 
 class Known:

@@ -20,8 +20,8 @@ from std_msgs.msg import Float64, Header
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from valve_control.control.axis import axis_supervisor, run
-from valve_control.control.axis.axis_parameters import AXIS_NODES
+from valve_control.axis import axis_supervisor, run
+from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.parameters import files
 from valve_control.control.supervision.record import Mode
 from valve_control.nodes import loop

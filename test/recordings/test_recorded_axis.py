@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from made import BEGIN, FLOAT, PERIOD, STORE, Message, Run, T, write
 
+from valve_control.axis import run as axis_run
+from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.cli import main
-from valve_control.control.axis import run as axis_run
-from valve_control.control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.parameters import files
 from valve_control.parameter import updated
 from valve_control.recordings.bags.writer import BagWriter

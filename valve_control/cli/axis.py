@@ -12,7 +12,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.parameter import Values, updated
 
 if TYPE_CHECKING:
-    from valve_control.control.axis.run import Run, Setup
+    from valve_control.axis.run import Run, Setup
 
 
 def add_commands(commands: Any) -> None:
@@ -38,8 +38,8 @@ def add_commands(commands: Any) -> None:
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
-    from valve_control.control.axis import run
-    from valve_control.control.axis.axis_parameters import AXIS_NODES
+    from valve_control.axis import run
+    from valve_control.axis.axis_parameters import AXIS_NODES
     from valve_control.control.parameters import files
 
     direct: dict[str, dict[str, Any]] = {
@@ -55,7 +55,7 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
 
 
 def _axis(arguments: argparse.Namespace) -> None:
-    from valve_control.control.axis import run
+    from valve_control.axis import run
     from valve_control.control.compiling import explained
     from valve_control.control.laws.registry import LAWS
 

@@ -18,11 +18,10 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from valve_control.control.axis import axis_supervisor
-from valve_control.control.axis.axis_parameters import AXIS_CONTROLLER
-from valve_control.control.motion import path
-from valve_control.control.motion.course import Goal, MotionLimits
-from valve_control.control.plant.machine import Reading
+from valve_control.axis import axis_supervisor, path
+from valve_control.axis.axis_parameters import AXIS_CONTROLLER
+from valve_control.axis.course import Goal, MotionLimits
+from valve_control.axis.machine import Reading
 from valve_control.control.supervision.record import Mode
 from valve_control.nodes.adapter import (
     NEWEST,

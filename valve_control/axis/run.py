@@ -10,19 +10,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from valve_control.arrays import Floats
+from valve_control.axis import axis, cascade, course, machine, upper
+from valve_control.axis import axis_parameters as parameters
+from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.control import closed_loop
 from valve_control.control.analysis.indices import variation
-from valve_control.control.axis import axis_parameters as parameters
-from valve_control.control.axis import cascade
-from valve_control.control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.commands.arrays import refuse_aliased
 from valve_control.control.compiling import bind, compile_function
 from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
-from valve_control.control.motion import course, upper
 from valve_control.control.parameters import build
-from valve_control.control.plant import axis, machine
 from valve_control.parameter import ParameterError, Values, defaults, number, word
 
 LAST = 1.0  # s  the end of a run, within which the axis has settled

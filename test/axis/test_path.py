@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.control.motion import course, path
-from valve_control.control.motion.course import Goal
+from valve_control.axis import course, path
+from valve_control.axis.course import Goal
 from valve_control.parameter import ParameterError
 
 ABLE = path.Range(0.0, 0.5, 0.7, 0.5, 0.002)

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.control.axis import axis_supervisor as supervisor
-from valve_control.control.axis.axis_parameters import AXIS_CONTROLLER
-from valve_control.control.motion import axis_pid, course, path
-from valve_control.control.motion.course import Goal
-from valve_control.control.plant.machine import Reading
+from valve_control.axis import axis_pid, course, path
+from valve_control.axis import axis_supervisor as supervisor
+from valve_control.axis.axis_parameters import AXIS_CONTROLLER
+from valve_control.axis.course import Goal
+from valve_control.axis.machine import Reading
 from valve_control.control.supervision.record import Mode
 from valve_control.parameter import ParameterError
 

@@ -14,12 +14,11 @@ import math
 import types
 from typing import Any, NamedTuple
 
-from valve_control.control.axis import axis_parameters as parameters
-from valve_control.control.axis import axis_watch
-from valve_control.control.motion import axis_pid, path, upper
-from valve_control.control.motion.course import Goal
-from valve_control.control.motion.path import Path
-from valve_control.control.plant.machine import Reading
+from valve_control.axis import axis_parameters as parameters
+from valve_control.axis import axis_pid, axis_watch, path, upper
+from valve_control.axis.course import Goal
+from valve_control.axis.machine import Reading
+from valve_control.axis.path import Path
 from valve_control.control.supervision.record import Mode
 from valve_control.parameter import ParameterError, Values, number, word
 

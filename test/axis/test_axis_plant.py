@@ -11,9 +11,9 @@ import scipy.integrate
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from valve_control.control.axis import axis_parameters as parameters
+from valve_control.axis import axis, orifice
+from valve_control.axis import axis_parameters as parameters
 from valve_control.control.compiling import compile_function
-from valve_control.control.plant import axis, orifice
 from valve_control.parameter import ParameterError
 
 BAR = 1e5

@@ -10,14 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.control.axis import axis_parameters as parameters
-from valve_control.control.axis import run
-from valve_control.control.axis.axis_parameters import AXIS, AXIS_CONTROLLER, AXIS_NODES
-from valve_control.control.motion import axis_arc
-from valve_control.control.motion import axis_arc_sampled as level
-from valve_control.control.motion.axis_arc import Theta
-from valve_control.control.motion.course import Goal
-from valve_control.control.plant.machine import Reading
+from valve_control.axis import axis_arc, run
+from valve_control.axis import axis_arc_sampled as level
+from valve_control.axis import axis_parameters as parameters
+from valve_control.axis.axis_arc import Theta
+from valve_control.axis.axis_parameters import AXIS, AXIS_CONTROLLER, AXIS_NODES
+from valve_control.axis.course import Goal
+from valve_control.axis.machine import Reading
 from valve_control.parameter import ParameterError, defaults, updated
 
 SWIFT = 2.0 * math.pi * 300.0  # rad/s  of a valve that hardly matters
