@@ -10,7 +10,7 @@ from typing import Any
 from tqdm import tqdm
 
 from benchmarks.batch import BenchmarkError
-from valve_control.control.axis.axis_parameters import AXIS
+from valve_control.axis.axis_parameters import AXIS
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER, VALVE

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import valve_control
-from valve_control.control.axis.tables import ROS_NODES
+from valve_control.axis.tables import ROS_NODES
 from valve_control.parameter import Parameter, Value
 
 PACKAGE = Path(valve_control.__file__).parent

@@ -12,8 +12,8 @@ import pytest
 from launched import VARIABLE, command, filled, nodes, parameters, variables
 
 from research.campaigns import arm as campaign
-from valve_control.control.axis.axis_parameters import known_machine
-from valve_control.control.axis.tables import ROS_NODES
+from valve_control.axis.axis_parameters import known_machine
+from valve_control.axis.tables import ROS_NODES
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
 from valve_control.control.parameters.arguments import addressed

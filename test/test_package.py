@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from valve_control import __version__
-from valve_control.control.axis import tables
+from valve_control.axis import tables
 from valve_control.control.parameters import build, drivers, files, table
 from valve_control.parameter import defaults, updated
 

@@ -13,7 +13,7 @@ import changed
 import pytest
 from driven import EACH_COMPILER, SANITIZERS, WARNINGS
 
-from valve_control.control.axis.axis_parameters import AXIS_NODES
+from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import VALVE
 from valve_control.export import fmu, folder, sources, unit

@@ -10,14 +10,13 @@ import zipfile
 import numpy as np
 import pytest
 
-from valve_control.control.axis import run as run_axis
-from valve_control.control.axis.axis_parameters import AXIS_NODES
+from valve_control.axis import axis_pid, machine
+from valve_control.axis import run as run_axis
+from valve_control.axis.axis_parameters import AXIS_NODES
+from valve_control.axis.course import Goal
 from valve_control.control.laws import command_lead
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.motion import axis_pid
-from valve_control.control.motion.course import Goal
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant import machine
 from valve_control.control.simulation import offline
 from valve_control.parameter import defaults, updated
 

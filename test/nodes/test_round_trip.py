@@ -9,7 +9,7 @@ from bench import call
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 
-from valve_control.control.axis.tables import ROS_NODES
+from valve_control.axis.tables import ROS_NODES
 from valve_control.control.parameters import files
 from valve_control.control.parameters.ros_file import is_of_ros
 from valve_control.nodes import NODES

@@ -9,8 +9,8 @@ import changed
 import numpy as np
 import pytest
 
+from valve_control.axis import axis_parameters
 from valve_control.control import closed_loop
-from valve_control.control.axis import axis_parameters
 from valve_control.control.linear import stability
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES, VALVE

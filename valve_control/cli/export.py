@@ -78,7 +78,7 @@ def _refuse_contradictions(arguments: argparse.Namespace) -> None:
 def _export(arguments: argparse.Namespace) -> None:
     from tqdm import tqdm
 
-    from valve_control.control.axis.axis_parameters import AXIS_NODES
+    from valve_control.axis.axis_parameters import AXIS_NODES
     from valve_control.control.parameters import files
     from valve_control.export import folder, settable, unit
 

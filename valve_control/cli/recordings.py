@@ -227,7 +227,7 @@ def _axes(arguments: argparse.Namespace, loaded: "Recording") -> "dict[str, Axis
     def log_time(seconds: float | None) -> int | None:
         return None if seconds is None else loaded.bag.begin + round(seconds * 1e9)
 
-    return axis_analysis.axes(loaded.bag, loaded.nodes, log_time(arguments.start), log_time(arguments.end))
+    return axis_analysis.axes(loaded.bag, log_time(arguments.start), log_time(arguments.end))
 
 
 def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> "list[tuple[Path, ValveAnalysis]]":

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
+from valve_control.axis.tables import ROS_NODES
 from valve_control.cli.common import (
     Once,
     Parser,
@@ -24,7 +25,6 @@ from valve_control.cli.common import (
     wrote,
 )
 from valve_control.control.analysis.tables import HEADER, index_row
-from valve_control.control.axis.tables import ROS_NODES
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated

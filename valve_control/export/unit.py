@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
-from valve_control.control.axis import axis_parameters
+from valve_control.axis import axis_parameters, machine
 from valve_control.control.laws import linearisation
 from valve_control.control.laws.common import COMMON
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.reshaping import PARAMETERS as RESHAPING
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant import machine, registry
+from valve_control.control.plant import registry
 from valve_control.control.supervision import watch
 from valve_control.control.supervision.record import Memory
 from valve_control.export import kinds

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from valve_control.arrays import Floats
-from valve_control.control.motion.course import Goal, MotionLimits, planned
+from valve_control.axis.course import Goal, MotionLimits, planned
 from valve_control.parameter import ParameterError
 
 MOST = 100_000  # points

@@ -9,12 +9,12 @@ import math
 from typing import Any
 
 from valve_control import inputs
+from valve_control.axis import axis, axis_arc_sampled, axis_pid, machine, upper
 from valve_control.control.laws.common import SAMPLE_PERIOD
-from valve_control.control.motion import axis_arc_sampled, axis_pid, upper
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.controller import AUTOSTART, CONTROLLER
 from valve_control.control.parameters.valve import VALVE
-from valve_control.control.plant import axis, machine, registry, sensor, valve
+from valve_control.control.plant import registry, sensor, valve
 from valve_control.parameter import (
     Parameter,
     ParameterError,

@@ -14,7 +14,7 @@ linear system is solved by hand: the three pressures first, then the velocity.
 import math
 from typing import NamedTuple
 
-from valve_control.control.plant.orifice import flow, opening
+from valve_control.axis.orifice import flow, opening
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)  # of ROS2, L-stable
 

@@ -11,6 +11,6 @@ NEEDS_PRESSURES cannot do without them.
 
 import types
 
-from valve_control.control.motion import axis_arc_sampled, axis_pid
+from valve_control.axis import axis_arc_sampled, axis_pid
 
 LEVELS: dict[str, types.ModuleType] = {"axis_pid": axis_pid, axis_arc_sampled.NAME: axis_arc_sampled}

@@ -11,12 +11,11 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from valve_control.control.motion import axis_arc
-from valve_control.control.motion.axis_arc import Measured, Model, Theta
-from valve_control.control.motion.axis_pid import SpoolReference
-from valve_control.control.motion.course import Goal
-from valve_control.control.plant import axis
-from valve_control.control.plant.machine import Reading
+from valve_control.axis import axis, axis_arc
+from valve_control.axis.axis_arc import Measured, Model, Theta
+from valve_control.axis.axis_pid import SpoolReference
+from valve_control.axis.course import Goal
+from valve_control.axis.machine import Reading
 from valve_control.parameter import Parameter, ParameterError, Table, Values, number
 
 NAME = "axis_arc"

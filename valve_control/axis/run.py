@@ -1,30 +1,26 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Runs one axis, or many on several threads, through the compiled loop of ``closed_loop.py``."""
+"""Runs an axis through the compiled loop of ``closed_loop.py``, which leaves other threads free."""
 
-import os
 import types
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from valve_control.arrays import Floats
+from valve_control.axis import axis, cascade, course, machine, upper
+from valve_control.axis import axis_parameters as parameters
+from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.control import closed_loop
 from valve_control.control.analysis.indices import variation
-from valve_control.control.axis import axis_parameters as parameters
-from valve_control.control.axis import cascade
-from valve_control.control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.commands.arrays import refuse_aliased
 from valve_control.control.compiling import bind, compile_function
 from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
-from valve_control.control.motion import course, upper
 from valve_control.control.parameters import build
-from valve_control.control.plant import axis, machine
 from valve_control.parameter import ParameterError, Values, defaults, number, word
 
 LAST = 1.0  # s  the end of a run, within which the axis has settled
@@ -199,30 +195,3 @@ def simulate(s: Setup, compiled: bool = True) -> Run:
     for name, values in zip(("pressure_a", "pressure_b", "pressure_supply"), np.array(found).T, strict=True):
         signals[name] = values
     return Run(np.arange(n, dtype=np.float64) * p.period, signals, indices)
-
-
-def warm_up(s: Setup) -> None:
-    """Compile the loop of ``s`` in this thread, because Ctrl-C reaches no other, by a run of one sample."""
-    indices_of(s._replace(goals=s.goals[:1]), np.empty((1, len(cascade.SIGNALS))))
-
-
-def simulate_many(
-    setups: Sequence[Setup], threads: int | None = None, done: Callable[[], object] = lambda: None
-) -> list[Indices]:
-    """Indices of many runs, on ``threads`` threads (default: all cores); ``done`` is called after each.
-
-    Each run has the bits of ``simulate``, whatever the number of threads.
-    """
-
-    def one(s: Setup) -> Indices:
-        found = indices_of(s, np.empty((len(s.goals), len(cascade.SIGNALS))))
-        done()
-        return found
-
-    for s in {(s.law, s.level): s for s in setups}.values():
-        warm_up(s)
-    pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
-    try:
-        return list(pool.map(one, setups))
-    finally:
-        pool.shutdown(cancel_futures=True)

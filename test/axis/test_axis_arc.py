@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from research.axes import study
-from valve_control.control.axis.axis_parameters import axis_params
+from valve_control.axis import axis_arc
+from valve_control.axis.axis_arc import Measured, Model, Theta
+from valve_control.axis.axis_parameters import axis_params
+from valve_control.axis.course import Goal
 from valve_control.control.compiling import compile_function
-from valve_control.control.motion import axis_arc
-from valve_control.control.motion.axis_arc import Measured, Model, Theta
-from valve_control.control.motion.course import Goal
 from valve_control.parameter import number
 
 STEP = 2e-5  # s

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.control.motion import course, path
-from valve_control.control.motion.course import Goal
+from valve_control.axis import course, path
+from valve_control.axis.course import Goal
 from valve_control.parameter import ParameterError
 
 ABLE = path.Range(0.0, 0.5, 0.7, 0.5, 0.002)
@@ -138,15 +138,6 @@ def test_the_roots_of_many_polynomials_are_those_of_each(rows):
         size = np.max(np.abs(rate))
         for i in np.flatnonzero((value[1:] * value[:-1] < 0.0) & (abs(value[1:] - value[:-1]) > 1e-6 * size)):
             assert np.any((roots > at[i] - 1e-3) & (roots < at[i + 1] + 1e-3))
-
-
-def test_points_are_those_of_the_joint():
-    rows = [((1.0, 2.0), (3.0, 4.0), (), 7)]
-    assert path.points_of("b", ["a", "b"], rows) == [path.PathPoint(2.0, 4.0, None, 7)]
-    with pytest.raises(ParameterError, match="is for 'a', 'b', not for 'c'"):
-        path.points_of("c", ["a", "b"], rows)
-    with pytest.raises(ParameterError, match="2 positions, 1 velocities and 0 accelerations"):
-        path.points_of("a", ["a", "b"], [((1.0, 2.0), (3.0,), (), 7)])
 
 
 @pytest.mark.parametrize("present", [REST, Goal(0.2, 0.2, 1.0), Goal(0.3, -0.1, 0.0)])

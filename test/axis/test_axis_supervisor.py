@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.control.axis import axis_supervisor as supervisor
-from valve_control.control.axis.axis_parameters import AXIS_CONTROLLER
-from valve_control.control.motion import axis_pid, course, path
-from valve_control.control.motion.course import Goal
-from valve_control.control.plant.machine import Reading
+from valve_control.axis import axis_pid, course, path
+from valve_control.axis import axis_supervisor as supervisor
+from valve_control.axis.axis_parameters import AXIS_CONTROLLER
+from valve_control.axis.course import Goal
+from valve_control.axis.machine import Reading
 from valve_control.control.supervision.record import Mode
 from valve_control.parameter import ParameterError
 
@@ -226,40 +226,6 @@ def test_a_late_stamp_is_no_lost_reading_where_readings_have_numbers():
     assert without[100] == pytest.approx(-0.01, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("periods", "lost", "missed"),
-    [
-        (1.0, 0, 0),
-        (1.6, 0, 0),
-        (1.4, 1, 1),
-        (3.0, 0, 2),  # the sensor left out two samples
-        (1.0, 1, 0),  # the numbers are those of two joints that take turns
-        (2.0, None, 1),
-        (2000.0, 1999, 0),  # a clock was set
-    ],
-)
-def test_numbers_count_unless_they_differ_from_the_stamps_by_a_period(periods, lost, missed):
-    p, _ = designed()
-    assert supervisor.missed(p, periods * p.period, lost) == missed
-
-
-def test_a_reading_without_a_stamp_has_the_time_that_its_number_tells():
-    p, _ = designed(sensor__hold_samples=3)
-    s = sample(p, supervisor.at_rest(p), 0.2, 1)
-    assert [supervisor.unstamped(p, s, lost) // MS for lost in (None, 0, 3, 4)] == [2, 2, 5, 2]
-
-
-def test_axis_arc_takes_the_jerk_over_the_readings_that_were_bridged():
-    p, _ = designed(upper_level="axis_arc")
-    level, reading = p.level, Reading(math.nan, 0.2, 50e5, 80e5)
-    s = level.step(p.upper, level.initial(p.upper), Goal(0.2, 0.0, 0.0), reading)[1]
-    s = level.missed(p.upper, level.missed(p.upper, s))
-    goal = Goal(0.2, 0.0, 3.0 * 40.0 * p.period)
-    alike = s._replace(samples=1.0, acceleration=2.0 * 40.0 * p.period)
-    found, expected = (level.step(p.upper, one, goal, reading) for one in (s, alike))
-    assert found[0] == pytest.approx(expected[0], rel=1e-9) and found[1].samples == 1.0
-
-
 def test_an_axis_that_does_not_follow_is_stopped_and_reset_holds_where_it_is():
     p, able = designed(error_limit=0.01)
     s = sample(p, supervisor.at_rest(p), 0.2, 1)
@@ -297,18 +263,11 @@ def test_the_spools_velocity_and_acceleration_are_the_derivatives_of_its_command
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"machine": ""}, "machine is empty; it must name a file in config/axis"),
-        ({"machine": "benhc"}, "machine is 'benhc'; it must be 'bench', 'crane_arm'"),
-        ({"sample_period": 0.002}, "0.001 s for the machine 'bench' and 0.002 s for axis_controller"),
-        ({"overlap": 20.0}, "overlap is 20 V, no less than spool_limit, 10 V"),
-    ],
+    "changes", [{"machine": ""}, {"machine": "benhc"}, {"sample_period": 0.002}, {"overlap": 20.0}]
 )
-def test_an_upper_level_that_cannot_be_is_refused(changes, words):
-    with pytest.raises(Exception) as error:
+def test_an_upper_level_that_cannot_be_is_refused(changes):
+    with pytest.raises(ParameterError):
         designed(**changes)
-    assert words in str(error.value)
 
 
 def test_with_pressures_that_cannot_be_believed_axis_arc_is_stopped_and_axis_pid_is_not():
@@ -328,16 +287,6 @@ def test_with_pressures_that_cannot_be_believed_axis_arc_is_stopped_and_axis_pid
 
 
 LEARNT = ("damping_Ns_m", "coulomb_N", "force_N", "bulk_modulus_Pa")
-
-
-def test_without_pressure_sensors_axis_arc_stops_with_one_sentence():
-    p, _ = designed(upper_level="axis_arc")
-    s = supervisor.without_pressures(supervisor.at_rest(p), ["a", "b"])
-    assert supervisor.mode(s) == (
-        Mode.SAFE,
-        "stopped, 0 V: there is no pressure_a and pressure_b, which axis_arc needs; the upper_level axis_pid "
-        "needs none",
-    )
 
 
 def test_the_first_sample_of_axis_arc_is_that_of_an_axis_at_rest_after_each_reset():
@@ -384,21 +333,12 @@ def test_a_refusal_is_reported_for_a_second_and_changes_no_command():
 def test_silence_stops_an_axis_that_has_been_seen_and_no_other():
     p, _ = designed()
     unseen = supervisor.at_rest(p)
-    assert supervisor.mode(supervisor.silent(unseen, 0.5)) == (Mode.OK, "no position reading yet")
+    assert supervisor.mode(supervisor.silent(unseen, "silence")) == (Mode.OK, "no position reading yet")
     assert supervisor.spool_motion(p, unseen) == (0.0, 0.0, 0.0)
-    s = supervisor.silent(sample(p, unseen, 0.2, 1), 0.25)
-    assert supervisor.mode(s) == (Mode.SAFE, "stopped, 0 V: no position for 0.25 s")
+    s = supervisor.silent(sample(p, unseen, 0.2, 1), "silence")
+    assert supervisor.mode(s) == (Mode.SAFE, "stopped, 0 V: silence")
     assert supervisor.spool_motion(p, s) == (0.0, 0.0, 0.0)
     assert supervisor.found(p, s, 0.3).goal == s.goal and sample(p, s, 0.2, 2).command == 0.0
-
-
-def test_a_standstill_of_the_process_stops_an_axis_that_has_been_seen_under_its_name():
-    p, _ = designed()
-    unseen = supervisor.at_rest(p)
-    assert supervisor.stalled(unseen, 0.5) == unseen
-    s = supervisor.stalled(sample(p, unseen, 0.2, 1), 0.25)
-    text = "stopped, 0 V: stalled: the axis controller's process stood still for 0.25 s"
-    assert supervisor.mode(s) == (Mode.SAFE, text) and sample(p, s, 0.2, 2).command == 0.0
 
 
 def test_readings_with_one_time_stamp_count_as_one_period_apart():
@@ -412,20 +352,6 @@ def test_readings_with_one_time_stamp_count_as_one_period_apart():
             steps.append((s.command, s.bridged, s.watch))
         runs.append(steps)
     assert runs[0] == runs[1]
-
-
-def test_a_pressure_beyond_its_sensor_or_that_jumps_is_named():
-    p, _ = designed(upper_level="axis_arc")
-    s = supervisor.sample(p, supervisor.at_rest(p), Reading(math.nan, 0.2, 50e5, 80e5), MS)
-    for pressure, words in (
-        (2e9, "pressure b is 2e+04 bar, beyond 400 bar"),
-        (-2.5e7, "pressure b is -250 bar, beyond -200 bar"),
-        (290e5, "pressure b jumps by 210 bar"),
-    ):
-        mode, reason = supervisor.mode(
-            supervisor.sample(p, s, Reading(math.nan, 0.2, 50e5, pressure), 2 * MS)
-        )
-        assert mode is Mode.DEGRADED and reason.startswith(words)
 
 
 def test_a_path_that_began_a_moment_ago_replaces_the_one_in_motion_and_goes_on_from_there():

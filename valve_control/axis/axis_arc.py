@@ -11,8 +11,8 @@ b/m, Fc/m, Fn/m and the bulk modulus.
 import math
 from typing import NamedTuple
 
+from valve_control.axis.course import Goal
 from valve_control.control.laws.projection import clip
-from valve_control.control.motion.course import Goal
 from valve_control.control.plant.amplifier import saturate
 
 

@@ -12,14 +12,13 @@ safe      stopped: 0 V is commanded until ``reset``, because the sensors cannot 
 
 import math
 import types
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from valve_control.control.axis import axis_parameters as parameters
-from valve_control.control.axis import axis_watch
-from valve_control.control.motion import axis_pid, path, upper
-from valve_control.control.motion.course import Goal
-from valve_control.control.plant.machine import Reading
+from valve_control.axis import axis_parameters as parameters
+from valve_control.axis import axis_pid, axis_watch, path, upper
+from valve_control.axis.course import Goal
+from valve_control.axis.machine import Reading
+from valve_control.axis.path import Path
 from valve_control.control.supervision.record import Mode
 from valve_control.parameter import ParameterError, Values, number, word
 
@@ -42,20 +41,20 @@ class State(NamedTuple):
     """All that is remembered between two samples."""
 
     upper: Any
-    watch: axis_watch.State
-    path: path.Path | None
-    begun: int | None  # ns  time of the path's beginning, None: with the next reading
-    later: tuple[path.Path, int] | None  # path that replaces the one in motion, and its beginning [ns]
-    goal: Goal | None  # None before the first reading
-    jerk: float  # m/s³  of the goal
-    command: float  # V
     terms: Any
-    stopped: str  # why; "": it is not
-    bridged: str  # what is wrong with the reading that is bridged
-    refused: str  # what was refused of late
-    refused_until: float  # samples
-    time: int  # ns  of the last reading
-    samples: int
+    watch: axis_watch.State = axis_watch.UNKNOWN
+    path: Path | None = None
+    begun: int | None = None  # ns  time of the path's beginning, None: with the next reading
+    later: tuple[Path, int] | None = None  # path that replaces the one in motion, and its beginning [ns]
+    goal: Goal | None = None  # None before the first reading
+    jerk: float = 0.0  # m/s³  of the goal
+    command: float = 0.0  # V
+    stopped: str = ""  # why; "": it is not
+    bridged: str = ""  # what is wrong with the reading that is bridged
+    refused: str = ""  # what was refused of late
+    refused_until: float = 0.0  # samples
+    time: int = 0  # ns  of the last reading
+    samples: int = 0
 
 
 def design(values: Values) -> tuple[Params, path.Range]:
@@ -101,23 +100,7 @@ def needs_pressures(p: Params) -> bool:
 
 def at_rest(p: Params) -> State:
     """Before the first reading."""
-    return State(
-        p.level.initial(p.upper),
-        axis_watch.UNKNOWN,
-        None,
-        None,
-        None,
-        None,
-        0.0,
-        0.0,
-        p.level.AT_REST,
-        "",
-        "",
-        "",
-        0.0,
-        0,
-        0,
-    )
+    return State(p.level.initial(p.upper), p.level.AT_REST)
 
 
 def mode(s: State) -> tuple[Mode, str]:
@@ -282,26 +265,14 @@ def sample(p: Params, s: State, reading: Reading, time: int, lost: int | None = 
     )
 
 
-def without_pressures(s: State, rooms: Sequence[str]) -> State:
-    """State when no pressure of ``rooms`` has ever come, which the upper level needs."""
-    topics = " and ".join(f"pressure_{room}" for room in rooms)
-    return stopped(s, f"there is no {topics}, which axis_arc needs; the upper_level axis_pid needs none")
-
-
 def estimates(p: Params, s: State) -> dict[str, str]:
     """What the upper level has learnt of the axis, in words by name with unit."""
     return {name: f"{value:.4g}" for name, value in p.level.estimates(s.upper).items()}
 
 
-def silent(s: State, elapsed: float) -> State:
-    """State when no position has come for ``elapsed`` [s]."""
-    return stopped(s, f"no position for {elapsed:.3g} s") if s.goal is not None else s
-
-
-def stalled(s: State, elapsed: float) -> State:
-    """State when this process stood still, and no reading was answered for ``elapsed`` [s]."""
-    text = f"stalled: the axis controller's process stood still for {elapsed:.3g} s"
-    return stopped(s, text) if s.goal is not None else s
+def silent(s: State, why: str) -> State:
+    """State when no reading is answered any more, and ``why``; before the first one nothing is stopped."""
+    return s if s.goal is None else stopped(s, why)
 
 
 def spool_motion(p: Params, s: State) -> axis_pid.SpoolReference:

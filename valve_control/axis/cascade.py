@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from valve_control.arrays import Floats
+from valve_control.axis import axis, machine
+from valve_control.axis.course import Goal
 from valve_control.control.closed_loop import Sample
 from valve_control.control.laws import command_lead, reshaping
-from valve_control.control.motion.course import Goal
-from valve_control.control.plant import axis, machine
 from valve_control.control.plant.amplifier import saturate
 
 SIGNALS = (

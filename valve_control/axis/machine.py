@@ -3,7 +3,7 @@
 """Simulates one sample of a machine: an axis, the valve that feeds it and its sensors.
 
 The voltage moves the spool of the valve (``control/plant/valve.py``), the spool's edges feed the axis
-(``control/plant/axis.py``). The valve has its own LVDT.
+(``axis/axis.py``). The valve has its own LVDT.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from valve_control.arrays import Floats
-from valve_control.control.plant import axis, valve
+from valve_control.axis import axis
+from valve_control.control.plant import valve
 from valve_control.control.plant.sensor import Lvdt, reading
 
 NOISES = 4  # numbers of noise a sample: LVDT, position, two pressures
