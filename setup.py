@@ -33,7 +33,7 @@ setup(
         (f"share/{NAME}/config/solenoid", glob("config/solenoid/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.xml")),
     ],
-    package_data={NAME: ["py.typed", "nodes/*.xml", "export/*.c", "dashboard/*.js", "dashboard/*.css"]},
+    package_data={NAME: ["py.typed", "nodes/*.xml", "export/*.[ch]", "dashboard/*.js", "dashboard/*.css"]},
     install_requires=[
         "setuptools",
         "numpy>=1.26",

@@ -10,7 +10,6 @@ from typing import Any
 from tqdm import tqdm
 
 from benchmarks.batch import BenchmarkError
-from valve_control.axis.axis_parameters import AXIS
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER, VALVE
@@ -36,7 +35,6 @@ def units() -> dict[str, tuple[Unit, bool]]:
     made |= {f"{name} --watch": (unit.watched(values(name)), False) for name in LAWS}
     made |= {f"{name} --float": (unit.law(values(name)), True) for name in LAWS}
     made["valve"] = unit.plant(valve_values), False
-    made["axis"] = unit.hydraulic_axis(defaults(AXIS), valve_values), False
     return made
 
 

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.supervised import SupervisedValve
-from research import running
+from research import comparison, running
 from valve_control import interrupts, outputs
 from valve_control.cli.commission import CHATTER
 from valve_control.cli.common import Parser, check_processes
@@ -34,7 +34,7 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
 from valve_control.control.plant import registry
 from valve_control.control.plant.models import scale_of
-from valve_control.control.simulation import batch, comparison
+from valve_control.control.simulation import batch
 from valve_control.control.simulation.robustness import Quantity
 from valve_control.design import evolution
 from valve_control.design.commissioning import model, sequence

@@ -176,7 +176,6 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
         (["export", "--plant", "valve", "--output", "E.FMU"], ["E.FMU", "--fmu 2 or --fmu 3"]),
         (["export", "--output", "e/", "--json", "e"], ["e is given for two outputs"]),
         (["export", "--output", "e", "--set", "friction.coulomb=1"], ["a law alone", "friction.coulomb"]),
-        (["export", "--output", "e", "--plant", "axis", "--set", "pid.kp=1"], ["the axis alone", "pid.kp"]),
         (["margins", "--set", "amplitude=1"], ["at rest", "amplitude"]),
         (["compare", "--set", "controller=pid"], ["every controller", "--set controller"]),
         (["commission", "--undo", "--folder", "nosuch"], ["no commissioning in nosuch"]),

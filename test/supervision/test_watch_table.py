@@ -15,8 +15,6 @@ import sys
 from dataclasses import fields
 from pathlib import Path
 
-import pytest
-
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.supervision import watch_table
 from valve_control.control.supervision.journal import OBSERVED
@@ -70,7 +68,7 @@ def test_the_table_has_each_condition_that_is_reported():
     assert set(reported()) | {name for _, name in OBSERVED.values()} <= listed
     sources = "".join(path.read_text(encoding="utf-8") for path in SUPERVISION.glob("*.py"))
     text = re.sub(r"CONDITIONS = \(\n.*?\n\)\n|OF_NODES = \(\n.*?\n\)", "", sources, flags=re.DOTALL)
-    own = {watch.condition for watch in watch_table.BESIDE}
+    own = {watch.condition for watch in watch_table.REPORTING}
     for name in listed - own:
         known = f'"{name}"' in text or f'"{name.removesuffix("_bridged")}"' in text
         assert known, f"{name} is in the table, and nothing reports it"
@@ -96,7 +94,7 @@ from valve_control.parameter import Values, number
 
 CONDITIONS = (
     ReportedCondition(
-        ("lvdt_far",), "MODE", "LVDT is far out at … V", "readings beyond half of lvdt.limit", "look"
+        ("lvdt_far",), "degraded", "LVDT is far out at … V", "readings beyond half of lvdt.limit", "look"
     ),
 )
 
@@ -177,18 +175,17 @@ folder.write(folder.refuse_taken(sys.argv[1]), files)
 """
 
 
-@pytest.mark.parametrize(("kind", "mode"), [("REPORTS", "DEGRADED"), ("STOPS", "SAFE")])
-def test_a_new_watch_is_one_file_and_one_row(tmp_path, kind, mode):
-    """In a copy of the package: its sentence, its mode, its state in a snapshot, and its C."""
+def test_a_new_watch_is_one_file_and_one_row(tmp_path):
+    """In a copy of the package: its sentence, its mode, its state in a snapshot, and C without it."""
     package = tmp_path / "valve_control"
     shutil.copytree(ROOT / "valve_control", package, ignore=shutil.ignore_patterns("*.pyc.*"))
     rooms = package / "control" / "supervision"
-    (rooms / "far_watch.py").write_text(NEW.replace("MODE", mode.lower()), encoding="utf-8")
+    (rooms / "far_watch.py").write_text(NEW, encoding="utf-8")
     table = rooms / "watch_table.py"
     text = table.read_text(encoding="utf-8")
     text = text.replace("    gain_watch,\n", "    far_watch,\n    gain_watch,\n")
     table.write_text(
-        text.replace("WATCHES = (\n", f'WATCHES = (\n    Watch(far_watch, ("far",), {kind}),\n'),
+        text.replace("WATCHES = (\n", 'WATCHES = (\n    Watch(far_watch, ("far",), REPORTS),\n'),
         encoding="utf-8",
     )
     done = subprocess.run(
@@ -201,15 +198,10 @@ def test_a_new_watch_is_one_file_and_one_row(tmp_path, kind, mode):
     )
     assert done.returncode == 0, done.stderr
     said, modes, listed, state = json.loads(done.stdout)
-    assert listed and modes == [mode] and len(state) == 2
+    assert listed and modes == ["DEGRADED"] and len(state) == 2
     assert said and all(re.fullmatch(r"LVDT is far out at [\d.]+ V", sentence) for sentence in said)
     source = (tmp_path / "made" / "pid.c").read_text(encoding="utf-8")
-    assert ("far_watch" in source) == (kind == "STOPS")
-    if kind == "STOPS":  # the other C is that of test_watched.py
-        checked = subprocess.run(
-            ["make", "check"], cwd=tmp_path / "made", capture_output=True, text=True, timeout=120
-        )
-        assert checked.returncode == 0 and "equal to the last bit" in checked.stdout, checked
+    assert "far_watch" not in source
 
 
 def main():

@@ -10,6 +10,7 @@ import scipy.optimize
 from hypothesis import given
 from hypothesis import strategies as st
 
+from research import comparison
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import linear_loop, many_states, margins
 from valve_control.control.parameters.table import CONTROLLER
@@ -17,7 +18,7 @@ from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER
 from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.plant.valve import FREE
-from valve_control.control.simulation import batch, comparison
+from valve_control.control.simulation import batch
 from valve_control.design.tuning import limit_cycles, trial
 from valve_control.design.tuning.trial import GainSet, TuningMotion
 from valve_control.parameter import ParameterError, defaults, updated

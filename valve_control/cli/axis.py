@@ -100,7 +100,7 @@ def _notes(setup: "Setup", found: "Run") -> str:
     )
     text += "; the oil cavitates" * (e["pressure_min"] <= machine.vapour)
     meets = position.min() <= 0.0 or position.max() >= machine.cylinder.stroke
-    return text + "; the piston meets a stop" * meets
+    return f"{text}; the piston meets a stop" if meets else text
 
 
 def _draw(path: Path, setup: "Setup", found: "Run") -> None:

@@ -28,7 +28,7 @@ from valve_control.control.supervision import (
 )
 from valve_control.control.supervision import clock as clocks
 from valve_control.control.supervision import trajectory as points
-from valve_control.control.supervision.watch_table import BESIDE, REPORTING, Watch
+from valve_control.control.supervision.watch_table import REPORTING
 from valve_control.parameter import ParameterError, one_of
 
 HEAD = ("sample", "mode", "command", "measurement", "voltage", "offset")
@@ -111,7 +111,7 @@ if TYPE_CHECKING:
 else:
     Memory = make_dataclass(
         "Memory",
-        [(w.slot, w.module.State, w.module.NOTHING) for w in BESIDE],
+        [(w.slot, w.module.State, w.module.NOTHING) for w in REPORTING],
         bases=(Fixed,),
         namespace={"__doc__": "All that is remembered between two samples, beside parameters."},
         slots=True,
@@ -120,7 +120,7 @@ else:
 _NAMES = [one.name for one in fields(Fixed)]
 _END = _NAMES.index("said")
 _REPORTING = tuple((w, w.slot, w.condition, w.module.step, w.module.found) for w in REPORTING)  # quicker
-KEPT = (*_NAMES[:_END], *(w.slot for w in BESIDE), "said")  # by a snapshot
+KEPT = (*_NAMES[:_END], *(w.slot for w in REPORTING), "said")  # by a snapshot
 
 
 def node_only(function: F) -> F:
@@ -187,17 +187,11 @@ def reported_of(p: Any, m: Memory, seen: plausibility.SeenBlock) -> None:
             if name in texts:
                 clear(m, name)
             else:
-                report_one(p, m, watch)
+                report(m, watch.condition, watch.module.text(getattr(p, watch.slot), getattr(m, watch.slot)))
             texts = m.said.texts
 
 
 @node_only
-def report_one(p: Any, m: Memory, watch: Watch) -> None:
-    """Report the condition of ``watch``."""
-    text = watch.module.text(getattr(p, watch.slot), getattr(m, watch.slot))
-    report(m, watch.condition, text)
-
-
 @node_only
 def stop_reporting(m: Memory) -> None:
     """The voltage is switched off."""

@@ -42,6 +42,7 @@ from valve_control.control.supervision.record import (
     Mode,
     clear,
     count,
+    forget_reported,
     latch,
     report,
     tell,
@@ -95,7 +96,7 @@ class Supervisor:
         curve_changed = former is not None and made.line != former.line
         if former is not None and (made.lvdt.comparison != former.lvdt.comparison or curve_changed):
             m.evidence = None
-            watch.forget_watches(m)
+            forget_reported(m)
             if made.lvdt.comparison is None:
                 watch.end_watches(m)
         if former is not None and made.lvdt.period != former.lvdt.period:

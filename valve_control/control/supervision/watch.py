@@ -50,11 +50,10 @@ from valve_control.control.supervision.record import (
     latch,
     node_only,
     report,
-    report_one,
     reported_of,
     stop_reporting,
 )
-from valve_control.control.supervision.watch_table import BESIDE, REPORTING, STOPPING
+from valve_control.control.supervision.watch_table import REPORTING
 from valve_control.parameter import Values, number, word
 
 BOTH = "spool_command is ignored while spool_trajectory commands"
@@ -305,7 +304,7 @@ def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
 def reset(p: Params, m: Memory) -> None:
     """Set estimates and filters to their start, without a bump, and drop doubts about the LVDT."""
     end_doubt(m)
-    forget_watches(m)
+    forget_reported(m)
     m.pause = cycle_watch.NEVER
     m.former = None
     if m.law is not None:
@@ -441,13 +440,6 @@ def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown)
     reported_of(
         p.watches, m, plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown, m.effective)
     )
-    for watch in STOPPING:
-        now = plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown, m.effective)
-        setattr(m, watch.slot, watch.module.step(getattr(p.watches, watch.slot), getattr(m, watch.slot), now))
-        wrong = watch.module.found(getattr(p.watches, watch.slot), getattr(m, watch.slot))
-        if wrong and m.trust.blocked == "" and p.answered:
-            report_one(p.watches, m, watch)
-            switch_off(p, m, watch.condition, False)
 
 
 @node_only
@@ -455,16 +447,9 @@ def unreported(p: Any, m: Memory, seen: plausibility.SeenBlock) -> None:
     """Watches that only report, where nobody hears them."""
 
 
-def forget_watches(m: Memory) -> None:
-    """Drop what the watches of the table have learnt of the valve."""
-    for watch in STOPPING:
-        setattr(m, watch.slot, watch.module.forgotten(getattr(m, watch.slot)))
-    forget_reported(m)
-
-
 def end_watches(m: Memory) -> None:
     """There is no plausibility check any more, on which the watches of the table depend."""
-    for watch in BESIDE:
+    for watch in REPORTING:
         setattr(m, watch.slot, watch.module.NOTHING)
         clear(m, watch.condition)
 
@@ -577,8 +562,6 @@ def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
     m.swing = oscillation.NOTHING
     m.probe = lock_in.NOTHING
     m.source = ""
-    for watch in STOPPING:
-        setattr(m, watch.slot, watch.module.stopped(getattr(m, watch.slot)))
     forget_saturation(m)
     stop_reporting(m)
 
@@ -807,13 +790,8 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
     module = law.module
     hints = get_type_hints(module.Params)
     adapts = law.adapts and {"theta_initial", "theta_min", "theta_max"} <= hints.keys()
-    watches = collections.namedtuple("Watches", [w.slot for w in STOPPING])  # type: ignore[misc]
-    watches.__annotations__ = {w.slot: w.module.Params for w in STOPPING}
-    params = _record(
-        Params,
-        {"law": module.Params, "line": type(line), "watches": watches | None},
-        () if STOPPING else ("watches",),
-    )
+    params = _record(Params, {"law": module.Params, "line": type(line)}, ("watches",))
+    params.watches = None  # nothing looks at the blocks, in C and in this twin of it
     state = module.State | None
     memory = _record(Memory, {"law": state, "former": state, "proven": state}, TOLD)
     memory.__name__, memory.changes = "State", True
@@ -822,9 +800,8 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
         "State": memory,
         "Theta": hints["theta_initial"] if adapts else Theta,
         "law_resumed": with_estimates if adapts else as_designed,
+        "reported_of": unreported,
     }
-    if not STOPPING:  # nothing looks at the blocks, in C and in this twin of it
-        params.watches, others["reported_of"] = None, unreported
     made = with_places({**places_of(law, line), **others})
     kinds = {Params: params, Memory: memory, Any | None: state}
     for function in vars(made).values():
@@ -834,9 +811,6 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
 
     def designed(values: Values, law: Any, answered: bool = True) -> Any:
         whole = design(values, law, answered)
-        if STOPPING and whole.watches is not None:
-            own = watches(*(getattr(whole.watches, w.slot) for w in STOPPING))
-            whole = whole._replace(watches=own)
         return params(*(getattr(whole, name) for name in params._fields))
 
     made.design = designed

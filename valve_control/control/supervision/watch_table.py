@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of all watches: what each remembers, which parameters it has, which conditions it reports.
 
-Three kinds of watch:
+Two kinds of watch:
 
 REPORTS  looks at each block of the plausibility check and reports a condition; the law goes on.
-STOPS    the same, and the voltage is 0 V until enough sound readings have come. Exported C has it too.
 GUIDES   is called by name in watch.py or supervisor.py, because more than its sentence depends on it: which
          reading or command counts, or when the law starts again.
 
@@ -13,7 +12,7 @@ Why each of the guides stays one (a step that takes and returns one State would 
 
 lvdt, lvdt_watch   decide whether the reading counts at all, before the law steps, and end the time at 0 V
 rate               needs the real time between readings, which exported C does not have
-plausibility       makes the blocks that the other two kinds look at, and its doubt limits the law's voltage
+plausibility       makes the blocks that REPORTS watches look at, and its doubt limits the law's voltage
 answer             doubt halves what it allows, and the law starts again with the estimates that it proves
 command_watch,     give the law its command; their states are read at five places of a sample
 command_course
@@ -22,9 +21,9 @@ cycle_watch        has five slots: four change once in a cycle or never, and one
 law_watch          one of its conditions is an event, the other has a hysteresis and a counter, and both look
                    at the terms of a law; a new assumption is one row of ``law_watch.ASSUMPTIONS``
 
-A new watch of the first two kinds is one file and one row of ``WATCHES``. Memory, snapshot, diagnostics, the
-page docs/reference/modes.md and exported C follow from the row. The file has ``Params``, ``State``,
-``NOTHING`` (the state at the start), ``CONDITIONS`` and these functions, which export/ can translate:
+A new watch that REPORTS is one file and one row of ``WATCHES``. Memory, snapshot, diagnostics and the page
+docs/reference/modes.md follow from the row. Exported C leaves it out. The file has ``Params``, ``State``,
+``NOTHING`` (the state at the start), ``CONDITIONS`` and these functions:
 
 design(values, check)   Params from the controller's values and the Params of the plausibility check
 step(p, s, seen)        the state after one more block, of which ``seen`` is a ``plausibility.SeenBlock``
@@ -56,20 +55,20 @@ from valve_control.control.supervision import (
 from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values
 
-REPORTS, STOPS, GUIDES = "reports", "stops", "guides"
+REPORTS, GUIDES = "reports", "guides"
 
 
 class Watch(NamedTuple):
     """One watch."""
 
     module: types.ModuleType
-    slots: tuple[str, ...]  # of the memory; that of a watch which reports or stops holds its State
+    slots: tuple[str, ...]  # of the memory; that of a watch which REPORTS holds its State
     kind: str = GUIDES
     parameters: tuple[str, ...] = ()  # of the controller
 
     @property
     def slot(self) -> str:
-        """The only slot of a watch that reports or stops."""
+        """The only slot of a watch that REPORTS."""
         (slot,) = self.slots
         return slot
 
@@ -118,9 +117,7 @@ WATCHES = (
     Watch(law_watch, ("saturated_for",), parameters=("saturation_limit",)),
 )
 REPORTING = tuple(watch for watch in WATCHES if watch.kind == REPORTS)
-STOPPING = tuple(watch for watch in WATCHES if watch.kind == STOPS)
-BESIDE = (*REPORTING, *STOPPING)  # the plausibility check
-Params = collections.namedtuple("Params", [watch.slot for watch in BESIDE])  # type: ignore[misc]
+Params = collections.namedtuple("Params", [watch.slot for watch in REPORTING])  # type: ignore[misc]
 OF_NODES = (
     ReportedCondition(
         ("command_publishers", "trajectory_publishers", "lvdt_publishers", "voltage_publishers"),
@@ -142,4 +139,4 @@ def conditions() -> tuple[ReportedCondition, ...]:
 
 def design(values: Values, check: plausibility.Params | None) -> Any:
     """Params of the watches beside the plausibility ``check``; None without it."""
-    return None if check is None else Params(*(watch.module.design(values, check) for watch in BESIDE))
+    return None if check is None else Params(*(watch.module.design(values, check) for watch in REPORTING))

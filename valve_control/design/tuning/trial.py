@@ -17,7 +17,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant.models import D3FXE, Scale
-from valve_control.control.simulation import batch, comparison, delivery
+from valve_control.control.simulation import batch, delivery
 from valve_control.control.simulation.cluster import Cluster
 from valve_control.control.simulation.delivery import Delivery
 from valve_control.design.tuning.kept import Kept, digest
@@ -166,7 +166,7 @@ def given(law: Law, params: Any, values: Values, gains: GainSet, problem: Proble
         return delivery.led(lead, values, np.clip(wanted, -limit, limit), problem.delivery)
     if law.reshapes(params):
         after = wanted[-1] + (wanted[-1] - wanted[-2]) * np.arange(1, 3)  # goes on straight at its end
-        return comparison.unreshaped(params.reshaping, np.concatenate([wanted, after]))
+        return delivery.unreshaped(params.reshaping, np.concatenate([wanted, after]))
     steps = np.arange(len(wanted), dtype=np.float64)
     return np.interp(steps + gains.ahead / number(values, "sample_period"), steps, wanted)
 

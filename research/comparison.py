@@ -18,14 +18,14 @@ import numpy as np
 
 from valve_control.arrays import Floats
 from valve_control.control.commands.scenarios import command, strokes
-from valve_control.control.laws import command_lead, linearisation, reshaping
+from valve_control.control.laws import command_lead, linearisation
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
 from valve_control.control.plant.sensor import IDEAL
-from valve_control.control.simulation import batch
+from valve_control.control.simulation import batch, delivery
 from valve_control.parameter import ParameterError, Value, Values, defaults, numbers, updated, word
 
 PERIOD = 0.001  # s
@@ -129,31 +129,6 @@ def undisturbed() -> valve.Params:
     )
 
 
-def unreshaped(p: reshaping.Params, wanted: Floats) -> Floats:
-    """Command [V] whose reshaped reference (8)-(11) is ``wanted``, which has two samples more.
-
-    Where a filter behind (8), or a dead time of the actuator, asks for more, ``wanted`` goes on straight.
-    """
-    if p.dead_time > 0.0:
-        more = math.ceil(p.dead_time / p.period)
-        longer = np.concatenate([wanted, wanted[-1] + (wanted[-1] - wanted[-2]) * np.arange(1, more + 1)])
-        steps = np.arange(len(wanted)) + p.dead_time / p.period
-        wanted = np.interp(steps, np.arange(len(longer)), longer)
-    if p.smoothing > 0.0:
-        rate = np.diff(wanted) / p.period
-        wanted = wanted + np.append(rate, rate[-1]) / p.smoothing
-    p = p._replace(dead_time=0.0, smoothing=0.0)
-    rate = np.diff(wanted) / p.period
-    accel = np.diff(rate) / p.period
-    if p.braking > 0.0:
-        rows = zip(wanted[:-2].tolist(), rate[:-1].tolist(), accel.tolist(), strict=True)
-        return np.array([reshaping.command_of(p, x, v - 0.5 * p.period * a, a) for x, v, a in rows])
-    made: Floats = (
-        wanted[:-2] + 2.0 * p.damping / p.natural_frequency * rate[:-1] + accel / p.natural_frequency**2
-    )
-    return made
-
-
 def measured(
     setup: Setup | Sequence[Setup], plants: batch.Records, seed: int, previewed: bool = True
 ) -> Errors:
@@ -172,7 +147,7 @@ def measured(
         aim = wanted[:-2]
         sent = aim
         if previewed and law.reshapes(params[0]):
-            sent = unreshaped(params[0].reshaping, wanted)
+            sent = delivery.unreshaped(params[0].reshaping, wanted)
         elif previewed:
             times = np.arange(len(wanted)) * PERIOD
             sent = np.interp(times[:-2] + given[0].preview, times, wanted)

@@ -5,13 +5,14 @@
 import numpy as np
 import pytest
 
+from research import comparison
+from research.comparison import Setup
 from valve_control.control.laws import reshaping
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.simulation import batch, comparison
-from valve_control.control.simulation.comparison import PERIOD, Setup
-from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.control.simulation import batch, delivery
+from valve_control.parameter import defaults, updated
 
 TUNED = files.config_folder() / "tuned"
 
@@ -27,7 +28,7 @@ def test_unreshaped_commands_make_the_reference_the_wanted_motion():
     params = law.build(values)
     for name, wanted in comparison.motions().items():
         shaping = params.reshaping
-        sent = comparison.unreshaped(shaping, wanted)
+        sent = delivery.unreshaped(shaping, wanted)
         state, reached = reshaping.State(wanted[0], 0.0), []
         for command in sent:
             reached.append(state.reference)
@@ -70,27 +71,3 @@ def test_order_of_laws_on_valves_that_were_not_tuned_on(limit, most):
     # At equal chatter, by which alone errors compare.
     for name, errors in found["with preview"].items():
         assert name == comparison.ORACLE or 0.8 * limit < np.mean(errors.chatter) < 1.08 * limit
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [("{}", "has no preview_s"), ("[1]", "has no preview_s"), ('{"preview_s": "soon"}', "has no preview_s")],
-)
-def test_gains_that_cannot_be_read_are_said(tmp_path, text, words):
-    (tmp_path / "narrow_0.25_pid.yaml").write_text(files.as_yaml({"/**/controller": {"controller": "pid"}}))
-    (tmp_path / "narrow_0.25_pid.json").write_text(text)
-    with pytest.raises(ParameterError, match=words):
-        comparison.setups(tmp_path, "narrow", 0.25)
-    with pytest.raises(ParameterError, match=r"no gains are tuned for the wide box .* has narrow_0.25"):
-        comparison.setups(tmp_path, "wide", 0.25)
-
-
-def test_gains_without_a_law_are_said(tmp_path):
-    (tmp_path / "narrow_0.25_x.yaml").write_text(files.as_yaml({"/**/controller": {"pid.kp": 3.0}}))
-    with pytest.raises(ParameterError, match="names no controller"):
-        comparison.setups(tmp_path, "narrow", 0.25)
-
-
-def test_time_of_the_motions():
-    for wanted in comparison.motions().values():
-        assert len(wanted) == round(comparison.DURATION / PERIOD) + 2 and wanted[0] == 0.0
