@@ -14,7 +14,7 @@ from valve_control.cli import main
 sys.path.insert(0, str(Path(__file__).parent / "recordings"))
 from made import Run, write
 
-SIMULATED = ("simulate", "compare", "identify", "study", "calibrate paper", "tune")
+SIMULATED = ("simulate", "compare", "identify", "study", "tune")
 BAGS = ("analyze {bag}", "replay {bag}", "replay {bag} --mode what-if", "compare {bag} {bag}")
 OUTPUTS = {
     "simulate": "json figure csv npz",
@@ -22,7 +22,6 @@ OUTPUTS = {
     "identify": "json figure csv output",
     "study --replay 1": "json figure output",
     "study": "json figure",
-    "calibrate paper": "json output",
     "tune": "json output html",
     "compensator": "json figure output",
     "analyze {bag}": "json csv html",
@@ -36,7 +35,6 @@ NUMBERS = {
     "compare": "sample-period duration",
     "identify": "sample-period duration settle",
     "study": "sample-period duration limit",
-    "calibrate paper": "sample-period duration step",
     "tune": "max-chatter max-error gain-margin phase-margin delay-margin peak saturation",
     "compensator": "bandwidth sample-period u-max amplitude",
 }
@@ -46,7 +44,6 @@ COUNTS = {
     "identify": "seed order zeros",
     "study": "valves study-seed threads replay",
     "tune": "valves unseen budget threads",
-    "calibrate paper": "evaluations population noise-seeds processes search-seed profile",
     "compensator": "order",
 }
 ENDINGS = {
@@ -149,7 +146,6 @@ def table():
         "binary.yaml",
         "/dev/zero",
     ):
-        lines.append(["calibrate", bad])
         lines.append(["compensator", "--from", bad])
     for bad in ("missing", "file.txt", "/dev/zero", "folder"):
         lines.append(["bag", "recover", bad])

@@ -22,7 +22,6 @@ from valve_control.control.laws.registry import LEFT_OUT
 EXAMPLES = """examples:
   valve-control identify --set lvdt.noise=0.005 --output valve.yaml --figure bode.png
   valve-control compensator --from valve.yaml --bandwidth 25 --output compensator.yaml
-  valve-control calibrate paper --set duration=9.3 --output my_valve.yaml
   valve-control parameters arc
   valve-control simulate --controller oarc --scenario sine --set frequency=6.0 --set amplitude=1.0
   valve-control simulate --controller arc --params-file config/arc.yaml --json -
@@ -44,7 +43,7 @@ EXAMPLES = """examples:
 
 
 GROUPS = {  # in the order of the help; others of a group follow
-    "your valve": ("identify", "compensator", "calibrate", "parameters"),
+    "your valve": ("identify", "compensator", "parameters"),
     "simulate": ("simulate", "compare", "study", "tune", "margins", "axis"),
     "the machine": ("commission", "export"),
     "recordings": ("analyze", "replay", "bag"),
