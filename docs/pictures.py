@@ -431,15 +431,6 @@ def raised_gain(path: Path) -> None:
 
 
 @picture
-def tune_report(path: Path) -> None:
-    """Head of the report of a short search."""
-    words = ["--controller", "dcarc,pid", "--params-file", "config/d3fxe.yaml", "--max-chatter", "0.25"]
-    words += ["--valves", "8", "--budget", "400", "--seed", "1", "--alone"]
-    valve_control("tune", *words, "--output", "tuned.yaml", "--html", "tuned.html")
-    screenshot("tuned.html", path, 1050)
-
-
-@picture
 def commissioned(path: Path) -> None:
     """Report of a commissioning over DDS, at the pace of the machine: both nodes wait for each other."""
     valve = ["--params-file", "config/d3fxe.yaml", "-p", "patience:=1.0"]

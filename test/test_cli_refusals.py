@@ -160,7 +160,7 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
         (["simulate", "--scenario", "sine", "--set", "frequency=500.0"], ["500 Hz", "Nyquist"]),
         (["compare", "--scenario", "triangle", "--set", "frequency=600.0"], ["600 Hz", "Nyquist"]),
         (
-            ["study", "--scenario", "sweep", "--set", "end_frequency=300.0", "--replay", "0"],
+            ["study", "--scenario", "sweep", "--set", "end_frequency=300.0"],
             ["300 Hz", "Nyquist"],
         ),
         (

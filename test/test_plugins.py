@@ -269,7 +269,7 @@ def test_margins_and_tune_name_a_law_that_does_not_compile(tmp_path):
     free = "from valve_control.control.laws.free import Free\n\n"
     free += "FREE = Free('minea.gain', 0.1, 5.0)\n\ndef initial("
     package(tmp_path, text.replace("\ndef initial(", free))
-    tune = ["tune", "--alone", "--budget", "4", "--valves", "1", "--unseen", "1", "--json", "-"]
+    tune = ["tune", "--budget", "4", "--valves", "1", "--unseen", "1", "--json", "-"]
     statuses, said = each(tmp_path, *([*c, "--controller", "minea"] for c in (["margins"], tune)))
     assert statuses == ["status=2"] * 2 and len(said) == 2, said
     assert all("the law 'minea' of the package package_a does not compile: " in line for line in said)

@@ -233,7 +233,7 @@ def test_a_lead_of_a_slow_valve_that_a_tuner_chooses_can_be_set():
 
 def test_the_starts_of_a_search_on_a_slow_valve_have_leads_that_can_be_set():
     values = controller(**MODEL, **{"dcarc.smoothing": 0.095})
-    problem = trial.Problem(values, [], [], [], trial.USUAL, False, False, 1, scale=Scale(0.2, 1.0))
+    problem = trial.Problem(values, [], [], [], trial.USUAL, False, 1, scale=Scale(0.2, 1.0))
     made = designs.starts(dcarc.LAW, problem, None)
     assert len(made) == len(dcarc.LAW.starts(values, problem.scale)) * len(designs.SHARES)
     assert all(one["reshaping.lead"] == reshaping.MOST_LEAD < dcarc.lag(one) for one in made)

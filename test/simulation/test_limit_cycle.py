@@ -55,8 +55,8 @@ def test_compare_and_study_say_it_too(run, config, tmp_path):
     assert "arc: saturated in" in done.out and "arc with these gains is unstable on this valve" in done.err
     runs = {run["controller"]: run for run in json.loads((tmp_path / "c.json").read_text())["runs"]}
     assert runs["arc"]["limit_cycle"] is not None and runs["open_loop"]["limit_cycle"] is None
-    done = run("study", "--controller", "oarc", "--valves", "10000", "--replay", "4485", "--json", "-")
-    result = json.loads(done.out)
+    assert run("study", "--controller", "oarc", "--replay", "4485", "--output", "worst.yaml").status == 0
+    result = json.loads(run("simulate", "--params-file", "worst.yaml", "--json", "-").out)
     assert result["limit_cycle"]["amplitude"] > 5.0 and result["saturated"] > 0.3
     assert "on this valve" in result["warning"]
 

@@ -27,7 +27,7 @@ EXAMPLES = """examples:
   valve-control simulate --controller arc --params-file config/arc.yaml --json -
   valve-control compare --params-file config/d3fxe.yaml --figure compare.png
   valve-control study --controller oarc --valves 10000 --figure study.png
-  valve-control study --controller oarc --replay 4711 --figure worst.png
+  valve-control study --controller oarc --replay 4711 --output worst.yaml
   valve-control axis --params-file config/axis/bench.yaml --controller pid --figure axis.png
   valve-control export --controller oarc --params-file config/d3fxe.yaml --output oarc_in_c
   valve-control tune --controller dcarc --max-chatter 0.25 --output tuned.yaml

@@ -33,7 +33,7 @@ LIMITS = {"largest command [V]": "3.0", "fastest command [V/s]": "200.0"}
 RUNS = ("identify", "tune", "commission")  # of valve-control
 EXAMPLES = {
     "identify": "--set lvdt.noise=0.005 --output valve.yaml --figure bode.png",
-    "tune": "--controller pid --budget 200 --output tuned.yaml --html tuned.html",
+    "tune": "--controller pid --budget 200 --output tuned.yaml",
     "commission": "--node {node} --max-voltage 4 --travel 2 --folder commission{valve} --yes",
 }
 EXPLAINED = {
