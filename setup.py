@@ -52,7 +52,6 @@ setup(
     extras_require={
         "axis": ["ruckig>=0.14"],
         "canopen": ["canopen>=2.4", "python-can>=4.6", "pyserial>=3.5"],
-        "cluster": ["distributed>=2024.1"],
         "dashboard": ["nicegui>=3.18,<4"],
         "modbus": ["pymodbus>=3.16,<4"],
         "serial": ["pyserial>=3.5"],
@@ -64,7 +63,6 @@ setup(
             "pyserial>=3.5",
             "fmpy>=0.3.20",
             "ruckig>=0.14",
-            "distributed>=2024.1",
             "nicegui>=3.18,<4",
             "selenium>=4.30",
             "psutil>=5.9",

@@ -90,7 +90,6 @@ def problem_of(name: str, wide: bool, limits: trial.TuningLimits) -> trial.Probl
         box=[*corners(), *plants] if wide else plants,
         limits=limits,
         preview=True,
-        largest=False,
         seed=0,
     )
 
@@ -128,7 +127,7 @@ def main() -> int:
                 law,
                 problem,
                 unseen,
-                tuner.Aim(arguments.limit, None),
+                tuner.Aim(arguments.limit),
                 arguments.trials,
                 1,
                 told,

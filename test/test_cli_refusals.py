@@ -141,9 +141,7 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
         (["identify", "--set", "valve=second_order", "--order", "3", *QUICK], ["not support", "--order 2"]),
         (["simulate", "--command", "/dev/zero"], ["device"]),
         (["simulate", "--params-file", "/dev/zero"], ["device"]),
-        (["calibrate", "/dev/zero"], ["device"]),
         (["compensator", "--from", "/dev/zero"], ["device"]),
-        (["calibrate", "paper", "--processes", "10000"], ["10000", "cores"]),
         (["study", "--threads", "10000"], ["10000", "cores"]),
         (["tune", "--controller", "all,pid", "--output", "x.yaml"], ["all,pid", "all stands alone"]),
         (["tune", "--controller", "arc, all", "--output", "x.yaml"], ["all stands alone"]),
@@ -158,7 +156,7 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
         (["simulate", "--scenario", "sine", "--set", "frequency=500.0"], ["500 Hz", "Nyquist"]),
         (["compare", "--scenario", "triangle", "--set", "frequency=600.0"], ["600 Hz", "Nyquist"]),
         (
-            ["study", "--scenario", "sweep", "--set", "end_frequency=300.0", "--replay", "0"],
+            ["study", "--scenario", "sweep", "--set", "end_frequency=300.0"],
             ["300 Hz", "Nyquist"],
         ),
         (
@@ -208,7 +206,6 @@ def test_an_archive_of_arrays_is_no_command(run, tmp_path):
 def test_an_output_does_not_take_the_place_of_an_input(run, bags, tmp_path, config):
     (tmp_path / "c.csv").write_text("0.0\n0.5\n1.0\n")
     (tmp_path / "p.yaml").write_text((config / "arc.yaml").read_text())
-    (tmp_path / "t.csv").write_text("controller,e_rms\npid,0.05\n")
     os.link(tmp_path / "c.csv", tmp_path / "same.csv")
     os.symlink(tmp_path / "p.yaml", tmp_path / "link.yaml")
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
@@ -220,7 +217,6 @@ def test_an_output_does_not_take_the_place_of_an_input(run, bags, tmp_path, conf
         ["simulate", "--params-file", "link.yaml", "--json", "p.yaml"],
         ["identify", "--params-file", "p.yaml", "--output", "link.yaml"],
         ["compensator", "--from", "p.yaml", "--output", "p.yaml"],
-        ["calibrate", "t.csv", "--output", "t.csv"],
         ["analyze", bags / "arc", "--csv", bags / "arc" / "metadata.yaml"],
         ["analyze", bags / "arc", "--html", bags / "arc" / "report.html"],
         ["replay", bags / "arc", "--json", bags / "arc" / "r.json"],

@@ -104,7 +104,7 @@ def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():
         whole * (whole / box.own_swing[0] - 1.0) / (margins.GROWN - 1.0)
     )
     motion = trial.TuningMotion("rest", np.zeros(1000))
-    problem = trial.Problem(values, [motion], plants, plants, trial.USUAL, False, False, 1)
+    problem = trial.Problem(values, [motion], plants, plants, trial.USUAL, False, 1)
     led = limit_cycles.steps(PERIOD).wanted
     traces = np.empty((2, len(led), 3))
     batch.simulate(batch.Batch(law.name, params, batch.records(plants), np.ones(2, int), led), 1, traces)

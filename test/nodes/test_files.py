@@ -19,7 +19,6 @@ from valve_control.nodes.adapter import plain, with_numbers
 from valve_control.parameter import defaults, updated
 
 QUICK = ["--set", "steps=12", "--set", "cycles=4", "--set", "frequency=1.0", "--set", "step_time=0.8"]
-SHORT = ["--set", "cycle=2.0", "--set", "start=0.0", "--duration", "2.0"]
 NODES = ("controller", "valve_simulator", "command_source")
 # Each file in turn by rcl's own parser; the nodes wait for their transitions.
 READ = """
@@ -63,10 +62,6 @@ def test_files_of_all_commands(tmp_path, monkeypatch):
         "study_array": [
             "study", "--replay", "3", "--command", "array.csv", "--sample-period", "1e-3",
             "--set", "arc.epsilon=1e-05",
-        ],
-        "calibrate": [
-            "calibrate", "paper", *SHORT, "--evaluations", "1", "--population", "4", "--noise-seeds", "1",
-            "--processes", "1",
         ],
     }  # fmt: skip
     paths = []

@@ -16,6 +16,7 @@ from valve_control.control.plant.models import Scale, TransferFunction
 from valve_control.parameter import Table, Value, Values, defaults
 
 TERMS = ("reference", "z1", "unsaturated_voltage")  # that each law has
+Terms = tuple[float, float, float]  # c0 [V/V], c1 [s] and c2 [s²] of a voltage for a motion
 
 
 def unchanged(params: Any, state: Any) -> tuple[Any, Any]:
@@ -44,6 +45,11 @@ def as_it_is(model: TransferFunction, period: float) -> TransferFunction:
 
 def nothing_else(values: Values, plant: Values) -> Values:
     """No parameters, for a law that knows no more of a valve than its model."""
+    return {}
+
+
+def no_feedforward(values: Values, terms: Terms, part: float) -> Values:
+    """No parameters, for a law without a feedforward."""
     return {}
 
 
@@ -85,6 +91,12 @@ class Law(NamedTuple):
     of_plant: Callable[[Values, Values], Values] = nothing_else
     # gains with which a search begins: from the controller's values and the scale of the valve
     starts: Callable[[Values, Scale], list[Values]] = no_starts
+    # gains of the loop (c0 + c1·s + c2·s²)/(λ·s) for a law that has these: from the controller's values, the
+    # three terms, λ [s] and the cutoff [Hz] of the derivative; raises ParameterError
+    inverse: Callable[[Values, Terms, float, float], Values] | None = None
+    # its feedforward c0·x + c1·dx/dt + c2·d²x/dt², or a part of c0 alone: from the values, the
+    # terms and the part
+    feedforward: Callable[[Values, Terms, float], Values] = no_feedforward
     remedy: str = "shorten sample_period or lower the gains"  # of a loop that is unstable
     package: str = plugins.PACKAGE  # that brings it
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from research.calibration.space import Settings
 from valve_control.arrays import Floats
 from valve_control.control import closed_loop
 from valve_control.control.analysis.indices import Indices, indices
@@ -18,7 +19,6 @@ from valve_control.control.laws.signals import Start
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant import registry
-from valve_control.design.calibration.space import Settings
 from valve_control.parameter import number, updated
 
 Table = Mapping[str, Indices]  # by controller; NaN where nothing was measured

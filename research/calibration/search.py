@@ -18,18 +18,19 @@ from typing import NamedTuple
 import numpy as np
 import scipy.stats
 
+from research.calibration import objective
+from research.calibration.objective import Table
+from research.calibration.space import Dimension, Settings, changed, values_at
 from valve_control import interrupts
 from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices
 from valve_control.design import evolution
-from valve_control.design.calibration import objective
-from valve_control.design.calibration.objective import Table
-from valve_control.design.calibration.space import Dimension, Settings, changed, values_at
 from valve_control.parameter import ParameterError
 
 Told = Callable[[int, float], None]  # evaluations so far, best cost
 SCATTERED = 9  # log2 of the points of the beginning
 MOST = 128  # valves of a generation
+STEP = 0.25  # first standard deviation, as share of the ranges
 
 
 class Problem(NamedTuple):
@@ -84,13 +85,10 @@ def search(
     population: int,
     processes: int,
     told: Told,
-    start: Floats | None = None,
-    step: float = 0.25,
 ) -> CalibrationResult:
     """Find the best point with ``evaluations`` valves; after Ctrl-C, the best one so far.
 
-    ``population``: of the first CMA-ES, doubled by each restart. ``start``: a first guess; without one, the
-    best of scattered points. ``step``: first standard deviation, as share of the ranges.
+    ``population``: of the first CMA-ES, doubled by each restart.
     """
     began = time.monotonic()
     n = len(problem.dimensions)
@@ -109,17 +107,12 @@ def search(
             told(count, cost)
             return costs
 
-        if start is None:
-            power = min(SCATTERED, int(math.log2(evaluations)))
-            judged(list(scipy.stats.qmc.Sobol(n, rng=np.random.default_rng(seed)).random_base2(power)))
-        else:
-            judged([start])
-        if n == 1:  # no covariance to adapt
-            judged(list(np.linspace(0.0, 1.0, max(2, evaluations - count))[:, None]))
+        power = min(SCATTERED, int(math.log2(evaluations)))
+        judged(list(scipy.stats.qmc.Sobol(n, rng=np.random.default_rng(seed)).random_base2(power)))
         restart = 0
         while count < evaluations:
             larger = min(MOST, population * 2**restart)
-            strategy = evolution.strategy(best, step, seed + restart + 1, larger)
+            strategy = evolution.strategy(best, STEP, seed + restart + 1, larger)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 while count < evaluations and not strategy.stop():

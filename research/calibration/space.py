@@ -9,7 +9,7 @@ from typing import NamedTuple
 from valve_control.arrays import Floats
 from valve_control.control.laws.registry import ADAPTIVE
 from valve_control.control.parameters.table import NODES
-from valve_control.parameter import Values, number, numbers, updated
+from valve_control.parameter import Values, numbers, updated
 
 Settings = dict[str, Values]  # by node
 
@@ -123,11 +123,3 @@ def changed(base: Settings, dimensions: Sequence[Dimension], values: Mapping[str
                 items = numbers({**base[node], **changes[node]}, name)
                 changes[node][name] = [*items[: target.entry], value, *items[target.entry + 1 :]]
     return {node: updated(NODES[node], base[node], changes[node]) for node in base}
-
-
-def present(base: Settings, dimension: Dimension) -> float:
-    """The value that ``base`` has."""
-    target = dimension.targets[0]
-    if target.entry < 0:
-        return target.factor * number(base[target.node], target.parameter)
-    return target.factor * numbers(base[target.node], target.parameter)[target.entry]
