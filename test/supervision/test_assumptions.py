@@ -2,12 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The monitors of V2 and of dcarc's burden: silent in ordinary use, find a valve that leaves its ranges."""
 
-import math
-
 import numpy as np
 import pytest
 
-from research.campaigns.faults import FAULTS, FREQUENCY, PERIOD, SETTINGS
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
 from valve_control.control.plant import valve
@@ -80,31 +77,6 @@ def test_what_is_watched_stays_below_its_bound_for_300_s_in_ordinary_use(config,
     run = offline.simulate(made["controller"], made["valve_simulator"], command)
     name = "burden" if law == "dcarc" else "lyapunov"
     assert not np.any(run.terms[name] > run.terms[f"{name}_bound"])
-
-
-@pytest.mark.parametrize("law", ["arc", "oarc", "dcarc"])
-@pytest.mark.parametrize("phase", range(0, 667, 170))
-def test_weak_valve_is_found_in_time(config, law, phase):
-    """The campaign's fault, sample by sample, at any moment of the motion."""
-    own = {name: value for name, value in SETTINGS.items() if any(p.name == name for p in CONTROLLER)}
-    values = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, **own})
-    plant = files.given([str(config / "d3fxe.yaml")], {}, [])["valve_simulator"]
-    p = build.valve_params(updated(VALVE, defaults(VALVE), plant))
-    s = valve.initial(p)
-    supervisor = Supervisor()
-    supervisor.apply(values, build.law_params(values))
-    random = np.random.default_rng(phase)
-    start = 1000 + phase
-    limit = next(fault.limit for fault in FAULTS if fault.name == "valve_weak")
-    for k in range(start + int(limit / PERIOD)):
-        supervisor.command(2.0 * math.sin(2.0 * math.pi * FREQUENCY * k * PERIOD))
-        if k == start:
-            assert "assumptions" not in supervisor.conditions
-            p = p._replace(gain_scale=WEAK * p.gain_scale)
-        s = valve.step(p, s, supervisor.sample(valve.read(p, s, random.standard_normal()), k + 1))
-        if "assumptions" in supervisor.conditions:
-            break
-    assert start < k and "assumptions" in supervisor.conditions
 
 
 def burden(config, changes, scenario, duration=3.0):

@@ -24,29 +24,39 @@ TUNED = [(law, shipped) for law in LAWS for shipped in VALVES]
 
 
 class Loop:
-    """A supervisor with shipped gains on their valve, whose readings can come late or with a hum."""
+    """A supervisor and a valve, whose readings can come late, with a hum, with another gain, or stand."""
 
-    def __init__(self, config, law, shipped, **plant):
-        gains = files.load(str(config / "tuned" / f"{shipped}_{law}.yaml"))["controller"]
-        self.values = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, **gains})
+    def __init__(self, controller, plant):
+        self.values = updated(CONTROLLER, defaults(CONTROLLER), controller)
         self.supervisor = Supervisor()
         self.supervisor.apply(self.values, build.law_params(self.values))
-        own = files.load(str(config / f"{shipped}.yaml"))["valve_simulator"]
-        self.p = build.valve_params(updated(VALVE, defaults(VALVE), {**own, **plant}))
+        self.p = build.valve_params(updated(VALVE, defaults(VALVE), plant))
         self.s = valve.initial(self.p)
         self.random = np.random.default_rng(1)
-        self.readings, self.voltages, self.said = [], [], []
+        self.readings, self.voltages, self.said, self.names = [], [], [], set()
 
-    def run(self, samples, command, late=0, hum=(0.0, 0.0), drift=0.0):
-        """``late`` [samples]; ``hum``: amplitude [V], frequency [Hz]; ``drift`` [1/s] of the LVDT's gain."""
+    @classmethod
+    def shipped(cls, config, law, shipped, **plant):
+        """Tuned gains on their valve, with changes of ``plant``."""
+        gains = files.load(str(config / "tuned" / f"{shipped}_{law}.yaml"))["controller"]
+        own = files.load(str(config / f"{shipped}.yaml"))["valve_simulator"]
+        return cls({"controller": law, **gains}, {**own, **plant})
+
+    def run(self, samples, command, late=0, hum=(0.0, 0.0), drift=0.0, frozen=None):
+        """``late`` [samples]; ``hum``: amplitude [V], frequency [Hz]; ``drift`` [1/s] of the LVDT's gain.
+
+        ``frozen`` [V]: the reading.
+        """
         for _ in range(samples):
             t = len(self.readings) * PERIOD
             self.supervisor.command(command(t))
             reading = (1.0 + drift * t) * valve.read(self.p, self.s, self.random.standard_normal())
-            self.readings.append(reading + hum[0] * math.sin(2.0 * math.pi * hum[1] * t))
+            reading += hum[0] * math.sin(2.0 * math.pi * hum[1] * t)
+            self.readings.append(reading if frozen is None else frozen)
             reading = self.readings[max(0, len(self.readings) - 1 - late)]
             self.voltages.append(self.supervisor.sample(reading, len(self.readings)))
             self.said += [text for text in self.supervisor.conditions.values() if text not in self.said]
+            self.names |= set(self.supervisor.conditions)
             self.s = valve.step(self.p, self.s, self.voltages[-1])
         return self
 
@@ -58,7 +68,7 @@ def sine(amplitude, frequency):
 @pytest.mark.parametrize(("law", "shipped"), TUNED)
 def test_readings_that_are_late_end_in_0_v_and_the_dead_time_is_said(config, law, shipped):
     """A limit cycle at the limit of the voltage is off within 2 s, and then less and less often on."""
-    loop = Loop(config, law, shipped).run(700, sine(1.0, 1.5))
+    loop = Loop.shipped(config, law, shipped).run(700, sine(1.0, 1.5))
     assert loop.said == [] or law == "arc"
     loop.run(6000, sine(1.0, 1.5), late=10)
     stopped = [text for text in loop.said if "at the limit of the voltage" in text]
@@ -74,7 +84,7 @@ def test_readings_that_are_late_end_in_0_v_and_the_dead_time_is_said(config, law
 @pytest.mark.parametrize(("law", "shipped"), TUNED)
 def test_hum_of_the_mains_is_named(config, law, shipped, frequency):
     """40 mV: the sentence has its frequency, its amplitude and the reading as the source."""
-    loop = Loop(config, law, shipped, **{"lvdt.noise": 0.002})
+    loop = Loop.shipped(config, law, shipped, **{"lvdt.noise": 0.002})
     loop.run(300, sine(0.5, 0.5)).run(1300, sine(0.5, 0.5), hum=(0.04, frequency))
     said = [text for text in loop.said if "oscillates" in text]
     assert said and "limit cycle" not in said[0]
@@ -85,7 +95,7 @@ def test_hum_of_the_mains_is_named(config, law, shipped, frequency):
 
 
 def test_a_pause_after_cycles_ends_with_reset(config):
-    loop = Loop(config, "pid", "d3fxe")
+    loop = Loop.shipped(config, "pid", "d3fxe")
     while "limit_cycle" not in loop.supervisor.conditions:
         loop.run(1, sine(1.0, 1.5), late=10)
         assert len(loop.voltages) < 5000
@@ -142,7 +152,7 @@ def test_lock_in_finds_a_hum_beside_the_answer_of_the_valve():
 def test_cycles_that_a_quick_command_brings_about_are_not_stopped(config):
     """A square wave and a fast sine that saturate the voltage at each turn."""
     for command in (lambda t: math.copysign(3.0, math.sin(40.0 * t)), sine(2.9, 15.0)):
-        loop = Loop(config, "oarc", "d3fxe").run(2500, command)
+        loop = Loop.shipped(config, "oarc", "d3fxe").run(2500, command)
         assert np.mean(np.abs(loop.voltages) > 9.0) > 0.1
         assert loop.supervisor.counts["safe_stops"] == 0 and not [t for t in loop.said if "oscillates" in t]
 

@@ -17,7 +17,7 @@ MODEL = (20.0, 1200.0, 1200.0)  # a1 [1/s], a0, b0 [1/s²]
 @grid("law, shipped", LAWS, VALVES, strength=1)
 def test_an_lvdt_whose_gain_drifts_by_3_percent_a_second_is_reported(config, law, shipped):
     """Before its gain has doubled; the figure is that of the change, within a sixth."""
-    loop = Loop(config, law, shipped)
+    loop = Loop.shipped(config, law, shipped)
     while "lvdt_gain" not in loop.supervisor.conditions and len(loop.readings) < 33000:
         loop.run(100, sine(1.5, 0.7), drift=0.03)
     loop.run(1000, sine(1.5, 0.7), drift=0.03)

@@ -29,7 +29,7 @@ def said(loop):
 def test_hum_of_20_mv_is_named_at_rest_and_in_slow_motion(config, law, shipped):
     """With the noise of the valve's LVDT. The frequency is that of the mains whatever the gains."""
     for frequency, command in ((50.0, rest), (60.0, sine(0.5, 0.5))):
-        loop = Loop(config, law, shipped).run(300, command).run(2000, command, hum=(0.02, frequency))
+        loop = Loop.shipped(config, law, shipped).run(300, command).run(2000, command, hum=(0.02, frequency))
         (text,) = said(loop)
         assert f"(mains: {frequency:.0f} Hz)" in text and loop.supervisor.counts["safe_stops"] == 0
         told, at = (float(x) for x in re.search(r"hum of (\S+) mV at (\S+) Hz", text).groups())
@@ -51,7 +51,7 @@ def test_hum_of_20_mv_is_named_at_rest_and_in_slow_motion(config, law, shipped):
 )
 def test_no_hum_is_found_on_a_clean_sensor(config, tuned, sensor, command):
     """A 10 Hz sine has its fifth harmonic at 50 Hz, a staircase of 50 Hz its first."""
-    assert said(Loop(config, *tuned, **sensor).run(2500, command)) == []
+    assert said(Loop.shipped(config, *tuned, **sensor).run(2500, command)) == []
 
 
 def watched(readings, commands=None, grain=0.0, at=0.0):
@@ -103,13 +103,6 @@ def test_the_first_window_counts_wherever_the_spool_is():
     s = watched(readings, at=3.0)
     assert s.frequency == pytest.approx(50.0, abs=0.02)
     assert watched(readings[:-4], at=3.0).frequency == 0.0
-
-
-def test_a_large_hum_is_told_in_figures():
-    s = hum_watch.NOTHING._replace(amplitude=0.12, frequency=50.0)
-    assert hum_watch.text(hum_watch.design({}, CHECK), s) == (
-        "LVDT reading has a hum of 120 mV at 50 Hz (mains: 50 Hz)"
-    )
 
 
 def test_blocks_that_are_too_long_for_the_mains_show_no_hum():

@@ -23,7 +23,7 @@ def louder(loop, factor):
 
 @grid("law, shipped, command", LAWS, VALVES, [sine(2.0, 1.5), lambda t: 0.0])
 def test_noise_that_is_ten_times_larger_is_named_with_its_figure(config, law, shipped, command):
-    loop = Loop(config, law, shipped).run(1300, command)
+    loop = Loop.shipped(config, law, shipped).run(1300, command)
     assert not [text for text in loop.said if "noise" in text]
     louder(loop, 10.0).run(900, command)
     said = [text for text in loop.said if "noise" in text]
@@ -35,7 +35,7 @@ def test_noise_that_is_ten_times_larger_is_named_with_its_figure(config, law, sh
 
 @pytest.mark.parametrize("shipped", ["d3fxe", "d3fxe_experiment"])
 def test_the_voltage_that_balances_friction_hides_no_noise_of_the_start(config, shipped):
-    loop = Loop(config, "pid", shipped).run(5000, sine(2.9, 0.2))
+    loop = Loop.shipped(config, "pid", shipped).run(5000, sine(2.9, 0.2))
     assert loop.supervisor.memory.noise.usual == pytest.approx(loop.p.lvdt.noise, rel=0.4)
     assert not [text for text in loop.said if "noise" in text]
 
@@ -45,7 +45,7 @@ def test_the_voltage_that_balances_friction_hides_no_noise_of_the_start(config, 
 def test_motion_and_rounding_are_no_noise(config, law, bits):
     """Rest, then steps and fast sines; a quiet converter has no noise at rest."""
     quiet = {} if bits is None else {"lvdt.noise": 0.0, "lvdt.resolution": 20.0 / 2**bits}
-    loop = Loop(config, law, "d3fxe", **quiet).run(1200, lambda t: 0.0)
+    loop = Loop.shipped(config, law, "d3fxe", **quiet).run(1200, lambda t: 0.0)
     for command in (lambda t: math.copysign(2.0, math.sin(20.0 * t)), sine(2.0, 8.0), sine(1.0, 20.0)):
         loop.run(600, command)
     assert not [text for text in loop.said if "noise" in text]
@@ -63,10 +63,3 @@ def test_white_noise_on_a_motion_is_measured(deviation, speed, seed):
         if s.windows > 0.0:
             break
     assert s.usual == pytest.approx(deviation, rel=0.35)
-
-
-def test_a_large_noise_is_told_in_figures():
-    s = noise_watch.NOTHING._replace(usual=0.0021, noise=0.12)
-    check = plausibility.design((20.0, 1200.0, 1200.0), PERIOD, 1.0, 0.1)
-    p = noise_watch.design({"sample_period": PERIOD}, check)
-    assert noise_watch.text(p, s) == "LVDT noise is 120 mV rms, 2.1 mV at the start"

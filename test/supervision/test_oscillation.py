@@ -13,7 +13,6 @@ from valve_control.control.analysis.limit_cycle import ends_at_rest, limit_cycle
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
-from valve_control.control.supervision import oscillation
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
 
@@ -192,21 +191,6 @@ def test_same_bits_compiled_and_not():
     command = 0.001 * np.round(random.standard_normal(len(T)))
     plain = limit_cycle(voltage, command, PERIOD, 1.0, compiled=False)
     assert plain == limit_cycle(voltage, command, PERIOD, 1.0)
-
-
-def test_costs_next_to_nothing_of_a_period():
-    """A sample in plain Python: some 1.5 µs; far below the period of 1 ms on any machine."""
-    import timeit
-
-    p, s = oscillation.Params(1.0, PERIOD), oscillation.NOTHING
-    waves = [(t, 5.0 * math.sin(300.0 * t), math.sin(40.0 * t)) for t in T[:2000].tolist()]
-
-    def run():
-        state = s
-        for time, voltage, command in waves:
-            state = oscillation.step(p, state, time, voltage, command)
-
-    assert min(timeit.repeat(run, number=1, repeat=5)) / len(waves) < 2e-5
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -7,15 +7,13 @@ import math
 import numpy as np
 import pytest
 from grids import grid
+from test_cycle_watch import Loop
 
 from valve_control.control.laws import registry
-from valve_control.control.parameters import build, files
-from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.parameters import files
 from valve_control.control.plant import valve
 from valve_control.control.supervision import lvdt
 from valve_control.control.supervision.record import Mode
-from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.parameter import defaults, updated
 
 PERIOD = 1e-3  # s
 BITS = {bits: 20.0 / 2**bits for bits in (10, 12)}  # V  steps of converters over ±10 V
@@ -33,72 +31,24 @@ COMMANDS = {
 SHIPPED = ["arc", "oarc", "dcarc", "pid"]
 
 
-class Loop:
-    """A supervisor and a valve whose LVDT is read through a converter."""
-
-    def __init__(self, controller, plant):
-        self.values = updated(CONTROLLER, defaults(CONTROLLER), controller)
-        self.supervisor = Supervisor()
-        self.supervisor.apply(self.values, build.law_params(self.values))
-        self.p = build.valve_params(updated(VALVE, defaults(VALVE), plant))
-        self.s = valve.initial(self.p)
-        self.random = np.random.default_rng(1)
-        self.k = 0
-        self.said = set()
-
-    def step(self, command, reading=None):
-        """One sample; ``reading`` [V]: that of a frozen LVDT. Returns the reading."""
-        self.supervisor.command(command(self.k * PERIOD))
-        if reading is None:
-            reading = valve.read(self.p, self.s, self.random.standard_normal())
-        self.k += 1
-        self.supervisor.sample(reading, self.k)
-        self.said |= set(self.supervisor.conditions)
-        self.s = valve.step(self.p, self.s, self.supervisor.voltage)
-        return reading
-
-    def run(self, command, samples):
-        for _ in range(samples):
-            self.step(command)
-        return self
-
-
 @grid("bits, law, plant, command", BITS, registry.LAWS, [{}, FRICTION], COMMANDS)
 def test_no_false_alarm_of_the_lvdt_with_the_usual_gains(config, law, bits, plant, command):
     own = files.load(str(config / "d3fxe.yaml"))["controller"] if plant else {}
     loop = Loop({"controller": law, **own}, {**plant, "lvdt.resolution": BITS[bits]})
-    loop.run(COMMANDS[command], 2200)
+    loop.run(2200, COMMANDS[command])
     assert loop.supervisor.counts["safe_stops"] == 0
-    assert not [name for name in loop.said if name.startswith("lvdt")]
-
-
-@grid(
-    "bits, law, shipped, command",
-    [None, *BITS], SHIPPED, ["d3fxe", "d3fxe_experiment"], ["steps", "sine", "staircase"],
-)  # fmt: skip
-def test_tuned_gains_run_without_alarm_on_the_valve_that_they_are_shipped_for(
-    config, law, shipped, command, bits
-):
-    """``ok`` with the LVDT's own noise; on a quiet converter nothing is said of the LVDT."""
-    plant = files.load(str(config / f"{shipped}.yaml"))["valve_simulator"]
-    gains = files.load(str(config / "tuned" / f"{shipped}_{law}.yaml"))["controller"]
-    quiet = {} if bits is None else {"lvdt.noise": 0.0, "lvdt.resolution": BITS[bits]}
-    loop = Loop({"controller": law, **gains}, {**plant, **quiet}).run(COMMANDS[command], 1500)
-    assert loop.supervisor.counts["safe_stops"] == 0
-    assert not [name for name in loop.said if name.startswith("lvdt")]
-    if bits is None and law != "arc":
-        assert loop.said == set()
+    assert not [name for name in loop.names if name.startswith("lvdt")]
 
 
 @grid("bits, law, phase", BITS, SHIPPED, range(0, 660, 110))
 def test_an_lvdt_that_freezes_in_motion_is_found(law, bits, phase):
     """Within 60 ms at more than 15 V/s; near the turn of the sine once the command has left it."""
-    loop = Loop({"controller": law}, {"lvdt.resolution": BITS[bits]}).run(COMMANDS["sine"], 667 + phase)
+    loop = Loop({"controller": law}, {"lvdt.resolution": BITS[bits]}).run(667 + phase, COMMANDS["sine"])
     speed = abs(loop.s.x.x1)
-    frozen = loop.step(COMMANDS["sine"])
+    frozen = loop.run(1, COMMANDS["sine"]).readings[-1]
     n = 0
     while loop.supervisor.mode is not Mode.SAFE and n < 400:
-        loop.step(COMMANDS["sine"], frozen)
+        loop.run(1, COMMANDS["sine"], frozen=frozen)
         n += 1
     assert "lvdt_frozen" in loop.supervisor.conditions
     assert n <= (60 if speed > 15.0 else 250)
@@ -117,10 +67,10 @@ def test_an_lvdt_that_freezes_in_motion_is_found(law, bits, phase):
 )
 def test_an_lvdt_that_freezes_at_rest_is_found_when_the_command_moves(law, own, command, longest):
     """The law pulls by more than any disturbance, or half of the amplifier's voltage; the reading stands."""
-    loop = Loop({"controller": law, **own}, {"lvdt.resolution": BITS[12]}).run(lambda t: 0.0, 200)
+    loop = Loop({"controller": law, **own}, {"lvdt.resolution": BITS[12]}).run(200, lambda t: 0.0)
     n = 0
     while loop.supervisor.mode is not Mode.SAFE and n < longest:
-        loop.step(command, 0.0)
+        loop.run(1, command, frozen=0.0)
         n += 1
     assert "lvdt_frozen" in loop.supervisor.conditions
 
@@ -128,12 +78,8 @@ def test_an_lvdt_that_freezes_at_rest_is_found_when_the_command_moves(law, own, 
 @pytest.mark.parametrize("law", ["pid", "compensator", "open_loop"])
 def test_a_noisy_lvdt_that_froze_long_ago_is_found_as_soon_as_the_voltage_moves(law):
     loop = Loop({"controller": law}, {"lvdt.noise": 0.0056, "lvdt.resolution": 0.0037})
-    loop.run(lambda t: 0.0, 500)
-    frozen = loop.step(lambda t: 0.0)
-    for _ in range(2000):
-        loop.step(lambda t: 0.0, frozen)
-    for _ in range(20):
-        loop.step(lambda t: 2.0, frozen)
+    loop.run(501, lambda t: 0.0)
+    loop.run(2000, lambda t: 0.0, frozen=loop.readings[-1]).run(20, lambda t: 2.0, frozen=loop.readings[-1])
     assert "lvdt_frozen" in loop.supervisor.conditions
 
 
@@ -151,9 +97,9 @@ def test_lost_readings_and_rounding_of_a_driver_are_no_noise(law, plant, command
         held[k % 4] = reading / 4.0
         if k % 3:
             loop.supervisor.sample(reading if k < 1000 else total, k + 1)
-            loop.said |= set(loop.supervisor.conditions)
+            loop.names |= set(loop.supervisor.conditions)
         loop.s = valve.step(loop.p, loop.s, loop.supervisor.voltage)
-    assert "lvdt_frozen" not in loop.said
+    assert "lvdt_frozen" not in loop.names
 
 
 @pytest.mark.parametrize(

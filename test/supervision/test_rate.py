@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings of another rate: measured, reported, and off beyond what the gains were checked for."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from research.campaigns import dirty
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.parameters import build, files
@@ -262,3 +265,23 @@ def test_a_sample_period_that_the_readings_contradict_is_refused():
         "change the period of the readings first"
     )
     assert made.period_refusal(PERIOD) == made.period_refusal(1.05 * PERIOD) == ""
+
+
+def test_bursts_that_make_the_loop_oscillate_are_named_before_the_limit_cycle():
+    """Four readings at a time, of which only the last voltage acts."""
+    values, plant = dirty.setting("d3fxe_dcarc")
+    made, p = supervisor(**values), build.valve_params(plant)
+    s, random, voltage, readings = valve.initial(p), np.random.default_rng(1), 0.0, []
+    for k in range(2000):
+        readings.append(valve.read(p, s, float(random.standard_normal())))
+        made.command(2.0 * math.sin(2.0 * math.pi * 1.5 * k * PERIOD))
+        if k < 500 or k % 4 == 3:
+            for i, reading in enumerate(readings):
+                elapsed = PERIOD if k < 500 else 5e-5 if i else 4.0 * PERIOD - 15e-5
+                voltage = made.sample(reading, k - len(readings) + i + 1, elapsed)
+            readings = []
+        s = valve.step(p, s, voltage)
+        assert "limit_cycle" not in made.conditions
+        if "lvdt_bursts" in made.conditions:
+            break
+    assert 700 < k < 1100

@@ -241,25 +241,3 @@ def test_points_that_come_unevenly_do_not_shake_the_voltage(every):
     """By 0.7 ms: at 1 kHz two come for one sample and none for another."""
     even, uneven = (run(moving(), every, controller="oarc", jitter=jitter) for jitter in (0.0, 0.0007))
     assert uneven.chatter < 1.15 * even.chatter
-
-
-NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
-
-
-@given(NUMBERS, NUMBERS, NUMBERS, st.floats(-1.0, 1.0))
-def test_a_point_is_used_exactly_if_nothing_is_said_against_it(position, velocity, acceleration, backwards):
-    point = Motion(position, velocity, acceleration)
-    said = trajectory.fault(point, backwards)
-    assert trajectory.usable(point, backwards) == (said == "")
-    wrong = [name for name, value in point._asdict().items() if not math.isfinite(value)]
-    if wrong:
-        assert f"point with {wrong[0]} " in said
-
-
-@given(st.integers(0, 3), st.integers(0, 3), st.integers(0, 3))
-def test_only_a_point_with_one_entry_of_each_is_taken_and_the_others_are_counted(first, second, third):
-    said = trajectory.refusal(first, second, third)
-    assert (said == "") == (first == second == third == 1)
-    if said:
-        numbers = [int(word) for word in said.replace(",", "").split() if word.isdigit()]
-        assert numbers == [first, second, third]

@@ -92,13 +92,6 @@ def test_with_other_parameters_and_random_faults(changes):
     compare(watched(**changes), 1500, 3, random_faults(5, within=1.4))
 
 
-@pytest.mark.campaign
-@pytest.mark.parametrize("name", LAWS)
-def test_with_many_random_faults(name):
-    for seed in range(2):
-        compare(watched(controller=name, command_timeout=0.2), 6000, seed, random_faults(seed))
-
-
 def test_a_law_that_leaves_the_finite_numbers_is_switched_off(monkeypatch):
     pid = LAWS["pid"]
 

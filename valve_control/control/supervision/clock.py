@@ -7,9 +7,8 @@ follows offset and drift: a second-order loop on innovations that are limited, s
 move it. The smallest residual of the last messages lowers the line to the smallest delay, as NTP and PTP do.
 """
 
+import math
 from typing import NamedTuple
-
-from valve_control.control.laws.projection import clip
 
 OFFSET = 0.5  # s  time constant of the line's offset
 DRIFT = 1.0  # s  of its drift; twice OFFSET gives a damping of 1
@@ -45,15 +44,19 @@ def step(s: State, time: float, difference: float) -> State:
     if s.messages == 0.0 or innovation > LEAP or innovation < -EARLY or elapsed > OFFSET:
         return State(time, difference, s.drift, 1.0, 0.0, 0.0, time, 0.0)
     messages = s.messages + 1.0
-    innovation = clip(innovation, -LIMIT, LIMIT)
-    offset = line + max(1.0 / messages, min(1.0, elapsed / OFFSET)) * innovation
-    drift = clip(s.drift + elapsed / (DRIFT * DRIFT) * innovation, -LARGEST, LARGEST)
+    if abs(innovation) > LIMIT:  # these three are quicker than min and max
+        innovation = math.copysign(LIMIT, innovation)
+    share, first = elapsed / OFFSET, 1.0 / messages
+    offset = line + (share if share > first else first) * innovation
+    drift = s.drift + elapsed / (DRIFT * DRIFT) * innovation
+    if abs(drift) > LARGEST:
+        drift = math.copysign(LARGEST, drift)
     residual = difference - offset
-    smallest, former, begin = min(s.smallest, residual), s.former, s.begin
+    smallest, former, begin = residual if residual < s.smallest else s.smallest, s.former, s.begin
     if time - begin > WINDOW:
         smallest, former, begin = residual, s.smallest, time
-    share = max(1.0 / messages, min(1.0, elapsed / SETTLING))
-    lowered = s.lowered + share * (min(smallest, former) - s.lowered)
+    share = max(first, min(1.0, elapsed / SETTLING))
+    lowered = s.lowered + share * ((smallest if smallest < former else former) - s.lowered)
     return State(time, offset, drift, messages, smallest, former, begin, lowered)
 
 

@@ -134,8 +134,3 @@ def text(p: Params, s: State) -> str:
     """One sentence about the change."""
     times = s.usual / s.present if s.present > 0.0 else 1.0
     return f"LVDT readings over the voltage are {times:.2g} times those of the start: LVDT or valve drifts"
-
-
-def forgotten(s: State) -> State:
-    """State after a reset, or under another model of the valve."""
-    return NOTHING

@@ -159,13 +159,3 @@ def text(p: Params, s: State) -> str:
     mains = min(MAINS, key=lambda one: abs(one - s.frequency))
     hum = f"{1e3 * s.amplitude:.3g} mV at {s.frequency:.3g} Hz (mains: {mains:.0f} Hz)"
     return f"LVDT reading has a hum of {hum}"
-
-
-def stopped(s: State) -> State:
-    """State after the voltage was switched off."""
-    return s
-
-
-def forgotten(s: State) -> State:
-    """State after a reset, or under another model of the valve."""
-    return NOTHING

@@ -33,6 +33,7 @@ STEPS = 3.0  # of the converter that a spool must have moved before a reading th
 BRAKED = 0.05  # tolerances within which a spool may stop dead, however fine the converter
 PUSHED = 3.0  # tolerances that a voltage beyond every disturbance must have moved a spool before that
 INSIDE = 0.85  # of the limit; nearer to it a spool may stop dead at the end of its stroke
+LATEST = 0.05  # s  by which readings that jumped may be late
 TEXTS = {
     "not_finite": "LVDT readings are not finite",
     "out_of_range": "LVDT readings are out of range",
@@ -55,11 +56,11 @@ CONDITIONS = (
     ReportedCondition(
         ("lvdt_jump", "lvdt_jump_bridged"),
         "safe after `lvdt.hold_samples`",
-        "LVDT readings jump faster than the spool can move",
+        "LVDT readings jump faster than the spool can move, or are late by … ms",
         "the reading moves faster than `lvdt.max_rate`, or it differs from the extrapolated "
         "previous readings by more than `lvdt.tolerance` and by more than twice the recent "
         "difference; no new trial before `lvdt.hold_off` has passed",
-        "loose contact; a faster valve needs a larger `lvdt.max_rate`",
+        "loose contact; driver and network; a faster valve needs a larger `lvdt.max_rate`",
     ),
     ReportedCondition(
         ("lvdt_frozen", "lvdt_frozen_bridged"),
@@ -181,6 +182,12 @@ def frozen(p: Params, s: Standing, reading: float, lowest: float, highest: float
     rest = reading * p.a0 / p.b0
     pull = max(abs(lowest - rest), abs(highest - rest))
     return speed * speed > 2.0 * (p.b0 * (p.disturbance + pull) + p.a1 * speed) * least
+
+
+def lateness(s: State) -> str:
+    """Part of a sentence: by how much readings are late that jumped back along their course."""
+    late = -s.leap / s.rate if s.jumped and s.rate != 0.0 else 0.0
+    return f", or are late by {1e3 * late:.0f} ms" if 0.001 < late < LATEST else ""
 
 
 def step(

@@ -110,11 +110,6 @@ def text(p: Params, s: State) -> str:
     return f"LVDT noise is {1e3 * s.noise:.3g} mV rms, {1e3 * s.usual:.3g} mV at the start"
 
 
-def stopped(s: State) -> State:
-    """State after the voltage was switched off."""
-    return s
-
-
 def forgotten(s: State) -> State:
     """State after a reset, or under another model of the valve: the noise of the start stays."""
     return s

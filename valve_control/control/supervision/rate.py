@@ -30,6 +30,8 @@ LATE = 1.6  # times the window's mean; a reading that comes later after the one 
 BURST = 100  # readings that may come quickly after a silence; more are the sender's period
 CROWDED = 0.4  # share of readings that come quickly, from which a window has bursts; two at a time make 0.5
 ANY = 1.0  # limit from which on no period is too short: it is set where readings have no clock
+CROWDED_FOR = 10  # windows of bursts, each twice as long as WINDOW, before bursts are reported
+AT_ONCE = 2  # the same while the voltage oscillates, of which they may be the cause
 CALMED = 0.75  # of a limit, below which it counts as kept again
 
 
@@ -47,7 +49,8 @@ CONDITIONS = (
         ("lvdt_bursts",),
         "degraded",
         "LVDT readings come in bursts of about …, one burst in … ms",
-        "for 2 s, more than 40 % of the readings come within 0.4 of `sample_period` after the reading before",
+        "for 2 s, or for 0.4 s while the voltage oscillates, more than 40 % of the readings come within 0.4 "
+        "of `sample_period` after the reading before",
         "driver, gateway or network that collects readings; only the last voltage of a burst "
         "acts, so the loop has the dead time of a burst",
     ),
@@ -71,7 +74,7 @@ class State(NamedTuple):
     level: int  # 0: as expected, 1: reported, 2: beyond the limit
     quick: int = 0  # readings of the open window that came quickly
     share: float = 0.0  # of quick readings in the last window
-    crowded: int = 0  # windows in a row with bursts, at most LASTING
+    crowded: int = 0  # windows in a row with bursts, at most CROWDED_FOR
     passing: int = (
         BURST + 1
     )  # readings that may still pass before a window is open, the first at any rate; 0: open
@@ -92,9 +95,11 @@ def step(p: Params, s: State, elapsed: float, periods: int) -> State:
     mean = time / count
     in_time = not quickly and elapsed <= LATE * mean * periods
     if count < LEAST or time < length or not (in_time or count >= 2 * LEAST and time >= 2.0 * length):
-        return s._replace(time=time, periods=count, quick=quick)
+        return State(
+            time, count, s.means, s.off, s.level, quick, s.share, s.crowded, s.passing
+        )  # quicker than _replace
     share = quick / count
-    crowded = min(s.crowded + 1, LASTING) if share > CROWDED else 0
+    crowded = min(s.crowded + 1, CROWDED_FOR) if share > CROWDED else 0
     s = State(0.0, 0, (*s.means[1 - WINDOWS :], mean), s.off, s.level, 0, share, crowded, 0)
     return _judged(p, s)
 
@@ -138,9 +143,9 @@ def is_right(p: Params, s: State) -> bool:
     return (s.level < 2 and len(s.means) > 0) or p.limit >= ANY
 
 
-def bursts(s: State) -> bool:
-    """Whether readings have come in bursts for long enough to be reported."""
-    return s.crowded >= LASTING
+def bursts(s: State, at_once: bool) -> bool:
+    """Whether bursts are to be reported; ``at_once``: the voltage oscillates, or they are already."""
+    return s.crowded >= (AT_ONCE if at_once else CROWDED_FOR)
 
 
 def bursts_text(p: Params, s: State) -> str:

@@ -187,16 +187,15 @@ def reported_of(p: Any, m: Memory, seen: plausibility.SeenBlock) -> None:
             if name in texts:
                 clear(m, name)
             else:
-                report(m, watch.condition, watch.module.text(getattr(p, watch.slot), getattr(m, watch.slot)))
+                report(m, name, watch.module.text(params, state))
             texts = m.said.texts
 
 
 @node_only
-@node_only
 def stop_reporting(m: Memory) -> None:
     """The voltage is switched off."""
     for watch in REPORTING:
-        setattr(m, watch.slot, watch.module.stopped(getattr(m, watch.slot)))
+        setattr(m, watch.slot, watch.stopped(getattr(m, watch.slot)))
 
 
 @node_only
@@ -204,7 +203,14 @@ def forget_reported(m: Memory) -> None:
     """Drop what the watches that only report have learnt of the valve."""
     for watch in REPORTING:
         before = getattr(m, watch.slot)
-        after = watch.module.forgotten(before)
+        after = watch.forgotten(before)
         if after is not before:
             setattr(m, watch.slot, after)
             clear(m, watch.condition)
+
+
+def end_reported(m: Memory) -> None:
+    """There is no plausibility check any more, on which these watches depend."""
+    for watch in REPORTING:
+        setattr(m, watch.slot, watch.module.NOTHING)
+        clear(m, watch.condition)

@@ -83,8 +83,3 @@ def text(p: Params, s: State) -> str:
 def stopped(s: State) -> State:
     """State after the voltage was switched off."""
     return NOTHING
-
-
-def forgotten(s: State) -> State:
-    """State after a reset, or under another model of the valve."""
-    return NOTHING

@@ -29,6 +29,7 @@ from valve_control.control.plant.amplifier import saturate
 from valve_control.control.supervision import (
     bumpless_transfer,
     command_watch,
+    cycle_watch,
     law_watch,
     lock_in,
     oscillation,
@@ -42,6 +43,7 @@ from valve_control.control.supervision.record import (
     Mode,
     clear,
     count,
+    end_reported,
     forget_reported,
     latch,
     report,
@@ -98,7 +100,7 @@ class Supervisor:
             m.evidence = None
             forget_reported(m)
             if made.lvdt.comparison is None:
-                watch.end_watches(m)
+                end_reported(m)
         if former is not None and made.lvdt.period != former.lvdt.period:
             m.pace = rate.anew(m.pace)
             clear(m, "lvdt_rate")
@@ -255,7 +257,9 @@ class Supervisor:
 
     def _tell_bursts(self, pace: rate.State) -> None:
         """Report whether readings come in bursts, after a window of their period."""
-        if not rate.bursts(pace):
+        m = self.memory
+        oscillates = m.cycle.cycles >= cycle_watch.BEGUN or m.pause.until > m.now
+        if not rate.bursts(pace, oscillates or "lvdt_bursts" in m.said.texts):
             clear(self.memory, "lvdt_bursts")
         elif pace.share < 1.0:
             report(self.memory, "lvdt_bursts", rate.bursts_text(self._params.lvdt.pace, pace))

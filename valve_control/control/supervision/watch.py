@@ -390,7 +390,7 @@ def refuse(p: Params, m: Memory, fault: str, lost: int) -> None:
         return
     if fault == "frozen" or m.trust.bridged > p.lvdt.hold_samples:
         switch_off(p, m, condition_of(fault), False)
-        report(m, condition_of(fault), lvdt.TEXTS[fault])
+        report(m, condition_of(fault), f"{lvdt.TEXTS[fault]}{lvdt.lateness(m.judged)}")
         return
     if fault == "jump":
         m.jumped_until = m.now + conditions.LATCH
@@ -435,23 +435,16 @@ def has_leapt(m: Memory) -> bool:
     return m.trust.bridged > 0 and m.jumped_until >= 0.0
 
 
+@node_only
 def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown) -> None:
     """Let the watches of the table look at a block, at whose end ``applied`` [V] is on; it has ``shown``."""
-    reported_of(
-        p.watches, m, plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown, m.effective)
-    )
+    seen = plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown, m.effective)
+    reported_of(p.watches, m, seen)
 
 
 @node_only
-def unreported(p: Any, m: Memory, seen: plausibility.SeenBlock) -> None:
-    """Watches that only report, where nobody hears them."""
-
-
-def end_watches(m: Memory) -> None:
-    """There is no plausibility check any more, on which the watches of the table depend."""
-    for watch in REPORTING:
-        setattr(m, watch.slot, watch.module.NOTHING)
-        clear(m, watch.condition)
+def unwatched(p: Params, m: Memory, applied: float, shown: plausibility.Shown) -> None:
+    """Watches that only report, where nobody hears them: in C and its twin."""
 
 
 def confront(p: Params, m: Memory) -> None:
@@ -791,7 +784,6 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
     hints = get_type_hints(module.Params)
     adapts = law.adapts and {"theta_initial", "theta_min", "theta_max"} <= hints.keys()
     params = _record(Params, {"law": module.Params, "line": type(line)}, ("watches",))
-    params.watches = None  # nothing looks at the blocks, in C and in this twin of it
     state = module.State | None
     memory = _record(Memory, {"law": state, "former": state, "proven": state}, TOLD)
     memory.__name__, memory.changes = "State", True
@@ -800,7 +792,7 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
         "State": memory,
         "Theta": hints["theta_initial"] if adapts else Theta,
         "law_resumed": with_estimates if adapts else as_designed,
-        "reported_of": unreported,
+        "watch_block": unwatched,
     }
     made = with_places({**places_of(law, line), **others})
     kinds = {Params: params, Memory: memory, Any | None: state}

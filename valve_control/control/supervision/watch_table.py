@@ -1,36 +1,21 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""The table of all watches: what each remembers, which parameters it has, which conditions it reports.
+"""The table of the watches that report, and the conditions of all watches.
 
-Two kinds of watch:
+A watch of this table looks at each block of the plausibility check and reports a condition; the law goes on.
+The other watches are called by name in watch.py or supervisor.py, because more than a sentence depends on
+them: which reading or command counts, what limits the voltage, or when the law starts again.
 
-REPORTS  looks at each block of the plausibility check and reports a condition; the law goes on.
-GUIDES   is called by name in watch.py or supervisor.py, because more than its sentence depends on it: which
-         reading or command counts, or when the law starts again.
-
-Why each of the guides stays one (a step that takes and returns one State would not make watch.py shorter):
-
-lvdt, lvdt_watch   decide whether the reading counts at all, before the law steps, and end the time at 0 V
-rate               needs the real time between readings, which exported C does not have
-plausibility       makes the blocks that REPORTS watches look at, and its doubt limits the law's voltage
-answer             doubt halves what it allows, and the law starts again with the estimates that it proves
-command_watch,     give the law its command; their states are read at five places of a sample
-command_course
-cycle_watch        has five slots: four change once in a cycle or never, and one State of all five would cost
-                   0.4 µs at each sample (Python 3.11), a twentieth of the whole sample
-law_watch          one of its conditions is an event, the other has a hysteresis and a counter, and both look
-                   at the terms of a law; a new assumption is one row of ``law_watch.ASSUMPTIONS``
-
-A new watch that REPORTS is one file and one row of ``WATCHES``. Memory, snapshot, diagnostics and the page
-docs/reference/modes.md follow from the row. Exported C leaves it out. The file has ``Params``, ``State``,
+A new watch that reports is one file and one row of ``REPORTING``. Memory, snapshot, diagnostics and the page
+docs/reference/modes.md follow from the row; exported C has no such watch. The file has ``Params``, ``State``,
 ``NOTHING`` (the state at the start), ``CONDITIONS`` and these functions:
 
 design(values, check)   Params from the controller's values and the Params of the plausibility check
 step(p, s, seen)        the state after one more block, of which ``seen`` is a ``plausibility.SeenBlock``
 found(p, s)             whether the condition is there
 text(p, s)              one sentence for the user
-stopped(s)              the state after the voltage was switched off, whatever the reason
-forgotten(s)            the state after ~/reset, or under another model of the valve
+stopped(s)              the state after the voltage was switched off; without this function the same
+forgotten(s)            the state after ~/reset, or under another model of the valve; without it ``NOTHING``
 """
 
 import collections
@@ -38,8 +23,6 @@ import types
 from typing import Any, NamedTuple
 
 from valve_control.control.supervision import (
-    answer,
-    command_course,
     command_watch,
     cycle_watch,
     gain_watch,
@@ -55,68 +38,39 @@ from valve_control.control.supervision import (
 from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values
 
-REPORTS, GUIDES = "reports", "guides"
-
 
 class Watch(NamedTuple):
-    """One watch."""
+    """A watch that reports."""
 
     module: types.ModuleType
-    slots: tuple[str, ...]  # of the memory; that of a watch which REPORTS holds its State
-    kind: str = GUIDES
-    parameters: tuple[str, ...] = ()  # of the controller
-
-    @property
-    def slot(self) -> str:
-        """The only slot of a watch that REPORTS."""
-        (slot,) = self.slots
-        return slot
+    slot: str  # of the memory, which holds its State
 
     @property
     def condition(self) -> str:
-        """Name of the only condition of such a watch."""
+        """Name of its only condition."""
         ((name,),) = (condition.names for condition in self.module.CONDITIONS)
         return str(name)
 
+    def stopped(self, state: Any) -> Any:
+        """State after the voltage was switched off."""
+        return self.module.stopped(state) if hasattr(self.module, "stopped") else state
 
-WATCHES = (
-    Watch(
-        lvdt,
-        ("judged", "jumped_until"),
-        parameters=(
-            *("lvdt.limit", "lvdt.max_rate", "lvdt.tolerance", "lvdt.frozen_samples", "lvdt.frozen_voltage"),
-        ),
-    ),
-    Watch(lvdt_watch, ("trust",), parameters=("lvdt.hold_samples", "lvdt.recovery_samples")),
-    Watch(rate, ("pace",), parameters=("lvdt.period_limit",)),
-    Watch(
-        plausibility,
-        ("evidence",),
-        parameters=(
-            *("lvdt.disturbance", "lvdt.excitation", "lvdt.slow", "lvdt.hold_off", "lvdt.hold_off_limit"),
-        ),
-    ),
-    Watch(answer, ("response", "proven")),
-    Watch(noise_watch, ("noise",), REPORTS),
-    Watch(stick_watch, ("stick",), REPORTS),
-    Watch(gain_watch, ("gain",), REPORTS),
-    Watch(hum_watch, ("hum",), REPORTS),
-    Watch(
-        command_watch,
-        ("command",),
-        parameters=("command_limit", "command_timeout", "neutral_rate", "neutral_accel"),
-    ),
-    Watch(
-        command_course, ("course", "clock", "pulse", "sender"), parameters=("command.bridge", "command.lag")
-    ),
-    Watch(
-        cycle_watch,
-        ("cycle", "swing", "probe", "source", "pause"),
-        parameters=("oscillation_limit",),
-    ),
-    Watch(law_watch, ("saturated_for",), parameters=("saturation_limit",)),
+    def forgotten(self, state: Any) -> Any:
+        """State after a reset, or under another model of the valve."""
+        forgotten = getattr(self.module, "forgotten", None)
+        return self.module.NOTHING if forgotten is None else forgotten(state)
+
+
+REPORTING = (
+    Watch(noise_watch, "noise"),
+    Watch(stick_watch, "stick"),
+    Watch(gain_watch, "gain"),
+    Watch(hum_watch, "hum"),
 )
-REPORTING = tuple(watch for watch in WATCHES if watch.kind == REPORTS)
+MODULES = (
+    *(lvdt, lvdt_watch, rate, plausibility, *(watch.module for watch in REPORTING)),
+    *(command_watch, cycle_watch, law_watch),
+)
 Params = collections.namedtuple("Params", [watch.slot for watch in REPORTING])  # type: ignore[misc]
 OF_NODES = (
     ReportedCondition(
@@ -133,8 +87,7 @@ OF_NODES = (
 
 def conditions() -> tuple[ReportedCondition, ...]:
     """All conditions, watch by watch."""
-    own = (condition for watch in WATCHES for condition in getattr(watch.module, "CONDITIONS", ()))
-    return (*own, *OF_NODES)
+    return (*(condition for module in MODULES for condition in module.CONDITIONS), *OF_NODES)
 
 
 def design(values: Values, check: plausibility.Params | None) -> Any:
