@@ -37,9 +37,6 @@ PARAMETERS = (  # node, its parameters, words of the sentence, exit status if it
     ("recorder", ["bag:=new", "storage:=sqlite3", "compression:=zstd"], "storage sqlite3 has none"),
     ("recorder", ["bag:=new", "storage:=hdf5"], "'hdf5'"),
     ("recorder", ["bag:=new", "flush_period:=2.0"], "flush_period"),
-    ("recorder", ["bag:=new", "box.keep:=3"], "box.keep has no effect where black_box is false"),
-    ("recorder", ["black_box:=true", "max_size:=3.0"], "max_size has no effect where black_box is true"),
-    ("recorder", ["black_box:=true", "box.seconds:=0.5"], "box.seconds"),
     ("recorder", ["bag:=new", "min_free:=1000000.0"], "less than min_free, 1e+06 MB", 1),
     ("recorder", ["compresion:=zstd"], "'compresion'; did you mean 'compression'?"),
 )  # fmt: skip
