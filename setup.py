@@ -16,7 +16,7 @@ NODES = [
     "axis_controller",
     "dashboard",
 ]
-TOOLS = ["demo", "lockstep"]
+TOOLS = ["demo"]
 MOVED = ["faults", "joiners", "paper"]  # research; they name the command of a checkout
 
 setup(
