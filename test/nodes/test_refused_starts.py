@@ -10,7 +10,7 @@ DEVICE = ["valves:=[a,b]", "driver:=simulated"]
 BENCH = str(files.config_folder() / "axis" / "bench.yaml")
 PARAMETERS = (  # node, its parameters, words of the sentence, exit status if it is not 2
     ("controller", ["controller:=lqr"], "'lqr'"),
-    ("controller", ["controller:=2"], "controller is '2'; it must be 'arc'"),
+    ("controller", ["controller:=2"], "controller is 2; it must be a string (write it in quotes)"),
     ("controller", ["controler:=oarc"], "'controler'; did you mean 'controller'?"),
     ("controller", ["arc.k1:=-3.0"], "arc.k1"),
     ("controller", ["arc.k1:=fast"], "arc.k1"),
