@@ -40,7 +40,7 @@ faults: $(STAMP)  ## fault campaign over DDS: reaction times, out/faults.json (a
 	@$(PYTHON) -m research.campaigns.faults $(ARGS)
 
 lockstep: $(STAMP)  ## three processes in lockstep, compared bit for bit with offline (ARGS="--duration 60")
-	@$(PYTHON) -m valve_control.nodes.harness.lockstep $(ARGS)
+	@$(PYTHON) -m research.campaigns.lockstep $(ARGS)
 
 joiners: $(STAMP)  ## processes join the cascade and are killed: does it stand still? (ARGS="--kills 50")
 	@$(PYTHON) -m research.campaigns.joiners $(ARGS)

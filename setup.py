@@ -16,7 +16,7 @@ NODES = [
     "axis_controller",
     "dashboard",
 ]
-TOOLS = ["demo", "lockstep"]
+TOOLS = ["demo"]
 
 setup(
     name=NAME,

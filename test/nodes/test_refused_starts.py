@@ -33,13 +33,9 @@ PARAMETERS = (  # node, its parameters, words of the sentence, exit status if it
     ("manifold", [*DEVICE, "node:=valve_simulator"], "-p driver:=simulated: there is no parameter"),
     ("recorder", ["bag:=here"], "exists already; a bag needs a new folder"),
     ("recorder", ["bag:=new", "topics:=['/a(']"], "topics has '/a(', which is no regular expression"),
-    ("recorder", ["bag:='123E5'", "topics:=['(']"], "no regular expression"),
     ("recorder", ["bag:=new", "storage:=sqlite3", "compression:=zstd"], "storage sqlite3 has none"),
     ("recorder", ["bag:=new", "storage:=hdf5"], "'hdf5'"),
     ("recorder", ["bag:=new", "flush_period:=2.0"], "flush_period"),
-    ("recorder", ["bag:=new", "box.keep:=3"], "box.keep has no effect where black_box is false"),
-    ("recorder", ["black_box:=true", "max_size:=3.0"], "max_size has no effect where black_box is true"),
-    ("recorder", ["black_box:=true", "box.seconds:=0.5"], "box.seconds"),
     ("recorder", ["bag:=new", "min_free:=1000000.0"], "less than min_free, 1e+06 MB", 1),
     ("recorder", ["compresion:=zstd"], "'compresion'; did you mean 'compression'?"),
 )  # fmt: skip

@@ -11,13 +11,16 @@ from typing import Any
 
 from valve_control.nodes.adapter import has_override
 from valve_control.nodes.controller_node import Controller
-from valve_control.nodes.device_controller import DeviceController
 from valve_control.nodes.loop import run
 
 
 def make() -> list[Any]:
     """Create the node: with the device if the command line or its files have the parameter driver."""
-    return [DeviceController() if has_override("controller", "driver") else Controller()]
+    if not has_override("controller", "driver"):
+        return [Controller()]
+    from valve_control.nodes.device_controller import DeviceController  # which brings all drivers
+
+    return [DeviceController()]
 
 
 def main() -> int:

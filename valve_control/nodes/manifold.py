@@ -10,7 +10,6 @@ from typing import Any
 from valve_control.control.parameters.table import MANIFOLD, NODES
 from valve_control.nodes.adapter import ParameterSet, admit, has_override
 from valve_control.nodes.controller_node import Controller
-from valve_control.nodes.device_controller import DeviceController
 from valve_control.nodes.loop import Worker, run
 from valve_control.nodes.valve_simulator import ValveSimulator
 from valve_control.parameter import ParameterError, Values, items, word
@@ -74,14 +73,16 @@ class Manifold(Worker):
         made = []
         valves = names(self._values)
         hosts = [f"{space}/{name}/{kind}" for name in valves]
-        beside = kind == "controller" and _beside(hosts)
-        table = DeviceController.table if beside else NODES[kind]
+        kind_of_node, table = KINDS[kind], NODES[kind]
+        if kind == "controller" and _beside(hosts):
+            from valve_control.nodes.device_controller import DeviceController  # which brings all drivers
+
+            kind_of_node, table = DeviceController, DeviceController.table
         admit(self, {self.get_fully_qualified_name(): MANIFOLD, **dict.fromkeys(hosts, table)})
-        made_of = DeviceController if beside else KINDS[kind]
         # What one valve's samples bring into the caches serves the others too.
         own = {"warms": len(valves) == 1} if kind == "controller" else {}
         for name in valves:
-            made.append(made_of(alone=False, cli_args=remapped(f"{space}/{name}/{kind}"), **own))
+            made.append(kind_of_node(alone=False, cli_args=remapped(f"{space}/{name}/{kind}"), **own))
         self.get_logger().info(f"{len(made)} x {kind}: {', '.join(valves)}")
         return made
 

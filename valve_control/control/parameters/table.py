@@ -46,10 +46,6 @@ RECORDER: Table = running(
         "regular expressions, one of which must match the whole name of a topic; empty: the topics of "
         "all valves and axes, /diagnostics and /clock; /parameter_events is always recorded",
     ),
-    Parameter("max_size", 0.0, "MB", "size at which the next file of the bag begins; 0.0: never", 0.0, 1e6),
-    Parameter(
-        "max_duration", 0.0, "s", "time after which the next file of the bag begins; 0.0: never", 0.0, 1e6
-    ),
     Parameter(
         "flush_period",
         0.25,
@@ -59,21 +55,6 @@ RECORDER: Table = running(
         1.0,
     ),
     Parameter("min_free", 64.0, "MB", "free space on the disk at which the recording ends", 0.0, 1e6),
-    Parameter("report_period", 5.0, "s", "time between two lines about the progress", 0.1, 1e6),
-    Parameter(
-        "black_box",
-        False,
-        "",
-        "keep the last seconds in memory and write a bag when a controller reports a condition or falls "
-        "silent, or ~/save_box is called; the names of these bags begin with the parameter bag (empty: "
-        "black_box)",
-    ),
-    Parameter("box.seconds", 10.0, "s", "black box: time before the event", 1.0, 600.0),
-    Parameter("box.after", 2.0, "s", "black box: time after the event", 0.0, 60.0),
-    Parameter(
-        "box.keep", 10, "", "black box: number of bags that are kept; older ones are deleted", 1, 10_000
-    ),
-    Parameter("box.max_size", 100.0, "MB", "black box: memory for messages", 1.0, 10_000.0),
 )
 
 DASHBOARD: Table = running(

@@ -173,7 +173,7 @@ def check(results: Sequence[Mapping[str, Any]]) -> bool:
 
 
 def main() -> int:
-    """Entry point of `make lockstep` and of `ros2 run valve_control lockstep`."""
+    """Entry point of `make lockstep`."""
     options = tool_options("lockstep", __doc__, tuple(LAWS))
     options.add_argument("--duration", type=float, default=60.0, metavar="S", help="valve time [s] (60)")
     options.add_argument(
