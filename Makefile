@@ -40,7 +40,7 @@ faults: $(STAMP)  ## fault campaign over DDS: reaction times, out/faults.json (a
 	@$(PYTHON) -m research.campaigns.faults $(ARGS)
 
 lockstep: $(STAMP)  ## three processes in lockstep, compared bit for bit with offline (ARGS="--duration 60")
-	@$(PYTHON) -m valve_control.nodes.harness.lockstep $(ARGS)
+	@$(PYTHON) -m research.campaigns.lockstep $(ARGS)
 
 joiners: $(STAMP)  ## processes join the cascade and are killed: does it stand still? (ARGS="--kills 50")
 	@$(PYTHON) -m research.campaigns.joiners $(ARGS)
@@ -110,12 +110,13 @@ kilted:  ## the tests of nodes with ROS 2 Kilted in place of Jazzy, from its whe
 browser: $(STAMP)  ## the dashboard in Chromium, beside real nodes
 	@$(PYTHON) -m pytest test/nodes/test_dashboard_browser.py -m browser $(PYTEST_ARGS)
 
-lint: $(STAMP)  ## ruff, mypy and the order of the rooms
+lint: $(STAMP)  ## ruff, mypy, order and budgets of the rooms
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check .
 	@$(PYTHON) -m mypy
 	@$(VENV)/bin/lint-imports --no-cache --no-logo
 	@$(PYTHON) .ci/quality.py --quiet
+	@$(PYTHON) .ci/budget.py
 
 quality: $(STAMP)  ## items of REP-2004 quality level 2, one line each
 	@$(PYTHON) .ci/quality.py

@@ -16,8 +16,7 @@ NODES = [
     "axis_controller",
     "dashboard",
 ]
-TOOLS = ["demo", "lockstep"]
-MOVED = ["faults", "joiners", "paper"]  # research; they name the command of a checkout
+TOOLS = ["demo"]
 
 setup(
     name=NAME,
@@ -34,7 +33,7 @@ setup(
         (f"share/{NAME}/config/solenoid", glob("config/solenoid/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.xml")),
     ],
-    package_data={NAME: ["py.typed", "nodes/*.xml", "export/*.c", "dashboard/*.js", "dashboard/*.css"]},
+    package_data={NAME: ["py.typed", "nodes/*.xml", "export/*.[ch]", "dashboard/*.js", "dashboard/*.css"]},
     install_requires=[
         "setuptools",
         "numpy>=1.26",
@@ -53,7 +52,6 @@ setup(
     extras_require={
         "axis": ["ruckig>=0.14"],
         "canopen": ["canopen>=2.4", "python-can>=4.6", "pyserial>=3.5"],
-        "cluster": ["distributed>=2024.1"],
         "dashboard": ["nicegui>=3.18,<4"],
         "modbus": ["pymodbus>=3.16,<4"],
         "serial": ["pyserial>=3.5"],
@@ -65,7 +63,6 @@ setup(
             "pyserial>=3.5",
             "fmpy>=0.3.20",
             "ruckig>=0.14",
-            "distributed>=2024.1",
             "nicegui>=3.18,<4",
             "selenium>=4.30",
             "psutil>=5.9",
@@ -85,7 +82,6 @@ setup(
             "valve-control = valve_control.cli:main",
             *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
             *(f"{tool} = {NAME}.nodes.harness.{tool}:main" for tool in TOOLS),
-            *(f"{tool} = {NAME}.cli.moved:main" for tool in MOVED),
         ]
     },
 )

@@ -7,22 +7,24 @@ is timed by the clock.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from benchmarks.batch import Measure, in_turns, timed
-from valve_control.control.axis import run as runs
+from valve_control.axis import axis, cascade
+from valve_control.axis import run as runs
+from valve_control.axis.axis_parameters import AXIS_NODES
+from valve_control.axis.upper import LEVELS
 from valve_control.control.compiling import compile_function
-from valve_control.control.motion.upper import LEVELS
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis_parameters import AXIS_NODES
-from valve_control.control.plant import axis
 from valve_control.parameter import Values, updated
 
 Array = npt.NDArray[np.float64]
+SIGNALS = len(cascade.SIGNALS)
 AXES, STEPS = 48, 100_000  # of the batch; of the axis alone
 MANY, SECONDS = 10_000, 6.0  # how many axes of how long are to be done within two minutes
 WANTED = {
@@ -49,6 +51,12 @@ def drive(p: axis.Params, s: axis.State, spool: Array) -> axis.State:
     return s
 
 
+def batch(setups: Sequence[runs.Setup], threads: int) -> list[runs.Indices]:
+    """Indices of many axes, on so many ``threads``."""
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(lambda s: runs.indices_of(s, np.empty((len(s.goals), SIGNALS))), setups))
+
+
 def settings(level: str) -> dict[str, Values]:
     """Values by node of the bench under an upper level, over 6 s."""
     path = str(files.config_folder() / "axis" / "bench.yaml")
@@ -67,13 +75,13 @@ def run(rounds: int = 5) -> dict[str, Any]:
     driven = compile_function(drive)
     driven(one.machine.axis, one.begin.axis, spool[:2])  # compiles
     batches = {level: [s._replace(seed=k) for k in range(AXES)] for level, s in setups.items()}
-    for batch in batches.values():
-        runs.warm_up(batch[0])
+    for setup in setups.values():
+        batch([setup._replace(goals=setup.goals[:1])], 1)  # compiles
     alone, *found = in_turns(
         [
             worked(driven, one.machine.axis, one.begin.axis, spool),
             *(
-                kind(runs.simulate_many, b, threads)
+                kind(batch, b, threads)
                 for b in batches.values()
                 for kind, threads in ((worked, 1), (timed, 2))
             ),
@@ -86,7 +94,7 @@ def run(rounds: int = 5) -> dict[str, Any]:
         f"a step of the axis alone, {one.machine.axis.steps} integration steps: {results['step_us']:.2f} µs"
     )
     print(f"{'':10}{'sample of one core [µs]':>25}{'of two':>8}{f'{MANY} axes of {SECONDS:g} s [min]':>30}")
-    for (level, _), single, double in zip(batches.items(), found[::2], found[1::2], strict=True):
+    for level, single, double in zip(batches, found[::2], found[1::2], strict=True):
         entry = {
             "sample_us": 1e6 * min(single) / samples,
             "two_cores_sample_us": 1e6 * min(double) / samples,

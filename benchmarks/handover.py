@@ -12,7 +12,6 @@ from tqdm import tqdm
 from benchmarks.batch import BenchmarkError
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis_parameters import AXIS
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.export import folder, unit
 from valve_control.export.unit import Unit
@@ -36,7 +35,6 @@ def units() -> dict[str, tuple[Unit, bool]]:
     made |= {f"{name} --watch": (unit.watched(values(name)), False) for name in LAWS}
     made |= {f"{name} --float": (unit.law(values(name)), True) for name in LAWS}
     made["valve"] = unit.plant(valve_values), False
-    made["axis"] = unit.hydraulic_axis(defaults(AXIS), valve_values), False
     return made
 
 

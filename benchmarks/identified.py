@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 import tqdm
 
+from research import comparison
+from research.comparison import NOISE_SEED, PERIOD, U_MAX, Setup
 from valve_control import outputs
 from valve_control.control.commands import scenarios
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.simulation import batch, comparison
-from valve_control.control.simulation.comparison import NOISE_SEED, PERIOD, U_MAX, Setup
+from valve_control.control.simulation import batch
 from valve_control.design.identification import experiment, first_gains, friction, lvdt, rational, theta
 from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.response import Segment

@@ -105,7 +105,7 @@ def problems(law: Law) -> tuple[trial.Problem, trial.Problem]:
     values = updated(CONTROLLER, values, {"controller": law.name})
     motion = trial.TuningMotion("fast strokes", arrays.read("config/commands/fast_strokes.csv")[:4000])
     seen, other = (box.study_of(settings, quantities, count, seed) for count, seed in ((8, 1), (UNSEEN, 2)))
-    problem = trial.Problem(values, [motion], box.drawn(seen), box.bounding(seen), LIMITS, False, False, 1)
+    problem = trial.Problem(values, [motion], box.drawn(seen), box.bounding(seen), LIMITS, False, 1)
     return problem, problem._replace(plants=box.drawn(other), box=box.bounding(other), seed=2)
 
 
@@ -137,12 +137,12 @@ def long_search(
                 kept.append((i, gains))
         outcomes = trial.run(law, problem, [gains for _, gains in kept]) if kept else []
         for (i, gains), outcome in zip(kept, outcomes, strict=True):
-            error, loud = trial.error_of(problem, outcome), float(np.mean(outcome.saturated))
+            error, loud = outcome.error, float(np.mean(outcome.saturated))
             beyond = max(0.0, math.log(max(outcome.chatter, 1e-9) / QUIET)) + max(0.0, loud - 0.02)
             costs[i] += math.log(error) + 6.0 * beyond if math.isfinite(error) else 100.0
             if beyond == 0.0 and error < best[0]:
                 share = 1.0
-                if pauses.borne(law, problem, gains):
+                if math.isinf(pauses.unborne(law, problem, [gains])[0]):
                     (share,) = limit_cycles.restless_shares(law, problem, [gains])
                 if share > 0.0:
                     costs[i] = 10.0 + share
@@ -159,7 +159,7 @@ def compared(law: Law, budget: int, times: int, seed: int) -> dict[str, Any]:
     """The tuner with ``budget`` sets of gains in each variant of ``law``, the other with ``times`` that."""
     problem, unseen = problems(law)
     began = time.monotonic()
-    aim = tuner.Aim(CHATTER, None)
+    aim = tuner.Aim(CHATTER)
     found = tuner.tuned(law, problem, unseen, aim, budget, seed, lambda done: None)
     seconds = time.monotonic() - began
     chosen = found.chosen
@@ -188,7 +188,7 @@ def compared(law: Law, budget: int, times: int, seed: int) -> dict[str, Any]:
         for name, (variant, gains) in both.items():
             there = unseen._replace(values=updated(CONTROLLER, unseen.values, variant))
             (outcome,) = trial.run(law, there, [gains])
-            result[name]["unseen"] = {"error": trial.error_of(there, outcome), "chatter": outcome.chatter}
+            result[name]["unseen"] = {"error": outcome.error, "chatter": outcome.chatter}
         errors = [result[name]["unseen"]["error"] for name in both]
         result["ratio_unseen"] = errors[0] / errors[1]
     return result

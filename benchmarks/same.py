@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 LAWS = ("arc", "oarc", "dcarc", "pid", "compensator", "open_loop")
-RESEARCH = ("theorems",)  # commands that are not installed
+RESEARCH = ("theorems", "calibration")  # commands that are not installed
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 VALVE = ("--params-file", str(CONFIG / "d3fxe.yaml"))
 
@@ -33,9 +33,7 @@ def commands(bags: list[str]) -> dict[str, tuple[str, ...]]:
     made["identify"] = ("identify", *VALVE)
     few = ("--adaptive-valves", "4", "--loop-valves", "50", "--learning-valves", "2")
     made["theorems"] = ("theorems", "--valves", "200", *few)
-    made["calibrate"] = (
-        "calibrate", "paper", "--evaluations", "300", "--set", "duration=6.0", "--search-seed", "1",
-    )  # fmt: skip
+    made["calibration"] = ("calibration", "--evaluations", "300")
     for bag in bags:
         made[f"shadow {Path(bag).name}"] = ("replay", bag, "--mode", "shadow")
     return made

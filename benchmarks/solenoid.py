@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.supervised import SupervisedValve
-from research import running
+from research import comparison, running
 from valve_control import interrupts, outputs
 from valve_control.cli.commission import CHATTER
 from valve_control.cli.common import Parser, check_processes
@@ -34,7 +34,7 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
 from valve_control.control.plant import registry
 from valve_control.control.plant.models import scale_of
-from valve_control.control.simulation import batch, comparison
+from valve_control.control.simulation import batch
 from valve_control.control.simulation.robustness import Quantity
 from valve_control.design import evolution
 from valve_control.design.commissioning import model, sequence
@@ -154,7 +154,6 @@ def searched(values: Values, form: str, previewed: bool, options: Options) -> Ga
         box=around,
         limits=trial.USUAL,
         preview=previewed,
-        largest=False,
         seed=seed,
         scale=scale_of(registry.chosen(values).model(values)),
     )
@@ -187,9 +186,7 @@ def _costs(
         asked, inside, gains, trial.run(law, problem, gains, 1), strict=True
     ):
         with np.errstate(divide="ignore", invalid="ignore"):
-            point = search.EvaluatedGains(
-                tuple(within), one, trial.error_of(problem, outcome), outcome.chatter, 0.0
-            )
+            point = search.EvaluatedGains(tuple(within), one, outcome.error, outcome.chatter, 0.0)
             cost = search.cost(point, CHATTER, 1.0)
         outside = float(np.sum((shares - within) ** 2))
         if prepared is not None:
@@ -345,7 +342,7 @@ def cycles(plant: Any, values: Values) -> bool:
     """Whether the loop still swings on the valve long after a step or a motion."""
     law = LAWS[word(values, "controller")]
     motions = [TuningMotion(name, wanted[:-2]) for name, wanted in comparison.motions().items()]
-    problem = Problem(values, motions, [plant], [plant], trial.USUAL, False, False, NOISE_SEED)
+    problem = Problem(values, motions, [plant], [plant], trial.USUAL, False, NOISE_SEED)
     return len(limit_cycles.after_all(law, problem, GainSet({}, 0.0), [plant], 1, limit_cycles.LASTING)) > 0
 
 

@@ -18,15 +18,7 @@ from typing import Any
 
 import tqdm
 
-from valve_control import outputs
-from valve_control.control.laws.registry import LAWS
-from valve_control.control.linear import margins
-from valve_control.control.parameters import files
-from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant import valve
-from valve_control.control.plant.valve import FREE
-from valve_control.control.simulation import batch
-from valve_control.control.simulation.comparison import (
+from research.comparison import (
     NOISE_SEED,
     Setup,
     made_of,
@@ -35,6 +27,14 @@ from valve_control.control.simulation.comparison import (
     summary,
     valves,
 )
+from valve_control import outputs
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.linear import margins
+from valve_control.control.parameters import files
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant import valve
+from valve_control.control.plant.valve import FREE
+from valve_control.control.simulation import batch
 from valve_control.design.tuning import limit_cycles, trial, tuner
 from valve_control.parameter import Value, defaults, updated, word
 
@@ -90,7 +90,6 @@ def problem_of(name: str, wide: bool, limits: trial.TuningLimits) -> trial.Probl
         box=[*corners(), *plants] if wide else plants,
         limits=limits,
         preview=True,
-        largest=False,
         seed=0,
     )
 
@@ -128,7 +127,7 @@ def main() -> int:
                 law,
                 problem,
                 unseen,
-                tuner.Aim(arguments.limit, None),
+                tuner.Aim(arguments.limit),
                 arguments.trials,
                 1,
                 told,

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import valve_control
-from valve_control.control.parameters.axis_parameters import ROS_NODES
+from valve_control.axis.tables import ROS_NODES
 from valve_control.parameter import Parameter, Value
 
 PACKAGE = Path(valve_control.__file__).parent
@@ -82,7 +82,6 @@ MEANINGS = {
     "/clock": "simulated time, in lockstep only",
     "~/reset": "reset estimates, filters and plausibility checks; of an axis: hold the "
     "position, and activate the valve's controller",
-    "~/save_box": "black box: write the last seconds as a bag; the answer names it",
     "~/save_parameters": "write the running parameters, with the present estimates, to `save_file`",
     "joint_states": "position of the axis [m] under the name of its joint, the clock of the upper level",
     "pressure_a": "absolute pressure in the chamber that extends the piston [Pa]",

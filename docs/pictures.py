@@ -384,24 +384,6 @@ def characteristic(path: Path) -> None:
 
 
 @picture
-def calibrated(path: Path) -> None:
-    """Indices of the simulated controllers over those of the table, after a short search."""
-    words = ["--set", "duration=9.3", "--set", "start=0.0", "--evaluations", "400", "--output", "quick.yaml"]
-    valve_control("calibrate", "docs/examples/table.csv", *words, "--json", "quick.json")
-    ratios = json.loads(Path("quick.json").read_text())["mean"]["ratios"]
-    figure, (axis,) = axes(1, 3.4)
-    names = list(next(iter(ratios.values())))
-    at = np.arange(len(names))
-    for i, (law, row) in enumerate(ratios.items()):
-        axis.bar(at + 0.35 * i - 0.17, [row[name] for name in names], 0.35, color=COLOURS[i], label=law)
-    axis.axhline(1.0, color="black", lw=0.8)
-    axis.set_xticks(at, names)
-    axis.set(ylabel="index / table", title="after a search of 400 valves")
-    axis.legend(fontsize="small", loc="lower right")
-    save(figure, path)
-
-
-@picture
 def compensator(path: Path) -> None:
     """Response of an identified valve with and without its compensator."""
     valve_control("identify", "--set", "lvdt.noise=0.005", "--output", "valve.yaml")
@@ -446,15 +428,6 @@ def raised_gain(path: Path) -> None:
     top.set(ylabel="e_rms [V]", title="OARC on the valve of config/d3fxe.yaml")
     bottom.set(ylabel="c_u", xlabel="oarc.ks1 = oarc.ks2")
     save(figure, path)
-
-
-@picture
-def tune_report(path: Path) -> None:
-    """Head of the report of a short search."""
-    words = ["--controller", "dcarc,pid", "--params-file", "config/d3fxe.yaml", "--max-chatter", "0.25"]
-    words += ["--valves", "8", "--budget", "400", "--seed", "1", "--alone"]
-    valve_control("tune", *words, "--output", "tuned.yaml", "--html", "tuned.html")
-    screenshot("tuned.html", path, 1050)
 
 
 @picture

@@ -79,8 +79,8 @@ def controller(valve: CoilValve, terms: Sequence[str]) -> "Values":
     """Values of dcarc that knows ``valve``, with those of TERMS that are in ``terms``."""
     import numpy as np
 
+    from research.comparison import NO_LIMITS
     from valve_control.control.parameters.table import CONTROLLER
-    from valve_control.control.simulation.comparison import NO_LIMITS
     from valve_control.parameter import defaults, updated
 
     w, gain = 2.0 * math.pi * valve.frequency, 0.5 * (1.0 + SIDE) * GAIN
@@ -126,9 +126,10 @@ def measured(
     """
     import numpy as np
 
+    from research import comparison
     from valve_control.control.analysis.indices import rms
     from valve_control.control.laws import dcarc
-    from valve_control.control.simulation import comparison, offline
+    from valve_control.control.simulation import delivery, offline
 
     values = led(controller(valve, terms)) if alone else controller(valve, terms)
     p = dcarc.build(values)
@@ -136,7 +137,7 @@ def measured(
     for name, wanted in comparison.motions().items():
         if motions and name not in motions:
             continue
-        sent = wanted[:-2] if alone else comparison.unreshaped(p.reshaping, wanted)
+        sent = wanted[:-2] if alone else delivery.unreshaped(p.reshaping, wanted)
         run = offline.simulate(values, plant(valve), sent)
         errors.append(rms(run.position - wanted[:-2]))
         chatter.append(run.indices.c_u)

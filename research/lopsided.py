@@ -96,10 +96,11 @@ def measured(given: "Values", valve: "Values") -> Error:
     """Run a controller of the ``given`` values on ``valve`` over all motions of ``compare``."""
     import numpy as np
 
+    from research import comparison
     from valve_control.control.analysis.indices import rms
     from valve_control.control.laws.registry import LAWS as KNOWN
     from valve_control.control.parameters.table import CONTROLLER
-    from valve_control.control.simulation import comparison, offline
+    from valve_control.control.simulation import delivery, offline
     from valve_control.parameter import defaults, updated
 
     values = updated(CONTROLLER, defaults(CONTROLLER), {**given, **comparison.NO_LIMITS})
@@ -108,7 +109,7 @@ def measured(given: "Values", valve: "Values") -> Error:
     errors: dict[str, list[float]] = {"sine": [], "point": []}
     chatter = []
     for name, wanted in comparison.motions().items():
-        sent = comparison.unreshaped(p.reshaping, wanted) if law.reshapes(p) else wanted[:-2]
+        sent = delivery.unreshaped(p.reshaping, wanted) if law.reshapes(p) else wanted[:-2]
         run = offline.simulate(values, valve, sent, alone=True)
         kind = "sine" if "sine" in name else "point"
         errors[kind].append(rms(run.position - run.terms["reference"]))

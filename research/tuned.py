@@ -15,7 +15,7 @@ from valve_control.cli.common import Parser, check_outputs, say, write_json
 from valve_control.parameter import ParameterError
 
 if TYPE_CHECKING:
-    from valve_control.control.simulation.comparison import Errors
+    from research.comparison import Errors
 
 BOXES = ("narrow", "wide")
 SEED = 999  # of the valves; those of the searches had others
@@ -46,8 +46,8 @@ def _options() -> Parser:
 
 
 def _compare(arguments: argparse.Namespace) -> None:
+    from research import comparison
     from valve_control.control.parameters import files
-    from valve_control.control.simulation import comparison
 
     check_outputs(arguments, figures=[arguments.figure])
     count, seed, box, limit = arguments.valves, arguments.seed, arguments.box, arguments.limit
@@ -95,8 +95,8 @@ def _figure(found: Mapping[str, Mapping[str, "Errors"]], path: str) -> bytes:
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogFormatter, StrMethodFormatter
 
+    from research import comparison
     from valve_control.control.analysis.figures import COLOURS
-    from valve_control.control.simulation import comparison
 
     figure = Figure(figsize=(11.0, 4.0 * len(found)))
     heads = list(comparison.motions())

@@ -59,13 +59,12 @@ def test_its_margins_are_told_and_its_gains_are_found():
         plants,
         trial.TuningLimits(3.0, 20.0, 0.0005, 10.0, 0.05, 0.02),
         False,
-        False,
         1,
     )
     told = margins.margins(LAWS["lead"], build.law_params(settings()), margins.prepared(plants))
     assert np.all(np.isfinite(told.gain_db)) and told.gain_db[0] > told.gain_db[1] > 3.0
     found = search.search(LAWS["lead"], problem, search.phases(0.3), 60, 1, lambda done: None)
-    before = trial.error_of(problem, trial.run(LAWS["lead"], problem, [trial.GainSet({}, 0.0)])[0])
+    before = trial.run(LAWS["lead"], problem, [trial.GainSet({}, 0.0)])[0].error
     assert min(p.error for p in found.points if p.chatter < 0.3) < 0.7 * before
 
 

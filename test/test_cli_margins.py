@@ -42,13 +42,6 @@ def test_an_unstable_loop_is_stable_when_its_gain_goes_the_way_that_is_said(gain
         assert (stability.valve_warning(law, params, there, CONTROL) == "") == stable
 
 
-@pytest.mark.parametrize("law", ["open_loop", "compensator"])
-def test_a_law_without_feedback_warns_on_a_valve_of_another_gain(run, law):
-    usual = ("simulate", "--controller", law, "--duration", "0.2")
-    assert run(*usual)[2] == ""
-    assert "no feedback" in run(*usual, "--set", "gain_scale=6.0")[2]
-
-
 def test_margins_shrink_by_what_the_valve_takes_of_them(run):
     def told(*options):
         status, out, err = run("margins", "--controller", "arc", "--json", "-", *options)
@@ -100,37 +93,6 @@ def test_behind_the_inverse_of_its_own_curve_a_valve_has_one_gain():
     assert stability.behind_curve(CONTROL, valve) == [valve]
 
 
-@pytest.mark.parametrize(("positive", "negative"), [(1.1, 0.9), (0.5, 0.5), (2.0, 1.0)])
-def test_slopes_behind_a_curve_are_those_of_both_sides(positive, negative):
-    """Of the valve's gain 1.1 and 0.9 over the curve's, and 1 over the curve's for a linear valve."""
-    values = updated(CONTROLLER, CONTROL, curve(positive, negative, 1e-3))
-    sides = {"solenoid.overlap": 0.0}
-    valve = build.valve_params(updated(VALVE, defaults(VALVE), {**CURVED, **sides}))
-    found = [p.spool.gain / valve.spool.gain for p in stability.behind_curve(values, valve)]
-    wanted = [1.1 / positive, 0.9 / negative]
-    assert (min(found), max(found)) == pytest.approx((min(wanted), max(wanted)), rel=0.01)
-    linear = plant(1.0, 1.0)
-    found = [p.gain_scale / linear.gain_scale for p in stability.behind_curve(values, linear)]
-    assert (min(found), max(found)) == pytest.approx((1.0 / positive, 1.0 / negative), rel=0.01)
-
-
-def test_an_overlap_that_the_curve_leaves_out_has_no_loop(run):
-    """Its slope is 0: the weakest loop that counts is at its edge, the strongest is that beside it."""
-    flat = {**CURVED, "solenoid.overlap": 1.0, "solenoid.positive": 1.0, "solenoid.negative": 1.0}
-    valve = build.valve_params(updated(VALVE, defaults(VALVE), flat))
-    values = updated(CONTROLLER, CONTROL, {"linearisation.enabled": True})
-    weak, strong = (p.spool.gain / valve.spool.gain for p in stability.behind_curve(values, valve))
-    edge = 1.0 / (stability.NARROW * stability.GRID)
-    assert (weak, strong) == pytest.approx((edge, 1.0), rel=1e-6)
-    within = {**values, "u_max": 0.9}
-    assert stability.behind_curve(within, valve) == [valve]
-    words = [word for name, value in flat.items() for word in ("--set", f"{name}={value}")]
-    words += ["--set", "linearisation.enabled=true"]
-    for command in (["margins"], ["simulate", "--duration", "0.2"]):
-        status, _, err = run(*command, "--controller", "arc", *words)
-        assert status == 0 and "Traceback" not in err
-
-
 def test_margins_and_warnings_take_the_curve_into_account(run):
     """A curve of 0.8 times the valve's gain makes the gain of the loop 1.25 times as large."""
 
@@ -149,18 +111,3 @@ def test_margins_and_warnings_take_the_curve_into_account(run):
     assert halved["gain_db"] == pytest.approx(usual["gain_db"] + 20.0 * np.log10(0.8), abs=0.05)
     assert "unstable on this valve" in told(*given(0.02))[1]
     assert "unstable on this valve" in run("simulate", "--controller", "arc", *given(0.02))[2]
-
-
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        (["--controller", "open_loop"], "no feedback"),
-        (["--fix", "gain"], "--box"),
-        (["--box", "--fix", "gains"], "no such quantity"),
-        (["--box", "--set", "lvdt.delay=0.001"], "--fix lvdt.delay"),
-        (["--set", "lvdt.delay=0.5"], "dead time"),
-    ],
-)
-def test_margins_that_cannot_be_told(run, options, word):
-    status, out, err = run("margins", *options)
-    assert status == 2 and out == "" and word in err and len(err.splitlines()) == 1

@@ -14,16 +14,14 @@ from valve_control.cli import main
 sys.path.insert(0, str(Path(__file__).parent / "recordings"))
 from made import Run, write
 
-SIMULATED = ("simulate", "compare", "identify", "study", "calibrate paper", "tune")
+SIMULATED = ("simulate", "compare", "identify", "study", "tune")
 BAGS = ("analyze {bag}", "replay {bag}", "replay {bag} --mode what-if", "compare {bag} {bag}")
 OUTPUTS = {
     "simulate": "json figure csv npz",
     "compare": "json figure",
     "identify": "json figure csv output",
-    "study --replay 1": "json figure output",
-    "study": "json figure",
-    "calibrate paper": "json output",
-    "tune": "json output html",
+    "study --replay 1": "output",
+    "tune": "json output",
     "compensator": "json figure output",
     "analyze {bag}": "json csv html",
     "replay {bag}": "json csv html",
@@ -33,136 +31,60 @@ OUTPUTS = {
 NOWHERE = ("missing/folder/x{s}", "folder", "file.txt/x{s}", "folder/", "", "a" * 300 + "{s}", "loop{s}/x{s}")
 NUMBERS = {
     "simulate": "sample-period duration",
-    "compare": "sample-period duration",
     "identify": "sample-period duration settle",
     "study": "sample-period duration limit",
-    "calibrate paper": "sample-period duration step",
-    "tune": "max-chatter max-error gain-margin phase-margin delay-margin peak saturation",
+    "tune": "max-chatter gain-margin phase-margin delay-margin peak saturation",
     "compensator": "bandwidth sample-period u-max amplitude",
 }
+ENDLESS = ("limit", "amplitude", "max-chatter")  # which may be as large as one likes
 COUNTS = {
     "simulate": "seed",
-    "compare": "seed",
     "identify": "seed order zeros",
     "study": "valves study-seed threads replay",
     "tune": "valves unseen budget threads",
-    "calibrate paper": "evaluations population noise-seeds processes search-seed profile",
     "compensator": "order",
 }
-ENDINGS = {
-    "figure": ".png",
-    "json": ".json",
-    "html": ".html",
-    "csv": ".csv",
-    "npz": ".npz",
-    "output": ".yaml",
-}
+ENDINGS = {"figure": "png", "json": "json", "html": "html", "csv": "csv", "npz": "npz", "output": "yaml"}
+FILES = ("missing", "folder", "bad.yaml", "empty.yaml", "binary.yaml", "list.yaml", "words.csv", "/dev/zero")
+ARRAYS = ("missing.csv", "folder", "words.csv", "empty.csv", "nan.csv", "plane.npy", "/dev/zero", "")
+SETTINGS = ("x", "=", "x=1", "lvdt.noise", "lvdt.noise=", "lvdt.noise=nan", "lvdt.noise=-1", "lvdt.noise=[1")
+SETTINGS += ("numerator=[1]x", "numerator=[.nan]", "seed=1.5", "valve=steam")
+MAPS = ("spool_position", "x=/y", "spool_position=", "=", "spool_position=/a*b", "spool_position=/none.none")
+STRETCHES = ("--from nan", "--to nan", "--from 9 --to 1", "--to -1", "--from x")
+EXPECTATIONS = ("", "e_rms", "e_rms<", "<1", "e_rms<x", "none<1", "e_rms<nan", "e_rms=1")
+POLYNOMIALS = ("nan", "0", "inf", "0 0", "1e-300", "-1")
 
 
 def table():
     lines = []
     for command, names in OUTPUTS.items():
         for name in names.split():
-            for place in NOWHERE:
-                lines.append([*command.split(), f"--{name}", place.format(s=ENDINGS[name])])
+            ending = f".{ENDINGS[name]}"
+            lines += [[*command.split(), f"--{name}", place.format(s=ending)] for place in NOWHERE]
         lines += [[*command.split(), "--json", "same.json", f"--{n}", "same.json"] for n in names.split()[1:]]
     for command, names in NUMBERS.items():
         for name in names.split():
-            for bad in ("nan", "inf", "-1", "1e99", "fast", ""):
-                if bad != "1e99" or name not in ("limit", "amplitude", "max-chatter", "max-error", "peak"):
-                    lines.append([*command.split(), f"--{name}={bad}"])
+            values = ["nan", "inf", "-1", "fast", "", *([] if name in ENDLESS else ["1e99"])]
+            lines += [[*command.split(), f"--{name}={bad}"] for bad in values]
     for command, names in COUNTS.items():
         for name in names.split():
             lines += [[*command.split(), f"--{name}={bad}"] for bad in ("-1", "1.5", "nan", "many")]
     for command in SIMULATED:
-        for bad in (
-            "missing.yaml",
-            "folder",
-            "bad.yaml",
-            "empty.yaml",
-            "binary.yaml",
-            "list.yaml",
-            "/dev/zero",
-        ):
-            lines.append([*command.split(), "--params-file", bad])
-        for bad in (
-            "missing.csv",
-            "folder",
-            "words.csv",
-            "empty.csv",
-            "nan.csv",
-            "plane.npy",
-            "/dev/zero",
-            "",
-        ):
-            lines.append([*command.split(), "--command", bad])
-        for bad in (
-            "x",
-            "=",
-            "x=1",
-            "lvdt.noise",
-            "lvdt.noise=",
-            "lvdt.noise=nan",
-            "lvdt.noise=-1",
-            "numerator=[1]x",
-            "numerator=[.nan]",
-            "seed=1.5",
-            "valve=steam",
-            "lvdt.noise=[1",
-        ):
-            lines.append([*command.split(), "--set", bad])
-        lines.append([*command.split(), "--no-such-option"])
+        for option, values in (("params-file", FILES), ("command", ARRAYS), ("set", SETTINGS)):
+            lines += [[command, f"--{option}", bad] for bad in values]
+        lines.append([command, "--no-such-option"])
     for command in BAGS:
-        for bad in (
-            "spool_position",
-            "x=/y",
-            "spool_position=",
-            "spool_position=/none",
-            "=",
-            "spool_position=/a*b",
-            "spool_position=/spool_position.none",
-            "spool_position=/spool_position*nan",
-            "spool_position=/spool_position.data[7]",
-            "spool_position=/spool_position.data[x",
-        ):
-            lines.append([*command.split(), "--map", bad])
-        for bad in ("missing", "folder", "file.txt", "/dev/zero", "/dev/null", "binary.yaml"):
-            lines.append([word if word != "{bag}" else bad for word in command.split()])
-    for command in BAGS[:3]:
-        for bad in (
-            ["--from", "nan"],
-            ["--to", "nan"],
-            ["--from", "9", "--to", "1"],
-            ["--to", "-1"],
-            ["--from", "x"],
-        ):
-            lines.append([*command.split(), *bad])
-    for bad in ("", "e_rms", "e_rms<", "<1", "e_rms<x", "none<1", "e_rms<nan", "e_rms=1"):
-        lines.append(["analyze", "{bag}", "--expect", bad])
-    for bad in (
-        "missing.csv",
-        "folder",
-        "words.csv",
-        "empty.yaml",
-        "bad.yaml",
-        "list.yaml",
-        "binary.yaml",
-        "/dev/zero",
-    ):
-        lines.append(["calibrate", bad])
-        lines.append(["compensator", "--from", bad])
-    for bad in ("missing", "file.txt", "/dev/zero", "folder"):
-        lines.append(["bag", "recover", bad])
-    for bad in (["nan"], ["0"], ["inf"], ["0", "0"], ["1e-300"], ["-1"]):
+        lines += [[*command.split(), "--map", bad] for bad in MAPS]
+        lines += [command.replace("{bag}", bad).split() for bad in ("missing", "folder", "/dev/zero")]
+    lines += [[*command.split(), *stretch.split()] for command in BAGS[:3] for stretch in STRETCHES]
+    lines += [["analyze", "{bag}", "--expect", bad] for bad in EXPECTATIONS]
+    lines += [["compensator", "--from", bad] for bad in FILES]
+    lines += [["bag", "recover", bad] for bad in ("missing", "file.txt", "/dev/zero", "folder")]
+    for bad in map(str.split, POLYNOMIALS):
         lines.append(["compensator", "--numerator", *bad, "--denominator", "1", "58", "1650"])
         lines.append(["compensator", "--numerator", "1500", "--denominator", "1", *bad])
-    return lines + [
-        [],
-        ["nothing"],
-        ["bag"],
-        ["bag", "eat"],
-        ["replay", "{bag}", "--mode", "live", "--rate", "0"],
-    ]
+    lines.append(["replay", "{bag}", "--mode", "live", "--rate", "0"])
+    return [*lines, [], ["nothing"], ["bag"], ["bag", "eat"]]
 
 
 @pytest.fixture(scope="module")
@@ -178,8 +100,8 @@ def place(tmp_path_factory):
     (folder / "empty.csv").write_text("")
     (folder / "nan.csv").write_text("1.0\nnan\n")
     np.save(folder / "plane.npy", np.zeros((3, 3)))
-    for ending in set(ENDINGS.values()):
-        (folder / f"loop{ending}").symlink_to(f"loop{ending}")
+    for ending in ENDINGS.values():
+        (folder / f"loop.{ending}").symlink_to(f"loop.{ending}")
     made = Run()
     made.move(300)
     write(folder / "bag", made.messages)

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import pytest
 
+from valve_control.axis.tables import ROS_NODES
 from valve_control.cli import command, main
-from valve_control.control.parameters.axis_parameters import ROS_NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

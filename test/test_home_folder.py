@@ -4,7 +4,8 @@
 
 import pytest
 
-from valve_control.control.parameters import axis_parameters, files
+from valve_control.axis import axis_parameters
+from valve_control.control.parameters import files
 from valve_control.control.parameters.table import RECORDER
 from valve_control.nodes import recorder
 from valve_control.parameter import ParameterError, defaults, updated

@@ -10,7 +10,7 @@ import importlib.util
 import json
 from pathlib import Path
 
-from valve_control.control.parameters.axis_parameters import ROS_NODES
+from valve_control.axis.tables import ROS_NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORD = Path(__file__).with_name("interface.json")

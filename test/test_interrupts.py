@@ -166,7 +166,6 @@ def test_any_moment_of_a_run(tmp_path, count, part):
         (("compare", "--duration", "300"), 2.5),
         (("identify",), 1.2),
         (("study", "--valves", "100000", "--folder", "kept"), 3.0),
-        (("calibrate", "paper", "--processes", "3", "--set", "duration=2.0", "--set", "cycle=2.0"), 4.0),
     ],
     ids=lambda a: a[0] if isinstance(a, tuple) else "",
 )

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from valve_control import __version__
-from valve_control.control.parameters import axis_parameters, build, drivers, files, table
+from valve_control.axis import tables
+from valve_control.control.parameters import build, drivers, files, table
 from valve_control.parameter import defaults, updated
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -18,18 +19,18 @@ LAWS = ROOT / "valve_control" / "control" / "laws"
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*.yaml")), ids=lambda p: p.name)
 def test_config_files_load_and_build(path):
-    changes = files.load(str(path), nodes=axis_parameters.ROS_NODES)
+    changes = files.load(str(path), nodes=tables.ROS_NODES)
     assert any(changes.values())
     values = {node: updated(t, defaults(t), changes[node]) for node, t in table.NODES.items()}
     build.law_params(values["controller"])
     build.valve_params(values["valve_simulator"])
     build.shape(values["command_source"])
-    t = axis_parameters.ROS_NODES["valve_driver"]
+    t = tables.ROS_NODES["valve_driver"]
     drivers.sides(updated(t, defaults(t), changes["valve_driver"]))
 
 
 def test_every_parameter_has_text_and_a_finite_range():
-    for t in axis_parameters.ROS_NODES.values():
+    for t in tables.ROS_NODES.values():
         values = updated(t, {}, defaults(t))
         assert len(values) == len(t)
         for parameter in t:

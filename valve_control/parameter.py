@@ -27,6 +27,7 @@ class Parameter(NamedTuple):
     choices: tuple[str, ...] = ()
     length: int = 0  # of an array, 0: any
     left_out: tuple[tuple[str, str], ...] = ()  # choices that cannot be taken, and why
+    node_only: bool = False  # read by running nodes alone, without effect offline
 
     @property
     def type_name(self) -> str:
@@ -106,6 +107,11 @@ class Parameter(NamedTuple):
 
 
 Table = tuple[Parameter, ...]
+
+
+def running(*parameters: Parameter) -> Table:
+    """Return ``parameters`` marked as those that running nodes alone read."""
+    return tuple(parameter._replace(node_only=True) for parameter in parameters)
 
 
 def one_of(words: Iterable[str]) -> str:

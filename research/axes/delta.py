@@ -19,15 +19,14 @@ import numpy.typing as npt
 import scipy.linalg
 
 from research.axes import study
+from valve_control.axis import course, run
+from valve_control.axis.cascade import valve_law_step
 from valve_control.control import closed_loop
-from valve_control.control.axis import run
-from valve_control.control.axis.cascade import valve_law_step
 from valve_control.control.closed_loop import Sample
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
-from valve_control.control.motion import course
 from valve_control.control.plant import valve
 from valve_control.control.plant.amplifier import saturate
 

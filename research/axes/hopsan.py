@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from research.axes import transmission_lines
 from research.axes.transmission_lines import Servo
-from valve_control.control.axis import run
+from valve_control.axis import run
+from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.compiling import compile_function
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis_parameters import AXIS_NODES
 from valve_control.parameter import ParameterError, Values, number, numbers, updated
 
 Array = npt.NDArray[np.float64]

@@ -16,13 +16,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.control.axis import cascade, run
+from valve_control.axis import axis_arc_sampled, cascade, course, machine, run
+from valve_control.axis import axis_parameters as parameters
+from valve_control.axis.axis_parameters import AXIS, AXIS_NODES
 from valve_control.control.compiling import compile_function
-from valve_control.control.motion import axis_arc_sampled, course
-from valve_control.control.parameters import axis_parameters as parameters
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis_parameters import AXIS, AXIS_NODES
-from valve_control.control.plant import machine
 from valve_control.parameter import Values, defaults, number, updated
 
 Array = npt.NDArray[np.float64]
@@ -260,7 +258,7 @@ def study(
     """Results by valve of the axes 0 to ``axes`` - 1; ``done`` is called after each axis under a valve."""
     bases = {name: base_of(name, level) for name in VALVES}
     for base in bases.values():
-        run.warm_up(base)
+        run.indices_of(base._replace(goals=base.goals[:1]), np.empty((1, len(cascade.SIGNALS))))  # compiles
         Axis(base, random_axis(0)).driven(np.zeros(1))
     drawn = [random_axis(seed) for seed in range(axes)]
 

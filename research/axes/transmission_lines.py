@@ -16,10 +16,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.control.motion import axis_pid
-from valve_control.control.plant import axis
+from valve_control.axis import axis, axis_pid
+from valve_control.axis.orifice import opening
 from valve_control.control.plant.amplifier import saturate
-from valve_control.control.plant.orifice import opening
 
 Array = npt.NDArray[np.float64]
 PERIOD = 1e-4  # s  of the example

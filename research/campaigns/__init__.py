@@ -4,7 +4,7 @@
 
 from valve_control.nodes import leave_quietly, program
 
-TOOLS = ("faults", "joiners", "paper")
+TOOLS = ("faults", "joiners", "lockstep", "paper")
 
 if program() in TOOLS:
     leave_quietly(130)

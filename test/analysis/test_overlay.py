@@ -39,19 +39,9 @@ def test_a_sine_without_rest_lies_in_phase():
     assert alike and cycles == pytest.approx(round(cycles), abs=3e-3)  # 2 ms
 
 
-def test_another_period_and_a_motion_that_breaks_off():
-    moved, alike = shift(motion(strokes, -1.0, 1.2, period=2e-3), motion(strokes, 0.0, 3.0))
-    assert alike and moved == pytest.approx(-1.0, abs=4e-3)
-
-
 def test_motions_that_are_not_alike_begin_together():
     """A stroke, and a slow ramp that begins 2 s later."""
     over = motion(strokes, 0.0, 3.0)
     ramp = motion(lambda t: np.clip(t - 2.4, 0.0, 4.0) * -0.5, 0.0, 6.0)
     moved, alike = shift(ramp, over)
     assert not alike and moved == pytest.approx(-2.0, abs=0.05)
-
-
-def test_without_any_motion_the_beginnings_lie_together():
-    still = TimedSignal(np.arange(5.0, 6.0, 1e-3), np.zeros(1000), 1e-3)
-    assert shift(still, motion(lambda t: 0.0 * t, 0.0, 1.0)) == (-5.0, False)

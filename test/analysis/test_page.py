@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.control.analysis.figures import Line, Plot, draw_plots
+from valve_control.control.analysis.figures import Line, Plot
 from valve_control.control.analysis.page import envelope, figure, page, table
 from valve_control.control.analysis.spectra import spectrum
 
@@ -56,14 +56,3 @@ def test_envelope_of_a_line_with_gaps_keeps_extremes_and_gaps(count, seed):
     assert np.nanmax(ey) == np.nanmax(y) and np.nanmin(ey) == np.nanmin(y)
     inside = ey[(ex >= begin) & (ex < begin + count // 4)]
     assert np.isnan(inside).all() and len(inside)
-
-
-def test_each_plot_explains_the_lines_that_no_plot_above_does(tmp_path):
-    """The spool and the pressures of an axis had no names."""
-    x, path = np.arange(3.0), tmp_path / "x.svg"
-    plots = [
-        Plot(names, [Line(name, x, x) for name in names.split()])
-        for names in ("goal axis", "p q r", "axis goal")
-    ]
-    draw_plots([path], plots, "t", "title")
-    assert [path.read_text().count(f"<!-- {name} -->") for name in ("goal", "axis", "q", "r")] == [1] * 4

@@ -45,8 +45,3 @@ def test_a_pause_shorter_than_a_rest_does_not_end_a_motion():
         [np.zeros(500), np.linspace(0, 1, 300), np.ones(300), np.linspace(1, 2, 300), np.full(500, 2.0)]
     )
     assert len(motions(command, PERIOD)) == 2
-
-
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_very_short_runs_have_no_motions(count):
-    assert motions(np.arange(float(count)), PERIOD) == []

@@ -1,19 +1,19 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""The cascade of an axis: same bits compiled or not and alone or in a batch, its course, its upper level."""
+"""The cascade of an axis: same bits compiled or not, its course, its upper level."""
 
+import json
 import math
 
 import changed
 import numpy as np
 import pytest
 
+from valve_control.axis import axis_pid, course, run
+from valve_control.axis.axis_parameters import AXIS_NODES
+from valve_control.axis.machine import Reading
 from valve_control.cli import main
-from valve_control.control.axis import run
-from valve_control.control.motion import axis_pid, course
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis_parameters import AXIS_NODES
-from valve_control.control.plant.machine import Reading
 from valve_control.parameter import ParameterError, defaults, updated
 
 
@@ -41,15 +41,12 @@ NOISY = {
 
 
 @pytest.mark.parametrize("level", ["axis_pid", "axis_arc"])
-def test_plain_python_and_batches_give_the_bits_of_a_compiled_run(level):
+def test_plain_python_gives_the_bits_of_a_compiled_run(level):
     made = run.setup(settings(**NOISY, upper_level=level, duration=1.5, pause=0.1, back=False))
     one = run.simulate(made)
     plain = run.simulate(made._replace(goals=made.goals[:500]), compiled=False)
     for name, signal in plain.signals.items():
         assert np.array_equal(signal, one.signals[name][:500]), name
-    others = [made._replace(seed=seed) for seed in (5, 1, 7)]
-    mixed = [*others, run.setup(settings(duration=0.1, pause=0.05, course="step"))]
-    assert run.simulate_many(mixed, threads=2)[1] == one.indices
     assert run.simulate(made).indices == one.indices  # a run leaves nothing behind
     assert one.indices.e_rms > 0.0 and one.indices.chatter > 0.0
 
@@ -62,12 +59,6 @@ def test_c_u_of_an_axis_is_that_of_its_voltage_as_the_paper_defines_it():
     steps = [float(b - a) ** 2 for a, b in zip(volts, volts[1:], strict=False)]
     expected = math.sqrt(sum(steps) / len(steps)) / math.sqrt(sum(v * v for v in volts) / len(volts))
     assert one.indices.chatter == pytest.approx(expected, rel=1e-12)
-
-
-def test_a_step_that_would_come_after_the_end_of_the_run_is_refused():
-    words = "duration is 0.4 s; the step comes after the pause of 0.5 s"
-    with pytest.raises(ParameterError, match=words):
-        run.setup(settings(course="step", duration=0.4, pause=0.5))
 
 
 def test_an_ideal_valve_follows_its_course_and_settles_within_its_overlap():
@@ -131,28 +122,20 @@ def test_the_integrator_rests_at_the_limit_and_clears_a_standing_error():
     assert with_integral.e_end < 0.2 * run.simulate(run.setup(base)).indices.e_end
 
 
-def test_the_command_prints_what_it_finds_and_refuses_in_one_sentence(capfd, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main(["axis", "--controller", "open_loop", "--duration", "3", "--json", "-"]) == 0
-    assert '"e_rms"' in capfd.readouterr().out
+def test_the_command_prints_indices_and_refuses_in_one_sentence(capfd):
     assert main(["axis", "--upper", "axis_arc", "--controller", "open_loop", "--json", "-"]) == 0
-    assert '"upper_level": "axis_arc"' in capfd.readouterr().out
-    refusals = {
-        "beyond the stroke": ["--set", "offset=0.2"],
-        "cylinder.stroke is -1 m": ["--set", "cylinder.stroke=-1"],
-        "there is no parameter 'kpp'": ["--set", "kpp=1"],
-        "the motion to 0.35 m ends at": ["--duration", "0.6"],
-        "upper_level is 'arc'; it must be 'axis_pid' or 'axis_arc'": ["--upper", "arc"],
-        "axis_arc.k1 is 600 1/s": ["--upper", "axis_arc", "--set", "axis_arc.k1=600"],
-        "the load stalls it": ["--set", "load.force=-1e6"],
-    }
-    files = "ros__parameters: {sample_period: 0.002}"
-    (tmp_path / "p.yaml").write_text(f"/**/controller:\n  {files}\n")
-    refusals["sample_period is 0.001 s for the axis and 0.002 s"] = ["--params-file", "p.yaml"]
-    for words, arguments in refusals.items():
+    result = json.loads(capfd.readouterr().out)
+    assert result["upper_level"] == "axis_arc" and 0.0 < result["e_rms"] < 0.01
+    for arguments in (
+        ["--set", "offset=0.2"],  # beyond the stroke
+        ["--set", "cylinder.stroke=-1"],
+        ["--duration", "0.6"],  # ends before the motion
+        ["--set", "course=step", "--set", "pause=5"],
+        ["--upper", "axis_arc", "--set", "axis_arc.k1=600"],
+        ["--set", "load.force=-1e6"],  # stalls the axis
+    ):
         assert main(["axis", *arguments]) == 2, arguments
-        said = capfd.readouterr().err
-        assert words in said and said.count("\n") == 1, said
+        assert capfd.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.parametrize("law", ["arc", "pid"])

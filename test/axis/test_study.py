@@ -10,9 +10,8 @@ import scipy.optimize
 import scipy.signal
 
 from research.axes import study
-from research.axes.__main__ import main
-from valve_control.control.axis import run
-from valve_control.control.parameters import axis_parameters as parameters
+from valve_control.axis import axis_parameters as parameters
+from valve_control.axis import run
 
 
 class Known:
@@ -62,12 +61,6 @@ def test_the_servo_is_the_fastest_of_the_valves():
     assert servo["valve_simulator"]["friction.coulomb"] == 0.0
     assert slow["valve_simulator"]["valve"] == "fourth_order"
     assert slow["valve_simulator"]["friction.coulomb"] > 0.0
-
-
-def test_what_cannot_be_studied_is_refused(capfd, tmp_path):
-    for arguments in (["--axes", "0"], ["--threads", "0"], ["--references", str(tmp_path)]):
-        assert main(arguments) == 2
-        assert capfd.readouterr().err.count("\n") == 1
 
 
 class Driven:

@@ -177,7 +177,7 @@ def test_motion_begins_at_rest_and_keeps_the_part_that_moves():
 def test_tune_from_a_bag(run, tmp_path, moved):
     """The gains of now beside those of then and what was measured, on the recorded command."""
     write(tmp_path / "operation", moved.messages)
-    few = ["--valves", "3", "--unseen", "4", "--budget", "50", "--max-chatter", "0.5", "--alone"]
+    few = ["--valves", "3", "--unseen", "4", "--budget", "50", "--max-chatter", "0.5"]
     status, out, err = run(
         "tune", "--bag", "operation", "--controller", "pid", *few, "--output", "t.yaml", "--json", "-"
     )
@@ -196,7 +196,7 @@ def test_the_box_of_a_recording_overrides_no_file(run, tmp_path, moved):
     """What the recording tells is in the box, and the bias of a response is no matter of it."""
     write(tmp_path / "operation", moved.messages)
     (tmp_path / "valve.yaml").write_text("/**/valve_simulator:\n  ros__parameters:\n    lvdt.noise: 0.004\n")
-    search = ["--budget", "1", "--valves", "1", "--unseen", "1", "--alone", "--controller", "pid"]
+    search = ["--budget", "1", "--valves", "1", "--unseen", "1", "--controller", "pid"]
     _, _, err = run("tune", "--bag", "operation", "--params-file", "valve.yaml", *search, "--json", "-")
     assert "tune varies" not in err and "biased" not in err and "times are publish_time" in err
 

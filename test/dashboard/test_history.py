@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valve_control.control.analysis.indices import indices
-from valve_control.dashboard.history import KEPT, History, recent_indices
+from valve_control.dashboard.history import LONGEST, ROOM, History, recent_indices
 
 START = 1.8e9  # s, a time of today
 
@@ -36,8 +36,7 @@ def test_the_course_has_the_extremes_of_what_it_shows(count, columns, part, seed
     course = history.course(start, start + span, columns)
     assert len(course.time) <= 2 * columns + 2
     assert np.all(course.low <= course.high) and np.all(np.diff(course.time) >= 0.0)
-    # Whole columns, and whole blocks of 64 samples, may reach over the ends.
-    margin = 2.0 * span / columns + 0.065
+    margin = 2.0 * span / columns + 0.001  # whole columns may reach over the ends
     inside = values[(time > start + margin) & (time < start + span - margin)]
     around = values[(time >= start - margin) & (time <= start + span + margin)]
     if len(inside):
@@ -46,14 +45,13 @@ def test_the_course_has_the_extremes_of_what_it_shows(count, columns, part, seed
         assert course.low.min() >= around.min() and course.high.max() <= around.max()
 
 
-def test_one_sample_that_jumps_is_seen_in_ten_minutes():
-    values = np.zeros(600_000)
-    values[123_456] = 7.0
+def test_one_sample_that_jumps_is_seen_in_the_longest_plot():
+    values = np.zeros(120_000)
+    values[23_456] = 7.0
     history, time, _ = filled(len(values), values=values, parts=100)
-    course = history.course(time[0], time[-1], 800)
+    course = history.course(time[0], time[0] + LONGEST, 800)
     assert course.high.max() == 7.0 and np.count_nonzero(course.high) == 1
-    at = course.time[np.argmax(course.high)]
-    assert abs(at - time[123_456]) < 1.2 * (time[-1] - time[0]) / 800
+    assert abs(course.time[np.argmax(course.high)] - time[23_456]) < 1.2 * LONGEST / 800
     assert len(course.time) <= 802
 
 
@@ -64,18 +62,18 @@ def test_few_samples_are_drawn_as_they_are():
     np.testing.assert_array_equal(course.low, values[99:202][: len(course.low)])
 
 
-def test_ten_minutes_are_kept_and_what_is_older_is_forgotten():
+def test_the_longest_plot_is_there_at_1_khz_and_what_is_older_is_forgotten():
     history = History()
-    period = 0.01
-    for k in range(300):
-        time = START + period * np.arange(k * 1000, (k + 1) * 1000)
+    for k in range(600):
+        time = START + 0.001 * np.arange(k * 1000, (k + 1) * 1000)
         history.append(time, time - START)
-    end = START + period * 299_999
-    time, values = history.between(end - KEPT, end)
-    assert len(time) == 60_000 and values[0] == pytest.approx(end - KEPT - START, abs=1e-6)
-    assert len(history) < 200_000
-    course = history.course(end - KEPT, end, 500)
-    assert course.high.max() == pytest.approx(end - START, abs=1.5 * period)
+        assert len(history) <= ROOM
+    end = START + 0.001 * 599_999
+    time, values = history.between(end - LONGEST, end)
+    assert len(time) == pytest.approx(120_000, abs=1)
+    assert values[0] == pytest.approx(end - LONGEST - START, abs=0.0011)
+    history.append(end + 0.001 * np.arange(1, ROOM), np.zeros(ROOM - 1))  # more at once than there is room
+    assert len(history) <= ROOM and history.newest == pytest.approx(end + 0.001 * (ROOM - 1))
 
 
 def test_numbers_that_are_none_leave_a_gap_and_hide_no_others():

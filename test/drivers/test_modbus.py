@@ -3,7 +3,6 @@
 """Modbus TCP: the driver against pymodbus's server in another process, with a simulated valve behind it."""
 
 import socketserver
-import sys
 import threading
 import time
 from contextlib import suppress
@@ -231,26 +230,6 @@ def test_a_device_that_dies_is_told_and_opened_anew_when_it_is_back():
         valve.open()
         assert valve.read() == (0.0, 0)
         valve.close()
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [({"unit": 9}, r"\(unit 9\) refuses input register 3: exception"),
-     ({"input": 4}, r"refuses input register 4: exception 2 \(no such address\)"),
-     ({"input": 4, "input_kind": "holding"}, "refuses holding register 4"),
-     ({"host": "no.such.host.invalid"}, "no Modbus device answers at no.such.host.invalid")],
-)  # fmt: skip
-def test_wrong_addresses_are_named(io, changes, words):
-    with pytest.raises(DriverError, match=words):
-        driver(io, **changes).open()
-
-
-def test_a_missing_library_is_named_with_its_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pymodbus.client", None)
-    with pytest.raises(
-        DriverError, match=r"needs pymodbus; install it with pip install 'valve_control\[modbus\]'"
-    ):
-        driver().open()
 
 
 @given(st.floats(-12.0, 12.0), st.booleans())

@@ -6,11 +6,8 @@ import ctypes
 import errno
 import itertools
 import math
-import os
 import shutil
-import struct
 import subprocess
-import sys
 import termios
 
 import pytest
@@ -249,12 +246,6 @@ def test_a_line_discipline_that_fails_is_told_in_a_sentence(card, monkeypatch):
         opened(card)
 
 
-def test_without_pyserial_the_extra_is_named(card, monkeypatch):
-    monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(DriverError, match=r"pip install 'valve_control\[serial\]'"):
-        opened(card)
-
-
 # The firmware
 
 
@@ -338,8 +329,3 @@ def test_the_firmware_finds_frames_behind_noise(firmware, noise):
     for byte in noise + packed(TO_CARD, ON, 1, 1234) + packed(TO_CARD, ON, 2, 4321):
         firmware.received(byte)
     assert variable(firmware, "given", ctypes.c_int16).value == 4321
-
-
-def test_the_firmware_is_a_page():
-    assert len((EXAMPLES / "serial_card.c").read_text().splitlines()) <= 90
-    assert struct.calcsize("<BBHhH") == SIZE and os.path.exists(EXAMPLES / "serial_card.py")

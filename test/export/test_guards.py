@@ -59,7 +59,7 @@ def test_a_program_for_a_target_whose_double_has_32_bit_is_refused(run, tmp_path
 
 
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler")
-@pytest.mark.parametrize("options", [("--controller", "pid", "--watch"), ("--plant", "axis")])
+@pytest.mark.parametrize("options", [("--controller", "pid", "--watch"), ("--plant", "valve")])
 def test_it_compiles_as_cpp(compiled, options):
     done = compiled(options, ["c++", "-x", "c++"])
     assert done.returncode == 0, done.stderr

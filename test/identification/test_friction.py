@@ -5,11 +5,12 @@
 import numpy as np
 import pytest
 
+from research import comparison
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import FOURTH_ORDER
-from valve_control.control.simulation import batch, comparison
+from valve_control.control.simulation import batch
 from valve_control.design.identification import experiment, first_gains, friction, rational, theta
 from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.lvdt import Lvdt

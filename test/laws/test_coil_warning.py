@@ -32,14 +32,11 @@ def test_the_warning_has_the_pole_of_the_loop_with_the_coil(name, law):
     model = TransferFunction(tuple(values["dcarc.numerator"]), tuple(values["dcarc.denominator"]))
     plant = valve.design(model, params.period, params.u_max, 1.25, valve.FREE, IDEAL)
     pole = stability.dominant_pole(LAWS[law], params, plant)
-    found = re.search(
-        r"pole of the sampled loop: ([\d.]+), at ([\d.]+) Hz: dcarc.coil, .* is (\d+)° there", said
-    )
-    radius, frequency, angle = map(float, found.groups())
+    found = re.search(r"model of dcarc.*pole of the sampled loop: ([\d.]+), at ([\d.]+) Hz", said)
+    radius, frequency = map(float, found.groups())
     assert radius == pytest.approx(abs(pole), abs=6e-4)
     rate = abs(np.angle(pole)) / params.period
     assert frequency == pytest.approx(rate / (2.0 * math.pi), rel=0.01)
-    assert angle == pytest.approx(math.degrees(math.atan(rate * values["dcarc.coil"])), abs=1.0)
     assert stability.warning(LAWS[law], params) == ""  # on its own model all is well
 
 
@@ -51,8 +48,3 @@ def test_where_nothing_is_known_of_a_coil_nothing_is_said():
     assert stability.coil_warning(LAWS["oarc"], LAWS["oarc"].build(slow), slow) == ""
     own = known("B", "dcarc")
     assert stability.coil_warning(LAWS["dcarc"], LAWS["dcarc"].build(own), own) == ""
-
-
-def test_lower_gains_end_the_warning():
-    values = known("A", "arc", **{"arc.k1": 60.0, "arc.k2": 60.0})
-    assert stability.coil_warning(LAWS["arc"], LAWS["arc"].build(values), values) == ""

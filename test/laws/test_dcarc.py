@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """dcarc: inverse, Kalman filter and LQR against other derivations; fit, dead time, saturation, refusals."""
 
-import itertools
 import math
 
 import numpy as np
@@ -16,19 +15,16 @@ from grids import grid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.control.commands import arrays, scenarios
+from research import comparison
 from valve_control.control.laws import dcarc, dcarc_design, least_squares, reshaping
 from valve_control.control.laws.least_squares import Weights
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import stability
-from valve_control.control.parameters import files
-from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.control.plant.sensor import IDEAL
-from valve_control.control.simulation import comparison, offline
-from valve_control.control.supervision import bumpless_transfer
-from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.control.simulation import delivery, offline
+from valve_control.parameter import ParameterError
 
 PERIOD = 0.001
 THIRD_ORDER = TransferFunction((250.0, 60000.0), (1.0, 120.0, 8000.0, 90000.0))
@@ -202,21 +198,6 @@ def test_lqr_gain_is_where_the_backward_recursion_ends(model, weight):
             assert cost(other) >= best * (1.0 - 1e-9)
 
 
-@pytest.mark.parametrize("model", MODELS, ids=ORDERS)
-def test_nominal_valve_follows_the_reference_up_to_the_square_of_the_period(model):
-    """No disturbance, no noise: what is left comes from holding u_r over the period; a flow force shows."""
-    left = []
-    for period, samples in ((PERIOD, 1200), (0.25 * PERIOD, 4800)):
-        wanted, command = sine(0.5, 8.0, samples, period)
-        own = {"sample_period": period, **STILL, **FAST}
-        rows, _ = runs(params(model, **own), plant(model, period), command)
-        left.append(rms(rows[:, 0] - wanted) / rms(wanted))
-        if period == PERIOD:
-            pushed, _ = runs(params(model, **own), plant(model, period, flow_force=0.3), command)
-            assert rms(pushed[:, 0] - wanted) > 5.0 * rms(rows[:, 0] - wanted)
-    assert left[0] < 3e-3 and left[1] < left[0] / 8.0
-
-
 def linear(model, period):
     """x⁺ and position of a model of any order, by scipy's own discretisation of its own state space."""
     a, b, c, d = scipy.signal.tf2ss(model.numerator, model.denominator)
@@ -237,41 +218,13 @@ def test_nominal_valve_with_a_coil_follows_up_to_the_square_of_the_period(model)
         p = params(model, sample_period=period, **STILL, **FAST)
         a, b, c = linear(model, period)
         s, x, rows = dcarc.initial(p, REST), np.zeros(len(b)), []
-        for command in comparison.unreshaped(p.reshaping, wanted):
+        for command in delivery.unreshaped(p.reshaping, wanted):
             rows.append(float(c @ x))
             voltage, s, terms = dcarc.step(p, s, float(command), rows[-1], 0.0)
             assert terms.reference == pytest.approx(wanted[len(rows) - 1], abs=1e-8)
             x = a @ x + b * voltage
         left.append(rms(rows - wanted[:-2]) / rms(wanted))
     assert left[0] < 2e-3 and left[1] == pytest.approx(left[0] / 16.0, rel=0.1)
-
-
-def test_a_model_without_the_coil_is_late_where_one_with_it_is_not():
-    """The same valve, 9 Hz with a coil of 4 ms: without the coil the error is fifty times larger."""
-    t = np.arange(1502) * PERIOD
-    wanted = (
-        0.4 * np.square(0.5 - 0.5 * np.cos(math.pi * np.minimum(t / 0.2, 1.0))) * np.sin(16.0 * math.pi * t)
-    )
-    errors = []
-    for model in (SLOW, TransferFunction((0.9 * 3198.0,), (1.0, 90.5, 3198.0))):
-        p = params(model, **STILL, **FAST)
-        rows, _ = runs(p, plant(SLOW), comparison.unreshaped(p.reshaping, wanted))
-        errors.append(rms(rows[500:, 0] - wanted[500:-2]))
-    assert 50.0 * errors[0] < errors[1]
-
-
-@pytest.mark.parametrize("model", [SLOW, FAST_SPOOL], ids=COIL_NAMES[:2])
-def test_the_loop_is_stable_on_a_box_of_valves_with_a_coil(model):
-    """Poles of the sampled loop: gain, speed and lag of the coil 0.8 to 1.25 times the model's."""
-    p = params(model)
-    pole = -max(-np.roots(model.denominator).real)
-    spool = np.real(np.polydiv(model.denominator, [1.0, -pole])[0])
-    for gain, speed, lag in itertools.product((0.8, 1.0, 1.25), repeat=3):
-        down = np.polymul([spool[0], spool[1] * speed, spool[2] * speed**2], [lag, -pole])
-        up = model.static_gain * down[-1]
-        v = plant(TransferFunction((float(up),), tuple(down.tolist())))._replace(gain_scale=gain)
-        assert abs(stability.dominant_pole(dcarc.LAW, p, v)) < 1.0
-    assert stability.warning(dcarc.LAW, p) == ""
 
 
 @pytest.mark.parametrize("model", COILS, ids=COIL_NAMES)
@@ -289,14 +242,6 @@ def test_the_check_of_stability_has_the_poles_of_filter_and_regulator(model):
     expected = max(np.max(np.abs(np.linalg.eigvals(m))) for m in (observer, regulated))
     found = stability._pole(dcarc.LAW, p, stability._believed(dcarc.LAW, p, 1.0))
     assert abs(found) == pytest.approx(expected, abs=1e-5)
-
-
-def test_half_a_pair_of_poles_is_no_part_of_the_model_that_readings_are_judged_by():
-    """Coil slower than the spool: voltage of a ramp, (1 + τs)(1 + 2ζs/ω + …)/K to the first power of s."""
-    w, tau, gain = 2.0 * math.pi * 60.0, 0.006, 0.9
-    poles = np.polymul([1.0, 1.4 * w, w * w], [tau, 1.0])
-    a1, a0, b0 = dcarc_design.equivalent(TransferFunction((gain * w * w,), tuple(poles.tolist())))
-    assert (b0 / a0, a1 / a0) == pytest.approx((gain, tau + 1.4 / w))
 
 
 def test_offset_and_flow_force_are_learned():
@@ -319,16 +264,6 @@ def test_friction_is_learned_and_the_error_falls():
     t = states[-1][1].theta
     assert errors[1] < errors[0] and errors[1] < rms((fixed[:, 0] - wanted)[3000:]) / 3.0
     assert 0.6 < t.bristle1 + t.bristle2 + t.bristle3 < 1.4
-
-
-def test_a_switched_off_term_stays_where_it_is():
-    spread = [0.3, 0.5, 0.0, 0.5, 0.5, 0.4, 0.0, 0.0, 1e-5]
-    initial = [0.0, 0.0, 0.2, 0.0, 0.0, 0.0, -0.1, 0.0, 0.0]
-    p = params(dcarc__theta_spread=spread, dcarc__theta_initial=initial)
-    _, states = runs(p, plant(coulomb=0.8, presliding=0.02, offset=0.4), 2.0 * np.sin(np.arange(1500) * 0.02))
-    theta = states[-1][1].theta
-    assert (theta.bristle2, theta.offset, theta.damping) == (0.2, -0.1, 0.0)
-    assert theta.gain != 0.0 and theta.bristle1 != 0.0
 
 
 def test_weights_rest_in_saturation_and_while_the_reference_rests():
@@ -363,16 +298,6 @@ def test_friction_that_holds_a_spool_at_the_start_is_not_learned_as_another(off)
         wrong[path] = float(np.max(np.abs(np.array(states[-1][1].theta) - known)))
     assert error[2.0] < 0.6 * error[0.0]
     assert wrong[2.0] < 0.05 and wrong[0.0] > 0.3
-
-
-def test_the_weights_rest_on_the_first_part_of_the_reference_s_path():
-    _, command = sine(1.0, 3.0, 1200)
-    p = params(dcarc__learning_path=1.5)
-    _, states = runs(p, plant(coulomb=0.8, presliding=0.02, offset=0.3), command)
-    path = np.cumsum([abs(terms.reference_rate) * PERIOD for terms, _ in states])
-    rests = [s.theta == p.theta_initial for _, s in states]
-    began = rests.index(False)
-    assert path[began] == pytest.approx(1.5, abs=0.05) and not any(rests[began + 5 :])
 
 
 def test_projection_keeps_the_weights_in_their_bounds():
@@ -410,15 +335,6 @@ def test_one_weight_is_the_scalar_kalman_filter():
     assert theta.gain == variance.gain == 0.0
 
 
-@given(st.floats(0.0, 1.0), st.floats(-5.0, 5.0), st.floats(1e-3, 1.0), st.floats(0.0, 1.0))
-def test_a_variance_stays_between_zero_and_that_of_the_beginning(share, x, noise, forget):
-    prior = 2.0
-    variance = share * prior
-    px = variance * x
-    after = least_squares.sharper(variance, px, 1.0 / (noise + px * x), forget, prior)
-    assert -1e-12 <= after <= prior * (1.0 + 1e-12)
-
-
 @pytest.mark.parametrize("delay", [0.0005, 0.001, 0.0027])
 def test_a_known_dead_time_costs_nothing_and_an_unknown_one_does(delay):
     """The observer gives the position of now; without the dead time in its model it is late."""
@@ -431,16 +347,6 @@ def test_a_known_dead_time_costs_nothing_and_an_unknown_one_does(delay):
     assert rms(seen[late] - known[late, 0]) < 1e-3
     assert rms(known[late, 0] - wanted[late]) < 1e-3
     assert rms(unknown[late, 0] - wanted[late]) > 5.0 * rms(known[late, 0] - wanted[late])
-
-
-def test_dead_time_is_in_the_stability_check():
-    """Half a sample that is known leaves the loop stable; five that are not do not."""
-    strong = {"dcarc.voltage_weight": 0.007, "dcarc.disturbance_rate": 6.7}
-    law, p = dcarc.LAW, params(**strong)
-    known = params(dcarc__delay=0.0005, **strong)
-    assert abs(stability.dominant_pole(law, known, plant(delay=0.0005))) < 1.0
-    assert abs(stability.dominant_pole(law, p, plant())) < 1.0
-    assert abs(stability.dominant_pole(law, p, plant(delay=0.005))) > 1.0
 
 
 @pytest.mark.parametrize("model", MODELS, ids=ORDERS)
@@ -509,78 +415,6 @@ def test_any_parameters_are_refused_in_words_or_give_a_bounded_voltage(data):
             s = dcarc.hold(p, s, command, 0.0, voltage)
 
 
-@pytest.mark.parametrize(
-    ("numerator", "denominator", "words"),
-    [
-        ([1000.0], [1.0, 60.0, 2000.0, 50000.0, 1e6], ["4 poles and 0 zeros", "two or three fewer"]),
-        ([1.0, 100.0], [1.0, 60.0], ["1 poles", "2 to 6 poles"]),
-        ([1.0, 20.0, 100.0], [1.0, 60.0, 2000.0], ["2 poles and 2 zeros"]),
-        ([1.0] * 6, [1.0] * 8, ["7 poles and 5 zeros"]),
-        ([-10.0, 5000.0], [1.0, 60.0, 2000.0, 50000.0], ["zero at 500 rad/s", "cannot be inverted"]),
-        ([100.0, 500.0], [1.0, 60.0, 2000.0, 50000.0], ["zero at -5 rad/s", "left of -10"]),
-        (
-            [1.0, 20.0, 90000.0],
-            [1.0, 160.0, 5e4, 2e6, 6e7],
-            ["-10 ± 299.8j", "damping ratio of at least 0.1"],
-        ),
-    ],
-)
-def test_a_model_that_cannot_be_taken_is_refused_in_one_sentence(numerator, denominator, words):
-    with pytest.raises(ParameterError) as error:
-        params(TransferFunction(tuple(numerator), tuple(denominator)))
-    for word in words:
-        assert word in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"dcarc.delay": 0.0041}, ["dcarc.delay is 0.0041 s", "at most 0.004 s"]),
-        ({"dcarc.actuator_delay": 0.0041}, ["dcarc.actuator_delay is 0.0041 s", "at most 0.004 s"]),
-        ({"dcarc.coil": 0.003}, ["dcarc.coil is 0.003 s", "three more poles than zeros"]),
-        ({"dcarc.theta_min": [-1.0, *[-1.0] * 8]}, ["dcarc.theta_min[0] (gain)", "above -1"]),
-        ({"dcarc.theta_initial": [0.0] * 6 + [2.0, 0.0, 0.0]}, ["dcarc.theta_initial[6] (offset) is 2"]),
-        ({"dcarc.theta_spread": [0.1] * 8}, ["dcarc.theta_spread has 8 entries"]),
-        ({"dcarc.presliding": [0.0, 0.1, 0.2]}, ["dcarc.presliding[0] is 0"]),
-    ],
-)
-def test_wrong_numbers_are_refused_in_one_sentence(changes, words):
-    with pytest.raises(ParameterError) as error:
-        dcarc.build(controller(**changes))
-    for word in words:
-        assert word in str(error.value)
-
-
-def test_a_filter_or_regulator_without_solution_is_refused():
-    o = dcarc_design.observed(FOURTH_ORDER, PERIOD, 0.0, 0.006, 0.0, 0.0)
-    with pytest.raises(dcarc_design.DesignError, match="dcarc has no Kalman filter with these noises"):
-        dcarc_design.kalman(o, np.ones(5))
-    with pytest.raises(dcarc_design.DesignError, match=r"dcarc has no LQR with dcarc.voltage_weight 0.1"):
-        dcarc_design.regulator(np.diag([1.1, 0.5]), np.array([0.0, 1.0]), 0.1, np.ones(2))
-
-
-def test_shipped_loop_is_stable_around_its_model_with_2_db_of_margin():
-    p = dcarc.build(controller())
-    assert stability.warning(dcarc.LAW, p) == ""
-    for gain in (0.7, 1.0, 1.4):
-        assert abs(stability.dominant_pole(dcarc.LAW, p, plant()._replace(gain_scale=gain))) < 1.0
-
-
-def test_it_halves_the_error_of_oarc_on_a_fast_sine(simulate):
-    """What it is for, on the valve of Table 1 and a fast sine; both follow the reshaped command."""
-    table = {p.name for p in VALVE}
-    real = {
-        "friction.coulomb": 1.16, "friction.static_ratio": 1.25, "friction.stribeck_velocity": 0.017,
-        "friction.presliding": 0.0278, "flow_force": 0.116, "gain_scale": 1.213, "lvdt.noise": 0.0056,
-        "lvdt.resolution": 0.0037,
-    }  # fmt: skip
-    assert set(real) <= table
-    wanted, command = sine(0.6, 10.0, 5000)
-    found = {law: simulate(law, command, valve=real) for law in ("oarc", "dcarc")}
-    error = {law: rms(run.position - wanted) for law, run in found.items()}
-    assert error["dcarc"] < 0.5 * error["oarc"]
-
-
 @grid("delay, weight", [0.0, 0.0007], [0.01, 0.17], strength=1)
 def test_jitter_is_the_speed_at_which_noise_shakes_a_spool_without_friction(delay, weight):
     """The Lyapunov equation of the design against 60 s of the law's own steps at rest."""
@@ -597,71 +431,6 @@ def test_jitter_is_the_speed_at_which_noise_shakes_a_spool_without_friction(dela
         x = valve.step(v, x, voltage)
         speeds[k] = abs(x.x.x1)
     assert p.jitter == pytest.approx(float(np.mean(speeds)), rel=0.03)
-
-
-def test_of_an_unstable_loop_there_is_no_jitter():
-    """A regulator of the wrong sign pushes the spool away: its velocity has no finite variance."""
-    o = dcarc_design.observed(FOURTH_ORDER, PERIOD, 0.0, **NOISES)
-    scale = np.append(100.0 ** np.arange(4), 1.0)
-    gain = dcarc_design.kalman(o, scale)
-    pushes = np.array([-10.0, 0.0, 0.0, 0.0])
-    with pytest.raises(dcarc_design.DesignError, match="no finite response to the noise"):
-        dcarc_design.jitter(o, gain, pushes, scale)
-
-
-def test_a_bristle_of_a_resting_spool_relaxes_by_the_jitter_and_a_fast_one_does_not():
-    p = params()
-    rest = dcarc.initial(p, REST)._replace(bristles=dcarc.Bristles(1.0, 1.0, 1.0))
-    for _ in range(20):
-        rest = rest._replace(bristles=dcarc.desired(p, rest, 0.0).bristles)
-    for left, presliding in zip(rest.bristles, p.presliding, strict=True):
-        assert left == pytest.approx((1.0 + PERIOD * p.jitter / presliding) ** -20, rel=1e-12)
-        assert left == pytest.approx(math.exp(-20.0 * PERIOD * p.jitter / presliding), rel=0.35)
-    moving = dcarc.initial(p, REST)._replace(reference=reshaping.State(0.0, 10.0))
-    for _ in range(100):
-        moving = moving._replace(bristles=dcarc.desired(p, moving, 0.0).bristles)
-    assert np.allclose(moving.bristles, 1.0, atol=1e-3)
-
-
-def test_from_the_third_second_on_a_fast_motion_is_as_exact_as_on_a_valve_without_friction():
-    """Median of eight random valves of the narrow box against the law without adaptation on the model."""
-    tuned = files.load(str(files.config_folder() / "tuned" / "narrow_0.25_dcarc.yaml"))["controller"]
-    made = updated(CONTROLLER, defaults(CONTROLLER), {**tuned, "reshaping.max_rate": 1e5})
-    period = 0.001
-    shape = scenarios.Shape("point_to_point", 1.5, 0.0, 0.0, 1.0, 1.0, 40.0, 2500.0, 0.5, 1.0)
-    wanted = arrays.sampled(shape, period, 6000)
-    rng = np.random.default_rng(8)
-
-    def error(law, numbers, seed):
-        plant = {"lvdt.noise": 0.0056, "lvdt.resolution": 0.0037, "seed": seed, **numbers}
-        run = offline.simulate(law, updated(VALVE, defaults(VALVE), plant), wanted)
-        return rms((run.position - run.terms["reference"])[3000:])
-
-    found = []
-    for seed in range(8):
-        numbers = {
-            "gain_scale": rng.uniform(0.7, 1.4),
-            "friction.coulomb": rng.uniform(0.0, 1.6),
-            "friction.static_ratio": rng.uniform(1.0, 1.6),
-            "friction.stribeck_velocity": 0.017,
-            "friction.presliding": rng.uniform(0.01, 0.04),
-            "flow_force": rng.uniform(-0.5, 0.5),
-            "disturbance.offset": rng.uniform(-0.5, 0.5),
-        }
-        found.append(error(made, numbers, seed))
-    oracle = error(updated(CONTROLLER, made, STILL), {}, 0)
-    assert np.median(found) < 1.2 * oracle
-
-
-@pytest.mark.parametrize("model", [FOURTH_ORDER, SLOW], ids=["without", "with"])
-def test_another_law_takes_over_the_reference_that_is_followed(model):
-    """Behind the filter that gives it a third derivative, where the model has three more poles than zeros."""
-    p = params(model)
-    assert (p.reshaping.smoothing > 0.0) == (model is SLOW)
-    _, states = runs(p, plant(model), sine(1.0, 3.0, 400)[1])
-    for (_, state), (terms, _) in itertools.pairwise(states):
-        found = bumpless_transfer.followed(p, state)
-        assert found == pytest.approx((terms.reference, terms.reference_rate), abs=1e-12)
 
 
 @pytest.mark.parametrize("hertz", [300.0, 1500.0])
@@ -682,16 +451,7 @@ def test_a_zero_beyond_the_samples_is_taken_out_of_an_identified_model(hertz):
         p = dcarc.build(values)
         v = simulated(valve="custom", numerator=list(model.numerator), denominator=list(denominator))
         run = offline.simulate(
-            values, v, comparison.unreshaped(p.reshaping, wanted), compiled=False, alone=True
+            values, v, delivery.unreshaped(p.reshaping, wanted), compiled=False, alone=True
         )
         errors.append(float(np.std((run.position - wanted[:-2])[300:])))
     assert errors[0] < 0.02 and errors[1] > 5.0 * errors[0]
-
-
-def test_a_law_that_is_built_again_is_not_designed_again():
-    """All laws are built at each change of a parameter; the Riccati equations are solved at the first."""
-    dcarc.build(controller())
-    before = dcarc_design.design.cache_info()
-    dcarc.build(controller(**{"dcarc.forgetting": 0.02}))
-    after = dcarc_design.design.cache_info()
-    assert (after.hits, after.misses) == (before.hits + 1, before.misses)

@@ -57,11 +57,6 @@ def test_sections_of_random_transfer_functions():
     assert whole > 500
 
 
-def test_zeros_before_a_numerator_are_none():
-    found = filter_design.zeros_poles_gain(np.array([0.0, 0.0, 3.0, 6.0]), np.array([0.0, 2.0, 5.0, 2.0]))
-    assert found[0].tolist() == [-2.0] and sorted(found[1].tolist()) == [-2.0, -0.5] and found[2] == 1.5
-
-
 def test_k_filter():
     random = np.random.default_rng(8)
     for k1, k2, period in 10.0 ** random.uniform([0.0, 0.0, -5.0], [4.0, 7.0, -2.0], (200, 3)):

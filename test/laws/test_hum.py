@@ -7,17 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from research import coil
+from research import coil, comparison
 from valve_control.control.analysis.indices import rms
 from valve_control.control.laws import dcarc, dcarc_design
-from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
-from valve_control.control.linear import margins
-from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import models
-from valve_control.control.simulation import comparison, offline
-from valve_control.parameter import ParameterError, updated
+from valve_control.control.simulation import delivery, offline
+from valve_control.parameter import updated
 
 PERIOD = 0.001
 NOTCH = [(name, hum) for name in coil.VALVES for hum in (50.0, 60.0)]
@@ -70,36 +67,10 @@ def test_a_hum_leaves_the_motion_of_a_solenoid_valve(hum, most):
         values, valve = controller("A", notch), coil.plant(coil.VALVES["A"])
         valve = updated(VALVE, valve, {"solenoid.hum": amplitude, "solenoid.hum_frequency": 50.1})
         wanted = comparison.motions()["sine 10 Hz"][:2502]
-        sent = comparison.unreshaped(dcarc.build(values).reshaping, wanted)
+        sent = delivery.unreshaped(dcarc.build(values).reshaping, wanted)
         run = offline.simulate(values, valve, sent, alone=True)
         return rms((run.position - wanted[:-2])[1000:]), run.indices.c_u
 
     (plain, restless), (error, chatter), (quiet, _) = found(0.0, hum), found(50.0, hum), found(0.0, 0.0)
     assert error < most * plain and chatter < restless
     assert found(50.0, 0.0)[0] < 1.1 * quiet
-
-
-@pytest.mark.parametrize("name", coil.VALVES)
-def test_the_margins_of_the_loop_hardly_change(name):
-    plants = margins.prepared([build.valve_params(coil.plant(coil.VALVES[name]))])
-    plain, notched = (
-        margins.as_dict(
-            margins.worst(margins.margins(LAWS["dcarc"], dcarc.build(controller(name, hum)), plants))
-        )
-        for hum in (0.0, 50.0)
-    )
-    assert notched["radius"] < 1.0
-    assert abs(notched["phase_deg"] - plain["phase_deg"]) < 1.0
-    assert plain["gain_db"] - notched["gain_db"] < 2.0
-    assert notched["sensitivity_db"] - plain["sensitivity_db"] < 0.5
-
-
-def test_without_a_hum_there_is_nothing_of_it():
-    p = dcarc.build(controller("A", 0.0))
-    assert p.turn.on == 0.0 and p.kalman.hum == (0.0, 0.0)
-
-
-def test_a_hum_that_the_samples_do_not_show_is_refused():
-    with pytest.raises(ParameterError) as refused:
-        dcarc.build(controller("A", 500.0))
-    assert str(refused.value) == "dcarc.hum is 500 Hz; it must lie below half of the sample rate, 500 Hz"

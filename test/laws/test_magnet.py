@@ -14,11 +14,7 @@ from hypothesis import strategies as st
 from valve_control.control.laws import command_lead, dcarc, dcarc_design, magnet, reshaping
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import stability
-from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant.models import D3FXE, Scale
-from valve_control.control.simulation import comparison
-from valve_control.design.tuning import designs, trial
-from valve_control.parameter import updated
+from valve_control.control.simulation import delivery
 
 PERIOD, SUBSTEPS = 0.001, 10
 COIL, GAIN, A1, A0 = 0.004, 0.9, 90.5, 3198.0  # 9 Hz
@@ -46,7 +42,7 @@ def error(p, half=0.0, positive=1.0, coulomb=0.0, samples=3000):
     s = dcarc.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     force = play = x = v = z = 0.0
     share, errors = -math.expm1(-dt / COIL), []
-    for k, command in enumerate(comparison.unreshaped(p.reshaping, wanted)):
+    for k, command in enumerate(delivery.unreshaped(p.reshaping, wanted)):
         errors.append(x - wanted[k])
         voltage, s, _ = dcarc.step(p, s, float(command), x, 0.0)
         for _ in range(SUBSTEPS):
@@ -101,13 +97,6 @@ def test_hysteresis_and_unequal_gains_are_learned():
     assert s.magnet.weights.positive == pytest.approx(1.0 / 1.15 - 1.0, rel=0.2)
 
 
-def test_without_a_magnet_its_terms_stay_at_nothing():
-    p = law(**LEARNS)
-    assert p.magnet.on == 0.0
-    _, s = error(p, half=0.05, samples=300)
-    assert s.magnet.weights == s.magnet.variance == s.magnet.regressor == magnet.NONE
-
-
 @given(st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=40), st.floats(0.001, 1.0))
 def test_the_direction_stays_between_its_ends_and_follows_a_steady_force(forces, turn):
     p = dcarc.build(controller()).magnet._replace(on=1.0, turn=turn, lead=0.0)
@@ -146,7 +135,7 @@ def delayed(p, delay, sensor=0.0, samples=1500):
     wanted = motion(samples)
     s = dcarc.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     x, sent, positions, seen = np.zeros(3), [], [0.0], []
-    for command in comparison.unreshaped(p.reshaping, wanted):
+    for command in delivery.unreshaped(p.reshaping, wanted):
         now = len(positions) - 1
         reading = positions[max(now - round(sensor / part), 0)]
         voltage, s, terms = dcarc.step(p, s, float(command), reading, 0.0)
@@ -201,41 +190,3 @@ def test_the_lead_that_the_docs_name_leaves_no_lag_behind_a_ramp():
     for command in led:
         _, s, terms = dcarc.step(p, s, float(command), 0.0, 0.0)
     assert terms.reference == pytest.approx(ramp[-1] + rate * delay, abs=1e-6)
-
-
-def test_a_tuner_keeps_the_lead_near_the_lag_that_the_law_knows():
-    """The middle of its range is that lag, at any frequency of the reshaping; other models keep theirs."""
-    values = controller(**MODEL, **{"dcarc.actuator_delay": 0.0013})
-    free = trial.free_numbers(dcarc.LAW, values, False, D3FXE)
-    middle = trial.gains_at(free, values, [0.5] * len(free)).changes
-    lead = middle["reshaping.lead"]
-    assert lead == pytest.approx(dcarc.lag({**values, **middle}), rel=1e-3)
-    (own,) = (one for one in free if one.name == "reshaping.lead")
-    assert (own.low, own.high) == (1.0 / reshaping.AROUND, reshaping.AROUND)
-    usual = controller()
-    assert dcarc.lag(usual) == reshaping.lag(usual)
-    (own,) = (
-        one for one in trial.free_numbers(dcarc.LAW, usual, False, D3FXE) if one == reshaping.lead(usual)
-    )
-    assert own.unit is reshaping.lag
-
-
-def test_a_lead_of_a_slow_valve_that_a_tuner_chooses_can_be_set():
-    """A range that goes beyond the end of ``reshaping.lead`` is around that end instead."""
-    values = controller(**MODEL, **{"dcarc.smoothing": 0.04})
-    free = trial.free_numbers(dcarc.LAW, values, False, Scale(0.2, 1.0))
-    both = [one for one in free if one.name in ("reshaping.natural_frequency", "reshaping.lead")]
-    for share in (0.0, 0.5, 1.0):
-        changes = trial.gains_at(both, values, [0.0, share]).changes
-        assert dcarc.lag({**values, **changes}) > reshaping.MOST_LEAD * reshaping.AROUND
-        assert updated(CONTROLLER, values, changes)["reshaping.lead"] <= reshaping.MOST_LEAD
-
-
-def test_the_starts_of_a_search_on_a_slow_valve_have_leads_that_can_be_set():
-    values = controller(**MODEL, **{"dcarc.smoothing": 0.095})
-    problem = trial.Problem(values, [], [], [], trial.USUAL, False, False, 1, scale=Scale(0.2, 1.0))
-    made = designs.starts(dcarc.LAW, problem, None)
-    assert len(made) == len(dcarc.LAW.starts(values, problem.scale)) * len(designs.SHARES)
-    assert all(one["reshaping.lead"] == reshaping.MOST_LEAD < dcarc.lag(one) for one in made)
-    two_poles = controller(**{"dcarc.model": "second_order"})
-    assert dcarc.LAW.starts(two_poles, Scale(0.2, 1.0)) == []  # its ranges have gains enough

@@ -45,18 +45,6 @@ def test_characteristic_equations_of_both_forms(form, own):
         assert after.integral - integral == pytest.approx(p.ki * z1 * p.period, rel=1e-9)
 
 
-def test_one_step_in_the_head():
-    """Plain form at rest at 1 V, command 2 V: ff 1.18*2, P 15*1, I and D still at their start."""
-    p = params(form="plain", kp=2.0, ki=10.0, kd=0.0, static_feedforward=1.18)
-    s = pid.initial(p, Start(1.0, 1.18, 1.0, 0.0, 0.0))
-    voltage, s, terms = pid.step(p, s, 2.0, 1.0, 0.0)
-    assert math.isclose(terms.feedforward_voltage, 2.36)
-    assert math.isclose(terms.proportional_voltage, 2.0)
-    assert terms.derivative_voltage == 0.0
-    assert math.isclose(voltage, 4.36)
-    assert math.isclose(s.integral, -0.01)
-
-
 @pytest.mark.parametrize("form", ["paper", "reference", "plain"])
 def test_integrator_rests_in_saturation_and_leaves_it(form):
     p = params(form=form, ki=1000.0)

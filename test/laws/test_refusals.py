@@ -3,7 +3,6 @@
 """Values with which a law cannot work are refused in one sentence that has the parameter's name."""
 
 import changed
-import numpy as np
 import pytest
 
 from valve_control.control.laws import design
@@ -52,11 +51,3 @@ def test_a_compensator_is_not_designed(model, bandwidth, said):
     with pytest.raises(design.DesignError) as error:
         design.pole_zero_compensator(TransferFunction(*model), bandwidth)
     assert said in str(error.value)
-
-
-def test_a_compensator_of_more_than_three_sections_is_not_taken():
-    eighth = design.pole_zero_compensator(TransferFunction(*LAG), 10.0)
-    for _ in range(2):
-        eighth = TransferFunction(*(tuple(map(float, np.polymul(part, part))) for part in eighth))
-    with pytest.raises(design.DesignError, match="more than 6 poles"):
-        design.compensator_params(eighth, 0.001, 10.0)

@@ -3,11 +3,10 @@
 import math
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.control.laws import command_lead, reshaping
+from valve_control.control.laws import reshaping
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.parameter import defaults, updated
 
@@ -72,18 +71,6 @@ def test_what_a_tuner_may_choose_comes_to_rest_at_the_limit_of_the_acceleration(
     assert last_outside(highest, damping, height) < 0.5
 
 
-def test_at_a_long_sample_period_the_lead_is_two_periods():
-    usual = defaults(reshaping.PARAMETERS)
-    assert reshaping.at_period(PERIOD) == {}
-    (found,) = reshaping.at_period(0.02).values()
-    assert 2.0 * usual["reshaping.damping"] / found == pytest.approx(2.0 * 0.02, rel=1e-3)
-
-
-def test_a_lead_of_one_and_a_third_periods_swings_for_ever():
-    assert last_outside(1200.0, 0.8, 0.3) > 2.99
-    assert last_outside(800.0, 0.8, 0.3) < 0.05
-
-
 def braking(period, **changes):
     """Parameters of the braking form from changes of the defaults."""
     named = {f"reshaping.{name}": value for name, value in changes.items()}
@@ -144,55 +131,6 @@ def test_without_cut_the_braking_form_is_8_with_its_damping():
         s = reshaping.advance(p, s, reshaping.acceleration(p, s, command))
         t = reshaping.advance(plain, t, reshaping.acceleration(plain, t, command))
         assert s == t
-
-
-def highest_rate(p):
-    """Rate [V/s] of a ramp from which on its stopping distance is longer than the lag of (8)."""
-    rates = np.arange(0.1, 400.0, 0.1)
-    lags = 2.0 * p.damping / p.natural_frequency * rates - rates * p.period
-    braked = np.array([reshaping.braking_distance(p, rate) for rate in rates]) > lags
-    return float(rates[np.argmax(braked)])
-
-
-BRAKED = [  # of docs/explanation/laws/reshaping.md: ω_n, limit (6), rate, errors of both forms
-    (314.0, 12000.0, 107.0, 3.32, 3.32),
-    (500.0, 12000.0, 54.0, 1.67, 1.67),
-    (800.0, 12000.0, 20.0, 12.83, 0.86),
-    (800.0, 20000.0, 33.0, 2.08, 0.86),
-    (800.0, 30000.0, 50.0, 0.86, 0.86),
-]
-
-
-@pytest.mark.parametrize(("frequency", "limit", "rate", "braking_error", "paper_error"), BRAKED)
-def test_fast_motion_is_braked_where_its_stopping_distance_exceeds_the_lag(
-    frequency, limit, rate, braking_error, paper_error
-):
-    """Ramps below and above that rate, and the sum of three sines of the table."""
-    own = {"natural_frequency": frequency, "max_accel": limit, "max_rate": 1e5}
-    p = braking(PERIOD, **own)
-    highest = highest_rate(p)
-    assert highest == pytest.approx(rate, abs=0.6)
-    for speed, held in ((0.97 * highest, False), (1.05 * highest, True)):
-        s = reshaping.State(0.0, 0.0)
-        for k in range(3000):
-            s = reshaping.advance(p, s, reshaping.acceleration(p, s, k * PERIOD * speed))
-        behind = 3000 * PERIOD * speed - s.reference
-        lag = 2.0 * p.damping / frequency * speed
-        assert behind == pytest.approx(lag, rel=1e-6) if not held else behind > 1.001 * lag
-    t = np.arange(4000) * PERIOD
-    fade = np.minimum(1.0, t / 0.3)
-    sines = sum(a * np.sin(2.0 * math.pi * f * t) for a, f in ((1.0, 3.0), (0.3, 9.0), (0.1, 15.0)))
-    command = fade**2 * (3.0 - 2.0 * fade) * sines
-    for form, expected in (("braking", braking_error), ("paper", paper_error)):
-        lead = {"form": form, "damping": 1.0, "lead": 2.0 / frequency, "lead_accel": 1.0}
-        changes = {f"reshaping.{name}": value for name, value in {**own, **lead}.items()}
-        values = updated(CONTROLLER, defaults(CONTROLLER), changes)
-        p, s, error = reshaping.build(values), reshaping.State(0.0, 0.0), []
-        led = command_lead.applied(command_lead.build(values, True), command)
-        for given_one, wanted in zip(led.tolist(), command.tolist(), strict=True):
-            error.append(s.reference - wanted)
-            s = reshaping.advance(p, s, reshaping.acceleration(p, s, given_one))
-        assert 1e3 * np.sqrt(np.mean(np.square(error[500:]))) == pytest.approx(expected, rel=0.01)
 
 
 @given(st.floats(5.0, 200.0), st.floats(-11000.0, 11000.0), st.floats(100.0, 900.0))

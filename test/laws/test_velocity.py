@@ -7,14 +7,6 @@ import numpy as np
 from valve_control.control.laws import velocity
 
 
-def test_ramp_gives_its_slope():
-    p = velocity.design(100.0, 0.001)
-    s = velocity.State(0.0, 0.0)
-    for k in range(100):
-        s = velocity.step(p, s, 3.0 * k * 0.001)
-    assert math.isclose(s.velocity, 3.0, rel_tol=1e-9)
-
-
 def test_gain_at_the_cutoff_is_minus_three_decibel():
     period, cutoff = 1e-5, 50.0
     p = velocity.design(cutoff, period)

@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from research import comparison
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import friction_swing, linear_loop, margins
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.valve import FREE
-from valve_control.control.simulation import batch, comparison
+from valve_control.control.simulation import batch
 from valve_control.design.tuning import limit_cycles, trial
 from valve_control.design.tuning.trial import GainSet
 from valve_control.parameter import defaults, updated
@@ -42,15 +43,6 @@ def test_describing_function_is_the_first_harmonic_of_the_bristles(exponent):
     deflection = 10.0**exponent
     found = complex(friction_swing.describing_function(np.array([deflection]))[0])
     assert first_harmonic(deflection, 4000) == pytest.approx(found, rel=0.01, abs=1e-5)
-
-
-def test_describing_function_goes_from_a_spring_to_coulomb_friction():
-    """2·I1(α)/cosh α is 4/√(2πα) for large α."""
-    large = 1e6
-    small, rubs = friction_swing.describing_function(np.array([1e-6, large]))
-    assert small == pytest.approx(1.0, abs=1e-5)
-    assert rubs.imag * large == pytest.approx(4.0 / math.pi, abs=1e-5)
-    assert rubs.real * large == pytest.approx(4.0 / math.sqrt(2.0 * math.pi * large), rel=1e-5)
 
 
 @pytest.mark.parametrize("frequency", [10.0, 30.0, 60.0])
@@ -99,61 +91,6 @@ def test_predicted_swing_is_that_of_a_run(coulomb, presliding, delay):
     assert amplitude == pytest.approx(predicted, rel=0.15)
 
 
-def test_a_valve_whose_zeros_left_its_poles_swings_at_a_constant_voltage():
-    """No loop, no noise: friction at the input of a model that is not passive there feeds the swing.
-
-    Where poles and zeros of (3) have the same speed the spool comes to rest.
-    """
-    law = LAWS["open_loop"]
-    params = law.build(defaults(CONTROLLER))
-    command = np.where(np.arange(4000) < 100, 0.0, 0.5)
-    for zeros in (0.8, 1.25):
-        plant = comparison.made_of(1.4, 0.8, zeros, 0.0, FREE._replace(coulomb=1.5, presliding=0.04))
-        plant = plant._replace(lvdt=plant.lvdt._replace(noise=0.0, resolution=0.0))
-        traces = np.empty((1, len(command), 3))
-        batch.simulate(
-            batch.Batch(law.name, params, batch.records([plant]), np.ones(1, int), command), 1, traces
-        )
-        assert np.ptp(traces[0, -2000:, 2]) == 0.0
-        amplitude = math.sqrt(2.0) * float(np.std(traces[0, -2000:, 0]))
-        own = margins.prepared([plant]).own_swing[0]
-        if zeros == 0.8:
-            assert own < 0.01 and amplitude < 0.001
-        else:
-            assert own > 0.04 and amplitude == pytest.approx(own, rel=0.2)
-
-
-def test_without_friction_nothing_swings_and_more_of_it_swings_more():
-    values = files.load(GAINS)["controller"]
-    law = LAWS["pid"]
-    params = law.build(updated(CONTROLLER, defaults(CONTROLLER), values))
-    plants = [rubbing(coulomb, 0.03) for coulomb in (0.0, 0.4, 0.8, 1.6)]
-    found = swings(law, params, plants)
-    assert found[0] == 0.0 and np.all(np.diff(found) > 0.0)
-
-
-def test_coulomb_friction_without_a_spring_is_the_limit_of_short_presliding():
-    """Where the loop crosses the axis of N = j·4F/(πA), the swing does not depend on the spring."""
-    z = np.exp(1j * np.linspace(0.05, 0.2, 400))
-    crossing = (30.0j + np.linspace(5.0, -5.0, 400) * (1.0 - 0.2j))[None]  # N, from spring to negative spring
-    position, level = np.full((1, 400), 0.5 + 0.0j), np.array([1.2])
-
-    def largest(ahead, presliding):
-        loop = -1.0 - crossing * z**ahead * position
-        return friction_swing.swings(loop, position, z, level, np.array([presliding]))[0]
-
-    bare = largest(friction_swing.RUBBING_AHEAD, 0.0)
-    assert bare == pytest.approx(4.0 * 1.2 / (math.pi * 30.0), rel=1e-3)
-    assert largest(friction_swing.AHEAD, 1e-6) <= bare
-
-
-def test_the_dead_time_of_the_sensor_does_not_move_the_valve():
-    """Friction acts on the spool itself: its own swing is the same behind any sensor."""
-    late = [rubbing(1.4, 0.035, delay) for delay in (0.0, 0.001, 0.003)]
-    own = margins.prepared(late).own_swing
-    assert own[0] > 0.03 and np.all(own == own[0])
-
-
 def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():
     """The loop makes the swing of the valve little larger, above what counts as rest; margins say so too."""
     values = updated(CONTROLLER, defaults(CONTROLLER), files.load(GAINS)["controller"])
@@ -167,7 +104,7 @@ def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():
         whole * (whole / box.own_swing[0] - 1.0) / (margins.GROWN - 1.0)
     )
     motion = trial.TuningMotion("rest", np.zeros(1000))
-    problem = trial.Problem(values, [motion], plants, plants, trial.USUAL, False, False, 1)
+    problem = trial.Problem(values, [motion], plants, plants, trial.USUAL, False, 1)
     led = limit_cycles.steps(PERIOD).wanted
     traces = np.empty((2, len(led), 3))
     batch.simulate(batch.Batch(law.name, params, batch.records(plants), np.ones(2, int), led), 1, traces)

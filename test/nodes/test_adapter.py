@@ -6,7 +6,6 @@ import math
 from struct import pack
 
 import pytest
-import rcl
 from bench import spin_until
 from builtin_interfaces.msg import Duration
 from rclpy.serialization import deserialize_message, serialize_message
@@ -17,7 +16,6 @@ from valve_control.nodes.adapter import (
     SAMPLES,
     NumberSubscription,
     PointSubscription,
-    _same,
     decoded_point,
     encoded,
     encoded_point,
@@ -53,16 +51,6 @@ def test_numbers_after_the_head_of_an_array_are_what_rclpy_reads(labels):
     message = Float64MultiArray(layout=MultiArrayLayout(dim=dim), data=numbers)
     begin = head(Float64MultiArray(layout=MultiArrayLayout(dim=dim)), len(labels))
     assert deserialize_message(begin + pack(f"<{len(labels)}d", *numbers), Float64MultiArray) == message
-
-
-@pytest.mark.parametrize(
-    "word",
-    ["2", "0x10", "-0x1F", "010", "007", "08", "1e3", "+2.5", "0x1p3", "nan", ".inf", "-.Inf", "Yes", "off"],
-)
-def test_a_word_of_the_command_line_is_known_in_the_value_that_rcl_makes_of_it(word):
-    value = rcl.read("/recorder", f"bag:={word}")["bag"]
-    assert not isinstance(value, str) and _same(word, value)
-    assert not _same(word, 17) and not _same(word, 2.25)
 
 
 def test_a_point_of_a_trajectory_is_read_as_it_was_sent_in_either_byte_order():

@@ -3,7 +3,6 @@
 """The axis over real DDS: axis_simulator, the valve's controller and axis_controller as processes."""
 
 import math
-import signal
 import time
 from contextlib import ExitStack, contextmanager
 
@@ -21,10 +20,9 @@ from std_msgs.msg import Float64, Header
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from valve_control.control.axis import run
+from valve_control.axis import axis_supervisor, run
+from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis_parameters import AXIS_NODES
-from valve_control.control.supervision import axis_supervisor
 from valve_control.control.supervision.record import Mode
 from valve_control.nodes import loop
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, NumberSubscription
@@ -455,24 +453,6 @@ def test_an_axis_whose_sensor_fails_ends_with_0_v_on_the_valve(ros, tmp_path):
         spin_until(ros, lambda: log.read_text().count("waiting for spool_position") == 2, "its new beginning")
 
 
-def test_samples_that_a_held_up_process_makes_good_have_the_times_at_which_they_were_due(ros, tmp_path):
-    heard = []
-    ros.create_subscription(JointState, "joint_states", heard.append, EVERYTHING)
-    words = ["-p", "valve_simulator:voltage_timeout:=0.0"]
-    with process("axis_simulator", ["--params-file", path_of("bench"), *words], tmp_path / "a.log") as child:
-        spin_until(ros, lambda: len(heard) > 100, "readings", 60.0)
-        for _ in range(5):
-            child.send_signal(signal.SIGSTOP)
-            end = time.monotonic() + 0.03
-            spin_until(ros, lambda end=end: time.monotonic() > end, "a pause")
-            child.send_signal(signal.SIGCONT)
-            before = len(heard)
-            spin_until(ros, lambda before=before: len(heard) > before + 50, "readings")
-    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in heard])
-    steps = np.diff(stamps[100:])
-    assert np.mean(steps < 0.5e-3) < 0.05
-
-
 def test_both_axes_of_the_arm_follow_goals_through_one_manifold_and_a_stop_ends_one_alone(ros, tmp_path):
     """The processes of launch/arm.launch.xml with their files, here in lockstep."""
     arm = str(files.config_folder() / "arm.yaml")
@@ -522,40 +502,3 @@ def test_both_axes_of_the_arm_follow_goals_through_one_manifold_and_a_stop_ends_
 
 
 VALVES = {"boom": 0.02, "arm": -0.02}  # m  to go
-
-
-def test_a_file_of_the_user_wins_over_those_of_the_arm_but_for_joint_and_seed(tmp_path):
-    """As rcl orders the sections of all files, which it merges by their patterns."""
-    mine = tmp_path / "mine.yaml"
-    mine.write_text(
-        "/**/axis_simulator:\n"
-        "  ros__parameters: {sample_period: 0.004, load: {mass: 2500.0}, joint: me, seed: 9}\n"
-        "/**/axis_controller: {ros__parameters: {sample_period: 0.004, kp: 2.5}}\n"
-        "/**/controller: {ros__parameters: {sample_period: 0.004, controller: dcarc, pid: {form: plain}}}\n"
-    )
-    arm = str(files.config_folder() / "arm.yaml")
-    for valve, seed in zip(VALVES, (1, 2), strict=True):
-        machine = path_of(f"crane_{valve}")
-        assert taken("axis_simulator", valve, [machine, arm, mine]).items() >= {
-            "sample_period": 0.004, "load.mass": 2500.0, "joint": valve, "seed": seed,
-        }.items()  # fmt: skip
-        assert taken("axis_controller", valve, [machine, arm, mine]).items() >= {
-            "sample_period": 0.004, "kp": 2.5, "joint": valve,
-        }.items()  # fmt: skip
-        assert taken("controller", valve, [arm, mine]).items() >= {
-            "sample_period": 0.004, "controller": "dcarc", "pid.form": "plain",
-        }.items()  # fmt: skip
-
-
-def taken(name, space, paths):
-    """Parameters that rcl gives a node of these files."""
-    words = [word for path in paths for word in ("--params-file", str(path))]
-    context = rclpy.Context()
-    rclpy.init(args=["--ros-args", *words], context=context)
-    try:
-        node = rclpy.create_node(
-            name, namespace=space, context=context, automatically_declare_parameters_from_overrides=True
-        )
-        return {key: parameter.value for key, parameter in node.get_parameters_by_prefix("").items()}
-    finally:
-        rclpy.shutdown(context=context)

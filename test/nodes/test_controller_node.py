@@ -3,10 +3,8 @@
 """One controller in the process of the test, over DDS: when it acts, what it waits for, its last word."""
 
 import math
-import os
-import sys
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -14,16 +12,14 @@ import rclpy
 from bench import LIMIT, wait_for_message
 from rclpy.exceptions import ParameterNotDeclaredException
 from std_msgs.msg import Float64, Float64MultiArray, String
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control.control.supervision.journal import Event, block
 from valve_control.control.supervision.record import Mode
-from valve_control.nodes import controller_node
+from valve_control.nodes import controller_node, lockstep, telemetry
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, encoded, encoded_point
 from valve_control.nodes.controller_node import Controller
 from valve_control.nodes.loop import Failure
-from valve_control.parameter import ParameterError
 
 
 class Upper:
@@ -61,9 +57,9 @@ class Upper:
         if command is not None:
             self.commands.publish(encoded(command))
         while self.node._supervisor.samples == before:
-            taken = len(self.node._arrivals)
+            taken = len(self.node._timing.arrivals)
             self.lvdt.publish(encoded(reading))
-            self.until(lambda taken=taken: len(self.node._arrivals) > taken, "an answer")
+            self.until(lambda taken=taken: len(self.node._timing.arrivals) > taken, "an answer")
         return self.node._supervisor.voltage
 
 
@@ -140,20 +136,20 @@ def test_what_waited_while_the_process_stood_still_is_not_answered_as_new(ros):
         samples, count = node._supervisor.samples, len(node._journal)
         upper.until(lambda: len(node._journal) > count, "the stale reading")
         assert node._supervisor.samples == samples and node._catching_up
-        node._arrivals[-1] -= 1.0
+        node._timing.arrivals[-1] -= 1.0
         upper.sample(0.0)
         assert not node._catching_up
 
 
 def test_a_reader_of_the_journal_gets_every_row_and_an_account(ros, monkeypatch):
-    monkeypatch.setattr(controller_node, "MOST_ROWS", 8)
+    monkeypatch.setattr(telemetry, "MOST_ROWS", 8)
     blocks, accounts = [], []
     ros.create_subscription(
         Float64MultiArray, "/controller/journal", lambda m: blocks.append(block(m.data)), EVERYTHING
     )
     ros.create_subscription(String, "/controller/memory", lambda m: accounts.append(m.data), EVERYTHING)
     with controller(ros, "memory_period:=1000.0") as upper:
-        upper.until(lambda: upper.node._count_readers() == 2, "the readers", work=False)
+        upper.until(lambda: upper.node._journal_topics._count_readers() == 2, "the readers", work=False)
         upper.node._watch_graph()
         for k in range(40):
             upper.sample(0.001 * (k % 2), 0.1)
@@ -197,98 +193,39 @@ def test_in_lockstep_a_reading_waits_for_its_command(ros, monkeypatch):
     with controller(ros, "lockstep:=true", "controller:=open_loop") as upper:
         node = upper.node
         upper.lvdt.publish(encoded(0.0))
-        upper.until(lambda: node._waiting is not None and node._met, "the reading")
+        upper.until(lambda: node._lockstep.waiting is not None and node._lockstep.met, "the reading")
         assert not node.work() and node.inputs() == (node._commands, node._trajectories)
-        assert node.due() <= time.monotonic() + controller_node.LOOK
+        assert node.due() <= time.monotonic() + lockstep.LOOK
         assert upper.sample(0.0, 1.0) > 0.0
-        monkeypatch.setattr(controller_node, "COMMANDED", {False: 0.02, True: 0.05})
-        assert upper.sample(0.0) > 0.0 and node._uncommanded, "no command comes: it goes on"
+        monkeypatch.setattr(lockstep, "COMMANDED", {False: 0.02, True: 0.05})
+        assert upper.sample(0.0) > 0.0 and node._lockstep.uncommanded, "no command comes: it goes on"
         upper.sample(0.0)
         upper.commands.publish(encoded(-1.0))
         upper.until(lambda: upper.sample(0.0) < 0.0, "in step again")
-        assert not node._uncommanded
+        assert not node._lockstep.uncommanded
         points = ros.create_publisher(JointTrajectoryPoint, "spool_trajectory", SAMPLES)
         upper.until(lambda: points.get_subscription_count() >= 1, "the subscription")
         points.publish(encoded_point(0.5, 0.0, 0.0, 10**9))
         upper.until(lambda: upper.sample(0.0) > 0.0, "the point of a trajectory")
         result = node.set_parameters_atomically([rclpy.parameter.Parameter("lockstep", value=False)])
-        assert result.successful and node._pairing is None
+        assert result.successful and node._lockstep is None
         upper.meet()
         assert math.isfinite(upper.sample(0.0))
 
 
 def test_lockstep_without_numbers_ends_in_one_sentence(ros):
     with controller(ros, "lockstep:=true") as upper:
-        upper.node._waiting = (0.0, {"publication_sequence_number": 2**64 - 1, "source_timestamp": 0})
+        unnumbered = {"publication_sequence_number": 2**64 - 1, "source_timestamp": 0}
+        upper.node._lockstep.waiting = (0.0, unnumbered)
         with pytest.raises(Failure, match="lockstep needs a middleware that numbers messages"):
             upper.node.work()
-
-
-def test_the_services_answer_in_one_sentence(ros, tmp_path):
-    path = tmp_path / "saved.yaml"
-    with controller(ros, f"save_file:={path}") as upper:
-        node = upper.node
-
-        def asked(service):
-            response = service(Trigger.Request(), Trigger.Response())
-            assert response.message and "\n" not in response.message
-            return response.success, response.message
-
-        upper.sample(0.0)
-        assert asked(node._on_reset) == (True, "estimates and filters are at their start")
-        assert asked(node._on_load)[0] is False
-        assert asked(node._on_save) == (True, f"wrote {path}")
-        loaded = asked(node._on_load)
-        assert loaded[0] and loaded[1].endswith("of which 0 changed")
-        text = path.read_text()
-        path.write_text(text.replace("u_max: 10.0", "u_max: 8.0"))
-        assert (
-            asked(node._on_load)[1].endswith("of which 1 changed") and node._supervisor.values["u_max"] == 8.0
-        )
-        natural = "natural_frequency: 314.0"
-        assert natural in text
-        path.write_text(text.replace(natural, "natural_frequency: 9000.0"))
-        loaded = asked(node._on_load)
-        assert not loaded[0] and "it must be below" in loaded[1] and str(path) in loaded[1]
-        path.write_text(text.replace("u_max: 10.0", "u_max: -1.0"))
-        loaded = asked(node._on_load)
-        assert not loaded[0] and loaded[1].startswith("no parameter changed: ") and "u_max is -1" in loaded[1]
-        path.unlink()
-        path.mkdir()
-        saved = asked(node._on_save)
-        assert not saved[0] and "cannot be written" in saved[1]
-
-
-def test_chosen_terms_have_topics_of_their_own_for_as_long_as_they_are_chosen(ros):
-    heard = []
-    ros.create_subscription(Float64, "/controller/terms/voltage", lambda m: heard.append(m.data), SAMPLES)
-    with controller(ros, "state_topics:=['voltage']") as upper:
-        node = upper.node
-        upper.until(lambda: node._terms["voltage"].get_subscription_count() >= 1, "our subscription")
-        upper.sample(0.0)
-        given = [upper.sample(0.001 * k, 1.0) for k in range(5)]
-        upper.until(lambda: heard[-5:] == given, "the voltages")
-        for names, topics in (
-            (["a1", "voltage"], {"a1", "voltage"}),
-            (["voltage"], {"voltage"}),
-            ([""], set()),
-        ):
-            wanted = [rclpy.parameter.Parameter("state_topics", value=names)]
-            assert node.set_parameters_atomically(wanted).successful and set(node._terms) == topics
-        wanted = [rclpy.parameter.Parameter("state_topics", value=["voltage"])]
-        assert node.set_parameters_atomically(wanted).successful
-        node.trigger_deactivate()
-        node.trigger_cleanup()
-        assert node._terms == {} and node.inputs() == ()
-        node.deliver()
-        node._diagnose()
 
 
 def test_a_controller_that_does_not_start_by_itself_tells_each_of_its_states(ros, monkeypatch):
     node = Controller(cli_args=["--ros-args", "-p", "autostart:=false"])
     try:
         assert node._status()[1] == "unconfigured" and not node.work() and node.inputs() == ()
-        node._publish_journal()
+        node._journal_topics.publish()
         node.trigger_configure()
         assert node._status()[1] == "inactive"
         monkeypatch.setattr(controller_node, "REFUSED", ("law x of package y is left out",))
@@ -322,33 +259,3 @@ def test_changes_of_parameters_are_checked_as_a_whole_and_told_once(ros):
         settings._told = -math.inf
         assert put(u_max=9.0).successful and not settings._untold
         assert put(u_max=8.0, arc__k2=90.0).successful and settings._untold == {"u_max", "arc.k2"}
-
-
-@pytest.mark.parametrize(
-    ("word", "said"),
-    [("controller:=2", "controller is '2'; it must be 'arc'"),
-     ("u_max:=true", "u_max is True; it must be a double"), ("arc.k1:=-5.0", "arc.k1 is -5")],
-)  # fmt: skip
-def test_a_wrong_word_of_the_command_line_is_refused_by_its_name(ros, monkeypatch, word, said):
-    words = ["--ros-args", "-p", word]
-    monkeypatch.setattr(sys, "argv", ["controller", *words])
-    with pytest.raises(ParameterError) as error:
-        Controller(cli_args=words)
-    assert said in str(error.value)
-
-
-def test_one_cpu_on_the_command_line_is_taken_although_it_looks_like_an_integer(ros, monkeypatch):
-    before = os.sched_getaffinity(0)
-    cpu = min(before)
-    words = ["--ros-args", "-p", f"realtime.cpus:={cpu}"]
-    monkeypatch.setattr(sys, "argv", ["controller", *words])
-    node = None
-    try:
-        node = Controller(cli_args=words)
-        assert node._values["realtime.cpus"] == str(cpu) and os.sched_getaffinity(0) == {cpu}
-    finally:
-        for thread in os.listdir("/proc/self/task"):
-            with suppress(ProcessLookupError):  # it has ended meanwhile
-                os.sched_setaffinity(int(thread), before)
-        if node is not None:
-            node.destroy_node()

@@ -16,14 +16,11 @@ import numpy as np
 import pytest
 from bench import Motion, beside, controller, spin_until
 from browser import get, until
+from frame import signals_of
 from launched import command as launch
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from valve_control.dashboard.frames import sample
-from valve_control.nodes.dashboard import NUMBER, reached
 from valve_control.nodes.harness.processes import process
 
 SIGNALS = ["command", "position", "error", "voltage", "term.unsaturated_voltage"]
@@ -46,21 +43,6 @@ def connected(motion, tmp_path):
         yield
 
 
-@pytest.mark.parametrize(
-    ("message", "quality", "count"),
-    [
-        (NUMBER, {}, 1),
-        (NUMBER, {"reliability": ReliabilityPolicy.BEST_EFFORT}, 1),
-        (NUMBER, {"durability": DurabilityPolicy.TRANSIENT_LOCAL}, 0),
-        ("std_msgs/msg/Int32", {}, 0),
-    ],
-)
-def test_a_command_does_not_wait_for_who_would_never_hear_it(message, quality, count):
-    """The command source counts only those that middleware matches with it."""
-    info = TopicEndpointInfo(topic_type=message, qos_profile=QoSProfile(depth=10, **quality))
-    assert reached([info]) == count
-
-
 def test_every_sample_of_the_loop_is_in_the_frames(ros, tmp_path):
     motion = Motion(ros)
     arguments = ["-p", "port:=0", "-p", "token:=t", "-p", f"folder:={tmp_path}/made"]
@@ -77,7 +59,7 @@ def test_every_sample_of_the_loop_is_in_the_frames(ros, tmp_path):
 
             def seen():
                 page.send(request())
-                return sample(page.recv())
+                return signals_of(page.recv())
 
             # Until what has just met carries; the term has a publisher only since the page wants it.
             wanted = ("voltage", "term.unsaturated_voltage")

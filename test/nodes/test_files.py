@@ -5,7 +5,6 @@
 import json
 import subprocess
 import sys
-import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import launched
@@ -17,10 +16,9 @@ from valve_control.cli import main
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.adapter import plain, with_numbers
-from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameter import defaults, updated
 
 QUICK = ["--set", "steps=12", "--set", "cycles=4", "--set", "frequency=1.0", "--set", "step_time=0.8"]
-SHORT = ["--set", "cycle=2.0", "--set", "start=0.0", "--duration", "2.0"]
 NODES = ("controller", "valve_simulator", "command_source")
 # Each file in turn by rcl's own parser; the nodes wait for their transitions.
 READ = """
@@ -64,10 +62,6 @@ def test_files_of_all_commands(tmp_path, monkeypatch):
         "study_array": [
             "study", "--replay", "3", "--command", "array.csv", "--sample-period", "1e-3",
             "--set", "arc.epsilon=1e-05",
-        ],
-        "calibrate": [
-            "calibrate", "paper", *SHORT, "--evaluations", "1", "--population", "4", "--noise-seeds", "1",
-            "--processes", "1",
         ],
     }  # fmt: skip
     paths = []
@@ -210,16 +204,7 @@ def test_numbers_of_every_size_are_doubles_for_rcl(tmp_path):
 def of_launch(file, node, **given):
     """Values that rcl's own parser makes for a node of all that a launch file hands it, in its order."""
     path = files.config_folder().parent / "launch" / file
-    values = launched.variables(path, **given)
-    element = dict(launched.nodes(ET.parse(path).getroot(), values))[node]
-    sources = []
-    for param in element.findall("param"):
-        if (named := param.get("from")) is not None:
-            share = named.replace("$(find-pkg-share valve_control)", str(path.parents[1]))
-            sources.append(launched.filled(share, values))
-        else:  # launch writes a file with the section /**
-            sources.append(f"{param.get('name')}:={launched.filled(param.get('value'), values)}")
-    return rcl.read(node, *sources)
+    return rcl.read(node, *launched.parameters(path, node, **given))
 
 
 @pytest.mark.parametrize(
@@ -227,7 +212,15 @@ def of_launch(file, node, **given):
     [
         (
             "cascade.launch.xml", "/command_source", "duration: 7.0, scenario: sine", {},
-            {"duration": 7.0, "scenario": "sine", "amplitude": 2.92},
+            {"duration": 7.0, "scenario": "sine", "sample_period": 0.001},
+        ),
+        (
+            "valve.launch.xml", "/controller", "sample_period: 0.002, controller: dcarc", {"rate": "4000"},
+            {"sample_period": 0.002},
+        ),
+        (
+            "valve.launch.xml", "/a/valve_simulator", "gain_scale: 0.9", {"namespace": "a", "rate": "500"},
+            {"sample_period": 0.002},
         ),
         (
             "cascade.launch.xml", "/command_source", "duration: 7.0", {"scenario": "sine"},
@@ -260,6 +253,17 @@ def test_a_node_of_a_launch_has_what_the_file_of_the_user_says(
     assert {name: got[name] for name in wanted} == wanted
 
 
+def test_a_section_of_the_user_for_a_node_wins_over_the_file_of_its_law(tmp_path):
+    """A section for all nodes, `/**`, does not: rcl has the one of the arguments before that file."""
+    mine = tmp_path / "mine.yaml"
+    for pattern in ("/**/controller", "controller", "/a/controller"):
+        mine.write_text(f"{pattern}: {{ros__parameters: {{controller: dcarc, arc: {{k1: 90.0}}}}}}")
+        space = "a" if pattern == "/a/controller" else ""
+        node = f"/{space}/controller" if space else "/controller"
+        got = of_launch("valve.launch.xml", node, namespace=space, params_file=str(mine))
+        assert (got["controller"], got["arc.k1"]) == ("dcarc", 90.0)
+
+
 def test_the_file_of_the_user_may_say_otherwise_for_each_axis_of_an_arm(tmp_path):
     mine = tmp_path / "mine.yaml"
     mine.write_text("/**/boom/axis_controller: {ros__parameters: {upper_level: axis_arc}}")
@@ -273,13 +277,3 @@ def test_the_file_of_the_user_may_say_otherwise_for_each_axis_of_an_arm(tmp_path
         ("axis_arc", "command"),
         ("axis_pid", "command"),
     ]
-
-
-def test_no_axis_of_an_arm_contradicts_an_argument(tmp_path):
-    mine = tmp_path / "mine.yaml"
-    mine.write_text(
-        "/**/boom/axis_controller: {ros__parameters: {message: command}}\n"
-        "/**/arm/axis_controller: {ros__parameters: {message: trajectory}}"
-    )
-    with pytest.raises(ParameterError, match="message is 'trajectory', and .* sets message to command"):
-        of_launch("arm.launch.xml", "/boom/axis_controller", message="trajectory", params_file=str(mine))

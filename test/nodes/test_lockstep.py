@@ -18,9 +18,9 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Float64
 
+from research.campaigns.lockstep import CONFIG, run_lockstep
 from valve_control.control.laws.registry import LAWS
 from valve_control.nodes.adapter import SAMPLES
-from valve_control.nodes.harness.lockstep import CONFIG, run_lockstep
 from valve_control.nodes.harness.processes import process
 
 SHORT = "0.3"  # s of valve time, in which the command has begun to move
@@ -195,7 +195,7 @@ def test_many_starts_beside_a_loaded_machine(tmp_path):
                     [
                         sys.executable,
                         "-m",
-                        "valve_control.nodes.harness.lockstep",
+                        "research.campaigns.lockstep",
                         "--out",
                         str(tmp_path / law),
                         *arguments,

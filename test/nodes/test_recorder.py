@@ -130,16 +130,15 @@ def flows(folder, storage):
 @pytest.mark.parametrize("storage", ["mcap", pytest.param("sqlite3", marks=pytest.mark.campaign)])
 def test_cascade_at_1_khz_without_loss(ros, tmp_path, cascade, storage):
     folder, log = tmp_path / "bag", tmp_path / "log"
-    with recorder(folder, log, f"storage:={storage}", "report_period:=1.0") as child:
+    with recorder(folder, log, f"storage:={storage}") as child:
         spin_until(ros, lambda: flows(folder, storage), "messages of all topics")
         spin_until(ros, has_parameters(log), "parameters")
-        spin_until(ros, lambda: " lost, CPU " in log.read_text(), "report")
         begun = time.monotonic()
         assert set_parameters(ros, arc__k1=100.0).successful
         spin_until(ros, lambda: time.monotonic() > begun + 3.0, "three seconds")
         stop(child)
     text = log.read_text()
-    assert "CPU" in text and "Traceback" not in text
+    assert "Traceback" not in text
     found = by_topic(folder)
     for topic in TOPICS:
         assert gaps(found[topic]) == 0, topic
@@ -235,34 +234,6 @@ def test_parameters_are_fixed_once_it_runs(ros, tmp_path):
     with recorder(tmp_path / "bag", tmp_path / "log"):
         result = set_parameters(ros, target="recorder", flush_period=0.5)
         assert not result.successful and "do not change" in result.reason
-
-
-@pytest.mark.alone
-def test_each_file_of_a_rotation_has_the_parameters(ros, tmp_path, cascade):
-    folder, log = tmp_path / "bag", tmp_path / "log"
-
-    def files_begun():
-        return log.read_text().count("goes on in")
-
-    with recorder(folder, log, "max_duration:=0.5") as child:
-        spin_until(ros, has_parameters(log), "parameters")
-        first = files_begun() + 1
-        spin_until(ros, lambda: files_begun() > first, "the next files")
-        assert set_parameters(ros, arc__k1=90.0).successful
-        begun = files_begun()
-        spin_until(ros, lambda: files_begun() > begun + 1, "the last files")
-        stop(child)
-    files = metadata.read(folder).files
-    assert len(files) >= 4
-    gain = []
-    for file in files[first:]:
-        messages = file_messages(folder / file.path)
-        parameters = snapshots([m[1:] for m in messages if m[0] == EVENTS])
-        assert set(parameters) >= {f"/{node}" for node in NODES}
-        gain.append(parameters["/controller"]["arc.k1"].double_value)
-    assert gain[0] == 120.0 and gain[-1] == 90.0
-    found = by_topic(folder)
-    assert all(gaps(found[topic]) == 0 for topic in TOPICS)
 
 
 def test_a_node_that_comes_back_is_asked_again(ros, tmp_path):
@@ -442,17 +413,6 @@ def test_a_bag_that_is_taken_away_ends_the_recording_at_once(ros, tmp_path, stor
     if how == "folder renamed":
         assert recover(tmp_path / "elsewhere").messages > 0
         assert len(by_topic(tmp_path / "elsewhere")["/spool_position"]) <= 50
-
-
-def test_a_finished_file_that_is_taken_away_is_said(ros, tmp_path):
-    folder, log = tmp_path / "bag", tmp_path / "log"
-    ear = Ear(ros)
-    with recorder(folder, log, "max_duration:=0.5") as child:
-        spin_until(ros, lambda: "goes on in bag_1.mcap" in log.read_text(), "the second file")
-        (folder / "bag_0.mcap").unlink()
-        spin_until(ros, ear.heard(DiagnosticStatus.ERROR, "removed: bag_0.mcap"), "the error")
-        stop(child)
-    assert "bag_0.mcap, a finished file of the bag, is no longer in" in log.read_text()
 
 
 def test_types_that_are_not_installed():

@@ -6,12 +6,12 @@ import pytest
 import rcl
 import yaml
 from bench import call
-from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
-from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.parameter import parameter_value_to_python
 
+from valve_control.axis.tables import ROS_NODES
 from valve_control.control.parameters import files
-from valve_control.control.parameters.axis_parameters import ROS_NODES
-from valve_control.control.parameters.table import is_of_ros
+from valve_control.control.parameters.ros_file import is_of_ros
 from valve_control.nodes import NODES
 from valve_control.nodes.adapter import plain
 from valve_control.nodes.harness.processes import node_arguments, process
@@ -85,40 +85,3 @@ def same(found, wanted):
     """Whether two nodes have the same parameters, with the same types."""
     assert found == wanted
     return all(type(found[name]) is type(value) for name, value in wanted.items())
-
-
-def sent(ros, name, path, section):
-    """What `ros2 param load` sends of a section, one by one; returns the reasons of what was refused."""
-    messages = parameter_dict_from_yaml_file(str(path), target_nodes=[section]).values()
-    request = SetParameters.Request(parameters=list(messages))
-    results = call(ros, SetParameters, f"{name}/set_parameters", request).results
-    return [result.reason for result in results if not result.successful]
-
-
-def test_param_load_gives_an_axis_numbers_with_exponents(ros, tmp_path):
-    """`ros2 param load` sends 1.0e-13 as the word 1e-13, which was refused in the file of every axis."""
-    paths = sorted(files.config_folder().glob("axis/*.yaml"))
-    assert any("e-13" in path.read_text(encoding="utf-8") for path in paths)
-    with process("axis_simulator", [], tmp_path / "log"):
-        for path in paths:
-            for section in yaml.safe_load(path.read_text(encoding="utf-8")):
-                if section.rpartition("/")[2] == "axis_simulator":
-                    refused = sent(ros, "/axis_simulator", path, section)
-                    assert not [reason for reason in refused if "type" in reason], path
-            meant = files.load(str(path), nodes=ROS_NODES)["axis_simulator"]
-            small = {n: v for n, v in meant.items() if isinstance(v, float) and 0.0 < abs(v) < 1e-6}
-            found = parameters(ros, "/axis_simulator")
-            assert small and same({name: found[name] for name in small}, small)
-
-
-def test_a_word_that_is_no_number_is_still_refused(ros, tmp_path):
-    with process("controller", [], tmp_path / "log"):
-        for word in ("high", "nan", "1e400", "1e-05 V", "[1.0, 1e-05]"):
-            path = tmp_path / "file.yaml"
-            path.write_text(f"/controller: {{ros__parameters: {{arc.epsilon: '{word}'}}}}")
-            (reason,) = sent(ros, "/controller", path, "/controller")
-            assert "Wrong parameter type" in reason
-        path.write_text("/controller: {ros__parameters: {arc.epsilon: '1e-05', save_file: 1e-05}}")
-        assert sent(ros, "/controller", path, "/controller") == []
-        found = parameters(ros, "/controller")
-        assert (found["arc.epsilon"], found["save_file"]) == (1e-05, "1e-05")

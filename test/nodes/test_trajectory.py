@@ -12,14 +12,14 @@ from bench import Bench, controller, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
 from hypothesis import given
 from hypothesis import strategies as st
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND
 from valve_control.control.supervision.watch import BOTH
-from valve_control.nodes.adapter import decoded_point, encoded_point
+from valve_control.nodes.adapter import decoded_point
 from valve_control.nodes.harness.processes import process
 from valve_control.parameter import defaults, updated
 
@@ -39,14 +39,6 @@ def test_points_are_read_as_ros_writes_them(positions, velocities, accelerations
     for length in range(len(data)):  # what is cut off may be padding
         assert decoded_point(data[:length]) in (None, point)
     assert decoded_point(data[:19]) is None
-
-
-def test_points_are_written_as_ros_reads_them():
-    message = deserialize_message(encoded_point(1.5, -2.5, 3.5), JointTrajectoryPoint)
-    assert (message.positions[0], message.velocities[0], message.accelerations[0]) == (1.5, -2.5, 3.5)
-    assert len(message.positions) == len(message.velocities) == len(message.accelerations) == 1
-    assert decoded_point(encoded_point(1.5, -2.5, 3.5)) == ((1.5,), (-2.5,), (3.5,), 0)
-    assert decoded_point(encoded_point(0.0, 0.0, 0.0, 12_345_678_901)).time == 12_345_678_901
 
 
 def point(position, *derivatives, seconds=0.0):

@@ -40,13 +40,6 @@ def test_logs_without_a_folder_are_one_sentence(environment, words):
     assert words in str(error.value)
 
 
-def test_the_folder_of_the_logs_is_that_of_ros(tmp_path):
-    check_log_folder({"HOME": str(tmp_path / "home")})
-    check_log_folder({"ROS_LOG_DIR": str(tmp_path / "logs")})
-    made = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*"))
-    assert made == ["home", "home/.ros", "home/.ros/log", "logs"]
-
-
 def test_the_variable_is_that_of_the_installed_fast_dds(tmp_path):
     """Fast DDS 3 does not read the variable of version 2, and rmw_fastrtps warns of it in each process."""
     jazzy, kilted = tmp_path / "jazzy", tmp_path / "kilted"

@@ -36,12 +36,6 @@ def test_valves_like_the_d3fxe_keep_its_limits_and_ranges(model):
     assert models.scale_of(model) == models.D3FXE
 
 
-@pytest.mark.parametrize(("frequency", "accel", "rate"), [(100.0, 3.948e6, 3927.0), (350.0, 1e7, 13740.0)])
-def test_fast_valves_get_the_limits_6_and_7(frequency, accel, rate):
-    made = reshaping.limits(second_order(frequency), 10.0)
-    assert made == {"reshaping.max_accel": accel, "reshaping.max_rate": rate}
-
-
 def test_ranges_of_every_law_follow_from_the_valve():
     """In (4) of a valve of 35 Hz; and those of each law stay ranges that the table accepts."""
     model = second_order(35.0)

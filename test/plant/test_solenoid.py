@@ -12,12 +12,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from valve_control.control.compiling import compile_function
-from valve_control.control.laws import dcarc_valve
-from valve_control.control.laws.least_squares import Weights
-from valve_control.control.parameters import build
-from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant import registry, solenoid, solenoid_valve, valve
-from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import solenoid, solenoid_valve, valve
+from valve_control.parameter import defaults, updated
 
 STEP = compile_function(solenoid.step)
 PERIOD = 0.001
@@ -209,24 +206,6 @@ def test_stiff_integration_in_si_units_with_located_events_agrees(number, motion
     assert np.max(np.abs(finer - exact)) < 0.3 * np.max(np.abs(found - exact)) + 2e-5
 
 
-@pytest.mark.parametrize("number", range(12))
-def test_half_the_substep_changes_no_result_by_one_percent(number):
-    chosen = drawn(np.random.default_rng(100 + number))
-    given = MOTIONS[number % 3]
-    coarse, fine = (run(made(finer, **chosen), given)[:, 0] for finer in (1, 2))
-    assert np.max(np.abs(coarse - fine)) < 0.01 * np.ptp(fine)
-
-
-def test_plain_python_and_the_compiled_step_give_the_same_bits():
-    p = made(**EVERYTHING)
-    plain, compiled = run(p, MOTIONS[0], solenoid.step), run(p, MOTIONS[0])
-    assert np.array_equal(plain, compiled) and np.ptp(plain[:, 0]) > 2.0
-    state, read = solenoid.initial(p), compile_function(solenoid.read)
-    for voltage in MOTIONS[0][:30]:
-        state = STEP(p, state, float(voltage))
-        assert solenoid.read(p, state, 0.3) == read(p, state, 0.3)
-
-
 # Closed forms
 
 
@@ -299,15 +278,6 @@ def test_at_constant_velocity_the_bristles_follow_the_exact_exponential():
         assert bristle == pytest.approx(exact, abs=1e-6)
 
 
-def test_slow_motion_with_friction_has_the_coulomb_width():
-    p = made(gain=1.0, friction__coulomb=0.5, friction__presliding=0.01, natural_frequency=40.0, coil=0.001)
-    u = triangle(3.0, 2000)
-    x = run(p, u)[1:, 0]
-    up, down = x[8000 + 1000], x[8000 + 3000]  # both at 1.5 V
-    assert u[9000] == pytest.approx(1.5) and u[11000] == pytest.approx(1.5)
-    assert down - up == pytest.approx(2.0 * 0.5, rel=0.03)
-
-
 @pytest.mark.parametrize("frequency", [2.0, 15.0, 40.0])
 def test_small_motions_without_friction_have_the_model_s_response(frequency):
     chosen = dict(gain=0.9, coil=0.004, eddy=0.001, natural_frequency=15.0, flow_force=0.2, pressure=70.0,
@@ -349,29 +319,6 @@ def test_dead_time_of_whole_samples_shifts_the_motion():
     assert late[3:, 0] == pytest.approx(bare[:-3, 0], abs=1e-9)
 
 
-def test_dither_narrows_the_loop_of_friction():
-    def width(dither):
-        p = made(gain=1.0, friction__coulomb=0.3, friction__presliding=0.01, natural_frequency=40.0,
-                 coil=0.001, dither=dither, dither_frequency=100.0)  # fmt: skip
-        u = triangle(3.0, 2000)
-        x = np.convolve(run(p, u)[1:, 0], np.full(10, 0.1), "same")
-        return x[8000 + 3000] - x[8000 + 1000]
-
-    assert width(1.0) < 0.3 * width(0.0)
-
-
-@pytest.mark.parametrize(("overlap", "factor"), [(0.0, 1.0), (-0.5, 2.0)])
-def test_around_zero_both_sides_of_an_underlapped_magnet_act(overlap, factor):
-    p = made(gain=0.9, positive=1.0, negative=0.8, overlap=overlap, natural_frequency=30.0)
-    x = [run(p, [voltage] * 300)[-1, 0] for voltage in (0.2, -0.2)]
-    assert (x[0] - x[1]) / 0.4 == pytest.approx(factor * 0.9 * 0.9, rel=1e-6)
-    like = solenoid_valve.linear(p)
-    state = valve.initial(like)
-    for _ in range(300):
-        state = valve.step(like, state, 0.2)
-    assert state.x.x0 == pytest.approx(factor * 0.9 * 0.9 * 0.2, rel=1e-6)
-
-
 @pytest.mark.parametrize(("side", "overlap"), [(1.0, 0.0), (0.5, 0.0), (0.9, -9.0)])
 def test_friction_and_offset_of_the_linear_valve_are_voltages_at_its_input_whatever_the_sides_gain(
     side, overlap
@@ -400,19 +347,6 @@ def test_the_converter_has_its_steps_and_its_range():
         assert abs(shown - min(10.0 - step, max(-10.0, position))) <= 0.5 * step + 1e-12
 
 
-def test_hum_noise_bias_drift_and_dead_time_add_up_in_the_reading():
-    p = made(hum=0.005, hum_frequency=50.0, lvdt__bias=0.1, lvdt__noise=0.01, null_drift=0.002, warming=30.0,
-             warming_time=10.0, lvdt__delay=0.0025)  # fmt: skip
-    state, rows = solenoid.initial(p), []
-    for k in range(400):
-        rows.append((state.time, state.x.x0, solenoid.read(p, state, 2.0)))
-        state = STEP(p, state, math.sin(30.0 * k * PERIOD))
-    t, x, shown = np.array(rows).T
-    late = np.interp(t - 0.0025, t, x)
-    rest = shown - late - 0.1 - 0.02 - 0.005 * np.sin(2.0 * np.pi * 50.0 * t)
-    assert rest == pytest.approx(0.06 * (1.0 - np.exp(-t / 10.0)), abs=2e-4)
-
-
 # Properties
 
 
@@ -426,103 +360,4 @@ def test_any_valve_stays_within_its_stops_and_its_bristles_below_their_level(see
     assert np.all(f.stiffness * np.abs(rows[:, 5]) <= (f.coulomb + f.static) * (1.0 + 1e-9))
 
 
-@settings(max_examples=25, deadline=None)
-@given(st.lists(st.floats(-8.0, 8.0), min_size=1, max_size=6), st.integers(2, 4))
-def test_the_play_does_not_depend_on_the_rate(voltages, slower):
-    p = made(hysteresis=1.0, natural_frequency=50.0, coil=0.001)
-    quick, slow = (run(p, np.repeat(voltages, 100 * n))[-1, 4] for n in (1, slower))
-    play = 0.0
-    for voltage in voltages:
-        play = min(max(play, voltage - 0.5), voltage + 0.5)
-    assert quick == pytest.approx(play, abs=1e-9) and slow == pytest.approx(play, abs=1e-9)
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 10**6), st.floats(-9.0, 9.0))
-def test_a_constant_voltage_brings_every_valve_to_rest(seed, voltage):
-    rows = run(made(**drawn(np.random.default_rng(seed))), [voltage] * 1500)
-    assert np.ptp(rows[-200:, 0]) < 1e-3
-
-
 # Parameters
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"u_min": 10.0}, "solenoid.u_min is 10 V; it must lie below u_max, 10 V"),
-        (
-            {"hysteresis": 30.0},
-            "solenoid.hysteresis is 30 V; it must be narrower than the 23.33 V of the stroke",
-        ),
-        ({"stop_low": 0.0, "stop_high": 0.0}, "solenoid.stop_low is 0 V; it must lie below"),
-        ({"overlap": 10.0}, "solenoid.overlap is 10 V; it must lie below the limit of the amplifier, 10 V"),
-        (
-            {"friction__coulomb": 0.1},
-            "friction.presliding is 0 V; the friction of the solenoid valve needs more",
-        ),
-        ({"bits": 12, "lvdt__resolution": 0.01}, "both give the step of the reading; set one to 0"),
-        (
-            {"flow_force": -0.7, "pressure": 70.0},
-            "flow_force is -1.4 V/V at solenoid.pressure; it must lie above",
-        ),
-    ],
-)
-def test_numbers_that_contradict_each_other_are_refused_in_one_sentence(changes, said):
-    with pytest.raises(ParameterError) as refused:
-        build.valve_params(values(**changes))
-    assert said in str(refused.value) and "\n" not in str(refused.value)
-
-
-def test_a_varied_valve_has_its_gain_its_speed_its_dead_time_and_its_friction():
-    base = values(**EVERYTHING)
-    faster = build.valve_params({**base, **registry.chosen(base).scaled(base, 1.2, 2.0)})
-    p = build.valve_params(base)
-    assert faster.spool.gain == pytest.approx(1.2 * p.spool.gain)
-    assert faster.spool.natural_frequency == pytest.approx(2.0 * p.spool.natural_frequency)
-    assert (faster.magnet.coil, faster.magnet.eddy) == pytest.approx((0.0015, 0.0005))
-    weak = registry.plant_of(p).varied(p, 0.2, 1.5, 0.5)
-    assert weak.spool.gain == pytest.approx(0.2 * p.spool.gain)
-    assert weak.sensor.lvdt.delay == pytest.approx(2.2) and weak.friction.coulomb == pytest.approx(0.3)
-    quiet = solenoid_valve.steady(solenoid_valve.quiet(p))
-    assert quiet.sensor.hum == quiet.sensor.null_drift == quiet.magnet.gain_drift == 0.0
-
-
-def test_a_running_valve_takes_another_dead_time_where_it_stands():
-    former, p = (made(**{**EVERYTHING, "dead_time": dead}) for dead in (0.0013, 0.0048))
-    state = solenoid.initial(former)
-    for _ in range(100):
-        state = STEP(former, state, 3.0)
-    on = solenoid_valve.resumed(former, p, state)
-    assert on.x == state.x and solenoid_valve.resumed(former, former, state) is state
-    for _ in range(6):
-        on = STEP(p, on, 3.0)
-    assert on.x.x0 == pytest.approx(state.x.x0, abs=0.1)
-
-
-def test_dcarc_takes_friction_and_offset_as_voltages_of_its_model():
-    """Where sides of gain 0.5 rest: 2 V overcome a friction of 1 V, and an offset of 0.1 V is 0.2 V."""
-    known = values(
-        positive=0.5,
-        negative=0.5,
-        friction__coulomb=1.0,
-        friction__presliding=0.01,
-        disturbance__offset=0.1,
-    )
-    weights = Weights(*dcarc_valve.of_plant(defaults(CONTROLLER), known)["dcarc.theta_initial"])
-    assert (weights.bristle2, weights.offset) == pytest.approx((2.0, -0.2))
-    valve_params = solenoid_valve.build(known)
-    gain = solenoid_valve.model(known).static_gain
-    for voltage in (3.0, 5.0):
-        rest = run(valve_params, [*np.linspace(0.0, voltage, 500), *[voltage] * 1000])[-1, 0]
-        assert rest == pytest.approx(gain * (voltage - weights.bristle2 - weights.offset), rel=0.01)
-    stuck = run(valve_params, [weights.bristle2 + weights.offset - 0.1] * 1000)[-1, 0]
-    assert 0.0 < stuck < 0.04
-
-
-def test_dcarc_takes_a_valve_whose_sides_differ_by_more_than_its_range():
-    """The whole model of the valve was refused, since dcarc.sides ends at 1."""
-    known = values(positive=3.0, negative=1.0)
-    made = dcarc_valve.of_plant(defaults(CONTROLLER), known)
-    assert updated(CONTROLLER, defaults(CONTROLLER), made)["dcarc.sides"] == 1.0
-    assert dcarc_valve.of_plant(defaults(CONTROLLER), defaults(VALVE)) == {}  # it has no solenoids

@@ -124,21 +124,6 @@ def test_calibrated_valve_has_the_bits_of_its_offline_run(config, controller):
     assert results.e_M[0] == run.indices.e_M and results.e_F[0] == run.indices.e_F
 
 
-def test_one_array_of_commands_for_all_is_the_same_as_a_row_for_each():
-    _, many = several("arc", 300)
-    one = many._replace(commands=many.commands[3])
-    each = many._replace(commands=np.tile(many.commands[3], (len(SEEDS), 1)))
-    for a, b in zip(batch.simulate(one), batch.simulate(each), strict=True):
-        assert np.array_equal(a, b, equal_nan=True)
-
-
-@pytest.mark.parametrize("shape", [(), (0,), (3, 50), (11, 0), (1, 50), (50, 11), (11, 50, 1)])
-def test_commands_of_another_shape_are_refused(shape):
-    _, many = several("arc", 50)
-    with pytest.raises(ValueError, match=r"commands of 11 valves have shape \(n\) or \(11, n\), not"):
-        batch.simulate(many._replace(commands=np.zeros(shape)))
-
-
 def test_neither_threads_nor_neighbours_change_a_valve():
     _, many = several("oarc", 700)
     one, three = batch.simulate(many, 1), batch.simulate(many, 3)
@@ -154,14 +139,6 @@ def test_neither_threads_nor_neighbours_change_a_valve():
     )
     for a, b in zip(one, alone, strict=True):
         assert np.array_equal(a[7:8], b, equal_nan=True)
-
-
-def test_a_column_of_records_is_changed_at_once():
-    _, many = several("arc", 300)
-    before = batch.simulate(many)
-    many.law_params["gamma"]["a1"] *= 50.0
-    after = batch.simulate(many)
-    assert np.all(before.e_rms != after.e_rms)
 
 
 def test_an_unstable_valve_is_told_and_spoils_no_other():
@@ -199,19 +176,6 @@ def test_indices_are_those_of_the_last_two_seconds():
     assert results.u_rms[4] == pytest.approx(rms(traces[4, :, 2]), rel=1e-12)
 
 
-def test_valves_of_one_batch_have_one_sample_period():
-    _, many = several("arc", 10)
-    many.valve_params["period"][2] = 0.002
-    with pytest.raises(ValueError, match="one sample period"):
-        batch.simulate(many)
-
-
-def test_counts_that_do_not_agree_are_refused():
-    _, many = several("arc", 10)
-    with pytest.raises(ValueError, match="11 valves"):
-        batch.simulate(many._replace(law_params=many.law_params[:4]))
-
-
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -220,6 +184,7 @@ def test_counts_that_do_not_agree_are_refused():
         ({"seeds": [-1] * 11}, "none below 0"),
         ({"seeds": [1.5] * 11}, "whole numbers"),
         ({"commands": np.full(50, np.nan)}, "finite"),
+        ({"commands": np.zeros((50, 11))}, r"commands of 11 valves have shape \(n\) or \(11, n\), not"),
         ({"led": np.zeros((11, 49))}, "with their lead"),
         ({"law_params": np.zeros(11)}, "law_params must be valve_control.control.laws.arc.Params"),
         ({"controller": "oarc"}, "law_params must be valve_control.control.laws.oarc.Params"),
@@ -231,13 +196,18 @@ def test_batches_that_do_not_fit_together_are_refused(change, text):
         batch.simulate(many._replace(**change))
 
 
-def test_law_and_valve_of_different_limits_are_refused():
+@pytest.mark.parametrize(
+    ("rows", "field", "text"),
+    [
+        ("valve_params", "period", "one sample period"),
+        ("law_params", "u_max", "u_max differs between law and valve"),
+    ],
+)
+def test_valves_of_one_batch_agree(rows, field, text):
     _, many = several("arc", 50)
-    many.law_params["u_max"][4] = 5.0
-    with pytest.raises(ValueError, match="u_max differs between law and valve"):
+    getattr(many, rows)[field][2] = 0.002
+    with pytest.raises(ValueError, match=text):
         batch.simulate(many)
-    with pytest.raises(ValueError, match=r"shape \(11, 50, 3\)"):
-        batch.simulate(several("arc", 50)[1], traces=np.zeros((11, 50, 2)))
 
 
 def test_interruption_does_not_wait_for_the_blocks_that_have_not_begun(monkeypatch):

@@ -50,17 +50,6 @@ def test_simulate_says_saturation_and_limit_cycle(run, config, file, controller,
     assert "% of the samples, limit cycle at" in line and "Hz with 10 V from" in line
 
 
-def test_compare_and_study_say_it_too(run, config, tmp_path):
-    done = run("compare", *settings_of_third_order(), "--duration", "3.0", "--json", tmp_path / "c.json")
-    assert "arc: saturated in" in done.out and "arc with these gains is unstable on this valve" in done.err
-    runs = {run["controller"]: run for run in json.loads((tmp_path / "c.json").read_text())["runs"]}
-    assert runs["arc"]["limit_cycle"] is not None and runs["open_loop"]["limit_cycle"] is None
-    done = run("study", "--controller", "oarc", "--valves", "10000", "--replay", "4485", "--json", "-")
-    result = json.loads(done.out)
-    assert result["limit_cycle"]["amplitude"] > 5.0 and result["saturated"] > 0.3
-    assert "on this valve" in result["warning"]
-
-
 @pytest.mark.parametrize("file", ["arc", "oarc", "pid", "pid_plain", "compensator", "open_loop"])
 @pytest.mark.parametrize("plant", ["second_order", "fourth_order", "d3fxe"])
 def test_shipped_laws_on_shipped_valves_neither_cycle_nor_warn(config, file, plant, simulate):

@@ -52,11 +52,6 @@ def test_sweep_passes_its_end_frequency():
     assert math.isclose(0.5 / np.mean(np.diff(crossings[-5:])), 59.0, rel_tol=0.05)
 
 
-def test_unknown_scenario():
-    with pytest.raises(ValueError, match="point_to_point"):
-        scenarios.command(shape(scenario="zigzag"), 1.0)
-
-
 def test_stepped_sine_has_whole_cycles_of_log_spaced_frequencies():
     s = shape(scenario="stepped_sine", frequency=2.0, end_frequency=32.0, steps=5, cycles=4, step_time=0.5)
     steps = scenarios.steps_of(s)

@@ -47,6 +47,7 @@ class Loop:
         self.k = 0
         self.voltages = []
         self.commanded = True
+        self.unnumbered = 0  # samples that got no number
         self.amplitude, self.frequency = 2.0, 1.5  # V, Hz
 
     def command(self):
@@ -55,14 +56,14 @@ class Loop:
     def reading(self):
         return valve.read(self.p, self.s, float(self.random.standard_normal()))
 
-    def step(self, spoil=lambda reading: reading, send=True):
+    def step(self, spoil=lambda reading: reading, send=True, elapsed=0.0):
         """One sample; ``spoil`` turns the reading into what arrives, ``send`` False loses it."""
         if self.commanded:
             self.supervisor.command(self.command())
         reading = spoil(self.reading())
         self.k += 1
         if send:
-            voltage = self.supervisor.sample(reading, self.k)
+            voltage = self.supervisor.sample(reading, self.k - self.unnumbered, elapsed)
             assert math.isfinite(voltage) and abs(voltage) <= 10.0
             self.voltages.append(voltage)
         self.s = valve.step(self.p, self.s, self.supervisor.voltage)
@@ -189,6 +190,44 @@ def test_time_of_lost_samples_counts_for_the_reference():
     assert gapped.supervisor.telemetry()[index] == pytest.approx(
         whole.supervisor.telemetry()[index], abs=0.05
     )
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_driver_that_stood_still_is_like_lost_readings(law):
+    """The spool has moved on for 10 ms: the law is stepped over them, as if numbers were missing."""
+    runs = []
+    for unnumbered in (0, 9):
+        loop = Loop(law).run(340).run(9, send=False)
+        loop.unnumbered = unnumbered
+        loop.step(elapsed=0.01)
+        runs.append(loop.run(50).voltages)
+    assert runs[0] == runs[1]
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_readings_that_come_late_in_a_burst_are_no_lost_ones(law):
+    """Between them the spool has moved for one period each."""
+    loop = Loop(law).run(340)
+    loop.step(elapsed=0.01)
+    loop.run(9, elapsed=0.0001)
+    assert loop.run(40).voltages == Loop(law).run(390).voltages
+
+
+def test_the_open_loop_has_no_limit_cycle():
+    """Its voltage is the command, however unevenly that comes; a law with feedback may cycle."""
+    found = []
+    for law in ("open_loop", "arc"):
+        values = changed.controller(controller=law, oscillation_limit=0.1)
+        supervisor = Supervisor()
+        supervisor.apply(values, build.law_params(values))
+        for k in range(2000):
+            wobble = 0.03 * (k // 3 % 2)
+            supervisor.command(
+                0.0 if law == "arc" else 3.0 * math.sin(2.0 * math.pi * 8.2 * k * PERIOD) + wobble
+            )
+            supervisor.sample(0.3 * math.sin(2.0 * math.pi * 8.2 * k * PERIOD), k + 1)
+        found.append("oscillation" in supervisor.conditions)
+    assert found == [False, True]
 
 
 def test_a_longer_gap_than_allowed_is_silence():

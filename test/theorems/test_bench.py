@@ -51,9 +51,3 @@ def test_observer_peak_is_the_integral_of_the_impulse_response():
         response.append(x[1])
     assert math.isclose(peak, scipy.integrate.trapezoid(np.abs(response), t), rel_tol=1e-3)
     assert peak > k1 / k2  # what a constant disturbance of 1 V/s² leads to
-
-
-def test_order_of_a_power():
-    x = np.array([1.0, 2.0, 5.0])
-    assert math.isclose(bench.order(x, 3.0 * x**1.7), 1.7)
-    assert math.isnan(bench.order(x[:1], x[:1]))

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from research.theorems import robust, tables
+from research.theorems import robust
 from valve_control.control.laws.projection import Theta
 
 VALVES = 60
@@ -71,50 +71,6 @@ def test_a_disturbance_beyond_its_bound_does_break_it():
     assert above > 5
 
 
-def test_runs_that_saturate_at_once_count_as_not_checked(experiment):
-    """They must neither be among the runs below the bound nor hide how near to it the others come."""
-    cell = experiment.cell("oarc", 1e-4)
-    unknown = np.isnan(cell.ratio)
-    assert 0 < np.sum(unknown) == cell.saturated_at_start < 0.1 * VALVES
-    assert np.all(cell.saturated[unknown] == 1.0)
-    for values in (cell.settled, cell.time, cell.excess, cell.loop_gain):
-        assert np.all(np.isnan(values[unknown])) and np.all(np.isfinite(values[~unknown]))
-    assert (cell.checked, cell.checked_later, cell.saturated_later) == (np.sum(~unknown), cell.checked, 0)
-    assert cell.quantile(0.0) == np.min(cell.ratio[~unknown]) > 0.0
-    data = next(
-        c for c in tables.robust_data(experiment)["cells"] if (c["law"], c["period"]) == ("oarc", 1e-4)
-    )
-    assert data["excess_worst"] == np.max(cell.excess[~unknown]) < 0.0
-    assert (data["saturated_at_start"], data["checked"]) == (cell.saturated_at_start, cell.checked)
-
-
-def test_percentages_are_of_the_checked_runs():
-    """Five runs: one saturates at once, one is above its bound and saturates before it is settled."""
-    nan = np.nan
-    ratio, settled = np.array([nan, 1.5, 0.5, 1.2, 0.6]), np.array([nan, nan, 0.4, 1.1, 0.2])
-    saturated = np.array([1.0, 1.0, 0.0, 0.0, 0.0])
-    known = np.array([nan, 1.0, 1.0, 1.0, 1.0])
-    cell = robust.Cell("oarc", 1e-3, *np.ones((2, 5)), ratio, settled, known, known, known, known, saturated)
-    experiment = robust.Experiment(1, 5, 0.4, (cell,))
-    line = next(line for line in tables.robust_lines(experiment) if line.startswith("OARC  "))
-    assert line.split()[2:6] == ["20.00", "50.00", "33.33", "25.00"]
-    assert tables.robust_data(experiment)["cells"][0]["above_bound_then_saturated"] == 1
-
-
-def test_runs_that_saturate_before_the_start_is_forgotten_have_no_later_ratio(experiment):
-    cell = experiment.cell("arc", 1e-3)
-    short = np.isfinite(cell.ratio) & np.isnan(cell.settled)
-    assert np.all(cell.saturated[short] == 1.0)
-    assert cell.checked_later == cell.checked - np.sum(short)
-
-
-def test_a_study_whose_only_run_saturates_at_once_has_a_table():
-    experiment = robust.experiment(1, 15, ["oarc"], [1e-3, 5e-4], 0.05)
-    assert all(cell.saturated_at_start == 1 for cell in experiment.cells)
-    assert np.isnan(experiment.scaling("oarc").order) and np.isnan(experiment.cells[0].worst)
-    assert "nan" not in "\n".join(tables.robust_lines(experiment))
-
-
 @pytest.mark.parametrize("law", robust.LAWS)
 def test_compiled_and_plain_loops_give_the_same_bits(law):
     """Also that numba's cache did not hand out the loop of another law."""
@@ -123,15 +79,6 @@ def test_compiled_and_plain_loops_give_the_same_bits(law):
     args = (p, s, case.motion, robust.valve_of(case, 1e-3), robust.Spool(x1, x2), 100)
     results = [np.array(robust.loop_for(law, compiled)(*args)) for compiled in (True, False)]
     assert np.array_equal(*results, equal_nan=True)
-
-
-def test_cases_come_from_the_seed_alone():
-    assert robust.draw(5, 7).truth == robust.draw(5, 7).truth
-    assert robust.draw(5, 7).truth != robust.draw(6, 7).truth
-    for number in range(50):
-        case = robust.draw(5, number)
-        assert all(lo <= t <= hi for lo, t, hi in zip(case.lower, case.truth, case.upper, strict=True))
-        assert all(lo <= t <= hi for lo, t, hi in zip(case.lower, case.estimate, case.upper, strict=True))
 
 
 def test_disturbances_keep_to_their_bound():
@@ -143,13 +90,3 @@ def test_disturbances_keep_to_their_bound():
             for side in (-1.0, 1.0)
         ]
         assert np.max(np.abs(values)) <= case.push.size
-
-
-def test_blocks_in_processes_come_back_in_order():
-    seen = []
-    alone = robust.experiment(4, 1, ["arc"], [1e-3], 0.01)
-    both = robust.experiment(
-        4, 1, ["arc"], [1e-3], 0.01, processes=2, progress=lambda done, n: seen.append((done, n))
-    )
-    assert np.array_equal(alone.cells[0].ratio, both.cells[0].ratio, equal_nan=True)
-    assert seen == [(1, 1)]

@@ -7,20 +7,19 @@ import math
 import numpy as np
 import pytest
 import scipy.optimize
-from hypothesis import given
-from hypothesis import strategies as st
 
+from research import comparison
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.linear import linear_loop, many_states, margins
+from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER
 from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.plant.valve import FREE
-from valve_control.control.simulation import batch, comparison
+from valve_control.control.simulation import batch
 from valve_control.design.tuning import limit_cycles, trial
-from valve_control.design.tuning.trial import GainSet, TuningMotion
-from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.design.tuning.trial import GainSet
+from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001
 WIDE_BOUNDS = {"theta_min": [-1e6, -1e6, 980.0, -1e6], "theta_max": [1e6, 1e6, 1e6, 1e6]}
@@ -38,7 +37,7 @@ def plant(**changes):
 
 def problem_of(law, plants, motions=(), **changes):
     values = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, **changes})
-    return trial.Problem(values, list(motions), plants, plants, trial.USUAL, False, False, 1)
+    return trial.Problem(values, list(motions), plants, plants, trial.USUAL, False, 1)
 
 
 @pytest.mark.parametrize("law", ["arc", "oarc"])
@@ -114,15 +113,6 @@ def test_what_rings_down_slowly_is_no_limit_cycle():
         assert found.tolist() == lasting
 
 
-def test_a_loop_is_asked_to_rest_where_its_motions_go():
-    """One more step than the usual two, to the farthest point of the motions."""
-    motion = TuningMotion("far", np.array([0.0, -4.0, 2.0]))
-    near = TuningMotion("near", np.array([0.0, 0.7, 0.0]))
-    assert set(limit_cycles.steps(PERIOD, [near]).wanted) == {0.0, 0.3, -1.0}
-    wanted = limit_cycles.steps(PERIOD, [near, motion]).wanted
-    assert wanted[-1] == 4.0 and len(wanted) == len(limit_cycles.steps(PERIOD).wanted) + 1000
-
-
 def test_stressed_valves_have_half_of_the_margins_used_up_and_less_friction():
     rubbing = FREE._replace(coulomb=1.5)
     plants = [plant(disturbance=rubbing) for _ in range(30)]
@@ -135,24 +125,3 @@ def test_stressed_valves_have_half_of_the_margins_used_up_and_less_friction():
     assert np.all(delays[gains != 1.0] == 0.0)
     friction = np.sort([p.disturbance.coulomb for p in made])
     assert friction[0] > 0.0 and friction[-1] == 1.5 and np.max(np.diff(friction)) < 0.15
-
-
-@given(
-    name=st.sampled_from([name for name, law in LAWS.items() if law.feedback]),
-    shares=st.lists(st.floats(0.0, 1.0), min_size=24, max_size=24),
-    frozen=st.booleans(),
-)
-def test_compiled_steps_give_the_linear_form_of_plain_ones_bit_for_bit(name, shares, frozen):
-    law = LAWS[name]
-    usual = defaults(CONTROLLER)
-    free = trial.free_numbers(law, usual, preview=False)
-    try:
-        gains = trial.gains_at(free, usual, shares[: len(free)])
-        params = law.build(updated(CONTROLLER, usual, gains.changes))
-    except ParameterError:
-        return
-    plain = linear_loop.linear_law(law, params, frozen)
-    compiled = linear_loop.linear_law(law, params, frozen, many_states.stepped)
-    for a, b in zip(plain, compiled, strict=True):
-        assert np.array_equal(a, b, equal_nan=True)
-    assert math.isfinite(plain.d)

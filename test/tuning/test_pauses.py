@@ -20,6 +20,7 @@ from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
 from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001
+GAINS = GainSet({}, 0.0)  # as they are
 MOST = 12000.0  # V/s²
 
 
@@ -30,11 +31,11 @@ def sine(amplitude, frequency, seconds=3.0):
 
 def problem(wanted, law="dcarc", **changes):
     values = changed.controller(controller=law, **changes)
-    return Problem(values, [TuningMotion("wanted", wanted)], [], [], trial.USUAL, False, False, 1)
+    return Problem(values, [TuningMotion("wanted", wanted)], [], [], trial.USUAL, False, 1)
 
 
 def shortest(wanted, law="dcarc", **changes):
-    return pauses.shortest(LAWS[law], problem(wanted, law, **changes), GainSet({}, 0.0))
+    return pauses.shortest(LAWS[law], problem(wanted, law, **changes), GAINS)
 
 
 def reference(commands, **changes):
@@ -115,33 +116,19 @@ def test_with_room_below_the_limit_every_pause_is_borne(share, frequency, natura
     assert math.isinf(shortest(sine(amplitude, frequency, 1.5), **settings))
 
 
-@pytest.mark.parametrize(
-    "longest, period, expected",
-    [
-        (0.01, 0.001, [2, 4, 6, 8, 10]),
-        (0.01, 0.004, [1, 2]),
-        (0.011, 0.002, [1, 2, 3, 4, 5]),
-        (0.0001, 0.001, [1]),
-        (0.0, 0.001, []),
-    ],
-)
-def test_lengths(longest, period, expected):
-    assert pauses.lengths(period, longest, longest) == expected
-    # What is asked for is among those that are told of.
-    assert set(expected) <= set(pauses.lengths(period, pauses.LONGEST, longest))
-
-
 def test_what_is_not_reshaped_and_what_is_known_ahead_is_not_looked_at():
     wanted = sine(1.0, 12.0)
     settings = {"reshaping__natural_frequency": 800.0}
     assert shortest(wanted, **settings) < math.inf
     assert shortest(wanted, "pid", pid__form="plain", **settings) is None
     ahead = problem(wanted, **settings)._replace(preview=True)
-    assert pauses.shortest(LAWS["dcarc"], ahead, GainSet({}, 0.0)) is None
-    assert pauses.as_text(None) == "not looked at" and pauses.borne(LAWS["dcarc"], ahead, GainSet({}, 0.0))
+    assert pauses.shortest(LAWS["dcarc"], ahead, GAINS) is None
+    assert pauses.as_text(None) == "not looked at" and pauses.unborne(LAWS["dcarc"], ahead, [GAINS]) == [
+        math.inf
+    ]
     none = problem(wanted, **settings)
     none = none._replace(limits=trial.USUAL._replace(pause_s=0.0))
-    assert pauses.borne(LAWS["dcarc"], none, GainSet({}, 0.0))
+    assert pauses.unborne(LAWS["dcarc"], none, [GAINS]) == [math.inf]
 
 
 @pytest.mark.parametrize("valve", ["d3fxe", "d3fxe_experiment"])
@@ -150,7 +137,5 @@ def test_shipped_gains_bear_pauses_on_their_commands(valve, law, config):
     values = files.load(str(config / "tuned" / f"{valve}_{law}.yaml"))["controller"]
     names = ("fast_strokes", "sines", "slow_strokes")
     motions = [TuningMotion(name, arrays.read(str(config / "commands" / f"{name}.csv"))) for name in names]
-    there = Problem(
-        updated(CONTROLLER, defaults(CONTROLLER), values), motions, [], [], trial.USUAL, False, False, 1
-    )
-    assert math.isinf(pauses.shortest(LAWS[law], there, GainSet({}, 0.0)))
+    there = Problem(updated(CONTROLLER, defaults(CONTROLLER), values), motions, [], [], trial.USUAL, False, 1)
+    assert math.isinf(pauses.shortest(LAWS[law], there, GAINS))

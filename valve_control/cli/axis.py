@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
-from valve_control.cli import moved
 from valve_control.cli.common import check_outputs, deliver, parameter_options, tell_notes, write_json, wrote
 from valve_control.control.laws.registry import LAWS
 from valve_control.parameter import Values, updated
 
 if TYPE_CHECKING:
-    from valve_control.control.axis.run import Run, Setup
+    from valve_control.axis.run import Run, Setup
 
 
 def add_commands(commands: Any) -> None:
@@ -35,14 +34,13 @@ def add_commands(commands: Any) -> None:
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
     output.add_argument("--csv", metavar="FILE", help="signals as CSV")
     output.add_argument("--figure", metavar="FILE", help="motion, error, spool and pressures as PNG or SVG")
-    axis.add_argument("--delta", action=moved.Option)
     axis.set_defaults(run=_axis)
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
-    from valve_control.control.axis import run
+    from valve_control.axis import run
+    from valve_control.axis.axis_parameters import AXIS_NODES
     from valve_control.control.parameters import files
-    from valve_control.control.parameters.axis_parameters import AXIS_NODES
 
     direct: dict[str, dict[str, Any]] = {
         "controller": {"controller": arguments.controller},
@@ -51,14 +49,13 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
     }
     notes: list[str] = []
     changes = files.given(arguments.params_file, direct, arguments.set, notes, AXIS_NODES)
-    notes += files.without_effect(arguments.set, changes, AXIS_NODES)
     tell_notes(notes)
     begun = run.default_settings()
     return {node: updated(table, begun[node], changes[node]) for node, table in AXIS_NODES.items()}
 
 
 def _axis(arguments: argparse.Namespace) -> None:
-    from valve_control.control.axis import run
+    from valve_control.axis import run
     from valve_control.control.compiling import explained
     from valve_control.control.laws.registry import LAWS
 
@@ -73,7 +70,7 @@ def _axis(arguments: argparse.Namespace) -> None:
             f"{setup.law:<18}{1e3 * i.e_max:>12.4f}{1e3 * i.e_end:>12.4f}{1e3 * i.e_rms:>12.4f}"
             f"{i.u_rms:>11.3f}{i.chatter:>9.4f}{1e-3 * i.energy:>13.3f}"
         )
-        print("; ".join(_words(setup, found)))
+        print(_notes(setup, found))
     if arguments.csv is not None:
         columns = {"time": found.time, **found.signals}
         deliver(arguments, arguments.csv, outputs.csv_text(columns, "%.10g"))
@@ -95,18 +92,15 @@ def _extremes(found: "Run") -> dict[str, float]:
     }
 
 
-def _words(setup: "Setup", found: "Run") -> list[str]:
-    e = _extremes(found)
-    words = [
-        f"fastest {e['speed_max']:.3g} m/s",
-        f"pressures {1e-5 * e['pressure_min']:.4g} to {1e-5 * e['pressure_max']:.4g} bar",
-    ]
-    if e["pressure_min"] <= setup.machine.axis.vapour:
-        words.append("the oil cavitates")
-    stroke = setup.machine.axis.cylinder.stroke
-    if found.signals["position"].min() <= 0.0 or found.signals["position"].max() >= stroke:
-        words.append("the piston meets a stop")
-    return words
+def _notes(setup: "Setup", found: "Run") -> str:
+    e, position, machine = _extremes(found), found.signals["position"], setup.machine.axis
+    text = (
+        f"fastest {e['speed_max']:.3g} m/s; "
+        f"pressures {1e-5 * e['pressure_min']:.4g} to {1e-5 * e['pressure_max']:.4g} bar"
+    )
+    text += "; the oil cavitates" * (e["pressure_min"] <= machine.vapour)
+    meets = position.min() <= 0.0 or position.max() >= machine.cylinder.stroke
+    return f"{text}; the piston meets a stop" if meets else text
 
 
 def _draw(path: Path, setup: "Setup", found: "Run") -> None:

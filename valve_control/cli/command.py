@@ -22,13 +22,12 @@ from valve_control.control.laws.registry import LEFT_OUT
 EXAMPLES = """examples:
   valve-control identify --set lvdt.noise=0.005 --output valve.yaml --figure bode.png
   valve-control compensator --from valve.yaml --bandwidth 25 --output compensator.yaml
-  valve-control calibrate paper --set duration=9.3 --output my_valve.yaml
   valve-control parameters arc
   valve-control simulate --controller oarc --scenario sine --set frequency=6.0 --set amplitude=1.0
   valve-control simulate --controller arc --params-file config/arc.yaml --json -
   valve-control compare --params-file config/d3fxe.yaml --figure compare.png
   valve-control study --controller oarc --valves 10000 --figure study.png
-  valve-control study --controller oarc --replay 4711 --figure worst.png
+  valve-control study --controller oarc --replay 4711 --output worst.yaml
   valve-control axis --params-file config/axis/bench.yaml --controller pid --figure axis.png
   valve-control export --controller oarc --params-file config/d3fxe.yaml --output oarc_in_c
   valve-control tune --controller dcarc --max-chatter 0.25 --output tuned.yaml
@@ -44,7 +43,7 @@ EXAMPLES = """examples:
 
 
 GROUPS = {  # in the order of the help; others of a group follow
-    "your valve": ("identify", "compensator", "calibrate", "parameters"),
+    "your valve": ("identify", "compensator", "parameters"),
     "simulate": ("simulate", "compare", "study", "tune", "margins", "axis"),
     "the machine": ("commission", "export"),
     "recordings": ("analyze", "replay", "bag"),

@@ -9,18 +9,14 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NoReturn
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
 
 from valve_control import interrupts, outputs, priority
 from valve_control.control.compiling import LawError
 from valve_control.control.laws.registry import LEFT_OUT
 from valve_control.parameter import ParameterError
 from valve_control.recordings.bags.errors import BagError
-
-if TYPE_CHECKING:
-    from valve_control.control.simulation.cluster import Cluster
 
 MOST_PER_CORE = 4  # processes or threads
 MOST_SEED, MOST_VALVES = 2_000_000_000, 100_000  # of a search
@@ -164,29 +160,6 @@ def bag_options(group: Any) -> None:
         "--to", dest="end", type=float, metavar="S", help="end S seconds after the beginning of the bag"
     )
     clock_option(group)
-
-
-def cluster_option(group: Any) -> None:
-    """Add --cluster."""
-    group.add_argument(
-        "--cluster", metavar="ADDRESS", help="scheduler of dask.distributed, such as tcp://host:8786"
-    )
-
-
-@contextmanager
-def workers(arguments: argparse.Namespace) -> Iterator["Cluster | None"]:
-    """The cluster that --cluster names, None for this machine's threads. Raises ParameterError."""
-    if arguments.cluster is None:
-        yield None
-        return
-    from valve_control.control.simulation import cluster
-
-    with cluster.connected(arguments.cluster) as connected:
-        yield connected
-        if connected.lost:
-            print(
-                f"note: {connected.lost} parts were lost with their workers and done again", file=sys.stderr
-            )
 
 
 class Progress:

@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Defines the sub-command `export`: C99 or an FMU of a law, or of the simulated valve or axis."""
+"""Defines the sub-command `export`: C99 or an FMU of a law, or of the simulated valve."""
 
 import argparse
 import os
-from collections.abc import Mapping
 from typing import Any
 
+from valve_control import outputs
 from valve_control.cli.common import check_outputs, parameter_options, tell_notes, write_json, wrote
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import NODES
-from valve_control.parameter import ParameterError, Values, defaults, updated
+from valve_control.parameter import ParameterError, defaults, updated
 
 
 def add_commands(commands: Any) -> None:
@@ -26,8 +26,8 @@ def add_commands(commands: Any) -> None:
     group.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
     group.add_argument(
         "--plant",
-        choices=("valve", "axis"),
-        help="export the simulated valve, or the axis that it feeds, instead of a law",
+        choices=("valve",),
+        help="export the simulated valve instead of a law",
     )
     group.add_argument(
         "--watch",
@@ -42,11 +42,6 @@ def add_commands(commands: Any) -> None:
     )
     output.add_argument(
         "--fmu", type=int, choices=(2, 3), help="write an FMU of FMI 2.0 or 3.0; needs a C compiler"
-    )
-    output.add_argument(
-        "--parameters-only",
-        action="store_true",
-        help="write only the numbers for NAME_set_design, to retune exported C without a compiler",
     )
     output.add_argument(
         "--json", metavar="FILE", help="list of the exported items as JSON; - for standard output alone"
@@ -64,8 +59,6 @@ def _refuse_contradictions(arguments: argparse.Namespace) -> None:
         raise ParameterError("an FMU has the law alone; leave out --watch")
     if arguments.watch and arguments.float:
         raise ParameterError("the watch counts time, for which float has too few digits; leave out --float")
-    if arguments.parameters_only and (arguments.plant is not None or arguments.fmu is not None):
-        raise ParameterError("--parameters-only is for the C of a law; leave out --plant and --fmu")
     if arguments.fmu is None and arguments.output.lower().endswith(".fmu"):
         raise ParameterError(
             f"--output {arguments.output} is the name of an FMU, and C goes into a folder; --fmu 2 or "
@@ -79,41 +72,31 @@ def _export(arguments: argparse.Namespace) -> None:
     from tqdm import tqdm
 
     from valve_control.control.parameters import files
-    from valve_control.control.parameters.axis_parameters import AXIS_NODES
-    from valve_control.export import folder, settable, unit
+    from valve_control.export import fmu, folder, settable, unit
 
     path = folder.refuse_taken(arguments.output)
     check_outputs(arguments, [str(path)])
     _refuse_contradictions(arguments)
     notes: list[str] = []
     direct = {"controller": {"controller": arguments.controller}}
-    nodes = AXIS_NODES if arguments.plant == "axis" else NODES
-    changes = files.given(arguments.params_file, direct, arguments.set, notes, nodes)
-    notes += files.without_effect(arguments.set, changes, nodes)
-    used = {None: ["controller"], "valve": ["valve_simulator"], "axis": ["axis_simulator", "valve_simulator"]}
-    exported = {node: nodes[node] for node in used[arguments.plant]}
-    what = f"the {arguments.plant}" if arguments.plant else "a law"
-    files.refuse_others(arguments.set, exported, f"export writes {what} alone")
+    changes = files.given(arguments.params_file, direct, arguments.set, notes)
+    node, what = ("valve_simulator", "the valve") if arguments.plant else ("controller", "a law")
+    files.refuse_others(arguments.set, {node: NODES[node]}, f"export writes {what} alone")
     tell_notes(notes)
-
-    def values(node: str) -> Values:
-        return updated(nodes[node], defaults(nodes[node]), changes[node])
-
-    if arguments.plant == "axis":
-        chosen = unit.hydraulic_axis(values("axis_simulator"), values("valve_simulator"))
-    elif arguments.plant == "valve":
-        chosen = unit.plant(values("valve_simulator"))
+    values = updated(NODES[node], defaults(NODES[node]), changes[node])
+    if arguments.plant:
+        chosen = unit.plant(values)
     else:
-        chosen = (unit.watched if arguments.watch else unit.law)(values("controller"))
+        chosen = (unit.watched if arguments.watch else unit.law)(values)
     with tqdm(total=len(chosen.table) + 1, unit="parameter", leave=False, disable=None) as bar:
         found = settable.find(chosen, bar.update)
-        content = _content(arguments, chosen, found)
-    if isinstance(content, bytes):
-        folder.write_file(path, content)
-        wrote(arguments, arguments.output)
-    else:
-        folder.write(path, content)
-        wrote(arguments, os.path.join(arguments.output, ""), f" with {', '.join(content)}")
+        if arguments.fmu is not None:
+            outputs.write(str(path), fmu.make(chosen, arguments.fmu, found))
+            wrote(arguments, arguments.output)
+        else:
+            content = folder.files(chosen, arguments.float, found)
+            folder.write(path, content)
+            wrote(arguments, os.path.join(arguments.output, ""), f" with {', '.join(content)}")
     result = {
         "name": chosen.name,
         "watch": arguments.watch,
@@ -125,14 +108,3 @@ def _export(arguments: argparse.Namespace) -> None:
         "new_export": found.others,
     }
     write_json(arguments, result)
-
-
-def _content(arguments: argparse.Namespace, chosen: Any, found: Any) -> bytes | Mapping[str, str | bytes]:
-    """What is written: the file of an FMU, or the files of a folder."""
-    from valve_control.export import design, fmu, folder
-
-    if arguments.fmu is not None:
-        return fmu.make(chosen, arguments.fmu, found)
-    if arguments.parameters_only:
-        return design.files(chosen, arguments.float)
-    return folder.files(chosen, arguments.float, found)

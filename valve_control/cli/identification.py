@@ -384,7 +384,6 @@ def _simulated(arguments: argparse.Namespace, triangle: bool = False) -> "Experi
         )
     told: list[str] = []
     given = parameter_files.given(arguments.params_file, direct, arguments.set, told)
-    told += parameter_files.without_effect(arguments.set, given)
     tested = {node: NODES[node] for node in ("valve_simulator", "command_source")}
     parameter_files.refuse_others(arguments.set, tested, "identify tests the valve without feedback")
     tell_notes(told)

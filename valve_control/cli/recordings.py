@@ -110,7 +110,7 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
         help="replay a bag: in shadow, as what-if, or live",
         description="shadow: a controller receives the recorded command and LVDT readings; its voltage "
         "is compared with the recorded one. what-if: the closed loop is simulated from the recorded "
-        "command. live: the bag's topics are published to running nodes (needs ROS).",
+        "command. live: commands and positions are published to running nodes (needs ROS).",
     )
     replay.add_argument(
         "--mode",
@@ -134,12 +134,6 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
     live = replay.add_argument_group("live")
     live.add_argument(
         "--rate", type=float, default=1.0, metavar="X", help="speed, relative to the recording (1.0)"
-    )
-    live.add_argument(
-        "--lockstep", action="store_true", help="publish each reading after the voltage of the previous one"
-    )
-    live.add_argument(
-        "--topics", nargs="+", metavar="TOPIC", help="topics to publish (command and position of the valves)"
     )
     replay.set_defaults(run=_replay)
 
@@ -227,7 +221,7 @@ def _axes(arguments: argparse.Namespace, loaded: "Recording") -> "dict[str, Axis
     def log_time(seconds: float | None) -> int | None:
         return None if seconds is None else loaded.bag.begin + round(seconds * 1e9)
 
-    return axis_analysis.axes(loaded.bag, loaded.nodes, log_time(arguments.start), log_time(arguments.end))
+    return axis_analysis.axes(loaded.bag, log_time(arguments.start), log_time(arguments.end))
 
 
 def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> "list[tuple[Path, ValveAnalysis]]":
@@ -260,20 +254,12 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 def _refuse_of_other_modes(arguments: argparse.Namespace) -> None:
     """Raise ParameterError for an option that the chosen mode would ignore."""
-    timed = {"rate": arguments.rate != 1.0, "topics": arguments.topics}
-    simulated = {
-        name: getattr(arguments, name) for name in ("controller", "set", "params_file", "csv", "html")
-    }
-    if arguments.mode != "live":
-        ignored = {**timed, "lockstep": arguments.lockstep}
-    elif arguments.lockstep:
-        ignored = {**simulated, **timed}
-    else:
-        ignored = {**simulated, "of": arguments.of}
-    wrong = [name for name, given in ignored.items() if given]
+    others = (
+        ("rate",) if arguments.mode != "live" else ("of", "controller", "set", "params_file", "csv", "html")
+    )
+    wrong = [name for name in others if getattr(arguments, name) not in (None, [], 1.0)]
     if wrong:
-        lock = " --lockstep" if arguments.mode == "live" and arguments.lockstep else ""
-        raise ParameterError(f"replay --mode {arguments.mode}{lock} takes no --{wrong[0].replace('_', '-')}")
+        raise ParameterError(f"replay --mode {arguments.mode} takes no --{wrong[0].replace('_', '-')}")
 
 
 def _overrides(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -360,25 +346,14 @@ def _replay_live(arguments: argparse.Namespace) -> int:
     result = playback.play(
         path=arguments.bag,
         maps=arguments.map,
-        topics=arguments.topics,
         rate=arguments.rate,
-        lockstep=arguments.lockstep,
         start=arguments.start,
         end=arguments.end,
-        of=arguments.of,
         clock=arguments.clock,
     )
     text = f"published {result.published} messages in {result.elapsed:.2f} s"
-    if arguments.lockstep:
-        text += f"; {len(result.answers)} voltages came back"
-        if result.differing is not None:
-            text += f", {result.differing} of them differ from the recorded ones"
-    else:
-        text += f", 99 % of them at most {1e3 * result.late:.2f} ms after their time"
-    say(arguments, text)
-    write_json(
-        arguments, {"bag": arguments.bag, "mode": "live", "lockstep": arguments.lockstep, **result._asdict()}
-    )
+    say(arguments, f"{text}, 99 % of them at most {1e3 * result.late:.2f} ms after their time")
+    write_json(arguments, {"bag": arguments.bag, "mode": "live", **result._asdict()})
     return 0
 
 

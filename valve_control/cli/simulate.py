@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
-from valve_control.cli import moved
+from valve_control.axis.tables import ROS_NODES
 from valve_control.cli.common import (
     Once,
     Parser,
@@ -26,7 +26,6 @@ from valve_control.cli.common import (
 )
 from valve_control.control.analysis.tables import HEADER, index_row
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters.axis_parameters import ROS_NODES
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
 
@@ -135,19 +134,14 @@ def add_commands(commands: Any) -> None:
         "--map", action="append", default=[], metavar="PART=/TOPIC.FIELD", help="bags: as for analyze"
     )
     clock_option(compare)
-    compare.add_argument("--tuned", action=moved.Option)
     compare.set_defaults(run=_compare)
     parameters = commands.add_parser("parameters", help="list parameters with unit, range and meaning")
     parameters.add_argument("match", nargs="?", default="", help="only names that contain this")
     parameters.set_defaults(run=_parameters, json=None)
 
 
-def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Values]:
-    """Checked values by node from the options and files.
-
-    ``law``: for a comparison, without what other laws' files have for the controller; the notes are then
-    told already. Raises ParameterError.
-    """
+def settings_of(arguments: argparse.Namespace) -> dict[str, Values]:
+    """Checked values by node from the options and files. Raises ParameterError."""
     from valve_control.control.parameters import files
 
     array = {} if arguments.command is None else {"scenario": "array", "command_file": arguments.command}
@@ -166,9 +160,8 @@ def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Value
     for options in direct.values():
         options["sample_period"] = arguments.sample_period
     notes: list[str] = []
-    changes = files.given(arguments.params_file, direct, arguments.set, notes, law=law)
-    notes += files.without_effect(arguments.set, changes)
-    tell_notes([] if law else notes)
+    changes = files.given(arguments.params_file, direct, arguments.set, notes)
+    tell_notes(notes)
     return {node: updated(table, defaults(table), changes[node]) for node, table in NODES.items()}
 
 
@@ -314,11 +307,9 @@ def _compare(arguments: argparse.Namespace) -> None:
     if any(text.partition("=")[0].strip() == "controller" for text in arguments.set):
         raise ParameterError("compare runs every controller, so it takes no --set controller")
     command = _command(arguments, settings["command_source"])
-    _tell_owners(arguments.params_file)
     runs = []
     for controller in LAWS:
-        own = settings_of(arguments, controller)["controller"]
-        values = updated(NODES["controller"], own, {"controller": controller})
+        values = updated(NODES["controller"], settings["controller"], {"controller": controller})
         delivered = delivery_of(arguments, values)
         run = offline.finite_run(values, settings["valve_simulator"], command, delivered=delivered)
         if run.warning:
@@ -341,17 +332,6 @@ def _of_the_paper(settings: Mapping[str, Values]) -> bool:
     """Whether valve and motion are of the kind that the paper's Table 1 was measured with."""
     model, scenario = settings["valve_simulator"]["valve"], settings["command_source"]["scenario"]
     return model != "custom" and scenario == "point_to_point"
-
-
-def _tell_owners(paths: Sequence[str]) -> None:
-    """Say which files hold for one law, and have values that others could have taken too."""
-    from valve_control.control.parameters import files
-
-    loaded = [files.load(path)["controller"] for path in paths]
-    for path, values, law in zip(paths, loaded, files.of_laws(loaded), strict=True):
-        shared = [name for name in values if name != "controller" and not name.startswith(f"{law}.")]
-        if law and set(shared) - files.OF_ALL:
-            tell_notes([f"{path} names {law} as its controller; the other laws are run without it"])
 
 
 def _parameters(arguments: argparse.Namespace) -> None:

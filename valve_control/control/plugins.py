@@ -1,17 +1,23 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Adds to a registry the entries that other installed packages bring by entry points."""
+"""Adds to a registry the entries that other installed packages bring by entry points, and checks them.
 
-from collections.abc import Callable
+A law, a plant and a driver are each a NamedTuple with name, parameters and package.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
-from importlib.util import find_spec
 from typing import Any, TypeVar
 
 PACKAGE = "valve_control"
-STOREYS = ("control", "design", "recordings")  # packages to which others moved in November 2026
+
+T = TypeVar("T")
 
 
-T = TypeVar("T")  # a NamedTuple with name and package
+class PluginError(ValueError):
+    """Says why an entry cannot be used; the message is one sentence without its name."""
 
 
 def package_of(point: EntryPoint) -> str:
@@ -20,46 +26,70 @@ def package_of(point: EntryPoint) -> str:
 
 
 def add(
-    group: str,
-    kind: str,
-    accepted: Callable[[Any, dict[str, T]], T],
-    error: type[ValueError],
-    known: dict[str, T],
+    group: str, kind: str, accepted: Callable[[Any, dict[str, T]], T], known: dict[str, T]
 ) -> dict[str, str]:
     """Add to ``known`` what the entry points of ``group`` name; returns why others are left out, by name.
 
     ``kind``: what an entry is, in one word; ``accepted``: returns what was imported if it can be added to
-    those that are known, and raises ``error`` with one sentence if not.
+    those that are known, and raises PluginError if not.
     """
     left_out: dict[str, str] = {}
     for point in sorted(entry_points(group=group), key=lambda point: point.name):
         package = package_of(point)
         try:
-            entry: Any = accepted(_imported(point, error), known)
-        except error as reason:
+            entry: Any = accepted(_imported(point), known)
+        except PluginError as reason:
             left_out[point.name] = f"the {kind} '{point.name}' of the package {package} is left out: {reason}"
         else:
             known[entry.name] = entry._replace(package=package)
     return left_out
 
 
-def _imported(point: EntryPoint, error: type[ValueError]) -> Any:
+def _imported(point: EntryPoint) -> Any:
     try:
         return point.load()
     except Exception as reason:
-        moved = _moved(reason) if isinstance(reason, ImportError) else ""
-        text = moved or f"it cannot be imported: {type(reason).__name__}: {reason}"
-        raise error(text) from reason
+        raise PluginError(f"it cannot be imported: {type(reason).__name__}: {reason}") from reason
 
 
-def _moved(reason: ImportError) -> str:
-    """A sentence if ``reason`` is that a package of valve_control has moved, else ""."""
-    first, _, rest = (reason.name or "").partition(".")
-    if first == PACKAGE and not rest:  # from valve_control import laws
-        rest = str(reason).removeprefix("cannot import name '").partition("'")[0]
-    room = rest.partition(".")[0]
-    for storey in STOREYS if first == PACKAGE else ():
-        new = f"{PACKAGE}.{storey}.{room}"
-        if find_spec(new) is not None:
-            return f"it imports {PACKAGE}.{room}, which is {new} now; change its imports"
-    return ""
+def check(entry: Any, kind: type[T]) -> T:
+    """``entry`` if it is a ``kind`` whose name is a word that its parameters begin with, else PluginError."""
+    if not isinstance(entry, kind):
+        raise PluginError(f"it is {entry!r}; it must be a {kind.__module__}.{kind.__name__}")
+    description: Any = entry
+    name = description.name
+    if not (name.isidentifier() and name.islower()):
+        raise PluginError(f"its name is '{name}'; it must be one word in lower case")
+    for parameter in description.parameters:
+        if not parameter.name.startswith(f"{name}."):
+            raise PluginError(f"its parameter {parameter.name} must begin with '{name}.'")
+    return entry
+
+
+@contextmanager
+def first_step() -> Iterator[None]:
+    """Raise PluginError for whatever is raised in the block, in which an entry is tried."""
+    try:
+        yield
+    except PluginError:
+        raise
+    except Exception as error:
+        raise PluginError(f"its first step fails: {type(error).__name__}: {error}") from error
+
+
+def check_numbers(results: Iterable[tuple[str, Any]]) -> None:
+    """Raise PluginError unless each of the ``results``, with the name of its function, is a finite float."""
+    for name, value in results:
+        if type(value) is not float or not math.isfinite(value):
+            raise PluginError(f"its {name} gives {value!r}; it must be a finite float")
+
+
+def check_types(results: Iterable[tuple[str, Any, type]]) -> None:
+    """Raise PluginError unless each of the ``results`` is of its type."""
+    for name, value, wanted in results:
+        if type(value) is not wanted:
+            own = type(value)
+            raise PluginError(
+                f"its {name} gives {own.__module__}.{own.__name__}; it must be "
+                f"{wanted.__module__}.{wanted.__name__}"
+            )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Remembers changes of parameters so that they can be taken back, and two sets to compare."""
+"""Remembers changes of parameters so that they can be taken back."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -44,16 +44,14 @@ class Changes:
         self.done: list[Change] = []
         self.undone: list[Change] = []
 
-    def add(self, change: Change, asked: float | None = None) -> None:
+    def add(self, change: Change, asked: float) -> None:
         """Remember ``change``, asked for at ``asked`` [s]; what was undone before cannot be redone."""
         self.undone.clear()
-        whole = joined(self.done[-1] if self.done else None, change, change.time if asked is None else asked)
-        if whole is not None and whole.before == whole.after:
-            self.done.pop()  # a slider that was drawn back to where it was
-        elif whole is not None:
-            self.done[-1] = whole
-        else:
-            self.done.append(change)
+        whole = joined(self.done[-1] if self.done else None, change, asked)
+        if whole is not None:
+            self.done.pop()
+        if whole is None or whole.before != whole.after:  # not a slider that was drawn back to where it was
+            self.done.append(whole or change)
             del self.done[:-MOST]
 
     def back(self) -> Values:
@@ -72,31 +70,7 @@ class Changes:
         """Note that the values of ``forth`` are in force."""
         self.done.append(self.undone.pop())
 
-    def forget(self) -> None:
-        """Forget all: the node was started anew."""
-        self.done.clear()
-        self.undone.clear()
-
 
 def differing(now: Mapping[str, Value], wanted: Mapping[str, Value]) -> Values:
     """Those of ``wanted`` that are not so ``now``; parameters that are not there now are left out."""
     return {name: value for name, value in wanted.items() if name in now and now[name] != value}
-
-
-class Comparison:
-    """Two sets of parameters, A and B, between which one goes to and fro."""
-
-    def __init__(self) -> None:
-        self.sets: dict[str, Values] = {}
-        self.active = ""  # the one that was kept or set last
-
-    def keep(self, which: str, values: Mapping[str, Value]) -> None:
-        """Keep ``values`` as set ``which``, A or B."""
-        self.sets[which] = dict(values)
-        self.active = which
-
-    def other(self) -> str:
-        """The set that the key goes to, "" while there are not two."""
-        if len(self.sets) < 2:
-            return ""
-        return "B" if self.active == "A" else "A"

@@ -7,12 +7,8 @@ import math
 import struct
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-from valve_control.dashboard.history import EMPTY, KEPT, Course
+from valve_control.dashboard.history import EMPTY, LONGEST
 from valve_control.dashboard.machine import Machine
-from valve_control.dashboard.valve import Valve
 
 MOST_COLUMNS = 4000
 MOST_SIGNALS = 19  # four of the valve, six terms, six joints, goal and two pressures of the axis
@@ -37,20 +33,20 @@ class ViewError(ValueError):
 def view(text: str) -> View:
     """Read the request of a page. Raises ViewError."""
     try:
-        given = json.loads(text)
-        end = given["end"]
-        made = View(
-            str(given["valve"]),
-            tuple(str(name) for name in given["signals"])[:MOST_SIGNALS],
-            min(max(float(given["span"]), SHORTEST), KEPT),
+        request = json.loads(text)
+        end = request["end"]
+        wanted = View(
+            str(request["valve"]),
+            tuple(str(name) for name in request["signals"])[:MOST_SIGNALS],
+            min(max(float(request["span"]), SHORTEST), LONGEST),
             None if end is None else float(end),
-            min(max(int(given["columns"]), 10), MOST_COLUMNS),
+            min(max(int(request["columns"]), 10), MOST_COLUMNS),
         )
     except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise ViewError(f"this is no request for a frame: {error}") from error
-    if not math.isfinite(made.span) or (made.end is not None and not math.isfinite(made.end)):
+    if not math.isfinite(wanted.span) or (wanted.end is not None and not math.isfinite(wanted.end)):
         raise ViewError("span and end must be finite")
-    return made
+    return wanted
 
 
 def frame(machine: Machine, wanted: View, now: float) -> bytes:
@@ -62,10 +58,13 @@ def frame(machine: Machine, wanted: View, now: float) -> bytes:
     start = end - wanted.span
     with machine.lock:
         valve = machine.valves.get(wanted.valve)
-        courses = {name: _course(valve, name, start, end, wanted.columns) for name in wanted.signals}
+        signals = valve.signals if valve is not None else {}
+        courses = {
+            name: signals[name].course(start, end, wanted.columns) if name in signals else EMPTY
+            for name in wanted.signals
+        }
         marks = [m for m in valve.marks if start <= m.time <= end] if valve is not None else []
-        labels = valve.labels if valve is not None else ()
-        axis = list(valve.axis) if valve is not None else []
+        there = [name for name in signals if "." in name]
         live = valve is not None and valve.live(now)
     head = json.dumps(
         {
@@ -73,8 +72,7 @@ def frame(machine: Machine, wanted: View, now: float) -> bytes:
             "end": end,
             "now": now,
             "live": live,
-            "labels": labels,
-            "axis": axis,
+            "there": there,
             "signals": [[name, len(course.time)] for name, course in courses.items()],
             "marks": [[mark.time - start, mark.text] for mark in marks],
         }
@@ -85,23 +83,3 @@ def frame(machine: Machine, wanted: View, now: float) -> bytes:
         for numbers in (course.time - start, course.low, course.high):
             parts.append(numbers.astype("<f4").tobytes())
     return b"".join(parts)
-
-
-def _course(valve: Valve | None, name: str, start: float, end: float, columns: int) -> Course:
-    if valve is None:
-        return EMPTY
-    kind, _, own = name.partition(".")
-    known = {"term": valve.terms, "axis": valve.axis}.get(kind, {})
-    history = valve.signals.get(name) or known.get(own)
-    return EMPTY if history is None else history.course(start, end, columns)
-
-
-def sample(frame: bytes) -> dict[str, npt.NDArray[np.float32]]:
-    """Signals of a frame by name, each with three rows: time, low, high."""
-    (length,) = struct.unpack_from("<I", frame)
-    head = json.loads(frame[4 : 4 + length])
-    numbers, at, made = np.frombuffer(frame, "<f4", offset=4 + length), 0, {}
-    for name, count in head["signals"]:
-        made[name] = numbers[at : at + 3 * count].reshape(3, count)
-        at += 3 * count
-    return made

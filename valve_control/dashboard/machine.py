@@ -13,7 +13,7 @@ from valve_control.dashboard.changes import Change, differing
 from valve_control.dashboard.valve import NodeState, Valve
 from valve_control.parameter import Values
 
-REFUSED = "refused to deactivate"  # end of the answer of a node that is not active
+RESTING = ("inactive", "unconfigured")  # states of a node that gives no voltage
 
 
 class Answer(NamedTuple):
@@ -21,15 +21,16 @@ class Answer(NamedTuple):
 
     done: bool
     text: str
+    heard: bool = True  # whether the node itself has answered
 
 
 class Link(Protocol):
     """The way to the nodes. All of it may be called from any thread."""
 
-    def set_parameters(self, node: str, values: Values) -> "Future[str]":
-        """Set all ``values`` of ``node`` or none; the reason of a refusal, "" if they are in force."""
+    def set_parameters(self, node: str, values: Values) -> "Future[Answer]":
+        """Set all ``values`` of ``node`` or none."""
 
-    def trigger(self, service: str) -> "Future[Answer]":
+    def trigger(self, node: str, service: str) -> "Future[Answer]":
         """Call a service of type std_srvs/Trigger."""
 
     def transition(self, node: str, name: str) -> "Future[Answer]":
@@ -47,16 +48,7 @@ class Machine:
     def valve(self, namespace: str) -> Valve:
         """The valve in ``namespace``, made if it is new."""
         with self.lock:
-            if namespace not in self.valves:
-                self.valves[namespace] = Valve(namespace)
-            return self.valves[namespace]
-
-    def note(self, valve: Valve, node: NodeState, change: Change | None, asked: float) -> None:
-        """Say a change in the log, mark it in the plots."""
-        if change is not None:
-            where = "" if node is valve.controller else f"{node.name}: "
-            valve.say(change.time, "info", f"{where}{change.text} ({change.origin})")
-            valve.mark_change(change, where, asked)
+            return self.valves.setdefault(namespace, Valve(namespace))
 
     def observed(self, valve: Valve, node: NodeState, values: Values) -> None:
         """Take in values that a node says it has. What others changed can be undone too."""
@@ -64,50 +56,40 @@ class Machine:
             now = time.time()
             change = node.observed(values, now)
             if change is not None:
-                node.changes.add(change)
-            self.note(valve, node, change, now)
+                node.changes.add(change, now)
+            valve.note(node, change, now)
 
     async def change(self, valve: Valve, node: NodeState, values: Values, origin: str = "here") -> str:
         """Set ``values`` together; the reason if they are refused, else ""."""
         async with node.turn:
-            return await self._change(valve, node, values, origin)
-
-    async def _change(self, valve: Valve, node: NodeState, values: Values, origin: str) -> str:
-        asked = time.time()
-        reason, change = await self._set(valve, node, values, origin)
-        if change is not None:
-            with self.lock:
-                node.changes.add(change, asked)
-        return reason
+            asked = time.time()
+            reason, change = await self._set(valve, node, values, origin)
+            if change is not None:
+                with self.lock:
+                    node.changes.add(change, asked)
+            return reason
 
     async def _set(
         self, valve: Valve, node: NodeState, values: Values, origin: str
     ) -> tuple[str, Change | None]:
         with self.lock:
-            if node.asking:
-                return (
-                    f"{node.name} was started anew and has not told its parameters yet; nothing was changed",
-                    None,
-                )
+            if node.asking or not node.present:
+                state = "was started anew and has not told its parameters yet" if node.asking else "is gone"
+                return f"{node.name} {state}; nothing was changed", None
             wanted = differing(node.values, values)
-            for name in values.keys() - wanted.keys():
-                node.drafts.pop(name, None)
-                node.refusals.pop(name, None)
-            node.version += 1
             if not wanted:
                 return "", None
-            if not node.present:
-                return f"{node.name} is gone; nothing was changed", None
             asked = time.time()
             node.asks(wanted, asked)
-        reason = await asyncio.wrap_future(self.link.set_parameters(node.name, wanted))
-        now = time.time()
+        answer = await asyncio.wrap_future(self.link.set_parameters(node.name, wanted))
         with self.lock:
-            change = node.asked(wanted, reason, now, origin)
-            if reason:
-                valve.say(now, "warning", f"refused: {reason}")
-            self.note(valve, node, change, asked)
-        return reason, change
+            now = time.time()
+            if not answer.done:
+                valve.say(now, "warning", f"refused: {answer.text}")
+                return answer.text, None
+            change = node.take(wanted, now, origin)
+            valve.note(node, change, asked)
+            return "", change
 
     async def undo(self, valve: Valve, node: NodeState) -> str:
         """Take back the newest change; a sentence if that was not done, else ""."""
@@ -136,27 +118,6 @@ class Machine:
             with self.lock:
                 if not reason and len(steps) == count:
                     went()
-            return reason
-
-    def keep(self, valve: Valve, node: NodeState, which: str) -> str:
-        """Keep the present values as set A or B; a sentence for the log."""
-        with self.lock:
-            node.comparison.keep(which, node.tuned())
-            node.version += 1
-            text = f"kept the present values as {which}"
-            valve.say(time.time(), "info", text)
-        return text
-
-    async def switch(self, valve: Valve, node: NodeState) -> str:
-        """Go from set A to set B or back; a sentence if that was not done, else ""."""
-        async with node.turn:
-            which = node.comparison.other()
-            if not which:
-                return "keep one set as A and another as B first"
-            reason = await self._change(valve, node, node.comparison.sets[which], f"set {which}")
-            if not reason:
-                with self.lock:
-                    node.comparison.active = which
                     node.version += 1
             return reason
 
@@ -170,37 +131,35 @@ class Machine:
             for valve, node in nodes
             if node.present
         ]
-        said = []
+        failures = []
         for valve, node, future in asked:
             answer = await asyncio.wrap_future(future)
             with self.lock:
                 now = time.time()
-                if node.state in ("inactive", "unconfigured") and answer.text.endswith(REFUSED):
-                    continue
-                valve.mark(now, "stop")
                 if answer.done:
                     node.state = "inactive"
+                    valve.mark(now, "stop")
                     valve.say(now, "warning", "stopped from the page: the controller is inactive, 0 V")
-                else:
+                elif not (answer.heard and node.state in RESTING):
+                    valve.mark(now, "stop")
                     valve.say(now, "error", f"NOT stopped: {answer.text}")
-                    said.append(f"{node.name} was not stopped: {answer.text}")
-        return said
+                    failures.append(f"{node.name} was not stopped: {answer.text}")
+        return failures
 
     async def activate(self, valve: Valve, node: NodeState) -> str:
         """Let a stopped controller work again; a sentence if that was not done, else ""."""
         answer = await asyncio.wrap_future(self.link.transition(node.name, "activate"))
+        if not answer.done:
+            return answer.text
         with self.lock:
-            now = time.time()
-            if answer.done:
-                node.state = "active"
-                valve.mark(now, "active")
-                valve.say(now, "info", "the controller is active again")
-                return ""
-        return answer.text
+            node.state = "active"
+            valve.mark(time.time(), "active")
+            valve.say(time.time(), "info", "the controller is active again")
+        return ""
 
     async def trigger(self, valve: Valve, node: NodeState, service: str) -> Answer:
         """Call one of a node's services; its answer stands in the log too."""
-        answer = await asyncio.wrap_future(self.link.trigger(f"{node.name}/{service}"))
+        answer = await asyncio.wrap_future(self.link.trigger(node.name, service))
         with self.lock:
             valve.say(time.time(), "info" if answer.done else "warning", answer.text)
         return answer

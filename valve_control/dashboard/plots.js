@@ -6,7 +6,7 @@
 const FRAME = 1000 / 30; // ms between two frames, at the least
 const LEFT = 40; // px for the numbers beside the plots
 const GAP = 0.3; // s without a sample, across which no line is drawn
-const SPANS = [1, 2, 5, 10, 30, 60, 120, 300, 600]; // s
+const SPANS = [1, 2, 5, 10, 30, 60, 120]; // s
 // Okabe and Ito's colours, which the colour-blind tell apart; dashes tell them apart in print.
 const COLOURS = ["#e69f00", "#56b4e9", "#cc79a7", "#0072b2", "#d55e00", "#009e73"];
 const DASHES = [[], [6, 3], [2, 2], [8, 3, 2, 3], [12, 4], [1, 3]];
@@ -43,15 +43,13 @@ export default {
     <div class="vc-plots" tabindex="0" role="group" aria-label="Plots. P pauses, L goes live, arrows move, plus and minus zoom">
       <div class="vc-bar">
         <label>last <select ref="span" class="vc-span" aria-label="time shown" @change="setSpan(+$event.target.value)">
-          <option v-for="s in spans" :key="s" :value="s">{{ s < 60 ? s + " s" : s / 60 + " min" }}</option></select></label>
+          <option v-for="s in spans" :key="s" :value="s">{{ s }} s</option></select></label>
         <button type="button" class="vc-pause" :aria-pressed="paused" @click="togglePause()">{{ paused ? "Live (L)" : "Pause (P)" }}</button>
         <button type="button" @click="zoom(0.5)" aria-label="zoom in">+</button>
         <button type="button" @click="zoom(2)" aria-label="zoom out">&minus;</button>
-        <button type="button" @click="move(-0.25)" aria-label="earlier">&#9664;</button>
-        <button type="button" @click="move(0.25)" aria-label="later">&#9654;</button>
         <details class="vc-terms"><summary>Terms ({{ terms.length }})</summary>
-          <div class="vc-list"><label v-for="name in labels" :key="name">
-            <input type="checkbox" :value="name" :checked="terms.includes(name)" @change="toggleTerm(name)"> {{ name }}</label></div>
+          <div class="vc-list"><label v-for="name in there.filter((n) => n.startsWith('term.'))" :key="name">
+            <input type="checkbox" :value="name" :checked="terms.includes(name)" @change="toggleTerm(name)"> {{ name.slice(5) }}</label></div>
         </details>
         <span class="vc-live" role="status">{{ status }}</span>
       </div>
@@ -62,7 +60,7 @@ export default {
     </div>`,
   props: { valve: String },
   data() {
-    return { panels: PANELS, spans: SPANS, span: 5, end: null, paused: false, terms: [], labels: [], axis: [], status: "connecting" };
+    return { panels: PANELS, spans: SPANS, span: 5, end: null, paused: false, terms: [], there: [], status: "connecting" };
   },
   mounted() {
     try {
@@ -128,8 +126,8 @@ export default {
     // Names of the signals of a panel that are there to be drawn.
     drawn(panel) {
       if (panel.signals) return panel.signals;
-      const there = [...this.terms.map((name) => "term." + name), ...this.axis.map((name) => "axis." + name)];
-      return there.filter((name) => name.startsWith(panel.of) && !(panel.but && name.startsWith(panel.but)));
+      const wanted = [...this.terms, ...this.there.filter((name) => !name.startsWith("term."))];
+      return wanted.filter((name) => name.startsWith(panel.of) && !(panel.but && name.startsWith(panel.but)));
     },
     ask() {
       if (!this.socket || this.socket.readyState !== WebSocket.OPEN) return;
@@ -148,8 +146,7 @@ export default {
         signals[name] = [0, 1, 2].map((k) => numbers.subarray(at + k * count, at + (k + 1) * count));
         at += 3 * count;
       }
-      if (head.labels.join() !== this.labels.join()) this.labels = head.labels;
-      if (head.axis.join() !== this.axis.join()) this.axis = head.axis;
+      if (head.there.join() !== this.there.join()) this.there = head.there;
       this.last = { ...head, signals, span: this.span };
       this.draw(this.last);
       const now = performance.now();
@@ -176,7 +173,7 @@ export default {
     },
     goTo(end) {
       const now = this.last ? this.last.now : Date.now() / 1000;
-      this.end = Math.min(Math.max(end, now - 600), now);
+      this.end = Math.min(Math.max(end, now - 120), now);
       this.paused = true;
       this.keep();
     },
@@ -190,7 +187,7 @@ export default {
       else this.goTo(this.shownEnd());
     },
     zoom(factor, share = 1) {
-      const span = Math.min(600, Math.max(0.02, this.span * factor));
+      const span = Math.min(120, Math.max(0.02, this.span * factor));
       if (this.paused) this.end = this.shownEnd() - (1 - share) * (this.span - span);
       this.span = span;
       this.$refs.span.value = SPANS.includes(span) ? span : "";
@@ -216,7 +213,7 @@ export default {
       const control = event.ctrlKey || event.metaKey;
       if (this.typing(event.target) || event.altKey || (control && event.key !== "z")) return;
       const here = this.$el.contains(event.target) || event.target === document.body;
-      const act = { " ": "stop", u: "undo", z: "undo", y: "redo", x: "switch" }[event.key];
+      const act = { " ": "stop", u: "undo", z: "undo", y: "redo" }[event.key];
       if (act && (event.key !== "z" || control)) {
         if (!event.repeat) this.$emit("act", act);
       } else if (event.key === "p") this.togglePause();
@@ -309,7 +306,7 @@ export default {
       });
       // Signals
       const at = this.pointer === null ? null : this.pointer * frame.span;
-      const told = [];
+      const entries = [];
       names.forEach((name, k) => {
         const style = STYLES[name] || { colour: COLOURS[k % 6], dash: DASHES[k % 6] };
         const [time, lows, highs] = frame.signals[name] || [[], [], []];
@@ -333,7 +330,7 @@ export default {
         const value = nearest < 0 ? "" : lows[nearest] === highs[nearest] ? lows[nearest].toPrecision(4)
           : least === largest ? least : `${least} to ${largest}`;
         const title = name.replace(/^(term|axis)\./, "");
-        told.push([style.colour, `${style.dash.length ? "\u2504" : "\u2014"} ${title} ${value} `]);
+        entries.push([style.colour, `${style.dash.length ? "\u2504" : "\u2014"} ${title} ${value} `]);
       });
       if (at !== null) {
         g.strokeStyle = "#000";
@@ -343,18 +340,18 @@ export default {
         g.moveTo(x(at), 0);
         g.lineTo(x(at), bottom);
         g.stroke();
-        told.push(["", `at ${(at + frame.start - frame.now).toFixed(3)} s`]);
+        entries.push(["", `at ${(at + frame.start - frame.now).toFixed(3)} s`]);
       }
-      if (this.frames % 3 === 0 || this.paused) this.tell(legend, told);
+      if (this.frames % 3 === 0 || this.paused) this.tell(legend, entries);
     },
     // Texts with their colours. The elements stay and get other texts: the browser remembers each new one for good.
-    tell(legend, told) {
-      while (legend.children.length > told.length) legend.lastElementChild.remove();
-      while (legend.children.length < told.length) {
+    tell(legend, entries) {
+      while (legend.children.length > entries.length) legend.lastElementChild.remove();
+      while (legend.children.length < entries.length) {
         legend.append(document.createElement("span"));
         legend.lastElementChild.append("");
       }
-      told.forEach(([colour, text], k) => {
+      entries.forEach(([colour, text], k) => {
         const span = legend.children[k];
         if (span.firstChild.data !== text) span.firstChild.data = text;
         if (span.dataset.colour !== colour) span.style.color = span.dataset.colour = colour;

@@ -3,6 +3,7 @@
 """Serves the page on this machine alone, in a thread of its own."""
 
 import asyncio
+import hmac
 import logging
 import socket
 import threading
@@ -14,14 +15,12 @@ import uvicorn
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from nicegui import ui
 from starlette.middleware.trustedhost import TrustedHostMiddleware
-from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from valve_control.dashboard.frames import ViewError, frame, view
 from valve_control.dashboard.machine import Machine
 from valve_control.dashboard.page import Page
-from valve_control.dashboard.programs import Programs
-from valve_control.dashboard.writers import Writer
+from valve_control.dashboard.recording import Recording
 
 HOST = "127.0.0.1"
 NAMES = [HOST, "localhost"]
@@ -44,7 +43,7 @@ class PortTaken(RuntimeError):
 class Server:
     """The page's server; ``start`` returns when it listens."""
 
-    def __init__(self, machine: Machine, port: int, token: str, folder: Path) -> None:
+    def __init__(self, machine: Machine, port: int, right_token: str, folder: Path) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -56,22 +55,18 @@ class Server:
                 "another with -p port:=8081, or any free one with -p port:=0"
             ) from error
         self.address = f"http://{HOST}:{self._socket.getsockname()[1]}/"
-        self._programs = Programs()
+        self._recording = Recording(folder)
         app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
-        writer = Writer()
 
         @app.websocket("/frames")
         async def frames(wire: WebSocket) -> None:
             await _serve_frames(wire, machine)
 
-        # The folder is made with the first thing that is put into it.
-        app.mount("/files", StaticFiles(directory=folder, check_dir=False), name="files")
-
         @ui.page("/", title="valve_control", response_timeout=START)
         def page(token: str = "") -> None:
-            Page(machine, writer, self._programs, folder, self._token, token).build()
+            may_write = hmac.compare_digest(token.encode(), right_token.encode())
+            Page(machine, self._recording, may_write).build()
 
-        self._token = token
         ui.run_with(
             app,
             show_welcome_message=False,
@@ -106,8 +101,8 @@ class Server:
         return self._thread.is_alive()
 
     def stop(self) -> None:
-        """End the programs that were started from the page, and the server."""
-        self._programs.end_all()
+        """End the recorder that was started from the page, and the server."""
+        self._recording.end()
         # Windows that are open are cut off; that needs no words in the terminal.
         logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
         self._server.should_exit = True

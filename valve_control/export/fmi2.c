@@ -29,17 +29,24 @@ typedef struct {
 } fmi2CallbackFunctions;
 
 typedef struct {
-    model_t model;
+    model_t model; /* first, as fmi.h asks for */
     const fmi2CallbackFunctions *callbacks;
     char *name;
 } component_t;
 
-static fmi2Status refuse(component_t *c, const char *text)
+static fmi2Status refuse(fmi2Component of, const char *text)
 {
+    const component_t *c = of;
     if (c && c->callbacks && c->callbacks->logger)
         c->callbacks->logger(c->callbacks->componentEnvironment, c->name, fmi2Error, "logStatusError", "%s", text);
     return fmi2Error;
 }
+
+#define STATUS fmi2Status
+#define INSTANCE fmi2Component
+#define REFERENCE fmi2ValueReference
+#define OK fmi2OK
+#include "fmi.h"
 
 const char *fmi2GetTypesPlatform(void)
 {
@@ -53,14 +60,12 @@ const char *fmi2GetVersion(void)
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t count, const fmi2String categories[])
 {
-    (void)c, (void)on, (void)count, (void)categories;
     return fmi2OK;
 }
 
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging)
 {
-    (void)resources, (void)visible, (void)logging;
     if (type != 1 || !guid || strcmp(guid, MODEL_TOKEN) != 0 || !name)
         return 0;
     component_t *made = calloc(1, sizeof *made);
@@ -87,92 +92,44 @@ void fmi2FreeInstance(fmi2Component c)
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean given, fmi2Real tolerance, fmi2Real start,
                                fmi2Boolean ends, fmi2Real stop)
 {
-    (void)given, (void)tolerance, (void)ends, (void)stop;
     ((component_t *)c)->model.time = start;
     return fmi2OK;
 }
 
-fmi2Status fmi2EnterInitializationMode(fmi2Component c)
-{
-    (void)c;
-    return fmi2OK;
-}
-
-fmi2Status fmi2ExitInitializationMode(fmi2Component c)
-{
-    (void)c;
-    return fmi2OK;
-}
-
-fmi2Status fmi2Terminate(fmi2Component c)
-{
-    (void)c;
-    return fmi2OK;
-}
+NOTHING_TO_DO(fmi2EnterInitializationMode)
+NOTHING_TO_DO(fmi2ExitInitializationMode)
+NOTHING_TO_DO(fmi2Terminate)
 
 fmi2Status fmi2Reset(fmi2Component c)
 {
-    model_reset(&((component_t *)c)->model);
-    return fmi2OK;
+    return reset(c);
 }
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count, fmi2Real value[])
 {
-    for (size_t i = 0; i < count; i++)
-        if (!model_get(&((component_t *)c)->model, vr[i], value + i))
-            return refuse(c, "there is no variable of this value reference");
-    return fmi2OK;
+    return get_numbers(c, vr, count, value);
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count, const fmi2Real value[])
 {
-    for (size_t i = 0; i < count; i++)
-        if (!model_set(&((component_t *)c)->model, vr[i], value[i]))
-            return refuse(c, "the variable cannot be set, or the value is out of its range");
-    return fmi2OK;
+    return set_numbers(c, vr, count, value);
 }
 
-#define NONE(Type, argument)                                                                                           \
-    fmi2Status fmi2Get##Type(fmi2Component c, const fmi2ValueReference vr[], size_t count, argument value[])             \
-    {                                                                                                                  \
-        (void)vr, (void)value;                                                                                         \
-        return count ? refuse(c, "all variables are Real") : fmi2OK;                                                   \
-    }                                                                                                                  \
-    fmi2Status fmi2Set##Type(fmi2Component c, const fmi2ValueReference vr[], size_t count, const argument value[])       \
-    {                                                                                                                  \
-        (void)vr, (void)value;                                                                                         \
-        return count ? refuse(c, "all variables are Real") : fmi2OK;                                                   \
-    }
-
-NONE(Integer, fmi2Integer)
-NONE(Boolean, fmi2Boolean)
-NONE(String, fmi2String)
+NO_VARIABLES(fmi2GetInteger, fmi2Integer value[])
+NO_VARIABLES(fmi2SetInteger, const fmi2Integer value[])
+NO_VARIABLES(fmi2GetBoolean, fmi2Boolean value[])
+NO_VARIABLES(fmi2SetBoolean, const fmi2Boolean value[])
+NO_VARIABLES(fmi2GetString, fmi2String value[])
+NO_VARIABLES(fmi2SetString, const fmi2String value[])
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean keep)
 {
-    (void)time, (void)keep;
-    component_t *own = c;
-    if (!model_advance(&own->model, step))
-        return refuse(own, "the communication step must be above 0 s, and at most 1e9 sample periods");
-    return fmi2OK;
+    return advance(c, step);
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c)
 {
     return refuse(c, "no step is pending");
-}
-
-#define STATUS(Type, argument)                                                                                         \
-    fmi2Status fmi2Get##Type##Status(fmi2Component c, const fmi2StatusKind kind, argument *value)                        \
-    {                                                                                                                  \
-        (void)c, (void)kind, (void)value;                                                                              \
-        return fmi2Discard;                                                                                            \
-    }
-
-fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
-{
-    (void)c, (void)kind, (void)value;
-    return fmi2Discard;
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value)
@@ -183,64 +140,26 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Rea
     return fmi2OK;
 }
 
-STATUS(Integer, fmi2Integer)
-STATUS(Boolean, fmi2Boolean)
-STATUS(String, fmi2String)
+#define NO_STATUS(name, argument)                                                                                      \
+    fmi2Status name(fmi2Component c, const fmi2StatusKind kind, argument *value)                                        \
+    {                                                                                                                  \
+        return fmi2Discard;                                                                                            \
+    }
 
-fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
-{
-    (void)state;
-    return refuse(c, "states cannot be kept");
-}
+NO_STATUS(fmi2GetStatus, fmi2Status)
+NO_STATUS(fmi2GetIntegerStatus, fmi2Integer)
+NO_STATUS(fmi2GetBooleanStatus, fmi2Boolean)
+NO_STATUS(fmi2GetStringStatus, fmi2String)
 
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
-{
-    (void)state;
-    return refuse(c, "states cannot be kept");
-}
-
-fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
-{
-    (void)state;
-    return refuse(c, "states cannot be kept");
-}
-
-fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
-{
-    (void)state, (void)size;
-    return refuse(c, "states cannot be kept");
-}
-
-fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
-{
-    (void)state, (void)bytes, (void)size;
-    return refuse(c, "states cannot be kept");
-}
-
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
-{
-    (void)bytes, (void)size, (void)state;
-    return refuse(c, "states cannot be kept");
-}
-
-fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[], size_t unknowns,
-                                        const fmi2ValueReference known[], size_t knowns, const fmi2Real seed[],
-                                        fmi2Real sensitivity[])
-{
-    (void)unknown, (void)unknowns, (void)known, (void)knowns, (void)seed, (void)sensitivity;
-    return refuse(c, "a sampled law has no derivatives");
-}
-
-fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t count,
-                                       const fmi2Integer order[], const fmi2Real value[])
-{
-    (void)vr, (void)count, (void)order, (void)value;
-    return refuse(c, "inputs are held over a step");
-}
-
-fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t count,
-                                        const fmi2Integer order[], fmi2Real value[])
-{
-    (void)vr, (void)count, (void)order, (void)value;
-    return refuse(c, "a sampled law has no derivatives");
-}
+MISSING(fmi2GetFMUstate, fmi2FMUstate *state)
+MISSING(fmi2SetFMUstate, fmi2FMUstate state)
+MISSING(fmi2FreeFMUstate, fmi2FMUstate *state)
+MISSING(fmi2SerializedFMUstateSize, fmi2FMUstate state, size_t *size)
+MISSING(fmi2SerializeFMUstate, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
+MISSING(fmi2DeSerializeFMUstate, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
+MISSING(fmi2GetDirectionalDerivative, const fmi2ValueReference unknown[], size_t unknowns,
+        const fmi2ValueReference known[], size_t knowns, const fmi2Real seed[], fmi2Real sensitivity[])
+MISSING(fmi2SetRealInputDerivatives, const fmi2ValueReference vr[], size_t count, const fmi2Integer order[],
+        const fmi2Real value[])
+MISSING(fmi2GetRealOutputDerivatives, const fmi2ValueReference vr[], size_t count, const fmi2Integer order[],
+        fmi2Real value[])

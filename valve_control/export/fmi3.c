@@ -23,17 +23,24 @@ typedef void (*fmi3LogMessageCallback)(fmi3InstanceEnvironment, fmi3Status, fmi3
 typedef void (*fmi3Callback)(void);
 
 typedef struct {
-    model_t model;
+    model_t model; /* first, as fmi.h asks for */
     fmi3LogMessageCallback log;
     fmi3InstanceEnvironment environment;
 } instance_t;
 
-static fmi3Status refuse(instance_t *c, const char *text)
+static fmi3Status refuse(fmi3Instance of, const char *text)
 {
+    const instance_t *c = of;
     if (c && c->log)
         c->log(c->environment, fmi3Error, "logStatusError", text);
     return fmi3Error;
 }
+
+#define STATUS fmi3Status
+#define INSTANCE fmi3Instance
+#define REFERENCE fmi3ValueReference
+#define OK fmi3OK
+#include "fmi.h"
 
 const char *fmi3GetVersion(void)
 {
@@ -42,7 +49,6 @@ const char *fmi3GetVersion(void)
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, bool on, size_t count, const fmi3String categories[])
 {
-    (void)c, (void)on, (void)count, (void)categories;
     return fmi3OK;
 }
 
@@ -50,7 +56,6 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi
                                           bool logging, fmi3InstanceEnvironment environment,
                                           fmi3LogMessageCallback log)
 {
-    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)environment, (void)log;
     return 0;
 }
 
@@ -59,7 +64,6 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          size_t count, fmi3InstanceEnvironment environment,
                                          fmi3LogMessageCallback log, fmi3Callback update)
 {
-    (void)name, (void)resources, (void)visible, (void)logging, (void)early, (void)required, (void)count, (void)update;
     if (events || !token || strcmp(token, MODEL_TOKEN) != 0)
         return 0;
     instance_t *made = calloc(1, sizeof *made);
@@ -76,8 +80,6 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token
                                                fmi3LogMessageCallback log, fmi3Callback update, fmi3Callback lock,
                                                fmi3Callback unlock)
 {
-    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)environment, (void)log;
-    (void)update, (void)lock, (void)unlock;
     return 0;
 }
 
@@ -89,17 +91,9 @@ void fmi3FreeInstance(fmi3Instance c)
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, bool given, fmi3Float64 tolerance, fmi3Float64 start, bool ends,
                                        fmi3Float64 stop)
 {
-    (void)given, (void)tolerance, (void)ends, (void)stop;
     ((instance_t *)c)->model.time = start;
     return fmi3OK;
 }
-
-#define NOTHING_TO_DO(name)                                                                                            \
-    fmi3Status name(fmi3Instance c)                                                                                    \
-    {                                                                                                                  \
-        (void)c;                                                                                                       \
-        return fmi3OK;                                                                                                 \
-    }
 
 NOTHING_TO_DO(fmi3ExitInitializationMode)
 NOTHING_TO_DO(fmi3Terminate)
@@ -119,45 +113,24 @@ NO_SUCH_MODE(fmi3EnterContinuousTimeMode)
 
 fmi3Status fmi3Reset(fmi3Instance c)
 {
-    model_reset(&((instance_t *)c)->model);
-    return fmi3OK;
+    return reset(c);
 }
 
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t count, fmi3Float64 value[],
                           size_t values)
 {
-    if (values != count)
-        return refuse(c, "each variable has one value");
-    for (size_t i = 0; i < count; i++)
-        if (!model_get(&((instance_t *)c)->model, vr[i], value + i))
-            return refuse(c, "there is no variable of this value reference");
-    return fmi3OK;
+    return values == count ? get_numbers(c, vr, count, value) : refuse(c, "each variable has one value");
 }
 
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t count, const fmi3Float64 value[],
                           size_t values)
 {
-    if (values != count)
-        return refuse(c, "each variable has one value");
-    for (size_t i = 0; i < count; i++)
-        if (!model_set(&((instance_t *)c)->model, vr[i], value[i]))
-            return refuse(c, "the variable cannot be set, or the value is out of its range");
-    return fmi3OK;
+    return values == count ? set_numbers(c, vr, count, value) : refuse(c, "each variable has one value");
 }
 
 #define NONE(Type, argument)                                                                                           \
-    fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference vr[], size_t count, argument value[],              \
-                             size_t values)                                                                            \
-    {                                                                                                                  \
-        (void)vr, (void)value, (void)values;                                                                           \
-        return count ? refuse(c, "all variables are Float64") : fmi3OK;                                                \
-    }                                                                                                                  \
-    fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference vr[], size_t count, const argument value[],        \
-                             size_t values)                                                                            \
-    {                                                                                                                  \
-        (void)vr, (void)value, (void)values;                                                                           \
-        return count ? refuse(c, "all variables are Float64") : fmi3OK;                                                \
-    }
+    NO_VARIABLES(fmi3Get##Type, argument value[], size_t values)                                                       \
+    NO_VARIABLES(fmi3Set##Type, const argument value[], size_t values)
 
 NONE(Float32, float)
 NONE(Int8, int8_t)
@@ -170,55 +143,20 @@ NONE(Int64, int64_t)
 NONE(UInt64, uint64_t)
 NONE(Boolean, bool)
 NONE(String, fmi3String)
-
-fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t count, size_t sizes[],
-                         fmi3Binary value[], size_t values)
-{
-    (void)vr, (void)sizes, (void)value, (void)values;
-    return count ? refuse(c, "all variables are Float64") : fmi3OK;
-}
-
-fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t count, const size_t sizes[],
-                         const fmi3Binary value[], size_t values)
-{
-    (void)vr, (void)sizes, (void)value, (void)values;
-    return count ? refuse(c, "all variables are Float64") : fmi3OK;
-}
-
-fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference vr[], size_t count, bool value[])
-{
-    (void)vr, (void)value;
-    return count ? refuse(c, "there are no clocks") : fmi3OK;
-}
-
-fmi3Status fmi3SetClock(fmi3Instance c, const fmi3ValueReference vr[], size_t count, const bool value[])
-{
-    (void)vr, (void)value;
-    return count ? refuse(c, "there are no clocks") : fmi3OK;
-}
+NO_VARIABLES(fmi3GetBinary, size_t sizes[], fmi3Binary value[], size_t values)
+NO_VARIABLES(fmi3SetBinary, const size_t sizes[], const fmi3Binary value[], size_t values)
+NO_VARIABLES(fmi3GetClock, bool value[])
+NO_VARIABLES(fmi3SetClock, const bool value[])
 
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 step, bool keep, bool *event, bool *terminate,
                       bool *early, fmi3Float64 *last)
 {
-    (void)keep;
-    instance_t *own = c;
     *event = *terminate = *early = false;
-    *last = time;
-    if (!model_advance(&own->model, step))
-        return refuse(own, "the communication step must be above 0 s, and at most 1e9 sample periods");
-    *last = time + step;
-    return fmi3OK;
+    const fmi3Status status = advance(c, step);
+    *last = status == fmi3OK ? time + step : time;
+    return status;
 }
 
-/* What a sampled law or plant does not have. */
-#define MISSING(name, ...)                                                                                             \
-    fmi3Status name(fmi3Instance c, __VA_ARGS__)                                                                       \
-    {                                                                                                                  \
-        return refuse(c, #name " is not offered by this FMU");                                                         \
-    }
-
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wunused-parameter"
 MISSING(fmi3GetNumberOfVariableDependencies, fmi3ValueReference vr, size_t *count)
 MISSING(fmi3GetVariableDependencies, fmi3ValueReference vr, size_t elements[], fmi3ValueReference independents[],
         size_t independent_elements[], int kinds[], size_t count)
@@ -260,4 +198,3 @@ MISSING(fmi3GetNumberOfContinuousStates, size_t *count)
 MISSING(fmi3GetOutputDerivatives, const fmi3ValueReference vr[], size_t count, const int32_t orders[],
         fmi3Float64 values[], size_t number)
 MISSING(fmi3ActivateModelPartition, fmi3ValueReference clock, fmi3Float64 time)
-#pragma GCC diagnostic pop

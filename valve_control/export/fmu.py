@@ -32,10 +32,6 @@ UNITS = (
     "V",
     "V²",
     "V/s³",
-    "m",
-    "m/s",
-    "m³",
-    "m³/s/√Pa",
     "V/s",
     "V/s²",
     "V·s",
@@ -44,7 +40,7 @@ UNITS = (
     "1/s²",
     "V/V",
     "V²/s²",
-    "-",  # which stands for none
+    "-",
 )  # beside those of parameters
 LINEAR = ("V position of the spool", "V/s velocity", "V/s² inner state", "V/s³ inner state")
 PLACES = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
@@ -77,14 +73,17 @@ def make(unit: Unit, version: int, found: Settable | None = None) -> bytes:
     compiler.find()
     made = sources.make(unit, found=found)
     variables = _variables(unit, made)
-    wrapper = resources.files(__package__).joinpath(f"fmi{version}.c").read_text(encoding="utf-8")
-    content = made.header + made.source + wrapper + repr(variables)
+    wrapper = {
+        file: resources.files(__package__).joinpath(file).read_text(encoding="utf-8")
+        for file in ("fmi.h", f"fmi{version}.c")
+    }
+    content = "".join([made.header, made.source, *wrapper.values(), repr(variables)])
     token = hashlib.sha256(content.encode()).hexdigest()[:32]
     files = {
         f"{unit.name}.c": made.source,
         f"{unit.name}.h": made.header,
         "model.h": _model(unit, made, variables, token),
-        f"fmi{version}.c": wrapper,
+        **wrapper,
     }
     compiled = [f"{unit.name}.c", f"fmi{version}.c"]
     with tempfile.TemporaryDirectory(prefix="valve_control-export-") as name:
@@ -137,19 +136,12 @@ def _law_ports(unit: Unit) -> tuple[list[Variable], list[tuple[str, str]], Mappi
 
 def _plant_ports(unit: Unit) -> tuple[list[Variable], list[tuple[str, str]], Mapping[str, str]]:
     """Inputs and outputs of a plant; its state with the C that reads it; descriptions of the states."""
-    several = len(unit.outputs) > 1
-    noises = "".join(f", m->in[{i}]" for i in range(1, 1 + len(unit.noises)))
-    read = f"{unit.name}_read(&m->p, &m->s{noises})"
+    noise = "standard normal number of the LVDT"
+    read = f"{unit.name}_read(&m->p, &m->s, m->in[1])"
     ports = [
         Variable("voltage", "input", "solenoid voltage", "V", "m->in[0]", "m->in[0] = value", 0.0),
-        *(
-            Variable(p.name, "input", p.text, p.unit, f"m->in[{i}]", f"m->in[{i}] = value", 0.0)
-            for i, p in enumerate(unit.noises, 1)
-        ),
-        *(
-            Variable(p.name, "output", p.text, p.unit, read + (f".{p.name}" if several else ""))
-            for p in unit.outputs
-        ),
+        Variable("noise", "input", noise, "", "m->in[1]", "m->in[1] = value", 0.0),
+        Variable("measurement", "output", "LVDT reading", "V", read),
     ]
     fields = [(f"state.{path}", f"m->s.{path}") for path, _ in leaves(unit.begin())]
     texts = {f"state.{path}": text for path, text in _texts(unit.module.State)}
@@ -228,7 +220,7 @@ _MODEL = string.Template("""/* Variables and sampled step of ${name} for the wra
 typedef struct {
     ${name}_params_t p;
     ${name}_state_t s;
-    double in[$inputs];
+    double in[2];
     double time; /* s */
     double ahead; /* periods until the next sample */
 $fields
@@ -313,7 +305,6 @@ def _model(unit: Unit, made: Sources, variables: list[Variable], token: str) -> 
         token=token,
         period=unit.period.hex(),
         seconds=repr(unit.period),
-        inputs=2 if unit.is_law else 1 + len(unit.noises),
         fields=fields,
         begin=begin,
         gets="\n".join(gets),

@@ -2,14 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The folder that is handed over: sources, a recorded run, what compares them, Makefile and README."""
 
-import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
-from valve_control import outputs
 from valve_control.export import compiler, samples, sources
 from valve_control.export.settable import Settable
 from valve_control.export.sources import FLAGS, Sources
@@ -33,43 +31,17 @@ def refuse_taken(path: str) -> Path:
     return folder
 
 
-def write(folder: Path, files: Mapping[str, str | bytes]) -> None:
-    """Make ``folder`` with all ``files``, or nothing.
-
-    Raises OSError, and ParameterError if another program has made it meanwhile.
-    """
-    made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+def write(folder: Path, files: Mapping[str, str]) -> None:
+    """Make ``folder`` with all ``files``, or nothing. Raises OSError and ParameterError."""
+    try:
+        folder.mkdir()
+    except FileExistsError as error:
+        raise ParameterError(f"{folder.name} was made by another program meanwhile") from error
     try:
         for name, text in files.items():
-            (made / name).write_bytes(text.encode("utf-8") if isinstance(text, str) else text)
-        made.chmod(0o755)
-        with _claimed(folder, folder.mkdir, folder.rmdir):
-            made.rename(folder)
+            (folder / name).write_text(text, encoding="utf-8")
     except BaseException:  # Ctrl-C too
-        shutil.rmtree(made, ignore_errors=True)
-        raise
-
-
-def write_file(path: Path, content: bytes) -> None:
-    """Make the file ``path``, or nothing; raises as ``write`` does."""
-    with _claimed(path, lambda: path.touch(exist_ok=False), path.unlink):
-        outputs.write(str(path), content)
-
-
-@contextlib.contextmanager
-def _claimed(path: Path, claim: Callable[[], None], release: Callable[[], None]) -> Iterator[None]:
-    """``path``, empty after ``claim``, is filled within the block, or gone after it."""
-    try:
-        claim()
-    except FileExistsError as error:
-        raise ParameterError(
-            f"{path.name} was made by another program meanwhile; nothing was written, so give another name"
-        ) from error
-    try:
-        yield
-    except BaseException:  # Ctrl-C too
-        with contextlib.suppress(OSError):  # it is filled already, or gone
-            release()
+        shutil.rmtree(folder, ignore_errors=True)
         raise
 
 
@@ -146,14 +118,7 @@ def check(unit: Unit, made: Sources, largest: float, single: bool) -> str:
         again = f"{name}_step(&{name}_exported, &state, row->given[0], row->given[1], row->given[2], 0)"
     else:
         begin = f"    {name}_init(&state{', memory' if made.memory else ''});\n"
-        cast = "(float)" if single else ""
-        read = f"{name}_read(&{name}_exported, &state" + "".join(
-            f",\n            {cast}row->given[{i}]" for i in range(1, 1 + len(unit.noises))
-        )
-        calls = _PLANT_CALLS.replace("@READ@", f"found = {read})")
-        if len(unit.outputs) > 1:
-            calls = f"        const {name}_reading_t reading = {read});\n"
-            calls += f"        found = reading.{unit.outputs[0].name};\n" + _PLANT_CALLS.split("\n", 1)[1]
+        calls = _PLANT_CALLS
         again = f"({name}_step(&{name}_exported, &state, row->given[0]), {paths[-1]})"
     equal = (
         "fabs((double)found - row->result) <= LARGEST"
@@ -213,7 +178,7 @@ _WATCH_CALLS = """        if (strncmp(row->event, "command", sizeof row->event) 
             found = @NAME@_watch_sample(&@NAME@_exported, &state, row->given[0], (int64_t)row->given[1]);
 """
 
-_PLANT_CALLS = """        @READ@;
+_PLANT_CALLS = """        found = @NAME@_read(&@NAME@_exported, &state, @CAST@row->given[1]);
         @NAME@_step(&@NAME@_exported, &state, @CAST@row->given[0]);
 """
 
@@ -339,9 +304,6 @@ def readme(unit: Unit, made: Sources, rows: int, largest: float, single: bool) -
     name = unit.name
     settable = ", ".join(dict.fromkeys(setter.parameter.name for setter in made.setters)) or "none"
     others = ", ".join(f"{other} ({reason})" for other, reason in made.others.items()) or "none"
-    designed = "Parameters that need a new export"
-    if unit.is_law:
-        designed = f"Parameters that need `export --parameters-only` and `{name}_set_design`, or a new export"
     bits = f"within {largest:g} V in float" if single else "bit for bit"
     order = (
         f"`{name}_init` once, then each sample `{name}_step`, or `{name}_hold` where a reading is missing."
@@ -367,6 +329,6 @@ Several instances are several structs. Functions with different structs may run 
 {trust}
 Compile with `{FLAGS}`; fast-math or fused operations change the last bits.
 Parameters that `{name}_set_...` sets while it runs: {settable}.
-{designed}: {others}.
+Parameters that need a new export: {others}.
 Made by `valve-control export`; do not edit, export again.
 """

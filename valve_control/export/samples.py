@@ -10,7 +10,7 @@ the supervisor's own, and the LVDT and the upper level fail in all the ways that
 
 import math
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,7 +48,7 @@ class Row(NamedTuple):
     """One call, with what it is given.
 
     init: reading, voltage, reference, its rate, velocity; step or hold of a law: command, reading, and offset
-    or the voltage that is held; step of a plant: voltage, noises. Under the watch: sample with reading and
+    or the voltage that is held; step of a plant: voltage, noise. Under the watch: sample with reading and
     samples that were left out before it; command; after, a command with the time since the one before; point
     of a trajectory with that time, and unpoint, its end; gone; reset; silence with its time.
     """
@@ -56,7 +56,7 @@ class Row(NamedTuple):
     event: str
     given: tuple[float, ...]
     result: float  # voltage, or reading before the step; 0.0 where there is none
-    state: Any  # after it; of a law under the watch, or of several readings, the numbers
+    state: Any  # after it; of a law under the watch, the numbers
 
 
 def digest(numbers: Sequence[float]) -> int:
@@ -141,16 +141,12 @@ def _law(unit: Unit, count: int, seed: int) -> Iterator[Row]:
 def _plant(unit: Unit, count: int, seed: int) -> Iterator[Row]:
     module, p = unit.module, unit.params
     state = unit.begin()
-    noise = np.random.default_rng(seed).standard_normal((count, len(unit.noises))).tolist()
+    noise = np.random.default_rng(seed).standard_normal(count).tolist()
     for k in range(count):
         voltage = 1.5 * command(k, unit.period)
-        reading = unit.read(p, state, *noise[k])
+        reading = module.read(p, state, noise[k])
         state = module.step(p, state, voltage)
-        given = (voltage, *noise[k])
-        if len(unit.outputs) == 1:
-            yield Row("step", given, reading, state)
-        else:
-            yield Row("step", given, reading[0], [*reading, *(number for _, number in leaves(state))])
+        yield Row("step", (voltage, noise[k]), reading, state)
 
 
 class Fault(NamedTuple):
@@ -190,6 +186,45 @@ FAULTS = (
 )  # fmt: skip
 
 
+COMMANDED = {"not_finite_command": math.nan, "large_command": 1e6, "old": 0.3}  # V  in place of the command
+READ: dict[str, Callable[[float, int], float]] = {  # what becomes of a reading [V] at a sample, in this order
+    "flipped": lambda reading, k: -reading,
+    "half": lambda reading, k: 0.5 * reading,
+    "dead": lambda reading, k: 0.0006 * (k % 3) - 10.0,
+    "jump": lambda reading, k: reading + 3.0,
+    "beyond": lambda reading, k: 1e3,
+    "missing": lambda reading, k: math.nan,
+}
+CALLED: dict[str, tuple[str, tuple[float, ...], Callable[[Supervisor], object]]] = {
+    "no_trajectory": ("unpoint", (), Supervisor.trajectory_gone),
+    "gone": ("gone", (), Supervisor.command_gone),
+    "reset": ("reset", (), Supervisor.reset),
+    "silence": ("silence", (0.03,), lambda supervisor: supervisor.silence(0.03)),
+}  # event of a fault, what it takes in, and the call
+LEFT_OUT = {"late": 3, "gap": 50}  # samples before a reading
+Event = tuple[str, tuple[float, ...], float]  # with what it takes in, and what it gives
+
+
+def _sent(supervisor: Supervisor, now: set[str], k: int, period: float) -> Iterator[Event]:
+    """What the upper level sends before sample ``k`` with the faults of ``now``."""
+    t = k * period
+    wanted = 0.4 * command(k, period) if t < 1.0 else command(k, period)
+    for what in now & COMMANDED.keys():
+        wanted = COMMANDED[what]
+    times = (1.0 + t * DRIFTING, (0.5 + 0.4 * math.sin(k)) * period)
+    if "no_command" not in now and t > STAMPED:
+        supervisor.command(wanted, *times)
+        yield "at", (wanted, *times), 0.0
+    elif "no_command" not in now:
+        supervisor.command(wanted)
+        yield "command", (wanted,), 0.0
+    if "trajectory" in now:
+        backwards = 3.0 if "set_back" in now else 0.01 if k % 100 == 0 else 0.0
+        point, stamp = swing(t), times[0] - backwards
+        taken = supervisor.trajectory(point, stamp, times[1])
+        yield "point", (*point, stamp, times[1]), float(taken)
+
+
 def faulty(
     unit: Unit, count: int, seed: int, faults: Sequence[Fault] = FAULTS
 ) -> Iterator[tuple[str, tuple[float, ...], Supervisor, float]]:
@@ -202,53 +237,27 @@ def faulty(
     random = np.random.default_rng(seed)
     noise = random.standard_normal(count).tolist()
     lost = (random.random(count) < 0.01).tolist()
-    number, shown, voltage = 0, 0.0, 0.0
+    late = round(DEAD_TIME / plant.period)
+    number, shown = 0, 0.0
     readings: list[float] = []
     for k in range(count):
-        t = k * plant.period
         now = {f.what for f in faults if 0 <= k - round(f.begin / plant.period) < f.samples}
-        wanted = 0.4 * command(k, plant.period) if t < 1.0 else command(k, plant.period)
-        if "not_finite_command" in now or "large_command" in now:
-            wanted = math.nan if "not_finite_command" in now else 1e6
-        wanted = 0.3 if "old" in now else wanted
-        spoken = k > 10 and k % 3 == 0
-        times = (1.0 + t * DRIFTING, (0.5 + 0.4 * math.sin(k)) * plant.period)
-        if spoken and "no_command" not in now and t > STAMPED:
-            supervisor.command(wanted, *times)
-            yield "at", (wanted, *times), supervisor, 0.0
-        elif spoken and "no_command" not in now:
-            supervisor.command(wanted)
-            yield "command", (wanted,), supervisor, 0.0
-        if spoken and "trajectory" in now:
-            backwards = 3.0 if "set_back" in now else 0.01 if k % 100 == 0 else 0.0
-            point = swing(t)
-            taken = supervisor.trajectory(point, times[0] - backwards, times[1])
-            yield "point", (*point, times[0] - backwards, times[1]), supervisor, float(taken)
-        if "no_trajectory" in now:
-            supervisor.trajectory_gone()
-            yield "unpoint", (), supervisor, 0.0
-        if "gone" in now:
-            supervisor.command_gone()
-            yield "gone", (), supervisor, 0.0
-        if "reset" in now:
-            supervisor.reset()
-            yield "reset", (), supervisor, 0.0
-        if "silence" in now:
-            voltage = supervisor.silence(0.03)
-            yield "silence", (0.03,), supervisor, voltage
-        reading = valve.read(plant, spool, noise[k])
-        readings.append(reading)
-        reading = readings[max(0, k - round(DEAD_TIME / plant.period))] if "old" in now else reading
-        shown = shown if "frozen" in now else reading
-        skipped = 3 if "late" in now else 50 if "gap" in now else int(lost[k])
-        reading = -reading if "flipped" in now else 0.5 * reading if "half" in now else shown
-        reading = 0.0006 * (k % 3) - 10.0 if "dead" in now else reading
-        reading += 3.0 if "jump" in now else 0.0
-        reading = math.nan if "missing" in now else 1e3 if "beyond" in now else reading
+        for event, given, result in _sent(supervisor, now, k, plant.period) if k > 10 and k % 3 == 0 else ():
+            yield event, given, supervisor, result
+        for what, (event, given, call) in CALLED.items():
+            if what in now:
+                voltage = call(supervisor)
+                yield event, given, supervisor, voltage if isinstance(voltage, float) else 0.0
+        readings.append(valve.read(plant, spool, noise[k]))
+        shown = shown if "frozen" in now else readings[max(0, k - late) if "old" in now else k]
+        reading = shown
+        for what, becomes in READ.items():
+            reading = becomes(reading, k) if what in now else reading
+        skipped = max((LEFT_OUT[what] for what in now & LEFT_OUT.keys()), default=int(lost[k]))
         number += 1 + skipped
-        voltage = supervisor.sample(reading, number)
-        yield "sample", (reading, float(skipped)), supervisor, voltage
-        spool = valve.step(plant, spool, voltage)
+        answer = supervisor.sample(reading, number)
+        yield "sample", (reading, float(skipped)), supervisor, answer
+        spool = valve.step(plant, spool, answer)
 
 
 def under_watch(

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 from valve_control import __version__
 from valve_control.control.laws.signals import Start
 from valve_control.control.supervision.command_course import Motion
-from valve_control.export import design, kinds, settable
-from valve_control.export.emission import WIDTH, wrapped
+from valve_control.export import kinds, settable
+from valve_control.export.emission import wrapped
 from valve_control.export.kinds import BOOLEAN, INTEGER, REAL, Kind, comment, identifier
 from valve_control.export.settable import Settable, Setter
 from valve_control.export.subset import Program, SubsetError
@@ -85,8 +85,6 @@ def make(unit: Unit, single: bool = False, found: Settable | None = None) -> Sou
         raise SubsetError(f"{unit.name} cannot be exported to C: {error}") from error
     found = found or settable.find(unit)
     setting = _setters(unit, program, found, names[at])
-    if unit.is_law:
-        setting.append(_design(unit, program, found, names[at]))
     prototypes, definitions = (
         [text for part in parts for text in part[i]] + [one[i] for one in setting] for i in range(2)
     )
@@ -120,8 +118,6 @@ def make(unit: Unit, single: bool = False, found: Settable | None = None) -> Sou
 def _public(unit: Unit, own: Unit) -> list[Kind]:
     """Records that the header shows: those of a plant or a law, and then those of the watch over the law."""
     public = [Kind("record", getattr(own.module, part)) for part in ("Params", "State")]
-    if len(unit.outputs) > 1:
-        public.append(Kind("record", unit.module.Reading))
     if unit.is_law:
         public += [Kind("record", own.module.Terms), Kind("record", Start)]
     if unit.inner is not None:
@@ -205,32 +201,24 @@ def _plant(
     """Prototypes and definitions of a plant's functions, and the numbers that its arrays hold."""
     name, real, module = unit.name, program.real, unit.module
     params_t, state_t = names[:2]
-    read = program.translate(unit.read, [*public[:2], *(REAL for _ in unit.noises)])
+    read = program.translate(module.read, [*public[:2], REAL])
     step = program.translate(module.step, [*public[:2], REAL])
     lines: list[str] = []
     memory = _begun(program, name, public[1], unit.begin(), "s->", lines, 0)
     given = f"{state_t} *s, {real} *memory" if memory else f"{state_t} *s"
     prototypes, definitions = _exported(unit, program, public[0], params_t)
-    noises = [port.name for port in unit.noises]
-    reading = f"{program.type_name(read.returns)} {name}_read(const {params_t} *p, const {state_t} *s"
-    reading = _folded(reading, [f"{real} {noise}" for noise in noises])
-    of = "Reading [V] of the sensor" if len(unit.outputs) == 1 else "Readings of the sensors"
-    are = (
-        f"``{noises[0]}`` is a standard normal number"
-        if len(noises) == 1
-        else "all noises are standard normal"
-    )
+    reading = f"{real} {name}_read(const {params_t} *p, const {state_t} *s, {real} noise)"
     prototypes += [
         "/* At rest, without voltage"
         + (f"; ``memory`` has {name.upper()}_MEMORY numbers and is written in each step" if memory else "")
         + f". */\nvoid {name}_init({given});",
-        f"/* {of} at this sample; {are}. */\n{reading};",
+        f"/* Reading [V] of the sensor at this sample; ``noise`` is a standard normal number. */\n{reading};",
         f"/* One period, over which ``voltage`` [V] is held. */\n"
         f"void {name}_step(const {params_t} *p, {state_t} *s, {real} voltage);",
     ]
     definitions += [
         "\n".join([f"void {name}_init({given})", "{", *lines, "}"]),
-        f"{reading}\n{{\n    return {read.name}(p, s, {', '.join(noises)});\n}}",
+        f"{reading}\n{{\n    return {read.name}(p, s, noise);\n}}",
         f"void {name}_step(const {params_t} *p, {state_t} *s, {real} voltage)\n{{\n"
         f"    *s = {step.name}(p, s, voltage);\n}}",
     ]
@@ -270,12 +258,6 @@ def _begun(
             cast = f"({program.type_name(inner)})" if inner.what == "optional" else ""
             lines += wrapped(f"{here} = {cast}{program.constant(item, inner)};", "    ")
     return memory
-
-
-def _folded(head: str, arguments: list[str]) -> str:
-    """A function's head, whose last arguments may stand in a second line."""
-    together = f"{head}, {', '.join(arguments)})"
-    return together if len(together) <= WIDTH else f"{head},\n    {', '.join(arguments)})"
 
 
 class _WatchFunction(NamedTuple):
@@ -449,72 +431,8 @@ def _setters(unit: Unit, program: Program, found: Settable, params_t: str) -> li
     return made
 
 
-def _design(unit: Unit, program: Program, found: Settable, params_t: str) -> tuple[str, str]:
-    """Type, prototype and definition of what takes over all numbers at once."""
-    name, upper = unit.name, unit.name.upper()
-    paths = [path for path, _ in leaves(unit.params)]
-    layout, form = design.layout(unit, program.single), design.form(unit)
-    cast = "(float)" if program.single else ""
-    ranges = {setter.path: setter.parameter for setter in found.setters}
-    head = f"bool {name}_set_design({params_t} *p, const {name}_design_t *design)"
-    prototype = (
-        f"#define {upper}_LAYOUT 0x{layout:016x}u /* blocks that fit */\n"
-        f"#define {upper}_FORM 0x{form:016x}u /* of this export */\n\n"
-        f"/* All numbers of the parameters, from valve-control export --parameters-only. */\n"
-        f"typedef struct {{\n    uint64_t layout, form;\n    double numbers[{len(paths)}];\n"
-        f"    uint64_t check;\n}} {name}_design_t;\n\n"
-        "/* Take over all numbers between two samples. False, and nothing is changed, if the block is of\n"
-        " * another law, sample period or version, is damaged, or has a number out of its range. Where its\n"
-        f" * form is not that of the block before ({upper}_FORM), the state means something else: begin it\n"
-        " * again. */\n"
-        f"{head};"
-    )
-    checks = [
-        line
-        for i, path in enumerate(paths)
-        if path in ranges
-        for line in (
-            f"    if (!(design->numbers[{i}] >= {ranges[path].low!r} && "
-            f"design->numbers[{i}] <= {ranges[path].high!r}))",
-            "        return false;",
-        )
-    ]
-    lines = [
-        head,
-        "{",
-        "    uint64_t check = 0xcbf29ce484222325u; /* FNV-1a over words */",
-        "    check = (check ^ design->layout) * 0x100000001b3u;",
-        "    check = (check ^ design->form) * 0x100000001b3u;",
-        f"    for (int i = 0; i < {len(paths)}; i++) {{",
-        "        union {",
-        "            double number;",
-        "            uint64_t word;",
-        "        } bits;",
-        "        bits.number = design->numbers[i];",
-        "        if (!isfinite(bits.number))",
-        "            return false;",
-        "        check = (check ^ bits.word) * 0x100000001b3u;",
-        "    }",
-        f"    if (design->layout != {upper}_LAYOUT || design->check != check)",
-        "        return false;",
-        *checks,
-        *(f"    p->{path} = {cast}design->numbers[{i}];" for i, path in enumerate(paths)),
-        "    return true;",
-        "}",
-    ]
-    return prototype, "\n".join(lines)
-
-
 def state_numbers(unit: Unit) -> list[str]:
-    """Expression in C of each number of ``state``, without arrays and indices, behind several readings."""
-    readings = [f"reading.{port.name}" for port in unit.outputs] if len(unit.outputs) > 1 else []
+    """Expression in C of each number of ``state``, without arrays and indices."""
     if unit.inner is not None:
         return places(Kind("record", unit.module.State), "state")
-    return readings + [f"state.{path}" for path in _state_paths(unit)]
-
-
-def _state_paths(unit: Unit) -> list[str]:
-    if not unit.is_law:
-        return [path for path, _ in leaves(unit.begin())]
-    begin = unit.module.initial(unit.params, Start(0.0, 0.0, 0.0, 0.0, 0.0))
-    return [path for path, _ in leaves(begin)]
+    return [f"state.{path}" for path, _ in leaves(unit.begin())]

@@ -13,7 +13,8 @@ from valve_control.export import kinds
 from valve_control.export.emission import wrapped
 from valve_control.export.expressions import Expressions
 from valve_control.export.kinds import INTEGER, NOTHING, REAL, Kind, comment
-from valve_control.export.terms import Function, SubsetError, Term, named
+from valve_control.export.terms import Function, Term, named
+from valve_control.export.values import INDENT
 
 
 class Body(Expressions):
@@ -60,14 +61,13 @@ class Body(Expressions):
                 self._scope[argument.arg] = Term(own, kind, has_address=True, pointer=True)
             self._declared[argument.arg] = kind
         head, self._lines = self._lines, []
-        self._place_declarations()
         ended = self._block(self._parsed.body)
         body, self._lines = self._lines, head
         used = set(re.findall(r"\w+", "\n".join([*head, *body])))
         for argument in self._parsed.args.args:
             if self._local(argument.arg) not in used:
                 self._line(f"(void){self._local(argument.arg)};")
-        self._lines += body
+        self._lines += self._head + body
         returns = self._returns or NOTHING
         if not ended and returns is not NOTHING:
             raise self.refused(self._parsed, f"{self._parsed.name} can end without a result")
@@ -92,11 +92,6 @@ class Body(Expressions):
         return False
 
     def _statement(self, node: ast.stmt) -> bool:
-        for name in self._early.pop(id(node), []):
-            kind = self._kind_of_variable(name)
-            self._line(f"{self._type(node, kind, self._local(name))};")
-            self._scope[name] = Term(self._local(name), kind, has_address=True)
-            self._declared[name] = kind
         said = self._said.get(node.end_lineno or node.lineno, "") if not isinstance(node, ast.If) else ""
         self._check_order(node)
         if self._is_left_out(node):
@@ -239,16 +234,15 @@ class Body(Expressions):
         """Whether something must be computed or declared before the if."""
         lines, temporaries = list(self._lines), self._temporaries
         self._truth(node.test)
-        needed = len(self._lines) > len(lines) or id(node) in self._early
+        needed = len(self._lines) > len(lines)
         self._lines, self._temporaries = lines, temporaries
         return needed
 
     def _nested(self, body: Sequence[ast.stmt]) -> bool:
-        outer, declared, indent = dict(self._scope), dict(self._declared), self._indent
+        indent = self._indent
         self._indent += "    "
         ended = self._block(body)
         self._indent = indent
-        self._scope, self._declared = outer, declared
         return ended
 
     def _annotated(self, node: ast.AnnAssign, said: str) -> None:
@@ -312,9 +306,13 @@ class Body(Expressions):
         if kind is None:
             kind = self._declared[name] = self._whole_kind(name, term.kind)
         term = self._as(term, kind, target)
-        begin = "" if name in self._scope else f"{self._program.type_name(kind)} "
-        self._scope[name] = Term(self._local(name), kind, has_address=True)
-        self._line(f"{begin}{self._local(name)} = {term.value};", said)
+        own, begin = self._local(name), ""
+        if name not in self._scope and self._indent == INDENT:
+            begin = f"{self._program.type_name(kind)} "
+        elif name not in self._scope:  # declared at the beginning, since what follows the block may read it
+            self._head.append(f"{INDENT}{self._program.declared(kind, own)};")
+        self._scope[name] = Term(own, kind, has_address=True)
+        self._line(f"{begin}{own} = {term.value};", said)
 
     def _slot(self, target: ast.Attribute) -> Term:
         """The slot of a memory that gets a value."""
@@ -322,102 +320,6 @@ class Body(Expressions):
         if base is None or not base.kind.is_memory:
             raise self.refused(target, "an assignment to something else than a variable or a memory's slot")
         return self._attribute(target)
-
-    # Where variables are declared, and of which kind
-
-    def _place_declarations(self) -> None:
-        """Find the variables that are used outside the block in which they are first given a value."""
-        paths: dict[str, list[tuple[tuple[int, int], ...]]] = {}
-        first: dict[str, tuple[tuple[int, int], ...]] = {}
-        statements: dict[tuple[tuple[int, int], ...], ast.stmt] = {}
-
-        def walk(body: list[ast.stmt], block: tuple[tuple[int, int], ...], branch: int) -> None:
-            for i, statement in enumerate(body):
-                here = (*block, (branch, i))
-                statements[here] = statement
-                parts: list[ast.AST] = [statement]
-                if isinstance(statement, ast.If):
-                    parts = [statement.test]
-                elif isinstance(statement, ast.For):
-                    parts = [statement.iter]
-                elif isinstance(statement, ast.Try):
-                    parts = []
-                for part in parts:
-                    for node in ast.walk(part):
-                        if isinstance(node, ast.Name) and node.id in self._stored:
-                            paths.setdefault(node.id, []).append(here)
-                            if isinstance(node.ctx, ast.Store):
-                                first.setdefault(node.id, here)
-                if isinstance(statement, ast.If):
-                    walk(statement.body, here, 0)
-                    walk(statement.orelse, here, 1)
-                elif isinstance(statement, (ast.For, ast.Try)):
-                    walk(statement.body, here, 0)
-
-        walk(self._parsed.body, (), 0)
-        for name, places in paths.items():
-            if name in self._scope or name not in first:  # an argument, or the variable of a loop
-                continue
-            own = first[name]
-            for place in places:
-                depth = len(own) - 1
-                inside = (
-                    len(place) > depth and place[:depth] == own[:depth] and place[depth][0] == own[depth][0]
-                )
-                while depth > 0 and not inside:
-                    depth -= 1
-                    inside = (
-                        len(place) > depth
-                        and place[:depth] == own[:depth]
-                        and place[depth][0] == own[depth][0]
-                    )
-                own = own[: depth + 1]
-            if own != first[name]:
-                self._early.setdefault(id(statements[own]), []).append(name)
-
-    def _kind_of_variable(self, name: str) -> Kind:
-        """Kind of a variable that must be declared before its first value, from that value."""
-        for node in ast.walk(self._parsed):
-            if isinstance(node, ast.AnnAssign) and getattr(node.target, "id", "") == name:
-                kind = kinds.of_annotation(eval(ast.unparse(node.annotation), self._function.__globals__))
-                if kind is not None:
-                    return kind
-        lines, temporaries = list(self._lines), self._temporaries
-        scope, declared = dict(self._scope), dict(self._declared)
-        self._sought.add(name)
-        try:
-            for node in ast.walk(self._parsed):
-                if isinstance(node, ast.Assign):
-                    kind = self._tried(node, name)
-                    if kind is not None:
-                        return kind
-        finally:
-            self._sought.discard(name)
-            self._lines, self._temporaries = lines, temporaries
-            self._scope, self._declared = scope, declared
-        raise self.refused(self._parsed, f"what {name} is cannot be told; annotate it")
-
-    def _tried(self, node: ast.Assign, name: str) -> Kind | None:
-        """Kind that the assignment ``node`` gives to ``name``, None if that cannot be told here."""
-        target = node.targets[0]
-        if name not in {n.id for n in ast.walk(target) if isinstance(n, ast.Name)}:
-            return None
-        try:
-            for used in ast.walk(node.value):
-                if isinstance(used, ast.Name) and used.id in self._stored - self._sought - set(self._scope):
-                    kind = self._kind_of_variable(used.id)
-                    self._scope[used.id] = Term(self._local(used.id), kind, has_address=True)
-            if isinstance(target, ast.Name):
-                return self._expression(node.value).kind
-            if isinstance(target, ast.Tuple):
-                listed = [getattr(part, "id", "") for part in target.elts]
-                if name in listed and isinstance(node.value, ast.Tuple):
-                    return self._expression(node.value.elts[listed.index(name)]).kind
-                if name in listed:
-                    return list(self._parts(self._expression(node.value), node))[listed.index(name)].kind
-        except SubsetError:
-            return None
-        return None
 
     def _whole_kind(self, name: str, kind: Kind) -> Kind:
         """Kind of a variable that is first given a value of ``kind``."""

@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Translates pure step functions, and all that they call, from a small subset of Python to C99.
 
-The subset: functions of numbers and NamedTuples; assignments, also of tuples; ``if``; ``return``;
-arithmetic, comparisons, ``and``, ``or``, ``not`` and conditional expressions; ``abs``, ``min``, ``max``,
-``int``, ``float``, ``len`` of an array; ``for`` over a ``range``, or over a tuple of the module, with
-``getattr`` and ``setattr`` of what its entries name; ``in`` a tuple of constants; the functions of FUNCTIONS
-from ``math``; ``all(map(math.isfinite, …))``; ``map`` where arguments are taken apart; constants of modules;
-``_replace``. Everything else is named with its file and line.
+The subset: functions of numbers and NamedTuples; assignments, also of tuples; ``if``; ``return``; arithmetic,
+comparisons, ``and``, ``or``, ``not`` and conditional expressions; ``abs``, ``min``, ``max``, ``int``,
+``float``, ``len`` of an array; ``for`` over a ``range``; ``in`` a tuple of constants; the functions of
+FUNCTIONS from ``math``; ``all(map(math.isfinite, …))``; ``map`` where arguments are taken apart; constants of
+modules; ``_replace``. Everything else is named with its file and line.
 
 Each operation stays where it is, in the order of Python, so that a compiler that keeps to IEEE 754 gives
 the same bits. Where Python goes its own way, C goes along: ``min`` and ``max`` keep the first of equals and
@@ -32,7 +31,6 @@ from valve_control.export import emission, kinds
 from valve_control.export.kinds import Kind, identifier
 from valve_control.export.statements import Body
 from valve_control.export.terms import Function, SubsetError
-from valve_control.export.unrolled import unroll
 
 __all__ = ["Program", "SubsetError"]
 
@@ -53,8 +51,7 @@ class Program(emission.Program):
             where = function.__code__.co_filename
             raise SubsetError(f"the source of {function.__name__} ({where}) cannot be read") from error
         parsed = ast.parse(textwrap.dedent(source)).body[0]
-        entries = unroll(parsed, function.__globals__)
-        body = Body(self, function, parsed, entries, kinds.comments(textwrap.dedent(source)))
+        body = Body(self, function, parsed, kinds.comments(textwrap.dedent(source)))
         wanted = body.arguments(arguments)
         key = (function, wanted)
         if key in self._made:

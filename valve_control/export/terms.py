@@ -92,23 +92,4 @@ def article(kind: Kind) -> str:
 
 def named(node: ast.AST) -> str:
     """What ``node`` is, in words."""
-    words: dict[type[ast.AST], str] = {
-        ast.While: "a while loop",
-        ast.With: "a with block",
-        ast.Try: "a try block",
-        ast.Raise: "a raise",
-        ast.Assert: "an assert",
-        ast.FunctionDef: "a function inside a function",
-        ast.Lambda: "a lambda",
-        ast.List: "a list",
-        ast.Dict: "a dictionary",
-        ast.Set: "a set",
-        ast.ListComp: "a list comprehension",
-        ast.GeneratorExp: "a generator",
-        ast.JoinedStr: "a formatted string",
-        ast.Import: "an import",
-        ast.ImportFrom: "an import",
-        ast.Global: "a global variable",
-        ast.NamedExpr: "an assignment inside an expression",
-    }
-    return words.get(type(node), f"{type(node).__name__} ({ast.unparse(node)})")
+    return f"{type(node).__name__} ({ast.unparse(node).splitlines()[0]})"

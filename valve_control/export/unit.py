@@ -11,16 +11,15 @@ from valve_control.control.laws import linearisation
 from valve_control.control.laws.common import COMMON
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.reshaping import PARAMETERS as RESHAPING
-from valve_control.control.parameters import axis_parameters
+from valve_control.control.laws.signals import Start
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant import machine, registry
+from valve_control.control.plant import registry
 from valve_control.control.supervision import watch
 from valve_control.control.supervision.record import Memory
 from valve_control.export import kinds
 from valve_control.export.kinds import Kind, identifier
 from valve_control.parameter import Table, Values, number, word
 
-PLANTS = ("valve", "axis")
 WATCHED = (
     "command_limit",
     "command_timeout",
@@ -36,14 +35,6 @@ WATCHED = (
 UNWATCHED = ("lvdt.period_limit",)  # the period is that of the machine's own timer
 
 
-class Port(NamedTuple):
-    """A number that goes into a plant, or comes out of it."""
-
-    name: str
-    text: str
-    unit: str
-
-
 class Unit(NamedTuple):
     """A law or a plant that is exported."""
 
@@ -56,15 +47,16 @@ class Unit(NamedTuple):
     values: Values
     build: Callable[[Values], Any]  # Params from values; raises ParameterError
     inner: Any = None  # the Unit of the law that is under the watch; None: a law alone, or a plant
-    begin: Callable[[], Any] = lambda: None  # state in which a plant begins
-    read: Any = None  # readings of a plant from params, state and a number for each of ``noises``
-    noises: tuple[Port, ...] = ()  # standard normal numbers
-    outputs: tuple[Port, ...] = ()  # fields of the reading, or the one number that it is
 
     @property
     def period(self) -> float:
         """Sample period [s]."""
         return number(self.values, "sample_period")
+
+    def begin(self) -> Any:
+        """State in which a law or a plant begins at rest."""
+        rest = (Start(0.0, 0.0, 0.0, 0.0, 0.0),) if self.is_law else ()
+        return self.module.initial(self.params, *rest)
 
 
 def law(values: Values) -> Unit:
@@ -124,58 +116,7 @@ def watched(values: Values) -> Unit:
 def plant(values: Values) -> Unit:
     """The valve with the simulator's ``values``. Raises ParameterError."""
     kind = registry.chosen(values)
-    params = kind.build(values)
-    return Unit(
-        "valve",
-        kind.text,
-        False,
-        kind.module,
-        params,
-        VALVE,
-        values,
-        kind.build,
-        begin=lambda: kind.module.initial(params),
-        read=kind.module.read,
-        noises=(Port("noise", "standard normal number of the LVDT", ""),),
-        outputs=(Port("measurement", "LVDT reading", "V"),),
-    )
-
-
-def hydraulic_axis(axis_values: Values, valve_values: Values) -> Unit:
-    """The axis and its valve with the values of ``axis_simulator`` and ``valve_simulator``.
-
-    A parameter that both have (``sample_period``, ``seed``) is that of the axis. Raises ParameterError.
-    """
-    own = {parameter.name for parameter in axis_parameters.AXIS}
-
-    def built(values: Values) -> Any:
-        given = {name: values[name] for name in valve_values if name not in own}
-        return axis_parameters.machine_params(values, {**valve_values, **given})
-
-    values = {**valve_values, **axis_values}
-    params = axis_parameters.machine_params(axis_values, valve_values)
-    table = (*axis_parameters.AXIS, *(p for p in VALVE if p.name not in own))
-    sensors = (("spool", "LVDT", "V"), ("position", "position sensor", "m"))
-    pressures = (("pressure_a", "sensor of room a", "Pa"), ("pressure_b", "sensor of room b", "Pa"))
-    return Unit(
-        "axis",
-        "hydraulic axis: valve, cylinder, load, supply and sensors",
-        False,
-        machine,
-        params,
-        table,
-        values,
-        built,
-        begin=lambda: axis_parameters.start(params, axis_values),
-        read=machine.sensed,
-        noises=tuple(
-            Port(f"{name}_noise", f"standard normal number of the {text}", "")
-            for name, text, _ in (*sensors, *pressures)
-        ),
-        outputs=tuple(
-            Port(name, f"reading of the {text}", unit) for name, text, unit in (*sensors, *pressures)
-        ),
-    )
+    return Unit("valve", kind.text, False, kind.module, kind.build(values), VALVE, values, kind.build)
 
 
 def in_c(module: Any, memory: Memory) -> Any:

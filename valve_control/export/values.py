@@ -4,7 +4,7 @@
 
 import ast
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 from valve_control.export import kinds
@@ -24,6 +24,8 @@ from valve_control.export.terms import (
     shown_path,
 )
 
+INDENT = "    "
+
 
 class Values:
     """A function that is translated, with the values that it has."""
@@ -33,7 +35,6 @@ class Values:
         program: Program,
         function: types.FunctionType,
         parsed: ast.stmt,
-        entries: Mapping[str, Any],
         said: dict[int, str],
     ) -> None:
         self._program = program
@@ -41,16 +42,14 @@ class Values:
         if not isinstance(parsed, ast.FunctionDef):
             raise self.refused(parsed, "only plain functions can be exported")
         self._parsed = parsed
-        self._entries = entries  # of tables, by the names that stand for them
         self._said = said
         self._scope: dict[str, Term] = {}
         self._lines: list[str] = []
-        self._indent = "    "
+        self._indent = INDENT
         self._temporaries = 0
         self._declared: dict[str, Kind] = {}
-        self._early: dict[int, list[str]] = {}  # variables to be declared before a statement, by its id
+        self._head: list[str] = []  # declarations of what first gets a value within a block
         self._returns: Kind | None = None
-        self._sought: set[str] = set()  # variables whose kind is being looked for
         names = [node.id for node in ast.walk(parsed) if isinstance(node, ast.Name)]
         stored = {n.id for n in ast.walk(parsed) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
         self._stored = stored
@@ -181,8 +180,6 @@ class Values:
         """What a name of the module stands for, or MISSING for all that is computed."""
         if isinstance(node, ast.Constant):
             return node.value
-        if isinstance(node, ast.Name) and node.id in self._entries:
-            return self._entries[node.id]
         if isinstance(node, ast.Name) and node.id not in self._locals:
             scope = self._function.__globals__
             if node.id in scope:
@@ -194,8 +191,7 @@ class Values:
             return found[node.id]
         if isinstance(node, ast.Attribute):
             base = self._resolved(node.value)
-            is_entry = isinstance(node.value, ast.Name) and node.value.id in self._entries
-            if isinstance(base, types.ModuleType) or is_entry:
+            if isinstance(base, types.ModuleType):
                 if not hasattr(base, node.attr):
                     raise self.refused(node, f"{base.__name__} has no {node.attr}")
                 return getattr(base, node.attr)

@@ -26,7 +26,7 @@ NODES = (
     "axis_controller",
     "dashboard",
 )
-TOOLS = ("demo", "lockstep")
+TOOLS = ("demo",)
 
 
 def program() -> str:

@@ -3,8 +3,6 @@
 """Holds what the nodes share: parameters from the table, polled subscriptions, messages, diagnostics."""
 
 import contextlib
-import math
-import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,14 +33,11 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control import outputs
 from valve_control.control.parameters import arguments
-from valve_control.control.parameters.build import as_text
-from valve_control.control.parameters.files import from_text
+from valve_control.control.parameters.ros_file import as_text, from_text
 from valve_control.nodes.rclpy_internals import override
 from valve_control.nodes.services import Unwatched
 from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, missing, updated
 
-OCTAL = re.compile(r"[+-]?0[0-7]+")
-OF_YAML = re.compile(r"^([+-]?)\.(?=inf|nan)", re.IGNORECASE)  # the point of .inf and .nan
 TELL = 0.5  # s between two lines of the log that tell changes of parameters, at the least
 PROCESS = 12  # bytes of an endpoint's address in DDS that all endpoints of a process have in common
 UNNUMBERED = 2**64 - 1  # in rmw's message info, of a middleware that numbers no messages, such as Cyclone DDS
@@ -110,38 +105,25 @@ def admit(node: Node, nodes: Mapping[str, Table]) -> None:
         node.get_logger().warning(warning)
 
 
-def _declared(node: Node, parameter: Parameter) -> Value:
-    """Declare a parameter on ``node``; returns its value. Raises ParameterError.
-
-    A word of the command line that looks like a number, such as `-p realtime.cpus:=2`, stays the word.
-    """
-    describing = descriptor(parameter)
+def has_override(name: str, parameter: str, remap: list[str] | None = None) -> bool:
+    """Whether the command line gives a ``parameter`` to the node ``name``, before this node exists."""
+    probe = Node(name, cli_args=remap, enable_rosout=False, start_parameter_services=False)
     try:
-        got = node.declare_parameter(parameter.name, parameter.default, describing)
+        return override(probe, parameter) is not None
+    finally:
+        probe.destroy_node()
+
+
+def _declared(node: Node, parameter: Parameter) -> Value:
+    """Declare a parameter on ``node``; returns its value. Raises ParameterError."""
+    try:
+        got = node.declare_parameter(parameter.name, parameter.default, descriptor(parameter))
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         given = override(node, parameter.name)
         value = plain(getattr(given, "value", given))
-        word = arguments.written(sys.argv[1:], node.get_fully_qualified_name(), parameter.name)
-        if not isinstance(parameter.default, str) or word is None or not _same(word, value):
-            parameter.check(value)
-            raise ParameterError(f"{parameter.name} is {value!r}: {error}") from error
-        got = node.declare_parameter(parameter.name, word, describing, ignore_override=True)
+        parameter.check(value)
+        raise ParameterError(f"{parameter.name} is {value!r}: {error}") from error
     return plain(got.value)  # type: ignore[no-any-return]
-
-
-def _same(word: str, value: Value) -> bool:
-    """Whether ``value`` is that which rcl makes of ``word``, and not that of a file that counts instead."""
-    if isinstance(value, bool):
-        return word.lower() in (("true", "yes", "on", "y") if value else ("false", "no", "off", "n"))
-    try:
-        if isinstance(value, int):
-            return int(word, 8 if OCTAL.fullmatch(word) else 0) == value
-        if isinstance(value, float):
-            number = float.fromhex(word) if "x" in word.lower() else float(OF_YAML.sub(r"\1", word))
-            return number == value or (math.isnan(number) and math.isnan(value))
-    except (ValueError, OverflowError):
-        pass
-    return False
 
 
 class ParameterSet:

@@ -18,11 +18,10 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from valve_control.control.motion import path
-from valve_control.control.motion.course import Goal, MotionLimits
-from valve_control.control.parameters.axis_parameters import AXIS_CONTROLLER
-from valve_control.control.plant.machine import Reading
-from valve_control.control.supervision import axis_supervisor
+from valve_control.axis import axis_supervisor, path
+from valve_control.axis.axis_parameters import AXIS_CONTROLLER
+from valve_control.axis.course import Goal, MotionLimits
+from valve_control.axis.machine import Reading
 from valve_control.control.supervision.record import Mode
 from valve_control.nodes.adapter import (
     NEWEST,
@@ -87,12 +86,9 @@ class AxisController(Managed):
             self.autostart()
 
     def _build(self, values: Values) -> tuple[axis_supervisor.Params, path.Range]:
-        if self._values and values["sample_period"] != self._values["sample_period"]:
-            raise ParameterError("the sample_period of a running upper level does not change; start it again")
-        if self._values and values["stop.controller"] != self._values["stop.controller"]:
-            raise ParameterError("stop.controller of a running node does not change; start it again")
-        if self._values and values["upper_level"] != self._values["upper_level"]:
-            raise ParameterError("the upper_level of a running node does not change; start it again")
+        for name in ("sample_period", "stop.controller", "upper_level"):
+            if self._values and values[name] != self._values[name]:
+                raise ParameterError(f"{name} of a running node does not change; start it again")
         return axis_supervisor.design(values)
 
     def _apply(self, values: Values, built: tuple[axis_supervisor.Params, path.Range]) -> None:
@@ -193,7 +189,7 @@ class AxisController(Managed):
             self._watch_at = now + REMIND
             if stalled:
                 self._stop_for_stall()
-            self._state = axis_supervisor.silent(self._state, now - self._heard)
+            self._state = axis_supervisor.silent(self._state, f"no position for {now - self._heard:.3g} s")
             self._publish(self._now())
             worked = True
         if now >= self._deactivate_at:
@@ -221,7 +217,9 @@ class AxisController(Managed):
         self._diagnose()
 
     def _stop_for_stall(self) -> None:
-        self._state = axis_supervisor.stalled(self._state, time.monotonic() - self._heard)
+        stood = time.monotonic() - self._heard
+        text = f"stalled: the axis controller's process stood still for {stood:.3g} s"
+        self._state = axis_supervisor.silent(self._state, text)
 
     def _answer_in_lockstep(self, reading: JointState, number: int) -> bool:
         """Answer when somebody hears the command and both pressures of the reading have come."""
@@ -298,7 +296,9 @@ class AxisController(Managed):
             self._waits_since = min(self._waits_since, now)
             if now - self._waits_since <= self._timeout:
                 return False
-            self._state = axis_supervisor.without_pressures(self._state, missing)
+            topics = " and ".join(f"pressure_{room}" for room in missing)
+            text = f"there is no {topics}, which axis_arc needs; the upper_level axis_pid needs none"
+            self._state = axis_supervisor.stopped(self._state, text)
         for room, heard in self._heard_rooms.items():
             if now - heard > self._timeout:
                 text = f"no pressure {room} for {now - heard:.3g} s"

@@ -12,11 +12,12 @@ import numpy as np
 from sensor_msgs.msg import FluidPressure, JointState
 
 from valve_control.arrays import Floats
+from valve_control.axis import axis, machine
+from valve_control.axis import axis_parameters as parameters
+from valve_control.axis.axis_parameters import AXIS
 from valve_control.control.compiling import compile_function
-from valve_control.control.parameters import axis_parameters as parameters
-from valve_control.control.parameters.axis_parameters import AXIS
 from valve_control.control.parameters.table import VALVE
-from valve_control.control.plant import axis, machine, valve
+from valve_control.control.plant import valve
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import SAMPLES, ParameterSet, admit
 from valve_control.nodes.loop import Worker, run

@@ -9,16 +9,18 @@ voltage goes to it in one thread, and the topics follow. It then has the paramet
 import sys
 from typing import Any
 
-from valve_control.control.parameters import arguments
+from valve_control.nodes.adapter import has_override
 from valve_control.nodes.controller_node import Controller
-from valve_control.nodes.device_controller import DeviceController
 from valve_control.nodes.loop import run
 
 
 def make() -> list[Any]:
     """Create the node: with the device if the command line or its files have the parameter driver."""
-    beside = arguments.looked_up(sys.argv[1:], "controller", "driver") is not None
-    return [DeviceController() if beside else Controller()]
+    if not has_override("controller", "driver"):
+        return [Controller()]
+    from valve_control.nodes.device_controller import DeviceController  # which brings all drivers
+
+    return [DeviceController()]
 
 
 def main() -> int:

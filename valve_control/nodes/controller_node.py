@@ -5,34 +5,30 @@
 import math
 import os
 import time
-from collections import deque
 from collections.abc import Sequence
-from struct import pack
 from typing import Any, NamedTuple
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
+from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from valve_control import inputs, outputs, parameter
 from valve_control.control.laws.registry import LAWS, REFUSED
 from valve_control.control.linear import stability
-from valve_control.control.parameters import arguments, build, files
-from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.parameters import arguments, ros_file
+from valve_control.control.parameters.controller import CONTROLLER, law_params
 from valve_control.control.supervision import rate
 from valve_control.control.supervision.cache_warming import CacheWarming
 from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.journal import OBSERVED, TYPES, Journal
 from valve_control.control.supervision.record import Mode, named_terms
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.nodes import realtime, right_of_way
+from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
-    EVERYTHING,
     NEWEST,
     SAMPLES,
     UNKNOWN,
@@ -44,14 +40,15 @@ from valve_control.nodes.adapter import (
     acquainted,
     diagnostics,
     encoded,
-    head,
-    needs_numbers,
     number_of,
 )
 from valve_control.nodes.lifecycle import Managed
-from valve_control.nodes.loop import Failure, stood_still
-from valve_control.nodes.pairing import Pairing
+from valve_control.nodes.lockstep import COMMANDING, Lockstep
+from valve_control.nodes.loop import stood_still
 from valve_control.nodes.rclpy_internals import sender
+from valve_control.nodes.right_of_way import Rivals
+from valve_control.nodes.telemetry import JournalTopics, Telemetry
+from valve_control.nodes.timing import Timing
 from valve_control.parameter import ParameterError, Values, word
 
 LEVELS = {
@@ -60,19 +57,10 @@ LEVELS = {
     Mode.SAFE: DiagnosticStatus.ERROR,
 }
 REMIND = 0.1  # s between two voltages of 0 V while the LVDT is silent
-MOST_ROWS = 500  # of the journal at once
 WATCH_GRAPH = 0.1  # s between two looks at who publishes and reads, and between two parts of the journal
-GREETING = 20  # parts of the journal with an account, since who comes does not hear everything at once
-LOOK = 0.01  # s; lockstep: between two looks at what a reading waits for
-MEET = 5.0  # s; lockstep: who gives the readings has so long to become ready for voltages
-COMMANDED = {False: 5.0, True: 20.0}  # s; lockstep: a command is waited for, by whether anybody commands
 LAST_WORD = 0.2  # s to see the last voltage of 0 V received
-COMMANDING = ("spool_command", "spool_trajectory")
-WINDOW = 1000  # samples of the timing statistics
 NEVER = math.inf
 STANDS_BY = "another publisher on valve_voltage controls this valve, so this controller does not"
-# s and sample periods of the windows in which the voltages of others are counted: the larger of both
-RIVALS, RIVAL_PERIODS = 0.2, 10
 WARMING = 0.65  # of a period after a reading
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
 # s between those of two valves of a process, by whether it is safe mode: all at once would hold up all.
@@ -106,7 +94,8 @@ class Controller(Managed):
         self._announced: dict[str, float] = {}  # s, when a change was last told, by source
         self._tell_at = NEVER  # s, when it is this valve's turn to tell one
         self._readings: NumberSubscription | None = None
-        self._lockstep = False
+        self._lockstep: Lockstep | None = None
+        self._in_lockstep = False
         self._watch_at = NEVER
         self._catching_up = False
         self._warm_at = NEVER
@@ -115,36 +104,13 @@ class Controller(Managed):
         self._last_number = 0  # of a reading before the first that is used
         self._counts: dict[str, int] = {}  # of publishers, by topic
         self._strange: dict[str, int] = {}  # of those with another message type
-        self._way = right_of_way.ACTIVE
-        self._active_since = 0.0  # s
-        self._rivals: NumberSubscription | None = None  # hears voltages while somebody else may give them
-        self._window = (
-            0.0,
-            0,
-            0,
-        )  # of the voltages of others: its end [s], voltages heard and given before it
-        self._given_voltages = 0
-        self._pairing: Pairing | None = None  # in lockstep
-        self._waiting: tuple[float, dict[str, Any]] | None = None  # lockstep: a reading without its command
-        self._waits_since = self._look_at = NEVER
-        self._met = False  # lockstep: who gives the readings is ready for voltages
-        self._uncommanded = False  # lockstep without anybody who commands
-        self._state_labels: tuple[str, ...] = ()
-        self._state_head = b""  # of a serialized ~/state, before its numbers
-        self._telemetry: list[list[float]] = []  # of samples, to be published
-        self._terms: dict[str, Any] = {}  # publishers of ~/terms, by name
-        self._named: list[tuple[int, Any]] = []  # place in the telemetry, publisher
-        self._rows = Float64MultiArray()
-        self._accounted = -NEVER  # s, last account
-        self._readers = 0  # of journal and accounts
-        self._greeting = 0  # parts of the journal that still bring an account
+        self._rivals = Rivals(self)
+        self._telemetry = Telemetry(self)
+        self._journal_topics = JournalTopics(self, self._journal)
+        self._timing = Timing()
         self._last_command = NEVER  # wall time of the last one
         self._commanded = False  # whether there has been an upper level
-        self._arrivals: deque[float] = deque(maxlen=WINDOW)
-        self._latencies: deque[int] = deque(maxlen=WINDOW)
-        self._durations: deque[float] = deque(maxlen=WINDOW)
         self._published = 0  # ns, when the last voltage was
-        self._overruns = 0
         self._unchecked = False
         self._unnumbered = False  # whether the middleware has numbered no reading
         self._realtime: realtime.Request | None = None
@@ -164,7 +130,7 @@ class Controller(Managed):
         if refusal := self._supervisor.period_refusal(parameter.number(values, "sample_period")):
             raise ParameterError(refusal)
         chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
-        return Built(build.law_params(values), realtime.request(values), named_terms(chosen))
+        return Built(law_params(values), realtime.request(values), named_terms(chosen))
 
     def _apply(self, values: Values, built: Built) -> None:
         params, wanted, terms = built
@@ -173,33 +139,26 @@ class Controller(Managed):
         self._params = params
         self._period = parameter.number(values, "sample_period")
         self._paced = parameter.number(values, "lvdt.period_limit") < rate.ANY
-        self._memory_period = parameter.number(values, "memory_period")
-        self._decimation = int(parameter.number(values, "state_decimation"))
-        if values["lockstep"] != self._lockstep:
-            self._lockstep = values["lockstep"] is True
+        self._journal_topics.apply(parameter.number(values, "memory_period"))
+        if values["lockstep"] != self._in_lockstep:
+            self._in_lockstep = values["lockstep"] is True
             if self._readings is not None:
                 self._unsubscribe()
                 self._subscribe()
-            if self.working and not self._lockstep:  # whoever gave readings may have ended
+            if self.working and not self._in_lockstep:  # whoever gave readings may have ended
                 self._seen = time.monotonic()
                 self._watch_at = self._seen + REMIND
         # Half a period more than the last reading that may still come in time.
         self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
-        if self._lockstep:
+        if self._in_lockstep:
             self._watch_at = self._warm_at = NEVER
-        labels = self._supervisor.labels()
-        if self._state_labels != labels:
-            self._state_labels = labels
-            dim = [MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
-            self._state_head = head(Float64MultiArray(layout=MultiArrayLayout(dim=dim)), len(labels))
-        self._chosen_terms = terms
-        if self._readings is not None:
-            self._name_terms()
+        every = int(parameter.number(values, "state_decimation"))
+        self._telemetry.apply(self._supervisor.labels(), terms, every)
         if wanted != self._realtime:
             self._realtime = wanted
             realtime.obtain(wanted, self.get_logger().warning)
         self._unchecked = True
-        self._publish_journal()
+        self._journal_topics.publish()
         if self._warming is not None:
             self._warming.apply(values, params)
 
@@ -207,36 +166,24 @@ class Controller(Managed):
 
     def open(self) -> None:
         """Create publishers and subscriptions."""
-        before = self._voltage_publishers()
+        before = self._rivals.publishers()
         self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
-        self._gid = min(self._voltage_publishers() - before, default=b"")
+        self._rivals.know_own(before)
         self._send_voltage = sender(self._voltages)
-        self._states = self.create_publisher(Float64MultiArray, "~/state", SAMPLES)
-        self._memories = self.create_publisher(String, "~/memory", SAMPLES)
-        self._journals = self.create_publisher(Float64MultiArray, "~/journal", SAMPLES)
-        self._name_terms()
-        self._readers = self._greeting = 0
+        self._telemetry.open()
+        self._journal_topics.open()
         self._subscribe()
-
-    def _name_terms(self) -> None:
-        """Have a publisher for each chosen term, and know where the law in force has it."""
-        for name in self._terms.keys() - set(self._chosen_terms):
-            self.destroy_publisher(self._terms.pop(name))
-        for name in self._chosen_terms:
-            if name not in self._terms:
-                self._terms[name] = self.create_publisher(Float64, f"~/terms/{name}", SAMPLES)
-        labels = self._supervisor.labels()
-        self._named = [(labels.index(name), self._terms[name]) for name in self._terms if name in labels]
 
     def _subscribe(self) -> None:
         # In lockstep each message is waited for.
-        qos = SAMPLES if self._lockstep else NEWEST
+        qos = SAMPLES if self._in_lockstep else NEWEST
         self._commands = NumberSubscription(self, "spool_command", qos)
         self._trajectories = PointSubscription(self, "spool_trajectory", qos)
         self._readings = self._source(qos)
-        self._pairing = Pairing(self._next_command, self._use_paired) if self._lockstep else None
-        self._waiting, self._look_at = None, NEVER
-        self._met = self._uncommanded = False
+        sources = (self._commands, self._trajectories)
+        self._lockstep = (
+            Lockstep(self, sources, self._use_paired, self._acquainted) if self._in_lockstep else None
+        )
 
     def _source(self, qos: QoSProfile) -> NumberSubscription:
         """Readings of the LVDT with their numbers."""
@@ -251,38 +198,31 @@ class Controller(Managed):
     def close(self) -> None:
         """Destroy publishers and subscriptions."""
         self._unsubscribe()
-        self._listen_to_rivals(False)
+        self._rivals.listen(False, self._period)
         self.destroy_publisher(self._voltages)
-        self.destroy_publisher(self._states)
-        self.destroy_publisher(self._memories)
-        self.destroy_publisher(self._journals)
-        for publisher in self._terms.values():
-            self.destroy_publisher(publisher)
-        self._terms.clear()
-        self._named = []
+        self._telemetry.close()
+        self._journal_topics.close()
         self._readings = None
 
     def begin(self) -> None:
         """Start from rest; messages that already wait are stale and dropped, but not in lockstep."""
-        self._way = right_of_way.ACTIVE
-        self._active_since = NEVER
+        self._rivals.begin()
         assert self._readings is not None
-        if not self._lockstep:
+        if not self._in_lockstep:
             for topic in (self._readings, self._commands, self._trajectories):
                 for _ in topic.take():
                     pass
         self._journal.start()
-        self._publish_journal()
+        self._journal_topics.publish()
         self._said = None
         self._seen = time.monotonic()
-        self._watch_at = NEVER if self._lockstep else self._seen + REMIND
+        self._watch_at = NEVER if self._in_lockstep else self._seen + REMIND
         self._warm_at = self._tell_at = NEVER
-        self._pace = None if self._lockstep else rate.UNKNOWN
+        self._pace = None if self._in_lockstep else rate.UNKNOWN
         if self._warming is not None:
             self._warming.start()
         self._catching_up = False
-        for figures in (self._arrivals, self._latencies, self._durations):  # of the time since then
-            figures.clear()
+        self._timing.clear()
         for sentence in REFUSED:
             self.get_logger().warning(sentence)
         self.get_logger().info(
@@ -292,16 +232,16 @@ class Controller(Managed):
     def end(self) -> None:
         """Publish 0 V once and stop."""
         voltage = self._journal.stop()
-        if not self._way.stands_by:
+        if not self._rivals.stands_by:
             self._publish(voltage)
-        self._publish_journal()
+        self._journal_topics.publish()
         self._watch_at = NEVER
         self.get_logger().info("inactive, 0 V")
 
     def deliver(self) -> None:
         """Wait until the last 0 V is acknowledged; not in ``end``, where other valves would have to wait."""
         if self._readings is not None:
-            for publisher in (self._voltages, self._journals):
+            for publisher in (self._voltages, self._journal_topics.publisher):
                 publisher.wait_for_all_acked(Duration(seconds=LAST_WORD))
 
     # Work
@@ -310,13 +250,14 @@ class Controller(Managed):
         """Subscription of the LVDT; in lockstep those of commands while a reading waits for one."""
         if not self.working or self._readings is None:
             return ()
-        if self._waiting is None:
+        if self._lockstep is None or self._lockstep.waiting is None:
             return (self._readings,)
-        return (self._commands, self._trajectories) if self._met else ()
+        return self._lockstep.inputs()
 
     def due(self) -> float:
         """Next time [s] to act without a message: LVDT silent, caches, lockstep check, a change to tell."""
-        return min(self._watch_at, self._warm_at, self._look_at, self._tell_at) if self.working else NEVER
+        look_at = NEVER if self._lockstep is None else self._lockstep.look_at
+        return min(self._watch_at, self._warm_at, look_at, self._tell_at) if self.working else NEVER
 
     def work(self) -> bool:
         """Answer each waiting reading, or warm caches for the next; without a reading in time, switch off."""
@@ -325,11 +266,14 @@ class Controller(Managed):
         tells = time.monotonic() >= self._tell_at  # in ``report``, which follows
         if tells:
             self._tell_at = NEVER
-        if self._lockstep:
-            return self._work_in_lockstep() or tells
+        if self._lockstep is not None:
+            taken = self._lockstep.next(self._readings)
+            if taken is not None:
+                self._answer(*taken)
+            return taken is not None or tells
         worked = False
         for reading, info in self._readings.take():
-            if not self._way.stands_by:
+            if not self._rivals.stands_by:
                 self._answer(reading, info)
             worked = True
         now = time.monotonic()
@@ -354,14 +298,8 @@ class Controller(Managed):
 
     def report(self) -> None:
         """Publish telemetry, and diagnostics if something has changed."""
-        for numbers in self._telemetry:
-            self._states.publish(self._state_head + pack(f"<{len(numbers)}d", *numbers))
-            for at, publisher in self._named:
-                if not math.isnan(numbers[at]):
-                    publisher.publish(encoded(numbers[at]))
-        self._telemetry.clear()
-        if len(self._journal) >= MOST_ROWS:
-            self._publish_journal()
+        self._telemetry.publish()
+        self._journal_topics.publish_many()
         if self.working and self._supervisor.changed and self._may_tell(self._supervisor.mode is Mode.SAFE):
             self._announce()
 
@@ -382,34 +320,34 @@ class Controller(Managed):
         if number == 0 and not self._unnumbered:
             self._unnumbered = True
             self.get_logger().warning(UNKNOWN)
-        if not self._lockstep:
+        if not self._in_lockstep:
             self._take_commands()
-        if self._pace is not None and not self._lockstep and self._awaits_period(self._pace, number, began):
+        if (
+            self._pace is not None
+            and not self._in_lockstep
+            and self._awaits_period(self._pace, number, began)
+        ):
             return
         # What was sent while this process stood still comes in a burst afterwards and is stale.
         if self._stood_still(began):
             self._catching_up = True
-        elif self._catching_up and (not self._arrivals or began - self._arrivals[-1] >= 0.5 * self._period):
-            self._catching_up = False
+        elif self._catching_up:
+            arrivals = self._timing.arrivals
+            self._catching_up = bool(arrivals) and began - arrivals[-1] < 0.5 * self._period
         if self._catching_up:
             self._publish(self._journal.skip(reading, number, self._elapsed(began)))
         else:
             elapsed = self._elapsed(began)
-            self._journal.sample(reading, number, 0.0 if self._lockstep else elapsed, self._publish)
+            self._journal.sample(reading, number, 0.0 if self._in_lockstep else elapsed, self._publish)
         ended = time.monotonic()
-        self._latencies.append(self._published - info["source_timestamp"])
-        if self._active_since == NEVER:
-            self._active_since = began
-        self._arrivals.append(began)
-        self._durations.append(ended - began)
-        if ended - began > self._period:
-            self._overruns += 1
-        if not self._lockstep:
+        latency = (self._published - info["source_timestamp"]) * 1e-9
+        self._timing.note(began, ended, latency, self._period)
+        self._rivals.answered(began)
+        if not self._in_lockstep:
             if self._warming is not None:
                 self._warm_at = began + WARMING * self._period
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
-        if self._decimation > 0 and self._supervisor.samples % self._decimation == 0:
-            self._telemetry.append(self._supervisor.telemetry())
+        self._telemetry.note(self._supervisor)
 
     def _awaits_period(self, before: rate.State, number: int, now: float) -> bool:
         """Whether reading ``number`` at ``now`` [s] is not used: a first voltage needs the right period."""
@@ -433,28 +371,13 @@ class Controller(Managed):
         self._take_commands()
         self._warming.warm(self._supervisor)
 
-    def _publish_journal(self) -> None:
-        """Publish the journal's waiting rows, and now and then a snapshot of the controller's state."""
-        if self._readings is None:
-            return
-        rows = self._journal.take()
-        if self._memory_period == 0.0 or self._count_readers() == 0:
-            return
-        if rows:
-            self._rows.data = rows
-            self._journals.publish(self._rows)
-        now = time.monotonic()
-        if self._journal.owes_account or now - self._accounted >= self._memory_period:
-            self._accounted = now
-            self._memories.publish(String(data=self._journal.account()))
-
     def _elapsed(self, now: float) -> float:
         """Time [s] since the last call."""
         elapsed, self._seen = now - self._seen, now
         return elapsed
 
     def _publish(self, voltage: float) -> None:
-        self._given_voltages += 1
+        self._rivals.gave()
         self._send_voltage(encoded(voltage))
         self._published = time.time_ns()
 
@@ -485,12 +408,6 @@ class Controller(Managed):
         else:
             self._journal.trajectory_refused(*counts)
 
-    # Lockstep
-
-    def _next_command(self) -> tuple[Any, dict[str, Any]] | None:
-        """The oldest command or point of a trajectory that waits."""
-        return self._commands.one() or self._trajectories.one()
-
     def _use_paired(self, command: float | TrajectoryPoint) -> None:
         """In lockstep times of sending mean nothing."""
         if isinstance(command, TrajectoryPoint):
@@ -498,72 +415,16 @@ class Controller(Managed):
         else:
             self._use_command(command)
 
-    def _work_in_lockstep(self) -> bool:
-        """Answer the newest reading when its command has come; the simulator waits for no older one."""
-        assert self._readings is not None
-        now = time.monotonic()
-        for taken in self._readings.take():
-            self._waiting, self._waits_since = taken, now
-        if self._waiting is None:
-            return False
-        number = number_of(self._waiting[1])
-        if number == 0:
-            raise Failure(needs_numbers("lockstep"))
-        if not self._complete(number, now):
-            self._look_at = now + LOOK
-            return False
-        taken, self._waiting = self._waiting, None
-        self._look_at = NEVER
-        self._answer(*taken)
-        return True
-
-    def _complete(self, number: int, now: float) -> bool:
-        """Whether the command for reading ``number`` has come, or is no longer waited for."""
-        assert self._pairing is not None
-        waited = now - self._waits_since
-        if self._pairing.anew(number):
-            self._met = False
-        self._met = self._met or waited > MEET or self._acquainted()
-        if not self._met:
-            return False
-        if self._pairing.complete(number):
-            self._uncommanded = False
-            return True
-        if self._uncommanded:
-            return True
-        if waited < LOOK:
-            return False
-        commanded = any(self.count_publishers(topic) > 0 for topic in COMMANDING)
-        if waited < COMMANDED[commanded] and (commanded or not self._pairing.begun):
-            return False
-        self._pairing.give_up()
-        self._uncommanded = True
-        self.get_logger().warning(
-            f"lockstep: no command for reading {number} within {waited:.2g} s; goes on without waiting"
-        )
-        return True
-
     def _acquainted(self) -> bool:
         """Whether who gives the readings will hear the voltages."""
         return acquainted(self, self._voltages, "spool_position")
 
     # What is around
 
-    def _count_readers(self) -> int:
-        """Number of subscriptions to ``~/journal`` and ``~/memory``."""
-        return int(self._journals.get_subscription_count() + self._memories.get_subscription_count())
-
     def _watch_graph(self) -> None:
         if self._readings is None:
             return
-        readers = self._count_readers()
-        if readers > self._readers:
-            self._greeting = GREETING
-        self._readers = readers
-        if self._greeting > 0:
-            self._greeting -= 1
-            self._accounted = -NEVER
-        self._publish_journal()
+        self._journal_topics.look()
         counts = {topic: self.count_publishers(topic) for topic in OBSERVED}
         for topic, count in counts.items():
             if count != self._counts.get(topic):  # their types take longer
@@ -574,48 +435,23 @@ class Controller(Managed):
         self._give_way(counts["valve_voltage"] > 1)
         commanded = any(counts[topic] > self._strange[topic] for topic in COMMANDING)
         self._commanded = self._commanded or commanded
-        if self._commanded and not self._lockstep:
+        if self._commanded and not self._in_lockstep:
             if not commanded:
                 self._journal.command_gone()
             elif counts["spool_trajectory"] == self._strange["spool_trajectory"]:
                 self._journal.trajectory_gone()
 
-    def _voltage_publishers(self) -> set[bytes]:
-        """GIDs of the publishers of voltages."""
-        return {bytes(info.endpoint_gid) for info in self.get_publishers_info_by_topic("valve_voltage")}
-
-    def _listen_to_rivals(self, wanted: bool) -> None:
-        """Subscribe to the voltages on the topic, or do not."""
-        if wanted and self._rivals is None:
-            self._rivals = NumberSubscription(self, "valve_voltage", EVERYTHING)
-            self._start_window(time.monotonic())
-        elif not wanted and self._rivals is not None:
-            self._rivals.destroy()
-            self._rivals = None
-
-    def _start_window(self, now: float) -> None:
-        self._window = now + max(RIVALS, RIVAL_PERIODS * self._period), 0, self._given_voltages
-
     def _give_way(self, several: bool) -> None:
         """Stop while somebody else controls this valve, and begin again when he does not."""
-        self._listen_to_rivals((several or self._way.stands_by) and self.working and not self._lockstep)
-        if self._rivals is None:
+        others = several or self._rivals.stands_by
+        self._rivals.listen(others and self.working and not self._in_lockstep, self._period)
+        if not self._rivals.changed(self._period):
             return
-        end, heard, given = self._window
-        heard += sum(1 for _ in self._rivals.take())
-        self._window = end, heard, given
-        now = time.monotonic()
-        if now < end:
-            return
-        before, first = self._way.stands_by, min(self._voltage_publishers(), default=b"")
-        others = heard - (self._given_voltages - given)
-        self._way = right_of_way.step(self._way, others, now - self._active_since, self._gid <= first)
-        self._start_window(now)
-        if self._way.stands_by and not before:
+        if self._rivals.stands_by:
             self._publish(self._journal.stop())
             self._watch_at = self._warm_at = NEVER
             self.get_logger().error(f"safe: {STANDS_BY}")
-        elif before and not self._way.stands_by:
+        else:
             self.begin()
 
     def _check_stability(self) -> None:
@@ -640,7 +476,7 @@ class Controller(Managed):
         name = word(self._values, "save_file")
         try:
             path = inputs.expanded(name, "save_file").absolute()
-            files.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
+            ros_file.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
         except (OSError, ValueError) as error:
             response.success = False
             reason = getattr(error, "strerror", None) or str(error)
@@ -704,7 +540,7 @@ class Controller(Managed):
         """Level and sentence of the diagnostics."""
         if not self.working:
             return DiagnosticStatus.OK, "inactive" if self._readings is not None else "unconfigured"
-        if self._way.stands_by:
+        if self._rivals.stands_by:
             return DiagnosticStatus.ERROR, f"{STANDS_BY}; {self._supervisor.reason}"
         return LEVELS[self._supervisor.mode], self._supervisor.reason
 
@@ -717,29 +553,14 @@ class Controller(Managed):
             "conditions": ", ".join(supervisor.conditions),
             "samples": supervisor.samples,
             **supervisor.counts,
-            "overruns": self._overruns,
+            "overruns": self._timing.overruns,
             "voltage_V": f"{supervisor.voltage:.4f}",
         }
         if supervisor.samples:
             values["saturation_share"] = f"{supervisor.counts['saturated'] / supervisor.samples:.4f}"
         if math.isfinite(self._last_command):
             values["command_age_s"] = f"{time.monotonic() - self._last_command:.4f}"
-        if len(self._arrivals) > 1:
-            periods = np.diff(self._arrivals)
-            values["period_ms"] = f"{1e3 * np.mean(periods):.4f}"
-            for name, numbers, scale in (
-                ("jitter_ms", np.abs(periods - self._period), 1e3),
-                ("latency_ms", self._latencies, 1e-6),
-                ("step_ms", self._durations, 1e3),
-            ):
-                # In a third of the time of np.percentile, which the next reading may have to wait for.
-                ordered = np.sort(numbers) * scale
-                p50, p99, most = (ordered[int(share * (len(ordered) - 1))] for share in (0.5, 0.99, 1.0))
-                values |= {
-                    f"{name}_p50": f"{p50:.4f}",
-                    f"{name}_p99": f"{p99:.4f}",
-                    f"{name}_max": f"{most:.4f}",
-                }
+        values |= self._timing.figures(self._period)
         if supervisor.theta is not None:
             values["theta"] = ", ".join(f"{v:.6g}" for v in supervisor.theta)
         values |= {name: f"{v:.6g}" for name, v in supervisor.assumed.items()}

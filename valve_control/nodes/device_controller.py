@@ -7,24 +7,22 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 
 from valve_control.control.drivers.device import Device
-from valve_control.control.drivers.driver import Condition, DriverError
+from valve_control.control.drivers.driver import Condition
 from valve_control.control.parameters import drivers
+from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.parameters.drivers import DEVICE, LIVE
-from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.adapter import SAMPLES, PolledSubscription, acquainted, encoded
-from valve_control.nodes.controller_node import COMMANDING, WARMING, Built, Controller
+from valve_control.nodes.controller_node import WARMING, Built, Controller
+from valve_control.nodes.device_node import LEVELS, MOST_MISSING, DeviceNode
+from valve_control.nodes.lockstep import COMMANDING
 from valve_control.nodes.rclpy_internals import sender
 from valve_control.parameter import ParameterError, Values, number, word
 
-LEVELS = {"degraded": DiagnosticStatus.WARN, "safe": DiagnosticStatus.ERROR}
 OWN = frozenset(parameter.name for parameter in CONTROLLER)
-MOST_MISSING = 100  # lost readings that are published as NaN
 
 
 class DeviceReadings:
@@ -50,7 +48,7 @@ class DeviceReadings:
         """Do nothing: the device is not the subscription's."""
 
 
-class DeviceController(Controller):
+class DeviceController(DeviceNode, Controller):
     """The controller with a device; it publishes `spool_position` and `valve_voltage` after each sample.
 
     A device that cannot be polled makes the loop wait: for part of a period after a reading the node serves
@@ -60,10 +58,8 @@ class DeviceController(Controller):
     table = CONTROLLER + DEVICE
 
     def __init__(self, **options: Any) -> None:
-        self._device: Device | None = None  # None: it is not open
         self._device_values: Values = {}
         self._alone = options.get("warms", True)
-        self._refusal = ""
         self._ready_at = 0.0  # s, from when on the next reading is waited for
         self._asked_at = 0.0  # s, when it was last asked for
         self._begun = False
@@ -74,11 +70,8 @@ class DeviceController(Controller):
         super().__init__(**options)
 
     def _build(self, values: Values) -> Built:
-        former = self._device_values
-        fixed = [n for n in former if n not in OWN | LIVE or n == "sample_period"]
-        changed = [name for name in fixed if values[name] != former[name]]
-        if self._device is not None and changed:
-            raise ParameterError(f"{changed[0]} of an open device does not change; clean the node up first")
+        fixed = [n for n in self._device_values if n not in OWN | LIVE or n == "sample_period"]
+        self.refuse_changes(fixed, values)
         if not drivers.device(values).polled and not self._alone:
             raise ParameterError(
                 f"driver is '{values['driver']}', which waits for its device and would hold up the other "
@@ -95,26 +88,11 @@ class DeviceController(Controller):
             self._device.limit(*drivers.sides(values))
         super()._apply({name: value for name, value in values.items() if name in OWN}, built)
 
+    def device_values(self) -> Values:
+        """The parameters in use, of controller and device."""
+        return self._device_values
+
     # Life
-
-    def autostart(self) -> None:
-        """Configure and activate. Raises ParameterError if the device cannot be opened."""
-        self.trigger_configure()
-        if self._refusal:
-            raise ParameterError(self._refusal)
-        self.trigger_activate()
-
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Open the device; without it the node stays unconfigured."""
-        device = drivers.device(self._device_values)
-        try:
-            device.open()
-        except DriverError as error:
-            self._refusal = str(error)
-            self.get_logger().error(self._refusal)
-            return TransitionCallbackReturn.FAILURE
-        self._device, self._refusal = device, ""
-        return super().on_configure(state)
 
     def open(self) -> None:
         """Create publishers and subscriptions."""
@@ -131,18 +109,6 @@ class DeviceController(Controller):
         """Destroy publishers and subscriptions, close the device."""
         super().close()
         self.destroy_publisher(self._positions)
-        self._release()
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close the device too, whatever the state was."""
-        done = super().on_shutdown(state)
-        self._release()
-        return done
-
-    def _release(self) -> None:
-        if self._device is not None:
-            self._device.close()
-            self._device = None
 
     def begin(self) -> None:
         """Start from rest; the output is switched on when the loop runs."""
@@ -157,20 +123,20 @@ class DeviceController(Controller):
         self._device.enable(False)
         self._publish_signals()
 
-    def finish(self) -> None:
-        """Switch off and close the device from whatever state the node is in."""
-        super().finish()
-        self._release()
-
     # Work
+
+    @property
+    def _waits(self) -> bool:
+        """Whether a reading waits for its command, in lockstep."""
+        return self._lockstep is not None and self._lockstep.waiting is not None
 
     def inputs(self) -> Sequence[PolledSubscription]:
         """Subscriptions of commands, in lockstep while a reading waits for one."""
-        return super().inputs() if self._waiting is not None else ()
+        return super().inputs() if self._waits else ()
 
     def due(self) -> float:
         """Time [s] from which the device is asked for a reading, or there is something else to do."""
-        if self._waiting is not None or not self.working:
+        if self._waits or not self.working:
             return super().due()
         assert self._device is not None
         ready = max(self._ready_at, self._device.due())
@@ -178,7 +144,7 @@ class DeviceController(Controller):
 
     def fileno(self) -> int:
         """File of the device."""
-        listens = self.working and self._begun and self._waiting is None
+        listens = self.working and self._begun and not self._waits
         return self._device.fileno() if listens and self._device is not None else -1
 
     def work(self) -> bool:
@@ -191,11 +157,11 @@ class DeviceController(Controller):
             self._device.enable(True)
         before = self._supervisor.samples
         self._asked_at = time.monotonic()
-        self._from_device.held = self._waiting is not None
+        self._from_device.held = self._waits
         worked = super().work()
-        waits = not (self._device.polled or self._lockstep) and self._supervisor.samples != before
-        self._ready_at = self._arrivals[-1] + WARMING * self._period if waits else 0.0
-        return worked or self._waiting is None
+        waits = not (self._device.polled or self._in_lockstep) and self._supervisor.samples != before
+        self._ready_at = self._timing.arrivals[-1] + WARMING * self._period if waits else 0.0
+        return worked or not self._waits
 
     def _stood_still(self, now: float) -> bool:
         """Whether this process stood still; a wait for the device, in which time goes by too, is none."""
@@ -214,7 +180,7 @@ class DeviceController(Controller):
         With ``signal_decimation`` every n-th of them, and each voltage that no reading has caused.
         """
         fresh = self._from_device.fresh
-        answered = len(fresh) if self._waiting is None else len(fresh) - 1
+        answered = len(fresh) - 1 if self._waits else len(fresh)
         self._unpublished += answered
         if self._every == 1:
             for reading in fresh[:answered]:

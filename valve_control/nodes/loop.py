@@ -7,6 +7,7 @@ a wait set holds only the subscriptions on which a node works. Services get thei
 timers and discovery too, now and then, one node at a time.
 """
 
+import argparse
 import gc
 import os
 import select
@@ -21,8 +22,8 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
-from valve_control.control.parameters.arguments import help_text, refuse_stray, refuse_unreadable
 from valve_control.nodes.adapter import PolledSubscription
 from valve_control.nodes.rclpy_internals import WaitSet, call_timer
 from valve_control.nodes.services import Reception, Unwatched
@@ -104,20 +105,15 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
-    node = Path(sys.argv[0]).stem
-    if text := help_text(node, make.__globals__["__doc__"], sys.argv[1:]):
-        try:
-            print(text, flush=True)
-        except BrokenPipeError:  # such as `| head`; at its exit Python would try again
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    parser = argparse.ArgumentParser(
+        prog=f"ros2 run valve_control {Path(sys.argv[0]).stem}",
+        usage="%(prog)s [--ros-args] [-p NAME:=VALUE] [--params-file FILE] [-r __ns:=/NAME]",
+        description=make.__globals__["__doc__"],
+        epilog="valve-control parameters lists the parameters of all nodes.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     try:
-        refuse_stray(sys.argv[1:])
-        refuse_unreadable(sys.argv[1:])
-    except ParameterError as error:
-        print(f"{node}: {error}", file=sys.stderr)
-        return 2
-    try:
+        parser.parse_args(remove_ros_args(sys.argv)[1:])
         check_log_folder(os.environ)
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy has no public type for bad --ros-args
@@ -205,58 +201,93 @@ class Chores:
         self._executor.shutdown(timeout_sec=0.0)
 
 
+class Inputs:
+    """Waits for what the nodes of a process take: messages, or a device's file."""
+
+    def __init__(self, nodes: Sequence[Any]) -> None:
+        self._nodes = nodes
+        self._context = rclpy.get_default_context()
+        self._wait_set: Any = None
+        self._size = -1
+
+    def wait(self, wake: float) -> list[Any]:
+        """Nodes that did something with what came until ``wake`` [s]."""
+        inputs = [(node, subscription.handle) for node in self._nodes for subscription in node.inputs()]
+        if inputs:
+            return self._wait_for_messages(inputs, wake)
+        files = {file: node for node in self._nodes if (file := node.fileno()) >= 0}
+        pause = max(0.0, wake - time.monotonic())
+        if files:
+            return [files[file] for file in select.select(files, [], [], pause)[0] if files[file].work()]
+        time.sleep(pause)
+        return []
+
+    def _wait_for_messages(self, inputs: Sequence[tuple[Any, Any]], wake: float) -> list[Any]:
+        if len(inputs) != self._size:
+            self._size = len(inputs)
+            self._wait_set = WaitSet(self._size, 0, 0, 0, 0, 0, self._context.handle)
+        self._wait_set.clear_entities()
+        for _, handle in inputs:
+            self._wait_set.add_subscription(handle)
+        self._wait_set.wait(max(0, int((wake - time.monotonic()) * 1e9)))
+        return [
+            node
+            for i, (node, _) in enumerate(inputs)
+            if self._wait_set.is_ready("subscription", i) and node.work()
+        ]
+
+
+class Turns:
+    """Gives the chores of one node after another their turn, now and then."""
+
+    def __init__(self, nodes: Sequence[Any], chores: Sequence[Chores]) -> None:
+        self._nodes, self._chores = nodes, chores
+        self._rest = IDLE_CHORES / len(nodes)
+        self._looked = time.monotonic()
+        self._turn = 0
+
+    @property
+    def due(self) -> float:
+        """Time [s] of the next turn."""
+        return self._looked + self._rest
+
+    def take(self, now: float, worked: bool, calm: bool) -> bool:
+        """Run a callback if it is time for one; whether there was one, since more may wait.
+
+        After a sample (``worked``) it is time earlier; ``calm``: without samples turns follow sooner.
+        """
+        if now < self.due and not (worked and now >= self._looked):
+            return False
+        if self._chores[self._turn].one():
+            self._looked = now
+            self._nodes[self._turn].report()
+            return True
+        self._rest = (IDLE_CHORES if calm else CHORES) / len(self._nodes)
+        self._looked = time.monotonic() + self._rest
+        self._turn = (self._turn + 1) % len(self._nodes)
+        return False
+
+
 def _loop(nodes: Sequence[Any], chores: Sequence[Chores], reception: Reception) -> None:
-    context = rclpy.get_default_context()
-    rest = IDLE_CHORES / len(nodes)
-    looked = sampled = time.monotonic()
-    turn = 0
-    wait_set: Any = None
-    size = -1
+    inputs, turns = Inputs(nodes), Turns(nodes, chores)
+    sampled = time.monotonic()
     while not _stopped:
-        inputs = [(node, subscription.handle) for node in nodes for subscription in node.inputs()]
-        if len(inputs) != size:
-            size = len(inputs)
-            wait_set = WaitSet(size, 0, 0, 0, 0, 0, context.handle)
         now = time.monotonic()
         calm = now > sampled + CALM
         dues = [node.due() for node in nodes]
-        wake = now if calm and reception.waiting else min(looked + rest, *dues)
-        pause = wake - now
-        worked: list[Any] = []
-        if inputs:
-            wait_set.clear_entities()
-            for _, handle in inputs:
-                wait_set.add_subscription(handle)
-            wait_set.wait(max(0, int(pause * 1e9)))
-            worked += [
-                node
-                for i, (node, _) in enumerate(inputs)
-                if wait_set.is_ready("subscription", i) and node.work()
-            ]
-        elif files := {file: node for node in nodes if (file := node.fileno()) >= 0}:
-            heard = select.select(files, [], [], max(0.0, pause))[0]
-            worked += [files[file] for file in heard if files[file].work()]
-        elif pause > 0.0:
-            time.sleep(pause)
+        worked = inputs.wait(now if calm and reception.waiting else min(turns.due, *dues))
         now = time.monotonic()
-        for node, due in zip(nodes, dues, strict=True):
-            if (node.due() if node in worked else due) <= now and node.work():
-                worked.append(node)
+        worked += [
+            node
+            for node, due in zip(nodes, dues, strict=True)
+            if (node.due() if node in worked else due) <= now and node.work()
+        ]
         for node in worked:
             node.report()
         if worked:
             sampled = now
-        look = now >= looked + rest or (worked and now >= looked)
-        if look and chores[turn].one():
-            # More may wait: look again after the next sample.
-            looked = now
-            nodes[turn].report()
-            continue
-        if look:
-            rest = (IDLE_CHORES if calm else CHORES) / len(nodes)
-            looked = time.monotonic() + rest
-            turn = (turn + 1) % len(chores)
-        if reception.waiting and (worked or calm):
+        took_turn = turns.take(now, bool(worked), calm)
+        if not took_turn and reception.waiting and (worked or calm):
             reception.serve().report()
 
 

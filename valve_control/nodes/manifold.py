@@ -7,11 +7,9 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from valve_control.control.parameters import arguments
 from valve_control.control.parameters.table import MANIFOLD, NODES
-from valve_control.nodes.adapter import ParameterSet, admit
+from valve_control.nodes.adapter import ParameterSet, admit, has_override
 from valve_control.nodes.controller_node import Controller
-from valve_control.nodes.device_controller import DeviceController
 from valve_control.nodes.loop import Worker, run
 from valve_control.nodes.valve_simulator import ValveSimulator
 from valve_control.parameter import ParameterError, Values, items, word
@@ -37,13 +35,19 @@ def names(values: Values) -> list[str]:
 
 def _beside(controllers: Sequence[str]) -> bool:
     """Whether ``controllers`` (full names) have a driver. Raises ParameterError if only some have."""
-    given = [arguments.value_given(sys.argv[1:], name, "driver") is not None for name in controllers]
+    given = [has_override("controller", "driver", remapped(name)) for name in controllers]
     if any(given) and not all(given):
         raise ParameterError(
             f"{controllers[given.index(False)]} has no parameter driver, other valves of the manifold "
             "have one; either all valves have a driver, or none"
         )
     return all(given)
+
+
+def remapped(name: str) -> list[str]:
+    """Arguments of a node of the full ``name``; remapping of the manifold itself is not meant for it."""
+    space, _, node = name.rpartition("/")
+    return ["--ros-args", "-r", f"__ns:={space}", "-r", f"__node:={node}"]
 
 
 class Manifold(Worker):
@@ -69,16 +73,16 @@ class Manifold(Worker):
         made = []
         valves = names(self._values)
         hosts = [f"{space}/{name}/{kind}" for name in valves]
-        beside = kind == "controller" and _beside(hosts)
-        table = DeviceController.table if beside else NODES[kind]
+        kind_of_node, table = KINDS[kind], NODES[kind]
+        if kind == "controller" and _beside(hosts):
+            from valve_control.nodes.device_controller import DeviceController  # which brings all drivers
+
+            kind_of_node, table = DeviceController, DeviceController.table
         admit(self, {self.get_fully_qualified_name(): MANIFOLD, **dict.fromkeys(hosts, table)})
-        made_of = DeviceController if beside else KINDS[kind]
         # What one valve's samples bring into the caches serves the others too.
         own = {"warms": len(valves) == 1} if kind == "controller" else {}
         for name in valves:
-            # Remapping of the manifold's own name and namespace is not meant for the nodes in it.
-            remap = ["--ros-args", "-r", f"__ns:={space}/{name}", "-r", f"__node:={kind}"]
-            made.append(made_of(alone=False, cli_args=remap, **own))
+            made.append(kind_of_node(alone=False, cli_args=remapped(f"{space}/{name}/{kind}"), **own))
         self.get_logger().info(f"{len(made)} x {kind}: {', '.join(valves)}")
         return made
 

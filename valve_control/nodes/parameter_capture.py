@@ -68,14 +68,6 @@ class Question:
         self._node.destroy_client(self._get)
 
 
-def applied(values: dict[str, Parameter], event: ParameterEvent) -> None:
-    """Take the changes of ``event`` into the ``values`` of its node."""
-    for parameter in (*event.new_parameters, *event.changed_parameters):
-        values[parameter.name] = parameter
-    for parameter in event.deleted_parameters:
-        values.pop(parameter.name, None)
-
-
 class ParameterCapture:
     """Passes each node's parameters to ``write`` as one serialized ParameterEvent."""
 
@@ -84,7 +76,6 @@ class ParameterCapture:
         self._write = write
         self._lives: dict[str, set[bytes]] = {}  # by node: its publishers of events, new ones after a restart
         self._questions: dict[str, Question] = {}
-        self._values: dict[str, dict[str, Parameter]] = {}
 
     def look(self) -> None:
         """Look which nodes have come and gone."""
@@ -107,7 +98,6 @@ class ParameterCapture:
         self._lives = lives
 
     def _forget(self, name: str) -> None:
-        self._values.pop(name, None)
         question = self._questions.pop(name, None)
         if question is not None:
             question.destroy()
@@ -118,13 +108,18 @@ class ParameterCapture:
             parameters = question.answer()
             if parameters is None:
                 continue
-            values = self._values[name] = {parameter.name: parameter for parameter in parameters}
+            values = {parameter.name: parameter for parameter in parameters}
             # What changed while the answer was on its way is newer, or the same.
             for event in question.events:
-                applied(values, event)
+                for parameter in (*event.new_parameters, *event.changed_parameters):
+                    values[parameter.name] = parameter
+                for parameter in event.deleted_parameters:
+                    values.pop(parameter.name, None)
             question.destroy()
             del self._questions[name]
-            self._write_one(name)
+            written = ParameterEvent(node=name, new_parameters=list(values.values()))
+            written.stamp = self._node.get_clock().now().to_msg()
+            self._write(serialize_message(written))
             self._node.get_logger().info(f"has the {len(values)} parameters of {name}")
 
     def unanswered(self) -> list[str]:
@@ -139,15 +134,3 @@ class ParameterCapture:
             return
         if event.node in self._questions:
             self._questions[event.node].events.append(event)
-        if event.node in self._values:
-            applied(self._values[event.node], event)
-
-    def write_all(self) -> None:
-        """Write the parameters of all nodes as they are now."""
-        for name in self._values:
-            self._write_one(name)
-
-    def _write_one(self, name: str) -> None:
-        event = ParameterEvent(node=name, new_parameters=list(self._values[name].values()))
-        event.stamp = self._node.get_clock().now().to_msg()
-        self._write(serialize_message(event))

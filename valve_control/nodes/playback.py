@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Plays a bag to running nodes: publishes the recorded topics at their times, or in lockstep."""
+"""Plays a bag or a table to running nodes: publishes commands and positions of its valves at their times."""
 
 import os
 import signal
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,83 +16,54 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 from tqdm import tqdm
 
-from valve_control.arrays import Integers
-from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
-from valve_control.nodes.definitions import message_class
+from valve_control.nodes.adapter import SAMPLES, encoded
 from valve_control.nodes.transport import check_log_folder
-from valve_control.recordings.bags.bag import Bag, Series
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.cleaning import FEW_STAMPS
-from valve_control.recordings.clocks import decide, without_strays
-from valve_control.recordings.mapping import PARTS, find_valves
-from valve_control.recordings.recording import ValveRecording, align, chosen, load
-from valve_control.recordings.stamps import fields, retimed
-from valve_control.recordings.ties import untied
+from valve_control.recordings.recording import load
 
 PLAYED = ("spool_command", "spool_position")
 MEET = 10.0  # s to wait for somebody who listens
 SETTLE = 0.5  # s in which discovery becomes mutual
-ANSWER = 5.0  # s to wait for a voltage in lockstep
-POLL = 2e-5  # s
 DRAIN = 0.2  # s at the end, for what is still on its way
 
 
 class Played(NamedTuple):
-    """What was published, how late, and in lockstep the voltages that came back."""
+    """What was published, and how late."""
 
     published: int
     elapsed: float  # s
     late: float  # s, p99 of the delay behind the recorded time
-    answers: list[float]  # V, lockstep: voltage to each reading
-    differing: int | None  # of them, from the recorded voltage, bit for bit
-
-
-class Stamps(NamedTuple):
-    """When the messages of a topic were sent, in order of time."""
-
-    time: Integers  # ns
-    sequence: Integers
-    place: Integers  # among all messages of the recording
-
-
-class Track(NamedTuple):
-    """Messages that are published on one topic."""
-
-    topic: str
-    type: str
-    time: Integers  # ns
-    place: Integers  # among all messages of the recording
-    messages: list[bytes]
 
 
 def play(
     path: str,
     maps: Sequence[str],
-    topics: Sequence[str] | None,
     rate: float,
-    lockstep: bool,
     start: float | None = None,
     end: float | None = None,
-    of: str | None = None,
     quiet: bool = False,
     clock: str | None = None,
 ) -> Played:
-    """Publish a bag's topics at ``rate`` times the recorded speed, or in lockstep with valve ``of``.
+    """Publish the commands and positions [V] of all valves at ``rate`` times the recorded speed.
 
     ``start``, ``end`` [s]: part of the bag. Raises BagError.
     """
     if not 0.001 <= rate <= 1000.0:
         raise BagError(f"--rate is {rate:g}; it must lie between 0.001 and 1000")
+    signals = {
+        f"{valve.topics.namespace}/{part}": valve.signals[part]
+        for valve in load(path, maps, start, end, clock=clock).valves.values()
+        for part in PLAYED
+        if part in valve.signals
+    }
+    if not any(len(one.time) for one in signals.values()):
+        raise BagError(f"{path} has neither commands nor positions")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     check_log_folder(os.environ)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("player")
     try:
-        if lockstep:
-            return _in_lockstep(
-                node, chosen(path, load(path, maps, start, end, clock=clock).valves, of), quiet
-            )
-        return _timed(node, path, maps, topics, rate, start, end, quiet, clock)
+        return _published(node, signals, rate, quiet)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
@@ -100,9 +71,7 @@ def play(
 
 def _meet(publishers: dict[str, Any]) -> None:
     limit = time.monotonic() + MEET
-    while missing := [
-        name for name, publisher in publishers.items() if publisher.get_subscription_count() == 0
-    ]:
+    while missing := [name for name, one in publishers.items() if one.get_subscription_count() == 0]:
         if time.monotonic() > limit:
             raise BagError(
                 f"nobody has listened to {', '.join(missing)} for {MEET:g} s; is the controller running?"
@@ -111,174 +80,27 @@ def _meet(publishers: dict[str, Any]) -> None:
     time.sleep(SETTLE)
 
 
-def _timed(
-    node: Node, path: str, maps: Sequence[str], topics: Sequence[str] | None, rate: float,
-    start: float | None, end: float | None, quiet: bool, clock: str | None,
-) -> Played:  # fmt: skip
-    bag = Bag(path)
-    if bag.table is not None:
-        tracks = _columns(path, maps, topics, start, end, clock)
-    else:
-        tracks = tracks_of(node, bag, maps, topics, start, end, clock)
-    try:
-        publishers = {
-            track.topic: node.create_publisher(message_class(track.type), track.topic, SAMPLES)
-            for track in tracks
-        }
-    except LookupError as error:
-        raise BagError(f"{path} cannot be played: {error}") from error
-    if not any(len(track.messages) for track in tracks):
-        raise BagError(f"{path} has no message on {', '.join(publishers)}")
-    times, owner, number = in_turn(tracks)
-    outputs = [(publishers[track.topic], track.messages) for track in tracks]
+def _published(node: Node, signals: dict[str, Any], rate: float, quiet: bool) -> Played:
+    publishers = {topic: node.create_publisher(Float64, topic, SAMPLES) for topic in signals}
+    times = np.concatenate([one.time for one in signals.values()])
+    order = np.lexsort((np.concatenate([one.place for one in signals.values()]), times))
+    messages = [(publishers[topic], value) for topic, one in signals.items() for value in one.value.tolist()]
     _meet(publishers)
-    due = ((times - times[0]) * 1e-9 / rate).tolist()
+    due = ((times[order] - times[order[0]]) * 1e-9 / rate).tolist()
     delays = []
     began = time.monotonic()
     with tqdm(total=due[-1], unit="s", disable=quiet, ascii=not sys.stderr.isatty(), mininterval=1.0,
               bar_format="live {bar} {n:.1f}/{total:.1f} s") as progress:  # fmt: skip
-        for moment, k, i in zip(due, owner.tolist(), number.tolist(), strict=True):
+        for moment, i in zip(due, order.tolist(), strict=True):
             pause = began + moment - time.monotonic()
             if pause > 0.0:
                 time.sleep(pause)
-            publisher, messages = outputs[k]
-            publisher.publish(messages[i])
+            publisher, value = messages[i]
+            publisher.publish(encoded(value))
             delays.append(time.monotonic() - began - moment)
             if moment - progress.n >= 0.1:
                 progress.update(moment - progress.n)
         progress.update(due[-1] - progress.n)
     elapsed = time.monotonic() - began
     time.sleep(DRAIN)
-    return Played(len(due), elapsed, float(np.percentile(delays, 99)), [], None)
-
-
-def in_turn(tracks: Sequence[Track]) -> tuple[Integers, Integers, Integers]:
-    """Time [ns] of each message, index of its track, and its number there, in the order of publication.
-
-    Messages with the same time stand in the order of the recording.
-    """
-    times = np.concatenate([track.time for track in tracks])
-    owner = np.repeat(np.arange(len(tracks)), [len(track.messages) for track in tracks])
-    number = np.concatenate([np.arange(len(track.messages)) for track in tracks])
-    order = np.lexsort((np.concatenate([track.place for track in tracks]), times))
-    return times[order], owner[order], number[order]
-
-
-def tracks_of(
-    node: Node, bag: Bag, maps: Sequence[str], topics: Sequence[str] | None, start: float | None,
-    end: float | None, clock: str | None,
-) -> list[Track]:  # fmt: skip
-    """Messages of ``topics`` of a bag, of the valves' commands and positions if none are named."""
-    valves: dict[str, dict[str, str]] = {}
-    if topics is None:
-        for valve, found in find_valves(bag, maps).items():
-            valves[valve] = {part: source.topic for part, source in found.sources.items() if part in PLAYED}
-        topics = sorted({name for parts in valves.values() for name in parts.values()})
-    else:
-        for name in topics:
-            space, _, part = name.rpartition("/")
-            if part in PARTS:
-                valves.setdefault(space, {})[part] = name
-    for name in topics:
-        if bag.topic(name).unreadable:
-            raise BagError(f"{bag.path} cannot be played: {bag.topic(name).unreadable}")
-    begin = bag.begin
-    first = None if start is None else begin + round(start * 1e9)
-    last = None if end is None else begin + round(end * 1e9)
-    stamped = fields(bag, topics, clock)
-    notes: list[str] = []
-    if stamped:
-        series = without_strays(bag.read(stamped, raw=topics), notes)
-        series, ruling = retimed(series, stamped, decide(series, [topics], None, bag.path), topics)
-        series = _part({name: series[name] for name in topics}, start, end)
-    else:
-        series = without_strays(bag.read({}, raw=topics, start=first, end=last), notes)
-        ruling = decide(series, [topics], clock, bag.path)
-    for note in (*notes, *ruling.notes):
-        node.get_logger().warning(note)
-    read = one_by_one(ruling.read(series), valves.values())
-    return [
-        Track(name, bag.topic(name).type, read[name].publish_time, read[name].place, read[name].raw)
-        for name in topics
-    ]
-
-
-def one_by_one(read: Mapping[str, Series], valves: Iterable[Mapping[str, str]]) -> dict[str, Series]:
-    """``read``, with a time for each message of a valve's signals whose clock is coarser than the messages.
-
-    ``valves``: topics by part. Otherwise all messages of a stamp would be published at once.
-    """
-    found = dict(read)
-    for topics in valves:
-        series = {
-            part: read[name].pick(np.argsort(read[name].publish_time, kind="stable"))
-            for part, name in topics.items()
-            if len(np.unique(read[name].publish_time)) >= FEW_STAMPS
-        }
-        ties = untied({part: Stamps(s.publish_time, s.sequence, s.place) for part, s in series.items()})
-        if ties is not None and ties.several:
-            # Parts may be fields of one topic: then the position's time counts.
-            for part, one in sorted(series.items(), key=lambda item: item[0] == "spool_position"):
-                found[topics[part]] = one._replace(publish_time=ties.times[part])
-    return found
-
-
-def _part(series: dict[str, Series], start: float | None, end: float | None) -> dict[str, Series]:
-    """``series`` from ``start`` to ``end`` [s] after the first of all."""
-    begin = min(int(one.publish_time.min()) for one in series.values() if len(one.publish_time))
-    time = {name: (one.publish_time - begin) * 1e-9 for name, one in series.items()}
-    low, high = 0.0 if start is None else start, np.inf if end is None else end
-    return {name: one.pick((time[name] >= low) & (time[name] < high)) for name, one in series.items()}
-
-
-def _columns(
-    path: str, maps: Sequence[str], topics: Sequence[str] | None, start: float | None, end: float | None,
-    clock: str | None,
-) -> list[Track]:  # fmt: skip
-    """Commands and positions [V] of a table's valves, for the topics of these signals."""
-    if topics is not None:
-        raise BagError(f"{path} is a table, which has no topics; --map tells its command and its position")
-    return [
-        Track(
-            f"{valve.topics.namespace}/{part}",
-            "std_msgs/msg/Float64",
-            valve.signals[part].time,
-            valve.signals[part].place,
-            [encoded(value) for value in valve.signals[part].value.tolist()],
-        )
-        for valve in load(path, maps, start, end, clock=clock).valves.values()
-        for part in ("spool_command", "spool_position")
-        if part in valve.signals
-    ]
-
-
-def _in_lockstep(node: Node, valve: ValveRecording, quiet: bool) -> Played:
-    """Publish one command and one reading at a time; the next when the voltage has come."""
-    signals = align(valve)
-    command = node.create_publisher(Float64, f"{valve.topics.namespace}/spool_command", SAMPLES)
-    position = node.create_publisher(Float64, f"{valve.topics.namespace}/spool_position", SAMPLES)
-    voltages = NumberSubscription(node, f"{valve.topics.namespace}/valve_voltage", SAMPLES)
-    _meet({command.topic_name: command, position.topic_name: position})
-    for _ in voltages.take():
-        pass
-    answers: list[float] = []
-    began = time.monotonic()
-    pairs = zip(signals.command.tolist(), signals.measurement.tolist(), strict=True)
-    for wanted, reading in tqdm(
-        pairs, total=len(signals.time), desc="lockstep", unit=" samples", disable=quiet, mininterval=1.0,
-        ascii=not sys.stderr.isatty(),
-    ):  # fmt: skip
-        if np.isfinite(wanted):
-            command.publish(encoded(wanted))
-        position.publish(encoded(reading))
-        limit = time.monotonic() + ANSWER
-        while (taken := voltages.one()) is None:
-            if time.monotonic() > limit:
-                raise BagError(f"no voltage for reading {len(answers) + 1} within {ANSWER:g} s")
-            time.sleep(POLL)
-        answers.append(taken[0])
-    elapsed = time.monotonic() - began
-    recorded = signals.voltage
-    known = np.isfinite(recorded)
-    differing = int(np.count_nonzero(np.array(answers)[known] != recorded[known])) if known.any() else None
-    return Played(2 * len(answers), elapsed, 0.0, answers, differing)
+    return Played(len(due), elapsed, float(np.percentile(delays, 99)))

@@ -17,7 +17,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from std_srvs.srv import Trigger
 
 from valve_control import outputs, parameter
 from valve_control.control.parameters.table import RECORDER
@@ -31,7 +30,6 @@ from valve_control.nodes.adapter import (
     diagnostics,
     number_of,
 )
-from valve_control.nodes.black_box import BlackBox, BoxLimits
 from valve_control.nodes.definitions import Definition, Definitions, message_class
 from valve_control.nodes.loop import Failure, Worker, run
 from valve_control.nodes.parameter_capture import EVENTS, ParameterCapture
@@ -74,12 +72,8 @@ class Settings(NamedTuple):
     compression: str
     patterns: Sequence[re.Pattern[str]]
     chosen: bool  # whether the patterns are the user's
-    max_bytes: int
-    max_seconds: float  # s
     flush_period: float  # s
     min_free: float  # bytes
-    report_period: float  # s
-    box: BoxLimits | None  # of the black box, None where everything is recorded
 
 
 def settings(values: Values) -> Settings:
@@ -98,39 +92,14 @@ def settings(values: Values) -> Settings:
         except re.error as error:
             raise ParameterError(f"topics has '{text}', which is no regular expression: {error}") from error
     bag = word(values, "bag")
-    box = _box(values)
-    name = "black_box" if box is not None else unused(time.strftime("valve_bag_%Y%m%d_%H%M%S"))
     return Settings(
-        folder=expanded(bag, "bag") if bag else Path(name),
+        folder=expanded(bag, "bag") if bag else unused(time.strftime("valve_bag_%Y%m%d_%H%M%S")),
         storage=storage,
         compression=compression,
         patterns=patterns,
         chosen=bool(chosen),
-        max_bytes=round(parameter.number(values, "max_size") * MB),
-        max_seconds=parameter.number(values, "max_duration"),
         flush_period=parameter.number(values, "flush_period"),
         min_free=parameter.number(values, "min_free") * MB,
-        report_period=parameter.number(values, "report_period"),
-        box=box,
-    )
-
-
-def _box(values: Values) -> BoxLimits | None:
-    """Limits of the black box, None where it is not wanted. Raises ParameterError for what has no effect."""
-    wanted = values["black_box"] is True
-    for entry in RECORDER:
-        of_box = entry.name.startswith("box.")
-        idle = of_box != wanted and (of_box or entry.name in ("max_size", "max_duration"))
-        if idle and values[entry.name] != entry.default:
-            state = "true" if wanted else "false"
-            raise ParameterError(f"{entry.name} has no effect where black_box is {state}")
-    if not wanted:
-        return None
-    return BoxLimits(
-        seconds=parameter.number(values, "box.seconds"),
-        after=parameter.number(values, "box.after"),
-        keep=round(parameter.number(values, "box.keep")),
-        max_bytes=round(parameter.number(values, "box.max_size") * MB),
     )
 
 
@@ -253,37 +222,23 @@ class Recorder(Worker):
         self._left_out: set[str] = set()
         self._strangers: dict[str, dict[bytes, str]] = {}  # topic → publisher of another type → what is said
         self._overlooked: dict[str, str] = {}  # what a controller takes and no pattern names → what is said
-        self._gone: list[str] = []  # finished files that are no longer there
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         self._definitions = Definitions()
         self._failed = False
         self._unnumbered = False  # whether there is a topic whose messages have no numbers
         if reason := self._short_of_room(use.folder.absolute().parent):
             raise Failure(reason)
-        self._writer: BagWriter | BlackBox
-        if use.box is not None:
-            self._writer = BlackBox(use.folder, use.storage, use.compression, use.box, self._tell)
-            self.create_service(Trigger, "~/save_box", self._on_save)
-        else:
-            self._writer = self._begin(use)
+        try:
+            self._writer = BagWriter(use.folder, use.storage, compression=use.compression)
+        except BagError as error:
+            raise ParameterError(str(error)) from error
         self._captured = ParameterCapture(self, self._write_parameters)
         self._record(EVENTS, EVENT_TYPE)
         now = time.monotonic()
         self._next = self._look_at = now
         self._flush_at = now + use.flush_period
-        self._report_at = now + use.report_period
         self._status_at = now
-        self._reported = (now, time.process_time(), 0)
-        how = f"keeps the last {use.box.seconds:g} s for bags" if use.box is not None else "records into"
-        self.get_logger().info(f"{how} {outputs.shown(use.folder)}")
-
-    def _begin(self, use: Settings) -> BagWriter:
-        try:
-            return BagWriter(
-                use.folder, use.storage, use.max_bytes, use.max_seconds, use.compression, self._on_new_file
-            )
-        except BagError as error:
-            raise ParameterError(str(error)) from error
+        self.get_logger().info(f"records into {outputs.shown(use.folder)}")
 
     def _fixed(self, values: Values) -> Settings:
         if self._values and values != self._values:
@@ -314,15 +269,12 @@ class Recorder(Worker):
             self._captured.collect()
             if now >= self._flush_at:
                 self._flush_at = now + self._settings.flush_period
-                self._look_at_files()
+                self._writer.missing()
                 self._writer.flush()
                 if reason := self._short_of_room(self._settings.folder):
                     self._fail(reason)
         except BagError as error:
             self._fail(str(error))
-        if now >= self._report_at:
-            self._report_at = now + self._settings.report_period
-            self._report(now)
         if now >= self._status_at:
             self._publish_status()
         return taken
@@ -349,18 +301,11 @@ class Recorder(Worker):
             self.get_logger().warning(UNKNOWN)
         if topic.name == EVENTS:
             self._captured.observe(data)
-        if topic.name == DIAGNOSTICS and isinstance(self._writer, BlackBox):
-            self._writer.observe(data)
         self._writer.write(topic.name, received, info["source_timestamp"] or received, number, data)
 
     def _write_parameters(self, data: bytes) -> None:
         now = time.time_ns()
         self._writer.write(EVENTS, now, now, 0, self._definitions.trimmed(data, EVENT_TYPE))
-
-    def _on_new_file(self) -> None:
-        if isinstance(self._writer, BagWriter):
-            self.get_logger().info(f"goes on in {self._writer.path.name}")
-        self._captured.write_all()
 
     def _short_of_room(self, folder: Path) -> str:
         """One sentence if the disk of ``folder`` has less than min_free, else ""."""
@@ -373,17 +318,6 @@ class Recorder(Worker):
             f"the recording ends: the disk of {folder} has {free / MB:.0f} MB free, "
             f"less than min_free, {self._settings.min_free / MB:g} MB"
         )
-
-    def _look_at_files(self) -> None:
-        """Check that all files are where they were written. Raises BagError if the newest is not."""
-        gone = self._writer.missing()
-        for name in gone:
-            if name not in self._gone:
-                folder = outputs.shown(self._settings.folder)
-                self.get_logger().error(f"{name}, a finished file of the bag, is no longer in {folder}")
-        if gone != self._gone:
-            self._gone = gone
-            self._publish_status()
 
     def _fail(self, reason: str) -> NoReturn:
         self._failed = True
@@ -409,9 +343,6 @@ class Recorder(Worker):
                 for info in infos:
                     self._look_at_controller(info.node_name, info.node_namespace)
         self._captured.look()
-        if isinstance(self._writer, BlackBox):
-            infos = self.get_publishers_info_by_topic(DIAGNOSTICS)
-            self._writer.look({f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos})
 
     def _look_at_controller(self, name: str, namespace: str) -> None:
         """Warn of signals that a controller takes under other names than those that are recorded."""
@@ -496,16 +427,6 @@ class Recorder(Worker):
 
     # What is said
 
-    def _report(self, now: float) -> None:
-        messages, used = self._writer.message_count, time.process_time()
-        began, used_before, before = self._reported
-        self._reported = (now, used, messages)
-        self.get_logger().info(
-            f"{messages} messages, {(messages - before) / (now - began):.0f}/s, "
-            f"{self._writer.total_bytes / MB:.1f} MB, {self._lost()} lost, "
-            f"CPU {100.0 * (used - used_before) / (now - began):.1f} %"
-        )
-
     def _publish_status(self) -> None:
         """Publish diagnostics: what is recorded, and what is not."""
         self._status_at = time.monotonic() + STATUS_PERIOD
@@ -514,35 +435,16 @@ class Recorder(Worker):
         said += self._overlooked.values()
         if said:
             level, text = DiagnosticStatus.WARN, "; ".join(sorted(said))
-        if isinstance(self._writer, BlackBox) and self._writer.doubt:
-            level, text = DiagnosticStatus.WARN, self._writer.doubt
-        if self._gone:
-            level, text = DiagnosticStatus.ERROR, f"files of the bag were removed: {', '.join(self._gone)}"
         self._diagnostics.publish(diagnostics(self, level, text, self._figures()))
 
     def _figures(self) -> dict[str, Any]:
-        about = {
+        return {
             "bag": outputs.shown(self._settings.folder),
             "topics": len(self._topics),
             "messages": self._writer.message_count,
             "lost": self._lost(),
+            "MB": f"{self._writer.total_bytes / MB:.1f}",
         }
-        return about | self._writer.figures() if isinstance(self._writer, BlackBox) else about
-
-    # The black box
-
-    def _tell(self, text: str, wrong: bool) -> None:
-        if wrong:
-            self.get_logger().error(text)
-        else:
-            self.get_logger().warning(text)
-        self._publish_status()
-
-    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        assert isinstance(self._writer, BlackBox)
-        folder = self._writer.save("asked for")
-        response.success, response.message = True, f"{outputs.shown(folder)} will be written"
-        return response
 
     def deliver(self) -> None:
         """Wait until the reason of the end has arrived."""
@@ -574,13 +476,9 @@ class Recorder(Worker):
             self.get_logger().warning(
                 f"the bag lacks the parameters of {name}, which did not answer; it has their changes"
             )
-        if isinstance(self._writer, BlackBox):
-            self.get_logger().info(self._writer.text)
-        else:
-            files = f"{self._writer.files} file{'s' if self._writer.files != 1 else ''}"
-            self.get_logger().info(
-                f"{self._writer.message_count} messages in {files} of {outputs.shown(self._settings.folder)}"
-            )
+        self.get_logger().info(
+            f"{self._writer.message_count} messages in {outputs.shown(self._settings.folder)}"
+        )
         if error is not None:
             raise error
 

@@ -12,19 +12,17 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
 from valve_control.control.drivers import trial
-from valve_control.control.drivers.device import Device
 from valve_control.control.drivers.driver import Condition, DriverError
 from valve_control.control.parameters import drivers
-from valve_control.control.parameters.arguments import refuse_stray, values_of
 from valve_control.control.parameters.drivers import LIVE, VALVE_DRIVER, Sides
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
@@ -35,15 +33,13 @@ from valve_control.nodes.adapter import (
     diagnostics,
     encoded,
 )
-from valve_control.nodes.lifecycle import Managed
+from valve_control.nodes.device_node import LEVELS, MOST_MISSING, DeviceNode
 from valve_control.nodes.loop import run
+from valve_control.nodes.timing import WINDOW, of_periods, spread
 from valve_control.parameter import ParameterError, Values, number, word
 
 CHECK = "--check"
 NEVER = math.inf
-MOST_MISSING = 100  # readings that are published as NaN; a larger gap is silence, which the controller finds
-WINDOW = 1000  # samples of the timing statistics
-LEVELS = {"degraded": DiagnosticStatus.WARN, "safe": DiagnosticStatus.ERROR}
 SILENT = 3  # waits without a reading that make a condition
 
 
@@ -51,11 +47,10 @@ class Built(NamedTuple):
     """What is made of a set of values before it is taken into use."""
 
     sides: Sides
-    device: Device | None  # None: the one in use stays
     realtime: realtime.Request
 
 
-class ValveDriver(Managed):
+class ValveDriver(DeviceNode):
     """Publishes `spool_position`, takes `valve_voltage`.
 
     One thread has the device: it waits for a reading, publishes it, waits for the voltage that answers it for
@@ -64,9 +59,6 @@ class ValveDriver(Managed):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("valve_driver", **options)
-        self._device: Device | None = None
-        self._open = False
-        self._refusal = ""
         self._voltages: NumberSubscription | None = None
         self._next = NEVER
         self._begun = False
@@ -89,31 +81,20 @@ class ValveDriver(Managed):
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self._values["autostart"]:
-            self.trigger_configure()
-            if self._refusal:
-                raise ParameterError(self._refusal)
-            self.trigger_activate()
+            self.autostart()
         else:
             self.get_logger().info("unconfigured, waits for lifecycle transitions")
 
     def _build(self, values: Values) -> Built:
-        if self._open:
-            changed = [name for name in values if name not in LIVE and values[name] != self._values[name]]
-            if changed:
-                raise ParameterError(
-                    f"{changed[0]} of an open device does not change; clean the node up first"
-                )
-        return Built(
-            drivers.sides(values),
-            None if self._open else drivers.device(values),
-            realtime.request(values),
-        )
+        self.refuse_changes((name for name in values if name not in LIVE), values)
+        if self._device is None:
+            drivers.device(values)
+        return Built(drivers.sides(values), realtime.request(values))
 
     def _apply(self, values: Values, built: Built) -> None:
         self._values = values
-        self._device = built.device or self._device
-        assert self._device is not None
-        self._device.limit(*built.sides)
+        if self._device is not None:
+            self._device.limit(*built.sides)
         self._watchdog = number(values, "watchdog")
         self._wait = number(values, "answer_share") * number(values, "sample_period")
         if self.working and self._begun and self._on != (values["enable"] is True):
@@ -122,20 +103,11 @@ class ValveDriver(Managed):
             self._realtime = built.realtime
             realtime.obtain(built.realtime, self.get_logger().warning)
 
-    # Life
+    def device_values(self) -> Values:
+        """The parameters in use."""
+        return self._values
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Open the device; without it the node stays unconfigured."""
-        assert self._device is not None
-        try:
-            self._device.open()
-        except DriverError as error:
-            self._refusal = str(error)
-            if not self._values["autostart"]:
-                self.get_logger().error(self._refusal)
-            return TransitionCallbackReturn.FAILURE
-        self._open = True
-        return super().on_configure(state)
+    # Life
 
     def open(self) -> None:
         """Create publisher and subscription."""
@@ -148,20 +120,7 @@ class ValveDriver(Managed):
         self._voltages.destroy()
         self._voltages = None
         self.destroy_publisher(self._positions)
-        self._release()
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close the device too, whatever the state was."""
-        done = super().on_shutdown(state)
-        self._release()
-        return done
-
-    def _release(self) -> None:
-        if self._open:
-            assert self._device is not None
-            self._device.close()
-            self._open = False
-            self._device = drivers.device(self._values)
+        super().close()
 
     def begin(self) -> None:
         """Drop voltages that wait; the output is switched on at 0 V when the loop runs."""
@@ -179,12 +138,6 @@ class ValveDriver(Managed):
     def end(self) -> None:
         """Switch the output off."""
         self._switch(False)
-
-    def finish(self) -> None:
-        """Switch the output off and close the device from whatever state the node is in."""
-        super().finish()
-        if self._device is not None:
-            self._device.close()
 
     def _switch(self, on: bool) -> None:
         assert self._device is not None
@@ -310,14 +263,13 @@ class ValveDriver(Managed):
 
     def _device_conditions(self) -> tuple[Condition, ...]:
         """Conditions of the device once the output has been switched; none before."""
-        assert self._device is not None
-        return self._device.conditions() if self.working and self._begun else ()
+        return self._device.conditions() if self._device and self.working and self._begun else ()
 
     def _diagnose(self) -> None:
         level, text = DiagnosticStatus.OK, "driving"
         conditions: tuple[Condition, ...] = ()
         if not self.working:
-            text = "inactive" if self._open else "unconfigured"
+            text = "inactive" if self._device is not None else "unconfigured"
         elif conditions := self._conditions():
             level, text = LEVELS[conditions[0].level], "; ".join(c.text for c in conditions)
         elif not self._fed:
@@ -325,37 +277,28 @@ class ValveDriver(Managed):
         self._diagnostics.publish(diagnostics(self, level, text, self._figures(conditions)))
 
     def _figures(self, conditions: tuple[Condition, ...]) -> dict[str, Any]:
-        assert self._device is not None
         device = self._device
         values: dict[str, Any] = {
             "driver": word(self._values, "driver"),
             "conditions": ", ".join(condition.name for condition in conditions),
-            "readings": device.readings,
-            "lost": device.lost,
-            "reopened": device.reopened,
+            "readings": 0 if device is None else device.readings,
+            "lost": 0 if device is None else device.lost,
+            "reopened": 0 if device is None else device.reopened,
             **self._counts,
             "position_V": f"{self._position:.4f}",
             "voltage_V": f"{self._voltage:.4f}",
         }
-        if len(self._arrivals) > 1:
-            values["period_ms"] = f"{1e3 * np.mean(np.diff(self._arrivals)):.4f}"
-        for name, numbers in (("jitter_ms", self._jitter()), ("answer_ms", np.array(self._answers))):
-            if len(numbers):
-                ordered = np.sort(numbers) * 1e3
-                for label, share in (("p50", 0.5), ("p99", 0.99), ("max", 1.0)):
-                    values[f"{name}_{label}"] = f"{ordered[int(share * (len(ordered) - 1))]:.4f}"
+        values |= of_periods(self._arrivals, number(self._values, "sample_period"))
+        values |= spread("answer_ms", self._answers)
         return {**values, **realtime.obtained()}
-
-    def _jitter(self) -> Any:
-        """Deviations [s] of the periods between readings from the sample period."""
-        return np.abs(np.diff(self._arrivals) - number(self._values, "sample_period"))
 
 
 def check(arguments: Sequence[str]) -> int:
     """Dry run with the parameters of a command line; returns the exit status."""
     try:
-        refuse_stray(arguments)
-        values = values_of(arguments, "valve_driver", VALVE_DRIVER)
+        rclpy.init(args=["valve_driver", *arguments])
+        node = Node("valve_driver", enable_rosout=False, start_parameter_services=False)
+        values = ParameterSet(node, VALVE_DRIVER, drivers.sides, lambda values, sides: None).values
         device = drivers.device(values)
         tried = trial.run(device)
     except (ParameterError, DriverError) as error:

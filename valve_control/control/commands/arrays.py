@@ -14,8 +14,6 @@ from valve_control.arrays import Floats
 from valve_control.control.commands import scenarios
 from valve_control.parameter import ParameterError
 
-LARGEST = 1e6  # V  in a file, whose commands a controller limits to command_limit
-
 
 def refuse_aliased(frequency: float, period: float) -> None:
     """Raise ParameterError for a ``frequency`` [Hz] of half the sampling rate or more."""
@@ -68,10 +66,4 @@ def read(path: str) -> Floats:
     if not np.all(np.isfinite(numbers)):
         first = int(np.flatnonzero(~np.isfinite(numbers))[0])
         raise ParameterError(f"command file {path} has {numbers[first]} in entry {first + 1}")
-    if np.any(np.abs(numbers) > LARGEST):
-        first = int(np.flatnonzero(np.abs(numbers) > LARGEST)[0])
-        raise ParameterError(
-            f"command file {path} has {numbers[first]:g} V in entry {first + 1}; commands lie within "
-            f"±{LARGEST:g} V"
-        )
     return numbers

@@ -7,7 +7,7 @@ A driver has one device. One thread calls it: ``open``, ``enable``, then ``write
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from valve_control.parameter import Table, Values
 
@@ -104,22 +104,6 @@ class Kind(NamedTuple):
     extra: str = ""  # extra of this package that brings its library, "" for none
     volts: str = "V"  # scale of its signals, unless the user says otherwise
     package: str = PACKAGE  # that brings it
-
-
-class KindError(ValueError):
-    """Says why a kind of driver cannot be used; the message is one sentence without its name."""
-
-
-def check(kind: Any) -> Kind:
-    """Return ``kind`` if it has the form of one. Raises KindError."""
-    if not isinstance(kind, Kind):
-        raise KindError(f"it is {kind!r}; it must be a valve_control.control.drivers.driver.Kind")
-    if not (kind.name.isidentifier() and kind.name.islower()):
-        raise KindError(f"its name is '{kind.name}'; it must be one word in lower case")
-    for parameter in kind.parameters:
-        if not parameter.name.startswith(f"{kind.name}."):
-            raise KindError(f"its parameter {parameter.name} must begin with '{kind.name}.'")
-    return kind
 
 
 def missing(library: str, kind: str, extra: str) -> DriverError:

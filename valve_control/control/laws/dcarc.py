@@ -35,6 +35,10 @@ from valve_control.control.laws.dcarc_parts import (
     dot,
     moved,
     past_dot,
+    past_plus,
+    plus,
+    scaled,
+    times,
     turned,
 )
 from valve_control.control.laws.free import Free
@@ -192,21 +196,10 @@ def corrected(p: Params, e: Estimate, innovation: float) -> Estimate:
     g, hum = p.kalman, e.hum
     if p.turn.on > 0.0:
         hum = Wave(hum.shown + g.hum.shown * innovation, hum.ahead + g.hum.ahead * innovation)
-    x0, x1, x2, x3, x4, x5 = e.state
-    g0, g1, g2, g3, g4, g5 = g.state
-    p0, p1, p2, p3 = e.past
-    h0, h1, h2, h3 = g.past
     return Estimate(
-        Row(
-            x0 + g0 * innovation,
-            x1 + g1 * innovation,
-            x2 + g2 * innovation,
-            x3 + g3 * innovation,
-            x4 + g4 * innovation,
-            x5 + g5 * innovation,
-        ),
+        plus(e.state, g.state, innovation),
         e.disturbance + g.disturbance * innovation,
-        Past(p0 + h0 * innovation, p1 + h1 * innovation, p2 + h2 * innovation, p3 + h3 * innovation),
+        past_plus(e.past, g.past, innovation),
         e.held,
         hum,
     )
@@ -222,17 +215,8 @@ def predicted(p: Params, e: Estimate, voltage: float, explained: float) -> Estim
     if m.waits > 0.0:
         acting = m.direct * voltage + past_dot(m.acting, e.held)
     u = acting + d
-    b0, b1, b2, b3, b4, b5 = m.input
-    f0, f1, f2, f3, f4, f5 = m.force
     following = Estimate(
-        Row(
-            dot(m.row0, x) + b0 * u + f0 * d,
-            dot(m.row1, x) + b1 * u + f1 * d,
-            dot(m.row2, x) + b2 * u + f2 * d,
-            dot(m.row3, x) + b3 * u + f3 * d,
-            dot(m.row4, x) + b4 * u + f4 * d,
-            dot(m.row5, x) + b5 * u + f5 * d,
-        ),
+        plus(plus(times(m, x), m.input, u), m.force, d),
         d + explained,
         Past(
             dot(m.passing, x) + m.passing_input * u + m.passing_force * d,
@@ -250,16 +234,8 @@ def predicted(p: Params, e: Estimate, voltage: float, explained: float) -> Estim
 
 def begun(m: Model, e: Estimate, voltage: float) -> Estimate:
     """Estimate ``e`` with the ``voltage`` [V] that acts at the beginning of the period."""
-    x, c = e.state, m.early
     return Estimate(
-        Row(
-            x.x0 + c.x0 * voltage,
-            x.x1 + c.x1 * voltage,
-            x.x2 + c.x2 * voltage,
-            x.x3 + c.x3 * voltage,
-            x.x4 + c.x4 * voltage,
-            x.x5 + c.x5 * voltage,
-        ),
+        plus(e.state, m.early, voltage),
         e.disturbance,
         Past(e.past.first + m.passing_early * voltage, e.past.second, e.past.third, e.past.fourth),
         e.held,
@@ -372,20 +348,8 @@ def initial(p: Params, start: Start) -> State:
     v, t, ages = start.velocity, p.theta_initial, p.model.ages
     position = start.measurement + v * past_dot(p.model.shown, ages)
     s, m = p.standing, p.moving
-    state = Row(
-        s.state.x0 * position + m.state.x0 * v,
-        s.state.x1 * position + m.state.x1 * v,
-        s.state.x2 * position + m.state.x2 * v,
-        s.state.x3 * position + m.state.x3 * v,
-        s.state.x4 * position + m.state.x4 * v,
-        s.state.x5 * position + m.state.x5 * v,
-    )
-    past = Past(
-        position - v * ages.first,
-        position - v * ages.second,
-        position - v * ages.third,
-        position - v * ages.fourth,
-    )
+    state = plus(scaled(s.state, position), m.state, v)
+    past = past_plus(Past(position, position, position, position), ages, -v)
     reference, rate = start.reference, start.reference_rate
     inverse = Inverse(
         s.inverse.zeta * reference + m.inverse.zeta * rate,
@@ -572,6 +536,11 @@ def hold(p: Params, s: State, command: float, measurement: float, voltage: float
     )
 
 
+def _row(name: str, usual: list[float], text: str, low: float) -> Parameter:
+    """Row of the table for nine numbers of the weights, from ``low`` on."""
+    return Parameter(f"dcarc.theta_{name}", list(usual), "", f"{text}: {WEIGHTS}", low, 1e3, length=9)
+
+
 PARAMETERS: Table = (
     Parameter(
         "dcarc.model",
@@ -674,42 +643,17 @@ PARAMETERS: Table = (
         1e-6,
         1e4,
     ),
-    Parameter(
-        "dcarc.theta_initial",
-        [0.0] * 9,
-        "",
-        f"initial weights of the compensation: {WEIGHTS}; setting it restarts them",
-        -1e3,
-        1e3,
-        length=9,
+    _row("initial", [0.0] * 9, "initial weights of the compensation, setting which restarts them", -1e3),
+    _row(
+        "min", [-0.4, -3.0, -3.0, -3.0, -3.0, -1.0, -1.0, -0.03, -0.0003], "lower bounds of the weights", -1e3
     ),
-    Parameter(
-        "dcarc.theta_min",
-        [-0.4, -3.0, -3.0, -3.0, -3.0, -1.0, -1.0, -0.03, -0.0003],
-        "",
-        f"lower bounds of the weights: {WEIGHTS}",
-        -1e3,
-        1e3,
-        length=9,
-    ),
-    Parameter(
-        "dcarc.theta_max",
-        [0.6, 3.0, 3.0, 3.0, 3.0, 1.0, 1.0, 0.03, 0.0003],
-        "",
-        f"upper bounds of the weights: {WEIGHTS}",
-        -1e3,
-        1e3,
-        length=9,
-    ),
-    Parameter(
-        "dcarc.theta_spread",
+    _row("max", [0.6, 3.0, 3.0, 3.0, 3.0, 1.0, 1.0, 0.03, 0.0003], "upper bounds of the weights", -1e3),
+    _row(
+        "spread",
         [0.2, 0.46, 0.46, 0.46, 1.1, 1.3, 1.0, 1.8e-5, 3.4e-5],
-        "",
-        f"standard deviations of the weights around the initial ones; 0.0 switches a term off; the "
-        f"assumption monitor uses at least the defaults: {WEIGHTS}",
+        "standard deviations of the weights around the initial ones; 0.0 switches a term off; the "
+        "assumption monitor uses at least the defaults",
         0.0,
-        1e3,
-        length=9,
     ),
     Parameter(
         "dcarc.fit_noise",
@@ -872,6 +816,12 @@ def sampled_model(p: Params) -> tuple[Floats, Floats] | None:
     return a, b
 
 
+def known_valve(values: Values) -> tuple[Floats, Floats] | None:
+    """``sampled_model`` of the controller's values if that model has three more poles than zeros."""
+    p = build(values)
+    return sampled_model(p) if p.reshaping.smoothing > 0.0 else None
+
+
 def without_adaptation(p: Params, s: State) -> tuple[Params, State]:
     """The law with its weights at rest."""
     still = p._replace(prior=NOTHING, magnet=p.magnet._replace(prior=magnet.NONE))
@@ -888,6 +838,7 @@ LAW = Law(
     build=build,
     model=model,
     sampled_model=sampled_model,
+    known_valve=known_valve,
     form=(
         "dcarc.model",
         "dcarc.numerator",

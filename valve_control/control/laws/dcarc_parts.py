@@ -130,6 +130,38 @@ def dot(row: Row, x: Row) -> float:
     return a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3 + a4 * x4 + a5 * x5
 
 
+def scaled(x: Row, factor: float) -> Row:
+    """``x`` times ``factor``."""
+    x0, x1, x2, x3, x4, x5 = x
+    return Row(x0 * factor, x1 * factor, x2 * factor, x3 * factor, x4 * factor, x5 * factor)
+
+
+def plus(x: Row, g: Row, factor: float) -> Row:
+    """``x`` and ``factor`` times ``g``, entry by entry."""
+    x0, x1, x2, x3, x4, x5 = x
+    g0, g1, g2, g3, g4, g5 = g
+    return Row(
+        x0 + g0 * factor,
+        x1 + g1 * factor,
+        x2 + g2 * factor,
+        x3 + g3 * factor,
+        x4 + g4 * factor,
+        x5 + g5 * factor,
+    )
+
+
+def past_plus(x: Past, g: Past, factor: float) -> Past:
+    """``x`` and ``factor`` times ``g``, entry by entry."""
+    x0, x1, x2, x3 = x
+    g0, g1, g2, g3 = g
+    return Past(x0 + g0 * factor, x1 + g1 * factor, x2 + g2 * factor, x3 + g3 * factor)
+
+
+def times(m: Model, x: Row) -> Row:
+    """Transition matrix of ``m`` times ``x``."""
+    return Row(dot(m.row0, x), dot(m.row1, x), dot(m.row2, x), dot(m.row3, x), dot(m.row4, x), dot(m.row5, x))
+
+
 def past_dot(a: Past, b: Past) -> float:
     """Scalar product."""
     a0, a1, a2, a3 = a

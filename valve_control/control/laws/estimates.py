@@ -18,41 +18,14 @@ HIGHEST = [150.0, 3000.0, 2500.0, 6000.0]
 def parameters(law: str, gamma: list[float]) -> Table:
     """Rows of the parameter table for ``law``; ``gamma``: default of the adaptation rates."""
     return (
-        Parameter(
-            f"{law}.gamma",
-            gamma,
-            "",
-            "diagonal of the adaptation rate matrix Γ of (15)",
-            0.0,
-            1e12,
-            length=4,
-        ),
-        Parameter(
-            f"{law}.theta_initial",
-            INITIAL,
-            "",
-            f"initial estimates θ̂(0): {UNITS}; setting it restarts the estimates",
-            -1e9,
-            1e9,
-            length=4,
-        ),
-        Parameter(
-            f"{law}.theta_min",
-            LOWEST,
-            "",
-            f"lower bounds of θ, (5): {UNITS}",
-            -1e9,
-            1e9,
-            length=4,
-        ),
-        Parameter(
-            f"{law}.theta_max",
-            HIGHEST,
-            "",
-            f"upper bounds of θ, (5): {UNITS}",
-            -1e9,
-            1e9,
-            length=4,
+        Parameter(f"{law}.gamma", gamma, "", "diagonal of the rate matrix Γ of (15)", 0.0, 1e12, length=4),
+        *(
+            Parameter(f"{law}.theta_{name}", usual, "", f"{text}: {UNITS}", -1e9, 1e9, length=4)
+            for name, usual, text in (
+                ("initial", INITIAL, "initial estimates θ̂(0), setting which restarts them"),
+                ("min", LOWEST, "lower bounds of θ, (5)"),
+                ("max", HIGHEST, "upper bounds of θ, (5)"),
+            )
         ),
         Parameter(
             f"{law}.robust_term",

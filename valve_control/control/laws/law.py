@@ -2,27 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Describes a control law to the rest of the package: name, parameters, equations and abilities."""
 
-import inspect
-import math
 import types
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, get_type_hints
 
 from valve_control.arrays import Floats
+from valve_control.control import plugins
 from valve_control.control.laws import reshaping
-from valve_control.control.laws.free import Free, entries_of
+from valve_control.control.laws.free import Free, placed
 from valve_control.control.laws.projection import Theta
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant.models import Scale, TransferFunction
 from valve_control.parameter import Table, Value, Values, defaults
 
-PACKAGE = "valve_control"
-FIELDS = {"Params": ("u_max", "period"), "Terms": ("reference", "z1", "unsaturated_voltage")}
-FORMS = {
-    "initial": ("params", "start"),
-    "step": ("params", "state", "command", "measurement", "offset"),
-    "hold": ("params", "state", "command", "measurement", "voltage"),
-}
+TERMS = ("reference", "z1", "unsaturated_voltage")  # that each law has
+Terms = tuple[float, float, float]  # c0 [V/V], c1 [s] and c2 [s²] of a voltage for a motion
 
 
 def unchanged(params: Any, state: Any) -> tuple[Any, Any]:
@@ -31,7 +25,7 @@ def unchanged(params: Any, state: Any) -> tuple[Any, Any]:
 
 
 def by_slow_motion(params: Any) -> None:
-    """None, for a law whose loop is checked on (1) with what ``Law.model`` gives."""
+    """None, for a law that knows no more of a valve than (1) with what ``Law.model`` gives."""
 
 
 def always(params: Any) -> bool:
@@ -54,6 +48,11 @@ def nothing_else(values: Values, plant: Values) -> Values:
     return {}
 
 
+def no_feedforward(values: Values, terms: Terms, part: float) -> Values:
+    """No parameters, for a law without a feedforward."""
+    return {}
+
+
 def no_starts(values: Values, scale: Scale) -> list[Values]:
     """No gains, for a law whose search begins with those that there are."""
     return []
@@ -72,6 +71,8 @@ class Law(NamedTuple):
     # transition matrix (n×n) and input column (n) of the sampled model that a set of Params believes in,
     # position first, where (1) leaves out what the loop needs; None: (1) with what ``model`` gives will do
     sampled_model: Callable[[Any], tuple[Floats, Floats] | None] = by_slow_motion
+    # the same of a valve with a coil, where the controller's values describe one; None: they do not
+    known_valve: Callable[[Values], tuple[Floats, Floats] | None] = by_slow_motion
     reshapes: Callable[[Any], bool] = always  # whether a set of Params follows a reshaped reference
     # command under which the law goes on as it is, from which a takeover lets the real one fade in
     steady_command: Callable[[Any, Start], float] = reshaped_steady_command
@@ -90,8 +91,14 @@ class Law(NamedTuple):
     of_plant: Callable[[Values, Values], Values] = nothing_else
     # gains with which a search begins: from the controller's values and the scale of the valve
     starts: Callable[[Values, Scale], list[Values]] = no_starts
+    # gains of the loop (c0 + c1·s + c2·s²)/(λ·s) for a law that has these: from the controller's values, the
+    # three terms, λ [s] and the cutoff [Hz] of the derivative; raises ParameterError
+    inverse: Callable[[Values, Terms, float, float], Values] | None = None
+    # its feedforward c0·x + c1·dx/dt + c2·d²x/dt², or a part of c0 alone: from the values, the
+    # terms and the part
+    feedforward: Callable[[Values, Terms, float], Values] = no_feedforward
     remedy: str = "shorten sample_period or lower the gains"  # of a loop that is unstable
-    package: str = PACKAGE  # that brings it
+    package: str = plugins.PACKAGE  # that brings it
 
     @property
     def title(self) -> str:
@@ -119,93 +126,29 @@ class Law(NamedTuple):
         return tuple(self.module.Terms._fields)
 
 
-class LawError(ValueError):
-    """Says why a law cannot be used; the message is one sentence without the law's name."""
-
-
-def check(law: Any) -> Law:
-    """Return ``law`` if it has the form of a law. Raises LawError."""
-    if not isinstance(law, Law):
-        raise LawError(f"it is {law!r}; it must be a valve_control.control.laws.law.Law")
-    if not (law.name.isidentifier() and law.name.islower()):
-        raise LawError(f"its name is '{law.name}'; it must be one word in lower case")
-    for part, needed in FIELDS.items():
-        _check_record(law.module, part, needed)
-    _check_record(law.module, "State", ())
-    for part, wanted in FORMS.items():
-        _check_function(law.module, part, wanted)
-    for parameter in law.parameters:
-        if not parameter.name.startswith(f"{law.name}."):
-            raise LawError(f"its parameter {parameter.name} must begin with '{law.name}.'")
-    if law.dead_time and law.dead_time not in {p.name for p in law.parameters}:
-        raise LawError(f"its dead_time is '{law.dead_time}'; it must be one of its parameters")
-    own = defaults(law.parameters)
-    for free in law.free:
-        _check_free(free, own)
-    if law.adapts and f"{law.name}.theta_initial" not in {p.name for p in law.parameters}:
-        raise LawError(f"its state has estimates; there must be a parameter {law.name}.theta_initial")
-    return law
-
-
 def try_out(law: Law, values: Values) -> None:
-    """Build ``law`` from ``values`` and compute one step and one hold. Raises LawError."""
-    try:
-        params = law.build({**values, **defaults(law.parameters)})
-        state = law.module.initial(params, Start(0.1, 0.0, 0.1, 0.0, 0.0))
-        result = law.module.step(params, state, 0.2, 0.1, 0.0)
-        held = law.module.hold(params, state, 0.2, 0.1, 0.0)
-    except Exception as error:
-        raise LawError(f"its first step fails: {type(error).__name__}: {error}") from error
-    if not (isinstance(result, tuple) and len(result) == 3):
-        raise LawError("its step must return (voltage, state, terms)")
-    voltage, after, terms = result
-    if type(voltage) is not float or not math.isfinite(voltage):
-        raise LawError(f"its step gives {voltage!r} as voltage; it must be a finite float")
-    for what, value, kind in (
-        ("initial gives", state, law.module.State),
-        ("step gives", after, law.module.State),
-        ("hold gives", held, law.module.State),
-        ("step gives", terms, law.module.Terms),
-    ):
-        if type(value) is not kind:
-            raise LawError(f"its {what} {type(value).__name__}; it must be {kind.__name__}")
-
-
-def _check_free(free: Any, own: Values) -> None:
-    if not isinstance(free, Free):
-        raise LawError(f"it has {free!r} to choose; it must be a valve_control.control.laws.free.Free")
-    for name, index in entries_of(free):
-        if not isinstance(own.get(name), float if index is None else list):
-            raise LawError(f"it has {free.name} to choose, and {name} is none of its numbers")
-    if not free.low < free.high or (free.logarithmic and free.low <= 0.0):
-        raise LawError(f"the range of {free.name} goes from {free.low:g} to {free.high:g}")
-    try:
-        unit = free.unit({**defaults(reshaping.PARAMETERS), **own})
-    except KeyError as error:
-        raise LawError(f"the unit of {free.name} asks for {error}, which is none of its numbers") from error
-    if not (math.isfinite(unit) and unit > 0.0):
-        raise LawError(f"the unit of {free.name} is {unit:g} with the default values; it must be above 0")
-
-
-def _check_record(module: types.ModuleType, part: str, needed: tuple[str, ...]) -> None:
-    kind = getattr(module, part, None)
-    if not hasattr(kind, "_fields"):
-        raise LawError(f"{module.__name__} has no NamedTuple {part}")
-    assert kind is not None
-    for name in needed:
-        if name not in kind._fields:
-            raise LawError(f"{module.__name__}.{part} has no field {name}")
-    for name, hint in get_type_hints(kind).items():
-        if hint is not float and not hasattr(hint, "_fields"):
-            raise LawError(f"{module.__name__}.{part}.{name} must be a float or a NamedTuple of floats")
-
-
-def _check_function(module: types.ModuleType, part: str, wanted: tuple[str, ...]) -> None:
-    function = getattr(module, part, None)
-    if not isinstance(function, types.FunctionType):
-        raise LawError(f"{module.__name__} has no function {part}({', '.join(wanted)})")
-    found = tuple(inspect.signature(function).parameters)
-    if len(found) != len(wanted):
-        raise LawError(
-            f"{module.__name__}.{part} takes ({', '.join(found)}); it must take ({', '.join(wanted)})"
-        )
+    """Build ``law`` from ``values`` and compute one step and one hold. Raises PluginError."""
+    module = law.module
+    with plugins.first_step():
+        given = {**values, **defaults(law.parameters)}
+        params = law.build(given)
+        state = module.initial(params, Start(0.1, 0.0, 0.1, 0.0, 0.0))
+        voltage, after, terms = module.step(params, state, 0.2, 0.1, 0.0)
+        held = module.hold(params, state, 0.2, 0.1, 0.0)
+        units = [(f"range of {free.name}", free.unit(given)) for free in law.free]
+        chosen = placed([(free, free.from_share(0.5)) for free in law.free], given)
+        told = {name: getattr(terms, name) for name in TERMS}
+    plugins.check_numbers([("step", voltage), *told.items(), *units])
+    plugins.check_types(
+        [
+            ("build", params, module.Params),
+            ("initial", state, module.State),
+            ("step", after, module.State),
+            ("hold", held, module.State),
+            ("step", terms, module.Terms),
+        ]
+    )
+    needed = {*chosen, *([law.dead_time] if law.dead_time else ())}
+    needed |= {f"{law.name}.theta_initial"} if law.adapts else set()
+    for name in sorted(needed - given.keys()):
+        raise plugins.PluginError(f"there must be a parameter {name}")

@@ -241,6 +241,28 @@ def steady_command(p: Params, start: Start) -> float:
     return reshaped_steady_command(p, start)
 
 
+def inverse(values: Values, terms: tuple[float, float, float], lag: float, cutoff: float) -> Values:
+    """Gains of (c0 + c1·s + c2·s²)/(lag·s), not of the paper's form. Raises ParameterError."""
+    if word(values, "pid.form") == "paper":
+        raise ParameterError("pid.form is paper, whose gains follow from the break frequency")
+    c0, c1, c2 = terms
+    return {
+        "pid.break_frequency": 0.0,
+        "pid.kp": c1 / lag,
+        "pid.ki": c0 / lag,
+        "pid.kd": c2 / lag,
+        "pid.derivative_cutoff": cutoff,
+    }
+
+
+def feedforward(values: Values, terms: tuple[float, float, float], part: float) -> Values:
+    """Voltage for a motion, c0·x + c1·dx/dt + c2·d²x/dt²; the plain form has a ``part`` of c0 alone."""
+    c0, c1, c2 = terms
+    if word(values, "pid.form") == "plain":
+        return {"pid.static_feedforward": part * c0}
+    return {"pid.theta": [c1 / c2, c0 / c2, 1.0 / c2]}
+
+
 def proportional(values: Values) -> float:
     """Proportional gain, in which the other two are counted when they are chosen."""
     return number(values, "pid.kp")
@@ -270,4 +292,6 @@ LAW = Law(
         {"pid.form": "plain", "pid.break_frequency": 0.0},
         {"pid.form": "reference", "pid.break_frequency": 0.0},
     ),
+    inverse=inverse,
+    feedforward=feedforward,
 )

@@ -10,24 +10,24 @@ from functools import partial
 from valve_control.control import compiling, plugins
 from valve_control.control.laws import arc, compensator, dcarc, linearisation, oarc, open_loop, pid, reshaping
 from valve_control.control.laws.common import COMMON
-from valve_control.control.laws.law import Law, LawError, check, try_out
+from valve_control.control.laws.law import Law, try_out
 from valve_control.parameter import defaults
 
 GROUP = "valve_control.laws"
 
 
 def accepted(found: object, taken: dict[str, Law]) -> Law:
-    """``found`` if it is a law that works and whose name is free. Raises LawError."""
-    law = check(found)
+    """``found`` if it is a law that works and whose name is free. Raises PluginError."""
+    law = plugins.check(found, Law)
     if law.name in taken:
-        raise LawError(f"the name is taken by a law of {taken[law.name].package}")
+        raise plugins.PluginError(f"the name is taken by a law of {taken[law.name].package}")
     try_out(law, {**defaults(COMMON), **defaults(reshaping.PARAMETERS)})
     compiling.add_sources_of(law.module)
     return law
 
 
 LAWS = {law.name: law for law in (arc.LAW, oarc.LAW, dcarc.LAW, pid.LAW, compensator.LAW, open_loop.LAW)}
-LEFT_OUT = plugins.add(GROUP, "law", accepted, LawError, LAWS)  # why, as a sentence
+LEFT_OUT = plugins.add(GROUP, "law", accepted, LAWS)  # why, as a sentence
 for _name, _law in LAWS.items():  # the limit of its voltage is behind the curve of linearisation
     LAWS[_name] = _law._replace(build=partial(linearisation.built, _law.build))
 REFUSED = list(LEFT_OUT.values())

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from valve_control.control.laws import dcarc, linearisation
+from valve_control.control.laws import linearisation
 from valve_control.control.laws.law import Law, by_slow_motion
-from valve_control.control.laws.signals import Start
+from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import linear_loop
 from valve_control.control.linear.linear_loop import LinearValves
 from valve_control.control.plant import registry, valve
@@ -26,8 +26,6 @@ from valve_control.parameter import Values, number
 GAIN_MARGIN = 1.25  # of b0; the real valve's b0 lies that far from θ(0), and so does (2)
 MOST_DELAY = 50.0  # periods of dead time; more is left to the run
 FARTHEST = 40  # dB  by which a gain is changed to find one with which an unstable loop is stable
-PROBED, SETTLED = 0.01, 0.5  # V, s  command with which a law without feedback is tried, and how long
-OFF = 0.5  # -  error of its position over the command from which on it is told
 NARROW = 0.02  # of the law's range, over which the slope behind a curve counts
 GRID = 2000  # parts of that range
 FLAT = 1e-9  # -  slope that is rounding
@@ -91,37 +89,33 @@ def warning(law: Law, params: Any) -> str:
 def coil_warning(law: Law, params: Any, values: Values) -> str:
     """One sentence if the sampled loop is unstable on a valve whose coil the ``law`` does not know, else "".
 
-    ARC, OARC and PID believe in (1), which has no coil. The controller's ``values`` tell of one where dcarc's
-    model has three more poles than zeros: this is then the valve, with its gain as it is and 2 dB above.
+    A law that believes in (1) has no coil. The controller's ``values`` tell of one where another law's
+    ``known_valve`` has it: this is then the valve, with its gain as it is and 2 dB above.
     """
     if law.model is None or law.sampled_model is not by_slow_motion:
         return ""
-    known = dcarc.LAW.build(values)
-    exact = dcarc.sampled_model(known)
-    if exact is None or known.reshaping.smoothing == 0.0:
-        return ""
-    valves = linear_loop.undelayed(*exact)
-    at_rest = _pole(law, params, valves)
-    pole = max(at_rest, _pole(law, params, linear_loop.undelayed(exact[0], GAIN_MARGIN * exact[1])), key=abs)
-    if abs(pole) < 1.0:
-        return ""
-    rate = abs(cmath.phase(pole)) / params.period
-    lag = ""
-    if known.magnet.coil > 0.0:
-        angle = math.degrees(math.atan(rate * known.magnet.coil))
-        lag = f": dcarc.coil, {known.magnet.coil:g} s, is {angle:.2g}° there"
-    remedy = law.remedy if abs(at_rest) < 1.0 else _advice(law, params, valves, "lower the gains")
-    return (
-        f"{law.name} knows no coil, and on the model of dcarc, which has one, it is unstable with these "
-        f"gains, or within 2 dB of it (largest pole of the sampled loop: {abs(pole):.3f}, at "
-        f"{rate / (2.0 * math.pi):.3g} Hz{lag}); {remedy}, or use dcarc"
-    )
+    for other in LAWS.values():
+        exact = other.known_valve(values)
+        if exact is None:
+            continue
+        valves, gained = (linear_loop.undelayed(exact[0], gain * exact[1]) for gain in (1.0, GAIN_MARGIN))
+        at_rest = _pole(law, params, valves)
+        pole = max(at_rest, _pole(law, params, gained), key=abs)
+        if abs(pole) >= 1.0:
+            frequency = abs(cmath.phase(pole)) / (2.0 * math.pi * params.period)
+            remedy = law.remedy if abs(at_rest) < 1.0 else _advice(law, params, valves, "lower the gains")
+            return (
+                f"{law.name} knows no coil, and on the model of {other.name}, which has one, it is unstable "
+                f"with these gains, or within 2 dB of it (largest pole of the sampled loop: {abs(pole):.3f}, "
+                f"at {frequency:.3g} Hz); {remedy}, or use {other.name}"
+            )
+    return ""
 
 
-def behind_curve(values: Values, plant: Any, part: float = NARROW) -> list[Any]:
+def behind_curve(values: Values, plant: Any) -> list[Any]:
     """Valves that a law sees where the controller's ``values`` put the inverse of a curve before ``plant``.
 
-    The valve with the least and with the largest mean slope of f(f⁻¹(G·v))/G over ``part`` of the law's
+    The valve with the least and with the largest mean slope of f(f⁻¹(G·v))/G over NARROW of the law's
     range: f is the plant's static curve, f⁻¹ the given inverse. In a narrower part a loop may swing, but not
     out of it. A flat part, across an overlap, has no loop and does not count. Without a curve, or if all is
     flat: the ``plant``. Raises ParameterError.
@@ -134,7 +128,7 @@ def behind_curve(values: Values, plant: Any, part: float = NARROW) -> list[Any]:
     force = np.array([linearisation.value(inverse, float(v)) for v in grid])
     if kind.pull is not None:
         force = np.array([kind.pull(plant, float(u)) for u in force])
-    steps = max(1, round(part * GRID))
+    steps = max(1, round(NARROW * GRID))
     slopes = (force[steps:] - force[:-steps]) / (grid[steps:] - grid[:-steps])
     slopes = slopes[slopes > FLAT]
     if not len(slopes):
@@ -148,9 +142,7 @@ def valve_warning(law: Law, params: Any, plant: Any, values: Values) -> str:
 
     ``values``: of the controller, whose curve is a part of the loop. Raises ParameterError.
     """
-    if not law.feedback:
-        return _static_warning(law, params, behind_curve(values, plant, 1.0)[0])
-    if registry.linear(plant).lvdt.delay > MOST_DELAY:
+    if not law.feedback or registry.linear(plant).lvdt.delay > MOST_DELAY:
         return ""
     several = [linear_loop.linear_valves([one]) for one in behind_curve(values, plant)]
     pole, valves = max(((_pole(law, params, one), one) for one in several), key=lambda found: abs(found[0]))
@@ -161,22 +153,6 @@ def valve_warning(law: Law, params: Any, plant: Any, values: Values) -> str:
         f"{law.name} with these gains is unstable on this valve (largest pole of the sampled loop: "
         f"{abs(pole):.3f}, at {frequency:.3g} Hz); {_advice(law, params, valves, 'lower the gains')}, or "
         "give the law this valve's parameters"
-    )
-
-
-def _static_warning(law: Law, params: Any, plant: Any) -> str:
-    """One sentence if a law without feedback brings ``plant`` to another position than the command."""
-    state = law.module.initial(params, Start(0.0, 0.0, 0.0, 0.0, 0.0))
-    voltage = 0.0
-    for _ in range(math.ceil(SETTLED / plant.period)):
-        voltage, state, _ = law.module.step(params, state, PROBED, 0.0, 0.0)
-    (a,), (b,) = linear_loop.linear_valves([plant])[:2]
-    there = float(np.linalg.lstsq(np.eye(4) - a, b, rcond=None)[0][0]) * voltage / PROBED
-    if abs(there - 1.0) <= OFF:
-        return ""
-    return (
-        f"{law.name} has no feedback: on this valve the spool comes to rest at {there:.3g} times the "
-        "command; give the law this valve's parameters"
     )
 
 

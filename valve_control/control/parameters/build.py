@@ -10,10 +10,11 @@ import numpy as np
 from valve_control.arrays import Floats
 from valve_control.control.commands import arrays
 from valve_control.control.commands.scenarios import Shape, steps_of, stroke_time
-from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters.controller import law_params as law_params
+from valve_control.control.parameters.ros_file import as_text as as_text
 from valve_control.control.plant import registry
 from valve_control.control.plant.models import TransferFunction
-from valve_control.parameter import ParameterError, Value, Values, number, word
+from valve_control.parameter import ParameterError, Values, number, word
 
 OF_A_RUN = 9  # numbers of a sample: three signals, command, with its lead, noise, errors, limit cycle
 
@@ -21,15 +22,6 @@ OF_A_RUN = 9  # numbers of a sample: three signals, command, with its lead, nois
 def valve_model(values: Values) -> TransferFunction:
     """Linear model of the valve, with its gain scaled. Raises ParameterError."""
     return registry.chosen(values).model(values)
-
-
-def law_params(values: Values) -> Any:
-    """Params of the law that ``controller`` names.
-
-    Every other law is built too, so that a set that could not be switched to is refused at once.
-    Raises ParameterError.
-    """
-    return {name: law.build(values) for name, law in LAWS.items()}[word(values, "controller")]
 
 
 def valve_params(values: Values) -> Any:
@@ -105,12 +97,3 @@ def derivatives(commands: Floats, period: float) -> tuple[Floats, Floats]:
     padded = np.concatenate([commands[:1], commands, commands[-1:]])
     rates = (padded[2:] - padded[:-2]) / (2.0 * period)
     return rates, (padded[2:] - 2.0 * commands + padded[:-2]) / (period * period)
-
-
-def as_text(value: Value) -> str:
-    """``value`` as YAML would have it."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list):
-        return "[" + ", ".join(str(v) for v in value) + "]"
-    return f'"{value}"' if value == "" else str(value)

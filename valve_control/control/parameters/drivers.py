@@ -11,7 +11,8 @@ from valve_control.control.drivers.scaling import Scale, ScaleError, parse
 from valve_control.control.drivers.simulated import SimulatedValve
 from valve_control.control.laws.common import SAMPLE_PERIOD
 from valve_control.control.parameters import build
-from valve_control.control.parameters.table import AUTOSTART, NODE_ONLY, REALTIME, VALVE
+from valve_control.control.parameters.controller import AUTOSTART, REALTIME
+from valve_control.control.parameters.valve import VALVE
 from valve_control.parameter import Parameter, ParameterError, Table, Values, defaults, number, word
 
 SCALE = (
@@ -21,7 +22,7 @@ SCALE = (
 SIMULATED: Table = tuple(
     parameter._replace(name=f"simulated.{parameter.name}")
     for parameter in VALVE
-    if parameter.name not in NODE_ONLY and parameter.name != "sample_period"
+    if not parameter.node_only and parameter.name != "sample_period"
 ) + (
     Parameter(
         "simulated.paced",

@@ -10,7 +10,7 @@ from typing import Any
 from valve_control.control import compiling, plugins
 from valve_control.control.plant import linear_valve, models, solenoid_valve, valve
 from valve_control.control.plant.common import PARAMETERS
-from valve_control.control.plant.plant import Plant, PlantError, check, try_out
+from valve_control.control.plant.plant import Plant, try_out
 from valve_control.parameter import Values, defaults, word
 
 GROUP = "valve_control.plants"
@@ -24,20 +24,22 @@ TRIED: Values = {
 
 
 def accepted(found: object, taken: dict[str, Plant]) -> Plant:
-    """``found`` if it is a plant that works and whose names are free. Raises PlantError."""
-    plant = check(found)
+    """``found`` if it is a plant that works and whose names are free. Raises PluginError."""
+    plant = plugins.check(found, Plant)
     for other in taken.values():
         if other.name == plant.name or set(other.values) & set(plant.values):
-            raise PlantError(f"the name is taken by a plant of {other.package}")
+            raise plugins.PluginError(f"the name is taken by a plant of {other.package}")
         if other.module.Params is plant.module.Params:
-            raise PlantError(f"its Params are those of the plant '{other.name}'; it must have its own")
+            raise plugins.PluginError(
+                f"its Params are those of the plant '{other.name}'; it must have its own"
+            )
     try_out(plant, TRIED)
     compiling.add_sources_of(plant.module)
     return plant
 
 
 PLANTS = {plant.name: plant for plant in (linear_valve.PLANT, solenoid_valve.PLANT)}
-LEFT_OUT = plugins.add(GROUP, "plant", accepted, PlantError, PLANTS)  # why, as a sentence
+LEFT_OUT = plugins.add(GROUP, "plant", accepted, PLANTS)  # why, as a sentence
 REFUSED = list(LEFT_OUT.values())
 CHOICES = {value: plant for plant in PLANTS.values() for value in plant.values}  # of the parameter `valve`
 _OF_PARAMS = {plant.module.Params: plant for plant in PLANTS.values()}

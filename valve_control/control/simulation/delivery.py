@@ -17,7 +17,7 @@ from scipy.interpolate import Akima1DInterpolator
 
 from valve_control.arrays import Floats
 from valve_control.control.compiling import compile_function
-from valve_control.control.laws import command_lead
+from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.supervision import clock, command_course
 from valve_control.parameter import ParameterError, Values, number
 
@@ -124,6 +124,31 @@ def _fill(
             course = command_course.taken(p, course, commands[k], sent, stamps[k])
             k += 1
         result[i] = command_course.value(p, course, i * p.period)
+
+
+def unreshaped(p: reshaping.Params, wanted: Floats) -> Floats:
+    """Command [V] whose reshaped reference (8)-(11) is ``wanted``, which has two samples more.
+
+    Where a filter behind (8), or a dead time of the actuator, asks for more, ``wanted`` goes on straight.
+    """
+    if p.dead_time > 0.0:
+        more = math.ceil(p.dead_time / p.period)
+        longer = np.concatenate([wanted, wanted[-1] + (wanted[-1] - wanted[-2]) * np.arange(1, more + 1)])
+        steps = np.arange(len(wanted)) + p.dead_time / p.period
+        wanted = np.interp(steps, np.arange(len(longer)), longer)
+    if p.smoothing > 0.0:
+        rate = np.diff(wanted) / p.period
+        wanted = wanted + np.append(rate, rate[-1]) / p.smoothing
+    p = p._replace(dead_time=0.0, smoothing=0.0)
+    rate = np.diff(wanted) / p.period
+    accel = np.diff(rate) / p.period
+    if p.braking > 0.0:
+        rows = zip(wanted[:-2].tolist(), rate[:-1].tolist(), accel.tolist(), strict=True)
+        return np.array([reshaping.command_of(p, x, v - 0.5 * p.period * a, a) for x, v, a in rows])
+    made: Floats = (
+        wanted[:-2] + 2.0 * p.damping / p.natural_frequency * rate[:-1] + accel / p.natural_frequency**2
+    )
+    return made
 
 
 def led(

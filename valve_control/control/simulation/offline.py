@@ -233,7 +233,7 @@ def _timed(signals: Floats, period: float) -> Iterator[None]:
 def _unstable(loop: _Loop, values: Values, alone: bool, least: float, compiled: bool) -> list[str]:
     """Sentences about a loop that is unstable, or may swing by more than ``least`` [V]; "" for none.
 
-    ``values``: of the controller, with the curve of its linearisation, and with a dcarc that may know of a
+    ``values``: of the controller, with the curve of its linearisation, and with a law that may know of a
     coil unless the law is ``alone``.
     """
     law, params, _, plant = loop

@@ -12,7 +12,7 @@ import io
 import json
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +30,6 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant import registry
 from valve_control.control.simulation import batch, delivery, measures, offline
-from valve_control.control.simulation.cluster import Cluster
 from valve_control.parameter import ParameterError, Values, lookup, updated, word
 
 Settings = Mapping[str, Values]  # by node
@@ -100,6 +99,17 @@ def check_numbers(study: Study, first: int, count: int) -> None:
     last, most = first + count - 1, min(MOST_VALVES - 1, MOST_SEED - study.seed)
     if last > most:
         raise ParameterError(f"there is no valve {last}; with the seed {study.seed} the last one is {most}")
+
+
+def check_drift(study: Study) -> None:
+    """Raise ParameterError if a valve of the study may lose its whole gain within the run."""
+    duration = parameter.number(study.settings["command_source"], "duration")
+    for q in study.box:
+        if q.name == "drift.gain" and 1.0 + q.low * duration <= 0.0:
+            raise ParameterError(
+                f"with a drift.gain of {q.low:g} {q.unit} nothing is left of a valve's gain after "
+                f"{-1.0 / q.low:g} s, and the duration is {duration:g} s; keep the gain with --fix drift.gain"
+            )
 
 
 def draw(study: Study, first: int, count: int) -> tuple[Floats, Floats]:
@@ -251,14 +261,11 @@ def chunk_of(study: Study) -> int:
     return min(CHUNK, 1 << (valves.bit_length() - 1))
 
 
-def run(
-    study: Study, folder: Path, told: Told, threads: int | None = None, cluster: Cluster | None = None
-) -> StudyResult:
+def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> StudyResult:
     """Simulate the valves whose results ``folder`` lacks, chunk by chunk; returns all results.
 
-    On ``threads`` here, or on the workers of ``cluster``. ``told`` is called once before the work, and after
-    each chunk. Ctrl-C loses the chunks that are running, no more. Raises ParameterError, and OSError if the
-    folder cannot be written.
+    ``told`` is called once before the work, and after each chunk. Ctrl-C loses the chunk that is running, no
+    more. Raises ParameterError, and OSError if the folder cannot be written.
     """
     check_numbers(study, 0, study.valves)
     open_folder(study, folder)
@@ -267,7 +274,8 @@ def run(
     missing = [first for first, path in paths.items() if not path.exists()]
     left = sum(min(chunk, study.valves - first) for first in missing)
     told(study.valves - left)
-    for first, found in _made(study, missing, chunk, threads, cluster):
+    for first in missing:
+        found = run_chunk(study, first, chunk, threads)
         stream = io.BytesIO()
         rows = np.stack(found.results, axis=1)
         np.savez(stream, points=found.points, period=found.period, rows=rows)
@@ -277,18 +285,6 @@ def run(
     parts = [_kept(path, (chunk, len(study.box))) for path in paths.values()]
     points, period, rows = (np.concatenate(part)[: study.valves] for part in zip(*parts, strict=True))
     return StudyResult(points, period, _results(rows))
-
-
-def _made(
-    study: Study, missing: Sequence[int], chunk: int, threads: int | None, cluster: Cluster | None
-) -> Iterator[tuple[int, StudyResult]]:
-    """First valve and results of each of the ``missing`` chunks."""
-    if cluster is None:
-        for first in missing:
-            yield first, run_chunk(study, first, chunk, threads)
-        return
-    for i, found in cluster.completed(run_chunk, [(study, first, chunk, 1) for first in missing]):
-        yield missing[i], found
 
 
 def _kept(path: Path, shape: tuple[int, int]) -> tuple[Floats, Floats, Floats]:

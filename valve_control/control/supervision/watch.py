@@ -57,6 +57,8 @@ from valve_control.control.supervision.watch_table import REPORTING
 from valve_control.parameter import Values, number, word
 
 BOTH = "spool_command is ignored while spool_trajectory commands"
+OVERDUE = 2.5  # periods since the last reading, from which the driver may have stood still
+NOISE = 0.25  # of ``lvdt.tolerance``, way of the spool that may be noise
 PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
 TOLD = (
     *(
@@ -97,7 +99,9 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
     """Params from the controller's values and the Params of its ``law``. Raises ParameterError."""
     line = linearisation.inverse(values) if linearisation.is_on(values) else 0.0
     values = linearisation.seen(values)
-    reshaped = LAWS[word(values, "controller")].reshapes(law)
+    kind = LAWS[word(values, "controller")]
+    reshaped = kind.reshapes(law)
+    least_cycle = number(values, "oscillation_limit") if kind.feedback else 0.0  # else they are the command's
     watched = lvdt_watch.design(values, law)
     probation = lvdt_watch.PROBATION * number(values, "lvdt.disturbance") or math.inf
     return Params(
@@ -105,7 +109,7 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
         command_watch.design(values),
         watched,
         cycle_watch.Params(
-            oscillation.Params(number(values, "oscillation_limit"), watched.period),
+            oscillation.Params(least_cycle, watched.period),
             cycle_watch.between(law.u_max, watched.period),
             cycle_watch.between(min(law.u_max, probation), watched.period),
             lock_in.Model(watched.judge.a1, watched.judge.a0, watched.judge.b0, watched.period),
@@ -317,6 +321,8 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     A reading that is not finite is bridged as one that cannot be believed. ``elapsed`` [s]: real time since
     the one before, 0 if it is not known; ``unpaced``: readings come at a wrong period.
     """
+    stood = overdue(p, m, reading, lost, elapsed)
+    lost += stood
     expected = m.now + p.lvdt.period
     m.now += (1 + min(lost, p.lvdt.hold_samples)) * p.lvdt.period
     m.clock += elapsed if elapsed > 0.0 else (1 + lost) * p.lvdt.period
@@ -359,6 +365,21 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     if m.law is not None and p.cycles.cycling.amplitude > 0.0:
         watch_cycles(p, m, reading, voltage)
     return sent(p, m)
+
+
+def overdue(p: Params, m: Memory, reading: float, lost: int, elapsed: float) -> int:
+    """Readings that did not come before this one [V], although no number is missing: the driver stood still.
+
+    The spool has then moved for all of the ``elapsed`` [s]. Before a reading that only comes late, and others
+    at its heels, it has moved for one period. The way that it has gone tells which of both.
+    """
+    periods = elapsed / p.lvdt.period
+    if lost > 0 or periods < OVERDUE or p.lvdt.pace.limit >= rate.ANY or m.law is None:
+        return 0
+    way = m.velocity.velocity * p.lvdt.period
+    if not abs(reading - m.measurement - way) > 0.5 * abs(way) + NOISE * p.lvdt.judge.tolerance:
+        return 0
+    return int(min(periods, p.lvdt.hold_samples + 2.0) - 0.5)
 
 
 def sent(p: Params, m: Memory) -> float:

@@ -128,7 +128,6 @@ def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Res
         box=box.bounding(seen),
         limits=trial.USUAL,
         preview=False,
-        largest=False,
         seed=plan.seed,
         strict=wider > 1.0,
         scale=scale_of(found.model),
@@ -186,7 +185,7 @@ def tuned(
 
     done(0.0)
     best = tuner.tuned(
-        law, made.problem, made.unseen, Aim(plan.chatter, None, plan.firm), plan.budget, plan.seed, done,
+        law, made.problem, made.unseen, Aim(plan.chatter, plan.firm), plan.budget, plan.seed, done,
         plan.threads, lambda tried: done(total + tried * verifying, tried + 1), made.starts,
     )  # fmt: skip
     done(total + verifying)

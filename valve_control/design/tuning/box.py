@@ -20,9 +20,27 @@ from valve_control.parameter import ParameterError, Values, number, updated
 SCATTERED = 32  # valves within the box for the margins, besides its corners
 LINEAR = ("gain", "speed", "flow_force", "lvdt.delay")  # quantities on which the margins depend
 FRICTION = "friction.coulomb"
-
-
 UNSEEN_SEED = 1_000_003  # added to the seed for valves that the search does not see
+
+
+def quantities(fixed: Sequence[str], chosen: Container[str], task: str) -> list[Quantity]:
+    """The quantities that vary in a ``task``: those of the study that are not ``fixed``.
+
+    ``chosen``: names of parameters that somebody has chosen. Raises ParameterError for one that varies.
+    """
+    names = [q.name for q in robustness.BOX]
+    for name in fixed:
+        if name not in names:
+            raise ParameterError(f"--fix {name}: there is no such quantity; there are {', '.join(names)}")
+    varied = [q for q in robustness.BOX if q.name not in fixed]
+    for q in varied:
+        if q.name in chosen:
+            unit = "" if q.unit == "-" else f" {q.unit}"
+            raise ParameterError(
+                f"{task} varies {q.name} from {q.low:g} to {q.high:g}{unit}; leave --set {q.name} out, or "
+                f"keep its value with --fix {q.name}"
+            )
+    return varied
 
 
 def study_of(settings: Settings, box: Sequence[Quantity], valves: int, seed: int) -> Study:

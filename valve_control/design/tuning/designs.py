@@ -18,12 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 from valve_control.arrays import Floats
-from valve_control.control.laws import pid, reshaping
+from valve_control.control.laws import reshaping
 from valve_control.control.laws.law import Law
 from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.design.tuning.trial import Problem
-from valve_control.parameter import ParameterError, Value, Values, number, updated, word
+from valve_control.parameter import ParameterError, Values, number, updated
 
 SHARES = (0.4, 0.65, 0.95)  # of the highest natural frequency of the reference filter
 SLOW, QUICK = 0.2, 1.0  # of the frequency at which the valve is 90° late: where 1/G is matched
@@ -50,8 +50,8 @@ def starts(law: Law, problem: Problem, box: margins.Box) -> list[Values]:
     ``box``: the valves of the problem on which margins have to hold. Those that ``law`` cannot be built with
     are left out.
     """
-    if law.name == pid.LAW.name:
-        return _pids(problem, box)
+    if law.inverse is not None:
+        return _inverted(law, problem, box)
     return _shaped(law, problem)
 
 
@@ -79,68 +79,62 @@ def reciprocal(box: margins.Box, share: float) -> Reciprocal | None:
     return found if min(found) > 0.0 else None
 
 
-def _pids(problem: Problem, box: margins.Box) -> list[Values]:
-    """PIDs of a few bandwidths, with a feedforward that is 1/G of slow motions."""
+def _inverted(law: Law, problem: Problem, box: margins.Box) -> list[Values]:
+    """Loops of a few bandwidths, with a feedforward that is 1/G of slow motions."""
     values = problem.values
     slow, shape = reciprocal(box, SLOW), reciprocal(box, QUICK)
-    if slow is None or shape is None or word(values, "pid.form") == "paper":
+    if slow is None or shape is None:
         return []
     viscous = _viscous(box, [m.wanted for m in problem.motions], number(values, "sample_period"))
     made = []
     for cutoff, (stiff, damped, left) in itertools.product(CUTOFFS, SHAPES):
         formed = shape._replace(c0=stiff * shape.c0, c1=shape.c1 + damped * viscous)
         try:
-            highest = cutoff / _tightest(values, formed, MOST_CUTOFF, box) / (2.0 * math.pi)
-            filtered = left * _tightest(values, formed, highest, box)
-            loop = updated(CONTROLLER, values, _gains(formed, filtered, highest))
+            highest = cutoff / _tightest(law, values, formed, MOST_CUTOFF, box) / (2.0 * math.pi)
+            filtered = left * _tightest(law, values, formed, highest, box)
+            loop = _loop(law, values, formed, filtered, highest)
             for part in FED:
                 fed = slow._replace(c1=slow.c1 + part * viscous)
-                made.append(_fed(loop, fed, filtered / stiff, part, problem))
+                made.append(_fed(law, loop, fed, filtered / stiff, part, problem))
         except ParameterError:
             continue
     return made
 
 
-def _gains(shape: Reciprocal, filtered: float, cutoff: float) -> dict[str, Value]:
-    """Gains of the PID (c0 + c1·s + c2·s²)/(λ·s) with λ ``filtered`` [s] and the ``cutoff`` [Hz]."""
-    return {
-        "pid.break_frequency": 0.0,
-        "pid.kp": shape.c1 / filtered,
-        "pid.ki": shape.c0 / filtered,
-        "pid.kd": shape.c2 / filtered,
-        "pid.derivative_cutoff": min(MOST_CUTOFF, max(LEAST_CUTOFF, cutoff)),
-    }
+def _loop(law: Law, values: Values, shape: Reciprocal, filtered: float, cutoff: float) -> Values:
+    """``values`` of ``law`` with λ ``filtered`` [s], and the ``cutoff`` [Hz] within its range."""
+    assert law.inverse is not None
+    within = min(MOST_CUTOFF, max(LEAST_CUTOFF, cutoff))
+    return updated(CONTROLLER, values, law.inverse(values, shape, filtered, within))
 
 
-def _tightest(values: Values, shape: Reciprocal, cutoff: float, box: margins.Box) -> float:
+def _tightest(law: Law, values: Values, shape: Reciprocal, cutoff: float, box: margins.Box) -> float:
     """λ [s] with which the loop of one valve of the ``box`` is at the edge of stability.
 
     All gains go with 1/λ, so that it follows from the gain margin with any λ. Raises ParameterError.
     """
     loose = LOOSE * shape.c1 / shape.c0
-    params = pid.build(updated(CONTROLLER, values, _gains(shape, loose, cutoff)))
-    left = float(np.min(margins.margins(pid.LAW, params, box).gain_db))
+    params = law.build(_loop(law, values, shape, loose, cutoff))
+    left = float(np.min(margins.margins(law, params, box).gain_db))
     if not 0.0 < left < math.inf:
         raise ParameterError("the loop has no gain at which it becomes unstable")
     return loose / float(10.0 ** (left / 20.0))
 
 
-def _fed(values: Values, slow: Reciprocal, filtered: float, part: float, problem: Problem) -> Values:
-    """``values`` of a PID with λ ``filtered`` [s], with a feedforward and the lead of the command.
+def _fed(
+    law: Law, values: Values, slow: Reciprocal, filtered: float, part: float, problem: Problem
+) -> Values:
+    """``values`` of a loop with λ ``filtered`` [s], with a feedforward and the lead of the command.
 
-    With a static feedforward of a ``part`` x of c0 the plain form is late by (1 - x)·λ on a ramp. The
-    reference form follows its reference, so that the lead makes up for the lag of the reference filter.
-    Raises ParameterError.
+    With a static feedforward of a ``part`` x of c0 a loop without reshaping is late by (1 - x)·λ on a ramp.
+    For one that follows a reference the lead makes up for the lag of the reference filter. Raises
+    ParameterError.
     """
-    plain = word(values, "pid.form") == "plain"
-    fed: Values = {"pid.theta": [slow.c1 / slow.c2, slow.c0 / slow.c2, 1.0 / slow.c2]}
-    if plain:
-        fed = {"pid.static_feedforward": part * slow.c0}
-    made = updated(CONTROLLER, values, fed)
+    made = updated(CONTROLLER, values, law.feedforward(values, slow, part))
     if problem.preview:
         return made
     lead = (1.0 - part) * filtered
-    if not plain:
+    if law.reshapes(law.build(problem.values)):
         highest = reshaping.frequency(values, problem.scale).high
         made = updated(CONTROLLER, made, {"reshaping.natural_frequency": REFERENCE * highest})
         lead = reshaping.lag(made)

@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 from valve_control.arrays import Floats
 from valve_control.control.analysis.limit_cycle import ends_at_rest
-from valve_control.control.laws import linearisation
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
@@ -91,18 +90,18 @@ def restless_shares(
 
     It has HELD for it. The last of the steps goes FARTHER than the motions. What counts: see ``after_all``.
     """
-    return [float(share.item()) for share in trial.shared(_shares, law, problem, several, workers)]
+    hard, tried = stressed(problem.box, problem.limits), _tried(problem, HELD, FARTHER)
 
+    def simulated(threads: int | None) -> list[Floats]:
+        found = _restless(law, problem, several, hard, tried, HELD, threads)
+        return [np.array(len(restless) / len(hard)) for restless in found]
 
-def _shares(law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None) -> list[Floats]:
-    hard = stressed(problem.box, problem.limits)
-    found = _restless(law, problem, several, hard, _tried(problem, HELD, FARTHER), HELD, threads)
-    return [np.full((1, 1, 1), len(cycling) / len(hard)) for cycling in found]
+    return [float(share) for share in trial.logged(workers, simulated)]
 
 
 def _tried(problem: Problem, held: float, farther: float = 1.0) -> list[TuningMotion]:
     """The ``steps``, all in one for HELD; for longer each in a run of its own, after those before it."""
-    period = number(problem.values, "sample_period")
+    period = problem.period
     together = steps(period, problem.motions, farther)
     if held == HELD:
         return [together]
@@ -127,9 +126,8 @@ def after_all(
     much, does not, unless ``problem`` is strict and the node would report it. While a command moves, friction
     answers it with harmonics, which are no limit cycle.
     """
-    period = number(problem.values, "sample_period")
-    tried = [*_tried(problem, held), *(_held(motion, held, period) for motion in problem.motions)]
-    return _restless(law, problem, [gains], plants, tried, held, workers)[0]
+    tried = [*_tried(problem, held), *(_held(motion, held, problem.period) for motion in problem.motions)]
+    return _restless(law, problem, [gains], plants, tried, held, trial.threads_of(workers))[0]
 
 
 def _restless(
@@ -139,58 +137,37 @@ def _restless(
     plants: Sequence[Any],
     tried: Sequence[TuningMotion],
     held: float,
-    workers: Workers,
+    threads: int | None,
 ) -> list[Valves]:
     """Numbers of the ``plants``, for each of ``several``, on which the loop swings after being ``held`` [s].
 
-    Loops of all of them are simulated together, CHUNK at a time: loop i is that of plant i % N.
+    Loops of all of them are simulated together, CHUNK at a time.
     """
     if not plants:
         return [np.empty(0, dtype=np.int64) for _ in several]
-    values = [trial.values_with(problem, gains) for gains in several]
-    params = [trial.built(law, v) for v in values]
-    loops_of = [linearisation.behind(v, p) for v, p in zip(values, params, strict=True)]
-    laws, valves = batch.records(loops_of), batch.records(list(plants))
-    period = number(problem.values, "sample_period")
-    least = number(problem.values, "oscillation_limit")
-    bare = problem._replace(preview=False)  # nobody sends the derivatives of a step
-    hold, end_of_it = round(held / period), round(HELD / period)
-    n, count = len(plants), len(several) * len(plants)
+    loops, n = trial.Loops(law, problem, several, plants, problem.seed), len(plants)
+    hold, window = round(held / problem.period), round(HELD / problem.period)
     found: dict[int, _Swing] = {}
     for motion in tried:
-        stepping = motion.name == STEPS_NAME
-        sender = bare if stepping else problem
-        led = np.array(
-            [
-                trial.given(law, p, v, gains, sender, motion.wanted)
-                for p, v, gains in zip(params, values, several, strict=True)
-            ]
-        )
+        stepping = motion.name == STEPS_NAME  # of which nobody sends the derivatives
+        led = loops.commands(motion.wanted, problem._replace(preview=False) if stepping else None)
         samples = led.shape[1]
-        ends = range(samples, hold, -hold) if stepping else [samples]
-        for first in range(0, count, CHUNK):
-            loops = np.arange(first, min(first + CHUNK, count))
-            traces = np.empty((len(loops), samples, 3))
-            batch.simulate(
-                batch.Batch(
-                    law.name,
-                    laws[loops // n],
-                    valves[loops % n],
-                    problem.seed + loops % n,
-                    np.broadcast_to(motion.wanted, (len(loops), samples)),
-                    led=led[loops // n],
-                ),
-                trial.threads_of(workers),
-                traces,
-            )
-            for end in ends:
-                part = traces[:, end - end_of_it : end]
-                reported = _reported(part, period, least)
-                for i in np.flatnonzero(_swings(part, period) | reported).tolist():
-                    swing = _swing(part[i], period, problem.strict and bool(reported[i]))
+        for first in range(0, loops.count, CHUNK):
+            some = slice(first, min(first + CHUNK, loops.count))
+            traces = np.empty((some.stop - first, samples, 3))
+            loops.run(motion.wanted, led, threads, some, traces)
+            for end in range(samples, hold, -hold) if stepping else [samples]:
+                for i, swing in _swings_of(traces[:, end - window : end], problem).items():
                     found[first + i] = swing.with_another(found.get(first + i, swing))
-    kept = _by_feedback(problem.values, plants, found, trial.threads_of(workers))
-    return [kept[kept // n == j] % n for j in range(len(several))]
+    numbers = _by_feedback(problem.values, plants, found, threads)
+    return [numbers[numbers // n == j] % n for j in range(len(several))]
+
+
+def _swings_of(traces: Floats, problem: Problem) -> dict[int, _Swing]:
+    """Swings of the loops that do not rest at the end of their ``traces`` (N×n×3) at one command."""
+    reported = _reported(traces, problem.period, number(problem.values, "oscillation_limit"))
+    numbers = np.flatnonzero(_swings(traces, problem.period) | reported).tolist()
+    return {i: _swing(traces[i], problem.period, problem.strict and bool(reported[i])) for i in numbers}
 
 
 def restless(traces: Floats, period: float, least: float) -> npt.NDArray[np.bool_]:

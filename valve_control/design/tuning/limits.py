@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Counts which limits of tuning are missed, by how many sets of gains or valves, and the best that was seen.
+"""Lists the limits of tuning with what measures each, and counts by how many sets of gains each is missed.
 
 The limits have three ranks. Stability and margins are hard. Saturation, rest and pauses are hard where they
 can be kept: by a set of the search, or by the gains from before it. Overshoot and chatter are wishes: a
@@ -8,74 +8,122 @@ result that misses one says so.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from valve_control.control.laws.law import Law
 from valve_control.control.linear.margins import EDGE, Margins
-from valve_control.design.tuning.trial import TuningLimits
+from valve_control.design.tuning import limit_cycles, overshoot, pauses, trial
+from valve_control.design.tuning.trial import GainSet, Problem, TuningLimits, Workers
 
 MARGINS = "hard"
 KEPT = "hard where it can be kept"
 WISH = "wish"
 
 
+Measure = Callable[[Law, Problem, Sequence[GainSet], Workers], list[float]]
+
+
 class Limit(NamedTuple):
-    """One limit: how it is called, shown and ranked."""
+    """One limit: its name, size and rank, what measures it, and the sentence about gains that miss it."""
 
     name: str
     unit: str
-    scale: float  # shown over kept
+    scale: float  # of the unit over that of the value
     at_most: bool
     rank: str
+    wanted: str | float  # field of TuningLimits, or the limit itself
+    reason: str  # with the {value} and the {limit} in the unit
+    endless: str = ""  # in the place of ``reason`` for a value without end
+    margin: str = ""  # field of Margins that it limits
+    measure: Measure | None = None  # of several sets of gains, by runs of their own
+
+    def asked(self, limits: TuningLimits) -> float:
+        """The limit that is asked for; none: infinite, or 0.0."""
+        return float(getattr(limits, self.wanted) if isinstance(self.wanted, str) else self.wanted)
+
+    def value(self, law: Law, problem: Problem, gains: GainSet, workers: Workers = None) -> float:
+        """The measured value of ``gains``. Raises ParameterError for gains that ``law`` cannot have."""
+        assert self.measure is not None, f"{self.name} is measured with others"
+        return self.measure(law, problem, [gains], workers)[0]
+
+    def missed(self, value: float, wanted: float) -> bool:
+        """Whether a ``value`` misses the limit ``wanted``."""
+        return not value <= wanted if self.at_most else value < wanted
+
+    def sentence(self, value: float, wanted: float) -> str:
+        """About a ``value`` that misses the limit ``wanted``."""
+        text = self.reason if math.isfinite(value) else self.endless or self.reason
+        return text.format(value=self.scale * value, limit=self.scale * wanted)
 
 
-LIMITS = (
-    Limit("largest pole", "", 1.0, True, MARGINS),
-    Limit("gain margin", "dB", 1.0, False, MARGINS),
-    Limit("gain margin downwards", "dB", 1.0, False, MARGINS),
-    Limit("phase margin", "deg", 1.0, False, MARGINS),
-    Limit("delay margin", "ms", 1e3, False, MARGINS),
-    Limit("sensitivity peak", "dB", 1.0, True, MARGINS),
-    Limit("swing", "V", 1.0, True, MARGINS),
-    Limit("saturation", "%", 100.0, True, KEPT),
-    Limit("pause", "ms", 1e3, False, KEPT),
-    Limit("not at rest", "%", 100.0, True, KEPT),
-    Limit("overshoot", "%", 100.0, True, WISH),
-    Limit("chatter", "", 1.0, True, WISH),
+def _margin(name: str, unit: str, scale: float, wanted: str, margin: str) -> Limit:
+    reason = f"the {name} falls to {{value:.3g}} {unit} in the box, below {{limit:g}} {unit}"
+    return Limit(name, unit, scale, False, MARGINS, wanted, reason, margin=margin)
+
+
+def _saturation(law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers) -> list[float]:
+    return [float(np.mean(found.saturated)) for found in trial.run(law, problem, several, workers)]
+
+
+UNSTABLE = "a valve of the box makes the loop unstable (largest pole {value:.4f})"
+PEAK = "the sensitivity peaks at {value:.3g} dB, above {limit:g} dB"
+ENDLESS_PEAK = "the sensitivity peaks at without end, above {limit:g} dB"
+SWING = "in the loop friction sustains swings about rest of {value:.3g} V, above {limit:g} V"
+ENDLESS_SWING = "in the loop friction sustains swings about rest of any size, above {limit:g} V"
+SATURATED = "the amplifier saturates in {value:.2g} % of the samples"
+PAUSE = (
+    "after a pause of the command of {limit:g} ms or less the reference does not come back while the motion "
+    "lasts"
 )
+RESTLESS = (
+    f"{{value:.2g}} % of the valves in the box do not rest within {limit_cycles.HELD:g} s after a step when "
+    "half of the margins is gone"
+)
+OVERSHOT = "steps are overshot by {value:.2g} % on valves that were not seen, above {limit:g} %"
+LOUD = "c_u is {value:.3f} on valves that were not seen, above {limit:g}"
+LIMITS = (
+    Limit("largest pole", "", 1.0, True, MARGINS, 1.0 + EDGE, UNSTABLE, margin="radius"),
+    _margin("gain margin", "dB", 1.0, "gain_db", "gain_db"),
+    _margin("gain margin downwards", "dB", 1.0, "gain_db", "reduction_db"),
+    _margin("phase margin", "deg", 1.0, "phase_deg", "phase_deg"),
+    _margin("delay margin", "ms", 1e3, "delay_s", "delay_s"),
+    Limit(
+        "sensitivity peak", "dB", 1.0, True, MARGINS, "sensitivity_db", PEAK, ENDLESS_PEAK, "sensitivity_db"
+    ),
+    Limit("swing", "V", 1.0, True, MARGINS, "swing", SWING, ENDLESS_SWING, "swing_v"),
+    Limit("saturation", "%", 100.0, True, KEPT, "saturated", SATURATED, measure=_saturation),
+    Limit("pause", "ms", 1e3, False, KEPT, "pause_s", PAUSE, measure=pauses.unborne),
+    Limit("not at rest", "%", 100.0, True, KEPT, 0.0, RESTLESS, measure=limit_cycles.restless_shares),
+    Limit("overshoot", "%", 100.0, True, WISH, "overshoot", OVERSHOT, measure=overshoot.medians),
+    Limit("chatter", "", 1.0, True, WISH, math.inf, LOUD),
+)
+BY_NAME = {limit.name: limit for limit in LIMITS}
 
 
 def asked(limits: TuningLimits, chatter: float | None = None) -> dict[str, float]:
-    """The limits by name; what is not asked for is infinite, or 0."""
-    return {
-        "largest pole": 1.0 + EDGE,
-        "gain margin": limits.gain_db,
-        "gain margin downwards": limits.gain_db,
-        "phase margin": limits.phase_deg,
-        "delay margin": limits.delay_s,
-        "sensitivity peak": limits.sensitivity_db,
-        "swing": limits.swing,
-        "saturation": limits.saturated,
-        "pause": limits.pause_s,
-        "not at rest": 0.0,
-        "overshoot": limits.overshoot,
-        "chatter": math.inf if chatter is None else chatter,
-    }
+    """The limits by name, with that of the ``chatter``; what is not asked for is infinite, or 0."""
+    wanted = {limit.name: limit.asked(limits) for limit in LIMITS}
+    return wanted if chatter is None else {**wanted, "chatter": chatter}
 
 
 def of_margins(found: Margins) -> dict[str, float]:
     """The margins of the worst of the valves, by the name of their limit."""
-    return {
-        "largest pole": float(np.max(found.radius)),
-        "gain margin": float(np.min(found.gain_db)),
-        "gain margin downwards": float(np.min(found.reduction_db)),
-        "phase margin": float(np.min(found.phase_deg)),
-        "delay margin": float(np.min(found.delay_s)),
-        "sensitivity peak": float(np.max(found.sensitivity_db)),
-        "swing": float(np.max(found.swing_v)),
+    worst = {
+        limit.name: (np.max if limit.at_most else np.min, limit.margin) for limit in LIMITS if limit.margin
     }
+    return {name: float(least(getattr(found, margin))) for name, (least, margin) in worst.items()}
+
+
+def margins_missed(limits: TuningLimits, found: Margins) -> list[str]:
+    """A sentence about each of the ``limits`` that the margins of the worst valve miss."""
+    wanted = asked(limits)
+    rows = [(BY_NAME[name], value, wanted[name]) for name, value in of_margins(found).items()]
+    reasons = [limit.sentence(value, most) for limit, value, most in rows if limit.missed(value, most)]
+    pole, value, most = rows[0]
+    return reasons[:1] if pole.missed(value, most) else reasons
 
 
 class Count(NamedTuple):
@@ -95,8 +143,7 @@ def count(counts: Counts, wanted: Mapping[str, float], values: Mapping[str, floa
         value = values.get(limit.name)
         if value is None:
             continue
-        most = wanted[limit.name]
-        missed = value > most if limit.at_most else value < most
+        missed = limit.missed(value, wanted[limit.name])
         before = counts.get(limit.name, Count(0, 0, value))
         best = min(before.best, value) if limit.at_most else max(before.best, value)
         counts[limit.name] = Count(before.seen + 1, before.missed + bool(missed or math.isnan(value)), best)
@@ -135,14 +182,13 @@ def as_rows(counts: Counts, wanted: Mapping[str, float]) -> list[dict[str, Any]]
 
 def as_text(rows: Sequence[Mapping[str, Any]], what: str) -> list[str]:
     """Lines of a table of ``rows`` as for JSON, counted in ``what``, such as "sets of gains"."""
-    shown = {limit.name: limit for limit in LIMITS}
 
     def text(limit: Limit, value: float | None, missing: str) -> str:
         return missing if value is None else f"{limit.scale * value:.3g} {limit.unit}".rstrip()
 
     lines = [f"{'limit':24}{'wanted':>14}{'missed by':>12}{'of':>8}{'best':>14}   ({what})"]
     for row in rows:
-        limit = shown[row["limit"]]
+        limit = BY_NAME[row["limit"]]
         sign = "<= " if limit.at_most else ">= "
         wanted = "none" if row["wanted"] is None else sign + text(limit, row["wanted"], "")
         best = text(limit, row["best"], "without end")

@@ -20,13 +20,10 @@ import numpy as np
 
 from valve_control.arrays import Floats
 from valve_control.control.analysis import steps
-from valve_control.control.laws import linearisation
 from valve_control.control.laws.law import Law
 from valve_control.control.plant import registry
-from valve_control.control.simulation import batch
 from valve_control.design.tuning import trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion, Workers
-from valve_control.parameter import number
 
 HEIGHTS = (-0.4, 0.0, 0.4, 0.0, 1.0, 0.4)  # of the reach of the motions
 HELD, SHORT = 1.0, 0.25  # s  that each is held, in verification and in a search
@@ -38,12 +35,12 @@ def answers(law: Law, problem: Problem, gains: GainSet, workers: Workers = None)
 
     Infinite where a run does not stay finite, or does not settle within HELD.
     """
-    return trial.shared(_held, law, problem, [gains], workers)[0]
+    return _answers(law, problem, [gains], workers, HELD)[0]
 
 
 def medians(law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None) -> list[float]:
     """Overshoot [-] with each of ``several`` in steps that are held for SHORT: ``typical``."""
-    return [typical(rows[0]) for rows in trial.shared(_short, law, problem, several, workers)]
+    return [typical(rows[0]) for rows in _answers(law, problem, several, workers, SHORT)]
 
 
 def typical(rows: Floats) -> float:
@@ -69,42 +66,20 @@ def tried(period: float, motions: Sequence[TuningMotion], held: float = HELD) ->
     return np.concatenate([*parts, *(np.full(n, height * reach) for height in HEIGHTS)]), first
 
 
-def _held(law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None) -> list[Floats]:
-    return _here(law, problem, several, threads, HELD)
-
-
-def _short(law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None) -> list[Floats]:
-    return _here(law, problem, several, threads, SHORT)
-
-
-def _here(
-    law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None, held: float
+def _answers(
+    law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers, held: float
 ) -> list[Floats]:
-    period, count = number(problem.values, "sample_period"), len(problem.plants)
-    motion, first = tried(period, problem.motions, held)
-    bare = problem._replace(preview=False, delivery=None)
-    quiet = batch.records([registry.plant_of(p).quiet(p) for p in problem.plants])
-    values = [trial.values_with(problem, gains) for gains in several]
-    params = [trial.built(law, v) for v in values]
-    led = [
-        trial.given(law, p, v, gains, bare, motion)
-        for p, v, gains in zip(params, values, several, strict=True)
-    ]
-    loops = batch.records([linearisation.behind(v, p) for v, p in zip(values, params, strict=True)])
-    traces = np.empty((len(several) * count, len(motion), 3))
-    batch.simulate(
-        batch.Batch(
-            law.name,
-            np.repeat(loops, count),
-            np.tile(quiet, len(several)),
-            np.tile(np.arange(count), len(several)),
-            np.broadcast_to(motion, traces.shape[:2]),
-            led=np.repeat(np.array(led), count, axis=0),
-        ),
-        threads,
-        traces,
-    )
-    with np.errstate(invalid="ignore"):
-        found = steps.answers(motion[first - 1 :], traces[:, first - 1 :, 0], period)
-    rows = np.nan_to_num(np.array(found).swapaxes(0, 1), nan=math.inf, posinf=math.inf)
-    return [rows[:, :, i * count : (i + 1) * count] for i in range(len(several))]
+    motion, first = tried(problem.period, problem.motions, held)
+
+    def simulated(threads: int | None) -> list[Floats]:
+        quiet = [registry.plant_of(p).quiet(p) for p in problem.plants]
+        loops = trial.Loops(law, problem, several, quiet, 0)
+        led = loops.commands(motion, problem._replace(preview=False, delivery=None))
+        traces = np.empty((loops.count, len(motion), 3))
+        loops.run(motion, led, threads, traces=traces)
+        with np.errstate(invalid="ignore"):
+            found = steps.answers(motion[first - 1 :], traces[:, first - 1 :, 0], problem.period)
+        rows = np.nan_to_num(np.array(found).swapaxes(0, 1), nan=math.inf, posinf=math.inf)
+        return np.split(rows, len(several), axis=2)
+
+    return trial.logged(workers, simulated)

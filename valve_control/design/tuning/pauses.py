@@ -19,7 +19,7 @@ from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.laws.law import Law
 from valve_control.design.tuning import trial
-from valve_control.design.tuning.trial import GainSet, Problem
+from valve_control.design.tuning.trial import GainSet, Problem, Workers
 from valve_control.parameter import Values, number
 
 EVERY = 0.41  # s  from one pause to the next
@@ -68,10 +68,14 @@ def shortest(law: Law, problem: Problem, gains: GainSet, longest: float = LONGES
     return math.inf
 
 
-def borne(law: Law, problem: Problem, gains: GainSet) -> bool:
-    """Whether the reference comes back after the pauses up to the limit of ``problem``."""
-    found = shortest(law, problem, gains, problem.limits.pause_s)
-    return found is None or math.isinf(found)
+def unborne(law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None) -> list[float]:
+    """The ``shortest`` pause [s] up to the limit of ``problem`` with each of ``several``; inf: none.
+
+    It is below the limit.
+    """
+    most = problem.limits.pause_s
+    found = [shortest(law, problem, gains, most) or math.inf for gains in several]
+    return [pause if math.isinf(pause) else math.nextafter(min(pause, most), 0.0) for pause in found]
 
 
 def as_text(found: float | None) -> str:

@@ -39,7 +39,7 @@ from valve_control.control.laws.law import Law
 from valve_control.control.laws.reshaping import LEAD_ACCEL
 from valve_control.control.linear import margins
 from valve_control.design import evolution
-from valve_control.design.tuning import designs, limit_cycles, limits, overshoot, pauses, trial
+from valve_control.design.tuning import designs, limits, trial
 from valve_control.design.tuning.trial import AHEAD, GainSet, Problem, TrialResult, Workers
 from valve_control.parameter import ParameterError, Values
 
@@ -185,7 +185,7 @@ class _Trials:
         if kept:
             outcomes = trial.run(self._law, self._problem, [gains[i] for i in kept], self._workers)
             for i, outcome in zip(kept, outcomes, strict=True):
-                point = _point(self._problem, inside[i], gains[i], outcome)
+                point = _point(inside[i], gains[i], outcome)
                 missing = violations[i] or 0.0
                 costs[i] = self._cost(point, chatter) + wall * missing
                 points[i] = point
@@ -258,12 +258,19 @@ class _Trials:
     def _measured(self, points: Sequence[EvaluatedGains]) -> list[EvaluatedGains]:
         """``points`` with their overshoot."""
         new = [p for p in points if p.shares not in self._overshot]
-        if new:
-            found = overshoot.medians(self._law, self._problem, [p.gains for p in new], self._workers)
-            for point, overshot in zip(new, found, strict=True):
-                self._overshot[point.shares] = overshot
-                self._count({"overshoot": overshot})
+        for point, overshot in zip(new, self._values("overshoot", new), strict=True):
+            self._overshot[point.shares] = overshot
         return [p._replace(overshoot=self._overshot[p.shares]) for p in points]
+
+    def _values(self, name: str, points: Sequence[EvaluatedGains]) -> list[float]:
+        """Measured and counted values of ``points`` for the limit of this ``name``."""
+        measure = limits.BY_NAME[name].measure
+        assert measure is not None
+        gains = [point.gains for point in points]
+        found = measure(self._law, self._problem, gains, self._workers) if gains else []
+        for value in found:
+            self._count({name: value})
+        return found
 
     def _count(self, values: Mapping[str, float]) -> None:
         limits.count(self.counts, self._wanted, values)
@@ -292,23 +299,14 @@ class _Trials:
         1.0 where the reference does not come back after a pause of the command.
         """
         new = [p for p in points if p.shares not in self._rested]
-        longest = self._problem.limits.pause_s
-        for point in new:
-            strayed = pauses.shortest(self._law, self._problem, point.gains, longest) or math.inf
-            borne = math.isinf(strayed)
-            self._count({"pause": strayed if borne else math.nextafter(strayed, 0.0)})
-            if not borne:
+        for point, pause in zip(new, self._values("pause", new), strict=True):
+            if math.isfinite(pause):
                 self._rested[point.shares] = 1.0
                 self.missed += 1
         new = [p for p in new if p.shares not in self._rested]
-        if new:
-            shares = limit_cycles.restless_shares(
-                self._law, self._problem, [point.gains for point in new], self._workers
-            )
-            for point, share in zip(new, shares, strict=True):
-                self._rested[point.shares] = share
-                self._count({"not at rest": share})
-                self.missed += share > 0.0
+        for point, share in zip(new, self._values("not at rest", new), strict=True):
+            self._rested[point.shares] = share
+            self.missed += share > 0.0
         return [self._rested[point.shares] for point in points]
 
     def _violation(self, gains: GainSet) -> float | None:
@@ -489,13 +487,11 @@ def _starts(scattered: Sequence[Floats], costs: Sequence[float], count: int) -> 
     return chosen
 
 
-def _point(
-    problem: Problem, shares: tuple[float, ...], gains: GainSet, outcome: TrialResult
-) -> EvaluatedGains:
+def _point(shares: tuple[float, ...], gains: GainSet, outcome: TrialResult) -> EvaluatedGains:
     return EvaluatedGains(
         shares,
         gains,
-        trial.error_of(problem, outcome),
+        outcome.error,
         outcome.chatter if math.isfinite(outcome.chatter) else math.inf,
         float(np.mean(outcome.saturated)),
     )

@@ -13,19 +13,18 @@ from valve_control.arrays import Floats
 from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.free import Free, placed
 from valve_control.control.laws.law import Law
-from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant.models import D3FXE, Scale
-from valve_control.control.simulation import batch, comparison, delivery
-from valve_control.control.simulation.cluster import Cluster
+from valve_control.control.simulation import batch, delivery
 from valve_control.control.simulation.delivery import Delivery
-from valve_control.design.tuning.kept import Kept, digest
+from valve_control.design.tuning.search_log import SearchLog
 from valve_control.parameter import Value, Values, number, updated
 
-Workers = int | Cluster | Kept | None  # threads here (None: all cores), a cluster, or what was done before
+Workers = int | SearchLog | None  # threads (None: all cores), or the log of a search with its threads
 AHEAD = Free("preview", 0.0, 0.03, logarithmic=False)  # s  by which a known motion is sent ahead, unreshaped
 TAIL = 95  # %
+SEEDS_OF_A_MOTION = 1000
 
 
 class TuningMotion(NamedTuple):
@@ -72,11 +71,15 @@ class Problem(NamedTuple):
     box: Sequence[Any]  # around which the margins have to hold
     limits: TuningLimits
     preview: bool  # whether the motions are known ahead, so that reshaping causes no lag
-    largest: bool  # whether the error is the largest of a run, instead of its rms
     seed: int  # of the noise
     strict: bool = False  # whether a voltage that a node reports counts where the spool swings by itself
     scale: Scale = D3FXE  # of the valve, with which the ranges go
     delivery: Delivery | None = None  # of commands that are not previewed; None: one a sample, in time
+
+    @property
+    def period(self) -> float:
+        """Sample period [s]."""
+        return number(self.values, "sample_period")
 
 
 class GainSet(NamedTuple):
@@ -99,8 +102,10 @@ class TrialResult(NamedTuple):
         """Mean of c_u."""
         return float(np.mean(self.c_u))
 
-
-Here = Callable[[Law, Problem, Sequence[GainSet], int | None], list[Floats]]  # on threads of this machine
+    @property
+    def error(self) -> float:
+        """Error [V] that a search makes small: ``typical`` of the rms values."""
+        return typical(self.e_rms)
 
 
 def typical(errors: Floats) -> float:
@@ -112,11 +117,6 @@ def typical(errors: Floats) -> float:
         return math.inf
     with np.errstate(divide="ignore"):
         return float(np.exp(np.mean(np.log(np.percentile(errors, [50, TAIL], axis=1)))))
-
-
-def error_of(problem: Problem, outcome: TrialResult) -> float:
-    """The error [V] that the search makes small."""
-    return typical(outcome.e_max if problem.largest else outcome.e_rms)
 
 
 def free_numbers(law: Law, values: Values, preview: bool, scale: Scale = D3FXE) -> tuple[Free, ...]:
@@ -166,81 +166,97 @@ def given(law: Law, params: Any, values: Values, gains: GainSet, problem: Proble
         return delivery.led(lead, values, np.clip(wanted, -limit, limit), problem.delivery)
     if law.reshapes(params):
         after = wanted[-1] + (wanted[-1] - wanted[-2]) * np.arange(1, 3)  # goes on straight at its end
-        return comparison.unreshaped(params.reshaping, np.concatenate([wanted, after]))
+        return delivery.unreshaped(params.reshaping, np.concatenate([wanted, after]))
     steps = np.arange(len(wanted), dtype=np.float64)
     return np.interp(steps + gains.ahead / number(values, "sample_period"), steps, wanted)
 
 
 def threads_of(workers: Workers) -> int | None:
-    """Threads for what is done here."""
-    if isinstance(workers, Kept):
-        return threads_of(workers.workers)
-    return None if isinstance(workers, Cluster) else workers
+    """Number of threads; None: all cores."""
+    return workers.threads if isinstance(workers, SearchLog) else workers
+
+
+def logged(workers: Workers, simulate: Callable[[int | None], Sequence[Floats]]) -> list[Floats]:
+    """What ``simulate`` computes on so many threads for each set of gains, or the log of a stopped search."""
+    threads = threads_of(workers)
+    if isinstance(workers, SearchLog):
+        return list(workers.result(lambda: np.array(simulate(threads))))
+    return list(simulate(threads))
+
+
+class Loops:
+    """``several`` sets of gains of one law on N ``plants``: loop i is that of plant i % N.
+
+    All loops of a call go through the compiled loop together; no result depends on the number of threads.
+    Raises ParameterError for gains that the law cannot be built with.
+    """
+
+    def __init__(
+        self, law: Law, problem: Problem, several: Sequence[GainSet], plants: Sequence[Any], seed: int
+    ) -> None:
+        self._law, self._problem, self._several = law, problem, several
+        self._values = [values_with(problem, gains) for gains in several]
+        self._params = [built(law, values) for values in self._values]
+        behind = zip(self._values, self._params, strict=True)
+        self._laws = batch.records([linearisation.behind(values, params) for values, params in behind])
+        self._plants, self._seed = batch.records(list(plants)), seed
+        self.count = len(several) * len(plants)
+
+    def commands(self, wanted: Floats, sender: Problem | None = None) -> Floats:
+        """Commands [V] for the motion ``wanted`` [V] as the law gets them, one row for each set of gains.
+
+        ``sender``: the problem that says how they come, if it is another one.
+        """
+        each = zip(self._params, self._values, self._several, strict=True)
+        sender = sender or self._problem
+        return np.array([given(self._law, p, v, gains, sender, wanted) for p, v, gains in each])
+
+    def run(
+        self,
+        wanted: Floats,
+        led: Floats,
+        threads: int | None,
+        which: slice = slice(None),
+        traces: Floats | None = None,
+        later: int = 0,
+    ) -> Any:
+        """Results of the loops ``which`` for the ``wanted`` motion [V] and the commands ``led`` of all gains.
+
+        ``traces``: see ``batch.simulate``. ``later`` is added to the seed of the noise, which is one for each
+        plant.
+        """
+        loops, n = np.arange(self.count)[which], len(self._plants)
+        return batch.simulate(
+            batch.Batch(
+                self._law.name,
+                self._laws[loops // n],
+                self._plants[loops % n],
+                self._seed + later + loops % n,
+                np.broadcast_to(wanted, (len(loops), len(wanted))),
+                led=led[loops // n],
+            ),
+            threads,
+            traces,
+        )
 
 
 def run(law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None) -> list[TrialResult]:
-    """Results of ``several`` sets of gains on all plants and motions of ``problem``."""
-    return [TrialResult(*rows) for rows in shared(run_here, law, problem, several, workers)]
+    """Results of ``several`` sets of gains on all plants and motions of ``problem``.
 
-
-def shared(
-    here: Here, law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers
-) -> list[Floats]:
-    """What ``here`` computes for each of ``several``: on threads, on a cluster, or from what is kept."""
-    if isinstance(workers, Kept):
-        key = digest((here.__name__, law.name, problem.values, problem.seed, len(problem.plants), several))
-        there = workers.workers
-        return list(workers.outcomes(key, lambda: np.array(shared(here, law, problem, several, there))))
-    if not isinstance(workers, Cluster) or len(several) == 1:
-        return here(law, problem, several, threads_of(workers))
-    each = -(-len(several) // workers.slots)
-    parts = [several[first : first + each] for first in range(0, len(several), each)]
-    made: list[list[Floats]] = [[] for _ in parts]
-    for i, rows in workers.completed(_there, [(here, law.name, problem, part) for part in parts]):
-        made[i] = rows
-    return [row for part in made for row in part]
-
-
-def _there(here: Here, law: str, problem: Problem, several: Sequence[GainSet]) -> list[Floats]:
-    """``here`` on a worker, on one thread."""
-    return here(LAWS[law], problem, several, 1)
-
-
-def run_here(
-    law: Law, problem: Problem, several: Sequence[GainSet], threads: int | None = None
-) -> list[Floats]:
-    """Rows of the results (4×M×N) of all plants of ``problem`` with each of ``several`` gains.
-
-    All sets go through the compiled loop together, and the result does not depend on the number of
-    threads. Valve i has noise seed ``problem.seed`` + i, and another one on each motion.
+    Valve i has noise seed ``problem.seed`` + i, and another one on each motion.
     """
-    count = len(problem.plants)
-    plants = np.tile(batch.records(list(problem.plants)), len(several))
-    values = [values_with(problem, gains) for gains in several]
-    params = [built(law, v) for v in values]
-    loops = [linearisation.behind(v, p) for v, p in zip(values, params, strict=True)]
-    laws = np.repeat(batch.records(loops), count)
-    found = []
-    for i, motion in enumerate(problem.motions):
-        led = [
-            given(law, p, v, gains, problem, motion.wanted)
-            for p, v, gains in zip(params, values, several, strict=True)
-        ]
-        seeds = np.tile(problem.seed + 1000 * i + np.arange(count), len(several))
-        result = batch.simulate(
-            batch.Batch(
-                law.name,
-                laws,
-                plants,
-                seeds,
-                np.broadcast_to(motion.wanted, (len(seeds), len(motion.wanted))),
-                led=np.repeat(np.array(led), count, axis=0),
-            ),
-            threads,
-        )
-        rows = (result.true_e_rms, result.true_e_M, result.c_u, result.saturated)
-        found.append([row.reshape(len(several), count) for row in rows])
-    return [np.array([[rows[k][j] for rows in found] for k in range(4)]) for j in range(len(several))]
+
+    def simulated(threads: int | None) -> list[Floats]:
+        loops, found = Loops(law, problem, several, problem.plants, problem.seed), []
+        for i, motion in enumerate(problem.motions):
+            result = loops.run(
+                motion.wanted, loops.commands(motion.wanted), threads, later=SEEDS_OF_A_MOTION * i
+            )
+            rows = (result.true_e_rms, result.true_e_M, result.c_u, result.saturated)
+            found.append([row.reshape(len(several), -1) for row in rows])
+        return [np.array([[rows[k][j] for rows in found] for k in range(4)]) for j in range(len(several))]
+
+    return [TrialResult(*rows) for rows in logged(workers, simulated)]
 
 
 def violation(limits: TuningLimits, found: margins.Margins, share: float = 1.0) -> float:

@@ -8,13 +8,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.design.tuning import limit_cycles, limits, pauses, search, trial, verification
+from valve_control.design.tuning import limits, search, verification
 from valve_control.design.tuning.search import EvaluatedGains, Told
 from valve_control.design.tuning.trial import GainSet, Problem, Workers
 from valve_control.design.tuning.verification import Verified
@@ -23,16 +21,13 @@ from valve_control.parameter import ParameterError, Value, Values, defaults, upd
 TRIES = 8  # points of the front that are verified until one holds
 APART = 0.02  # of error or chatter, by which a point has to differ from one that did not hold
 NEAR = 0.97  # share of a limit up to which a point is taken; valves that were not seen differ
-QUIET = (
-    1.25  # times the least chatter, up to which gains are taken where a limit that may give way is not kept
-)
+QUIET = 1.25  # times the least chatter, up to which gains are taken where the limit gives way
 
 
 class Aim(NamedTuple):
-    """Which point of the front is wanted: both None: the knee."""
+    """Which point of the front is wanted: the least error at most so much chatter; None: the knee."""
 
-    chatter: float | None  # at most
-    error: float | None  # V  at most
+    chatter: float | None
     firm: bool = True  # False: where no gains keep the limit of the chatter, the quieter ones are accepted
 
 
@@ -87,9 +82,6 @@ def ranked(front: Sequence[EvaluatedGains], aim: Aim) -> list[EvaluatedGains]:
     if aim.chatter is not None:
         limit = NEAR * aim.chatter
         return sorted((p for p in front if p.chatter <= limit), key=lambda p: p.error)
-    if aim.error is not None:
-        most = NEAR * aim.error
-        return sorted((p for p in front if p.error <= most), key=lambda p: p.chatter)
     best = search.knee(front)
     return sorted(
         front, key=lambda p: abs(math.log(p.error / best.error)) + abs(math.log(p.chatter / best.chatter))
@@ -221,39 +213,29 @@ def _overshoot(point: EvaluatedGains) -> float:
 
 
 def _wishes(front: Sequence[EvaluatedGains], aim: Aim, kept: Aim) -> list[str]:
-    """Sentences about wishes that had to give way."""
+    """A sentence about a limit of the chatter that had to give way."""
     if kept == aim:
         return []
-    if aim.chatter is not None:
-        least, name = min(point.chatter for point in front), f"c_u {aim.chatter:g}"
-        return [f"no set within {name}: the least is {least:.3g}; those up to {kept.chatter:.3g} are taken"]
-    least = min(point.error for point in front)
-    return [f"no set with an error of {1e3 * (aim.error or 0.0):g} mV: the least is {1e3 * least:.3g} mV"]
+    least, wanted = min(point.chatter for point in front), f"c_u {aim.chatter:g}"
+    return [f"no set within {wanted}: the least is {least:.3g}; those up to {kept.chatter:.3g} are taken"]
 
 
-def _shipped_keep(limit: str, law: Law, problem: Problem, workers: Workers) -> bool:
-    """Whether ``law`` keeps the ``limit`` with the gains that it had before the search."""
-    gains = GainSet({}, 0.0)
+def _shipped_keep(name: str, law: Law, problem: Problem, workers: Workers) -> bool:
+    """Whether ``law`` keeps the limit of this ``name`` with the gains that it had before the search."""
+    limit = limits.BY_NAME[name]
     try:
-        if limit == "pause":
-            return pauses.borne(law, problem, gains)
-        if limit == "saturation":
-            outcome = trial.run(law, problem, [gains], workers)[0]
-            return bool(np.mean(outcome.saturated) <= problem.limits.saturated)
-        return limit_cycles.restless_shares(law, problem, [gains], workers) == [0.0]
+        value = limit.value(law, problem, GainSet({}, 0.0), workers)
     except ParameterError:
         return False
+    return not limit.missed(value, limit.asked(problem.limits))
 
 
 def _aims(front: Sequence[EvaluatedGains], aim: Aim) -> list[Aim]:
     """``aim``, and what takes its place where no gains keep it."""
-    if aim.chatter is not None:
-        least = min(point.chatter for point in front)
-        return [aim, aim._replace(chatter=QUIET * max(aim.chatter, least))]
-    if aim.error is not None:
-        least = min(point.error for point in front)
-        return [aim, aim._replace(error=max(aim.error, least / NEAR))]
-    return [aim]
+    if aim.chatter is None:
+        return [aim]
+    least = min(point.chatter for point in front)
+    return [aim, aim._replace(chatter=QUIET * max(aim.chatter, least))]
 
 
 def _too_loud(chosen: Chosen, aim: Aim) -> bool:

@@ -12,15 +12,20 @@ import numpy.typing as npt
 from valve_control.arrays import Floats
 from valve_control.control.analysis import steps
 from valve_control.control.laws.law import Law
+from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins, stability
+from valve_control.control.parameters import build
+from valve_control.control.simulation import robustness
 from valve_control.control.simulation.delivery import Delivery
+from valve_control.control.simulation.robustness import Study, StudyResult
 from valve_control.design.tuning import limit_cycles, limits, overshoot, pauses, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TrialResult, TuningMotion, Workers
-from valve_control.parameter import number
+from valve_control.parameter import word
 
 SLOWER = 1.1  # times as long: a motion of the search, turned over, as one that it did not see
 UNEVEN = 0.7  # sample periods, by which commands that nobody said how they come are early or late
 OVERSHOT = 1.2  # times the limit of the overshoot, which valves that were not seen may have
+LOOKED_AT = 64  # valves of a study
 SLACK = 1.05  # times the limit of the chatter, which valves that were not seen may have
 
 
@@ -62,19 +67,24 @@ def verified(
 ) -> Verified:
     """Try ``gains`` on ``problem``, whose valves and seed are others than those of the search.
 
-    ``chatter``: the limit that was asked for, None: none. ``firm``: whether gains that miss "saturation",
-    "pause", "not at rest" or "chatter" are not accepted; it is asked only where one is missed.
+    ``chatter``: the limit that was asked for, None: none. ``firm``: whether gains that miss the limit of this
+    name are not accepted; it is asked only where one is missed, and not for a margin.
     """
+    wanted = limits.asked(problem.limits, chatter)
     params = law.build(trial.values_with(problem, gains))
     found = margins.margins(law, params, margins.prepared([*problem.box, *problem.plants]))
     seen = trial.run(law, problem, [gains], workers)[0]
     others = problem._replace(motions=other_motions(problem.motions), seed=problem.seed + 500_000)
     unseen = trial.run(law, others, [gains], workers)[0]
     restless = limit_cycles.after_all(law, others, gains, problem.plants, workers)
-    reasons, notes = _margins_missed(problem.limits, margins.as_dict(margins.worst(found))), list[str]()
+    reasons, notes = limits.margins_missed(problem.limits, found), list[str]()
 
-    def missed(limit: str, sentence: str) -> None:
-        (reasons if firm(limit) else notes).append(sentence)
+    def missed(name: str, sentence: str) -> None:
+        (reasons if name != "overshoot" and firm(name) else notes).append(sentence)
+
+    def check(name: str, value: float, slack: float = 1.0, before: str = "") -> None:
+        if limits.BY_NAME[name].missed(value, slack * wanted[name]):
+            missed(name, before + limits.BY_NAME[name].sentence(value, wanted[name]))
 
     if not np.all(np.isfinite(seen.e_rms)) or not np.all(np.isfinite(unseen.e_rms)):
         reasons.append("a run does not stay finite")
@@ -84,39 +94,21 @@ def verified(
             f"{len(restless)} of {len(problem.plants)} valves do not rest within {limit_cycles.HELD:g} s "
             "after a step or a motion",
         )
-    (share,) = limit_cycles.restless_shares(law, problem, [gains], workers)
-    if share > 0.0:
-        missed(
-            "not at rest",
-            f"{100.0 * share:.2g} % of the valves in the box do not rest within {limit_cycles.HELD:g} s "
-            "after a step when half of the margins is gone",
-        )
-    pause = pauses.shortest(law, problem, gains)
-    if not pauses.borne(law, problem, gains):
-        missed(
-            "pause",
-            f"after a pause of the command of {1e3 * problem.limits.pause_s:g} ms or less the reference does "
-            "not come back while the motion lasts",
-        )
-    for outcome, what in ((seen, "the commands"), (unseen, "commands that were not seen")):
-        share = float(np.mean(outcome.saturated))
-        if share > problem.limits.saturated:
-            missed("saturation", f"on {what} the amplifier saturates in {100.0 * share:.2g} % of the samples")
-    if chatter is not None and not seen.chatter <= SLACK * chatter:
-        missed("chatter", f"c_u is {seen.chatter:.3f} on valves that were not seen, above {chatter:g}")
+    for name in ("not at rest", "pause"):
+        check(name, limits.BY_NAME[name].value(law, problem, gains, workers))
+    for outcome, motions in ((seen, "the commands"), (unseen, "commands that were not seen")):
+        check("saturation", float(np.mean(outcome.saturated)), before=f"on {motions} ")
+    if chatter is not None:
+        check("chatter", seen.chatter, SLACK)
     answers = overshoot.answers(law, problem, gains, workers)
     overshot, settling = (overshoot.typical(rows) for rows in answers)
-    if overshot > OVERSHOT * problem.limits.overshoot:
-        notes.append(
-            f"steps are overshot by {100.0 * overshot:.2g} % on valves that were not seen, above "
-            f"{100.0 * problem.limits.overshoot:g} %"
-        )
+    check("overshoot", overshot, OVERSHOT)
     return Verified(
         seen=seen,
         unseen=unseen,
         margins=found,
         restless=restless,
-        pause_s=pause,
+        pause_s=pauses.shortest(law, problem, gains),
         reasons=reasons,
         notes=notes,
         overshoot=overshot,
@@ -137,17 +129,34 @@ def unsettled(v: Verified) -> list[str]:
     ]
 
 
-def of_valves(law: Law, problem: Problem, saturated: Floats, workers: Workers = None) -> limits.Counts:
+def of_study(study: Study, found: StudyResult, threads: int | None) -> list[dict[str, Any]]:
+    """How many of the first LOOKED_AT valves miss each limit of a search, for JSON; [] if nothing moves."""
+    asked, counts = trial.USUAL._replace(overshoot=trial.OVERSHOOT), []
+    points, periods = robustness.draw(study, 0, min(LOOKED_AT, study.valves))
+    for period in np.unique(periods).tolist():
+        values = robustness.sampled(study, "controller", period)
+        wanted = build.commands(robustness.sampled(study, "command_source", period))
+        if np.ptp(wanted) == 0.0:
+            return []
+        own = np.flatnonzero(periods == period)
+        plants = [build.valve_params(robustness.valve_of(study, int(i), points[i], period)) for i in own]
+        motions = [TuningMotion("command", wanted)]
+        problem = Problem(values, motions, plants, plants, asked, False, study.seed)
+        counts.append(_of_valves(problem, found.results.saturated[own], threads))
+    return limits.as_rows(limits.together(counts), limits.asked(asked))
+
+
+def _of_valves(problem: Problem, saturated: Floats, threads: int | None) -> limits.Counts:
     """How many of the plants of ``problem`` miss each limit with its own gains, and the best of them.
 
     ``saturated``: share of saturated samples of each. Overshoot: of the worst step.
     """
-    gains, counts = GainSet({}, 0.0), limits.Counts()
+    gains, counts, law = GainSet({}, 0.0), limits.Counts(), LAWS[word(problem.values, "controller")]
     params, wanted = law.build(problem.values), limits.asked(problem.limits)
     seen = [stability.behind_curve(problem.values, plant)[0] for plant in problem.plants]
     found = margins.margins(law, params, margins.prepared(seen)) if law.feedback else None
-    restless = set(limit_cycles.after_all(law, problem, gains, problem.plants, workers).tolist())
-    overshot = np.max(overshoot.answers(law, problem, gains, workers)[0], axis=0)
+    restless = set(limit_cycles.after_all(law, problem, gains, problem.plants, threads).tolist())
+    overshot = np.max(overshoot.answers(law, problem, gains, threads)[0], axis=0)
     for i, share in enumerate(saturated):
         values = {
             "saturation": float(share),
@@ -164,36 +173,8 @@ def _uneven_chatter(law: Law, problem: Problem, gains: GainSet, workers: Workers
     """c_u where commands come unevenly; None: the problem has a delivery of its own, or knows them ahead."""
     if problem.preview or problem.delivery is not None:
         return None
-    period = number(problem.values, "sample_period")
-    late = problem._replace(delivery=Delivery(period, UNEVEN * period, problem.seed))
+    late = problem._replace(delivery=Delivery(problem.period, UNEVEN * problem.period, problem.seed))
     return trial.run(law, late, [gains], workers)[0].chatter
-
-
-def _margins_missed(asked: trial.TuningLimits, worst: dict[str, float | None]) -> list[str]:
-    if (worst["radius"] or 0.0) >= 1.0 + margins.EDGE:
-        return [f"a valve of the box makes the loop unstable (largest pole {worst['radius']:.4f})"]
-    texts = {
-        "gain_db": ("gain margin", "dB", 1.0, asked.gain_db),
-        "reduction_db": ("gain margin downwards", "dB", 1.0, asked.gain_db),
-        "phase_deg": ("phase margin", "deg", 1.0, asked.phase_deg),
-        "delay_s": ("delay margin", "ms", 1e3, asked.delay_s),
-    }
-    reasons = []
-    for name, (text, unit, scale, limit) in texts.items():
-        value = worst[name]
-        if value is not None and value < limit:
-            reasons.append(
-                f"the {text} falls to {scale * value:.3g} {unit} in the box, below {scale * limit:g} {unit}"
-            )
-    peak = worst["sensitivity_db"]
-    if not (math.inf if peak is None else peak) <= asked.sensitivity_db:
-        shown = "without end" if peak is None else f"{peak:.3g} dB"
-        reasons.append(f"the sensitivity peaks at {shown}, above {asked.sensitivity_db:g} dB")
-    swing = worst["swing_v"]
-    if not (math.inf if swing is None else swing) <= asked.swing:
-        shown = "any size" if swing is None else f"{swing:.3g} V"
-        reasons.append(f"in the loop friction sustains swings about rest of {shown}, above {asked.swing:g} V")
-    return reasons
 
 
 def as_dict(v: Verified) -> dict[str, Any]:

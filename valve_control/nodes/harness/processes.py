@@ -23,9 +23,9 @@ from tqdm import tqdm
 
 from valve_control import interrupts
 from valve_control.arrays import Floats
+from valve_control.axis.tables import ROS_NODES
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.arguments import matches
-from valve_control.control.parameters.axis_parameters import ROS_NODES
 from valve_control.nodes.adapter import (
     EVERYTHING,
     NumberSubscription,

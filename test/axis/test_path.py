@@ -1,0 +1,171 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Paths of an axis: through the points of a trajectory, and to a goal from whatever motion."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from valve_control.axis import course, path
+from valve_control.axis.course import Goal
+from valve_control.parameter import ParameterError
+
+ABLE = path.Range(0.0, 0.5, 0.7, 0.5, 0.002)
+REST = Goal(0.2, 0.0, 0.0)
+MS = 1_000_000
+LIMITS = course.MotionLimits(0.25, 2.0, 40.0)
+
+
+def points(*rows):
+    return [path.PathPoint(*row[:3], row[3] * MS) for row in rows]
+
+
+def test_a_sampled_course_is_met_to_the_last_bit():
+    rows = course.point_to_point(0.2, [0.3], 0.1, LIMITS, 0.001, 1.5)
+    made = path.through(points(*((*row, k) for k, row in enumerate(rows))), REST, ABLE)
+    assert all(path.goal_of(made, k * MS) == tuple(row) for k, row in enumerate(rows))
+    assert path.goal_of(made, 10**12) == (rows[-1, 0], 0.0, 0.0)
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(0.15, 0.25), st.floats(-0.05, 0.05), st.floats(-0.5, 0.5)), min_size=1, max_size=6
+    ),
+    st.integers(0, 2),
+)
+def test_between_points_the_derivatives_are_derivatives_and_nothing_leaps(rows, known):
+    """With accelerations, with velocities alone, or without either."""
+    given_points = [
+        path.PathPoint(x, v if known > 0 else None, a if known > 1 else None, 100 * MS * (k + 1))
+        for k, (x, v, a) in enumerate(rows)
+    ]
+    last = given_points[-1]
+    given_points[-1] = last._replace(velocity=0.0 if known > 0 else None)
+    try:
+        made = path.through(given_points, REST, ABLE._replace(speed_out=5.0, speed_in=5.0))
+    except ParameterError as error:
+        assert "outside the stroke" in str(error)
+        return
+    assert path.goal_of(made, 0)[:2] == REST[:2]
+    for p in given_points[:-1]:
+        goal = path.goal_of(made, p.time)
+        assert goal.position == p.position
+        assert known == 0 or goal.velocity == p.velocity
+        assert known < 2 or goal.acceleration == pytest.approx(p.acceleration)
+    times = np.arange(0, made.end, MS // 2)
+    x, v, a = np.array([path.goal_of(made, int(t)) for t in times]).T
+    assert np.max(np.abs(np.diff(x) - 0.00025 * (v[1:] + v[:-1]))) < 1e-6
+    if known == 2:
+        assert np.max(np.abs(np.diff(v) - 0.00025 * (a[1:] + a[:-1]))) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ([], "0 points"),
+        (
+            [(0.2, None, None, 0), (0.6, None, None, 1000)],
+            "point 1 of the trajectory is at 0.6 m, outside the stroke",
+        ),
+        ([(0.2, None, None, 0), (math.nan, None, None, 1000)], "point 1 of the trajectory has numbers"),
+        ([(0.2, None, None, 5), (0.3, None, None, 5)], "do not rise"),
+        ([(0.21, None, None, 0), (0.3, None, None, 1000)], "begins 0.01 m from the present goal at 0.2 m"),
+        ([(0.2, None, None, 0), (0.3, None, None, 100)], "1.5 m/s outwards; the axis has 0.7 m/s"),
+        ([(0.3, None, None, 1000), (0.2, None, None, 1100)], "inwards; the axis has 0.5 m/s"),
+        ([(0.2, 0.0, None, 0), (0.3, 0.1, None, 1000)], "ends with 0.1 m/s; it must end at rest"),
+        ([(0.2, 0.0, None, 0), (0.01, -0.4, None, 800), (0.01, 0.0, None, 1600)], "reaches -"),
+        (
+            [(0.2, 0.0, None, 0), (0.2, 1e308, None, 9000), (0.2, 0.0, None, 9999)],
+            "numbers that are too large",
+        ),
+    ],
+)
+def test_what_is_no_path_is_refused_in_one_sentence(rows, words):
+    with pytest.raises(ParameterError) as error:
+        path.through(points(*rows), REST, ABLE)
+    assert words in str(error.value), error.value
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["quintic", "cubic"])
+def test_a_course_between_two_points_is_refused_if_and_only_if_it_leaves_stroke_or_speeds(whole):
+    random, wide, outcomes = np.random.default_rng(1), path.Range(-9.0, 9.0, 99.0, 99.0, 0.002), []
+    for _ in range(300):
+        there = random.uniform(0.3, 0.5), random.uniform(-0.5, 0.5), random.uniform(-2.0, 2.0)
+        time = int(random.uniform(300.0, 3000.0))
+        rows = [(0.3, 0.0, 0.0, 0), (*there, time), (0.3, 0.0, 0.0, time + 1500)]
+        course_points = [p if whole else p._replace(acceleration=None) for p in points(*rows)]
+        start = Goal(0.3, 0.0, 0.0)
+        free = path.through(course_points, start, wide)
+        x, v = np.array([path.goal_of(free, int(t))[:2] for t in np.linspace(0, free.end, 400)]).T
+        most = max(x.max() - 0.5, -x.min(), v.max() - ABLE.speed_out, -v.min() - ABLE.speed_in)
+        try:
+            path.through(course_points, start, ABLE)
+            assert most <= 1e-9
+        except ParameterError:
+            assert most > -1e-3  # its extreme lies between these looks
+        outcomes.append(most > 0.0)
+    assert 30 < sum(outcomes) < 270
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["quintic", "cubic"])
+def test_pieces_that_all_touch_a_speed_limit_are_taken_and_refused_below_it(whole):
+    """Each piece of 1 ms begins and ends at 0.5 m/s and is slower between."""
+    count, way = 300, 0.0004
+    out = [(0.1 + way * k, 0.5, 0.0, 500 + k) for k in range(count + 1)]
+    rows = [(0.07, 0.0, 0.0, 0), (0.07, 0.0, 0.0, 100), *out, (out[-1][0] + 0.02, 0.0, 0.0, 900)]
+    course_points = [p if whole else p._replace(acceleration=None) for p in points(*rows)]
+    start = Goal(0.07, 0.0, 0.0)
+    wide = path.Range(-9.0, 9.0, 99.0, 99.0, 0.002)
+    made = path.through(course_points, start, wide)
+    v = [path.goal_of(made, int(t))[1] for t in np.linspace(500 * MS, (500 + count) * MS, 7 * count)]
+    assert max(v) == pytest.approx(0.5, abs=1e-12) and min(v) < 0.4
+    assert max(path.goal_of(made, int(t))[1] for t in np.linspace(0, made.end, 5000)) < 0.5 + 1e-12
+    path.through(course_points, start, ABLE._replace(speed_out=0.5))
+    with pytest.raises(ParameterError, match="outwards"):
+        path.through(course_points, start, ABLE._replace(speed_out=0.499999))
+
+
+@given(st.lists(st.lists(st.floats(-10.0, 10.0), min_size=5, max_size=5), max_size=5))
+def test_the_roots_of_many_polynomials_are_those_of_each(rows):
+    """The polynomial changes sign only at one of them."""
+    rates = np.array(rows).reshape(-1, 5)
+    at = np.linspace(0.0, 1.0, 201)
+    for rate, roots in zip(rates, path._roots(rates), strict=True):
+        value = np.polynomial.polynomial.polyval(at, rate)
+        size = np.max(np.abs(rate))
+        for i in np.flatnonzero((value[1:] * value[:-1] < 0.0) & (abs(value[1:] - value[:-1]) > 1e-6 * size)):
+            assert np.any((roots > at[i] - 1e-3) & (roots < at[i + 1] + 1e-3))
+
+
+@pytest.mark.parametrize("present", [REST, Goal(0.2, 0.2, 1.0), Goal(0.3, -0.1, 0.0)])
+def test_a_goal_is_reached_from_any_motion_within_the_limits(present):
+    made = path.towards(0.25, present, LIMITS, ABLE)
+    times = np.arange(0, made.end + MS, MS)
+    x, v, a = np.array([path.goal_of(made, int(t)) for t in times]).T
+    assert (x[0], v[0]) == pytest.approx(present[:2], abs=1e-12)
+    assert tuple(path.goal_of(made, made.end)) == (0.25, 0.0, 0.0)
+    assert np.max(np.abs(v)) <= 0.25 + 1e-9 and np.max(np.abs(a)) <= 2.0 + 1e-9
+    assert np.max(np.abs(np.diff(x))) < 0.25 * 0.001 * 1.01
+
+
+def test_goals_that_cannot_be_reached_are_refused():
+    for target, words in ((0.51, "outside the stroke"), (math.nan, "must be finite")):
+        with pytest.raises(ParameterError, match=words):
+            path.towards(target, REST, LIMITS, ABLE)
+    with pytest.raises(ParameterError, match=r"the motion to 0.499 m reaches 0.5\d+ m, outside the stroke"):
+        path.towards(0.499, Goal(0.49, 0.25, 0.0), LIMITS, ABLE)
+
+
+def test_round_distances_are_reached_though_a_profile_is_the_limit_of_two():
+    """10 mm at 2 m/s² and 40 m/s³: the acceleration just reaches its limit, where ruckig finds no way."""
+    for at in (0.12, 0.25, 0.3):
+        for way in (0.01, -0.01, 0.02, 0.05):
+            made = path.towards(at + way, Goal(at, 0.0, 0.0), LIMITS, ABLE)
+            rows = course.point_to_point(at, [at + way], 0.0, LIMITS, 0.001, 1.5)
+            assert rows[-1, 0] == pytest.approx(at + way, abs=1e-12)
+            assert np.max(np.abs(rows[:, 2])) <= 2.0 + 1e-9
+            for k in range(0, len(rows) - 1, 50):
+                assert path.goal_of(made, k * MS) == pytest.approx(tuple(rows[k]), abs=1e-9)

@@ -1,0 +1,231 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Reads and writes parameter files of ROS 2, and values in the types that ROS gives them."""
+
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from valve_control import inputs, outputs
+from valve_control.parameter import Parameter, ParameterError, Value, Values
+
+ROS = ("use_sim_time", "start_type_description_service")
+
+
+def is_of_ros(name: str) -> bool:
+    """Whether ``name`` is a parameter that ROS itself gives to every node."""
+    return name in ROS or name.startswith("qos_overrides.")
+
+
+def config_folder() -> Path:
+    """Folder of the package's own parameter files: of the source tree, or where the package is installed."""
+    package = Path(__file__).resolve().parents[2]
+    if (package.parent / "config" / "d3fxe.yaml").is_file():
+        return package.parent / "config"
+    shares = (above / "share" / "valve_control" / "config" for above in package.parents)
+    return next((folder for folder in shares if folder.is_dir()), package.parent / "config")
+
+
+def _flat(tree: dict[Any, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict):
+            flat.update(_flat(value, f"{name}."))
+        else:
+            flat[name] = value
+    return flat
+
+
+def _number(value: Any) -> Any:
+    """Turn a word into a number if it is one: YAML 1.1 reads 1.44e6 as a word, ROS as a number.
+
+    1_000, which Python takes for a number too, stays a word as in ROS.
+    """
+    if isinstance(value, str) and "_" not in value:
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value
+
+
+def from_yaml(parameter: Parameter, value: Any) -> Value:
+    """Value of a YAML file in the type that ROS would give it. Raises ParameterError."""
+    if isinstance(parameter.default, float):
+        value = _number(value)
+    elif parameter.type_name == "list of doubles" and isinstance(value, list):
+        value = [_number(v) for v in value]
+    return parameter.check(value)
+
+
+def from_text(parameter: Parameter, text: str) -> Value:
+    """Value of a word of a command line in the type that ROS would give it. Raises ParameterError."""
+    if isinstance(parameter.default, str):
+        return parameter.check(text)
+    try:
+        value = inputs.from_yaml(text)
+    except ValueError as error:
+        raise ParameterError(f"'{text}' of {parameter.name} is not a value") from error
+    return from_yaml(parameter, value)
+
+
+def save(path: Path, node: str, values: Values) -> None:
+    """Write ``values`` of ``node`` (its full name) as a ROS 2 parameter file. Raises OSError."""
+    outputs.write(str(path), as_yaml({node: values}))
+
+
+def as_yaml(sections: Mapping[str, Values], comments: Sequence[str] = ()) -> str:
+    """Text of a ROS 2 parameter file; ``sections``: values by full name of a node, or by a pattern.
+
+    Its head says so if the file is one that `ros2 param load` cannot load.
+    """
+    trees: dict[str, Any] = {}
+    for node, values in sections.items():
+        tree: dict[str, Any] = {}
+        for name in _one_by_one(values):
+            value = values[name]
+            *groups, last = name.split(".")
+            branch = tree
+            for group in groups:
+                branch = branch.setdefault(group, {})
+            branch[last] = _written(value)
+        trees[node] = {"ros__parameters": tree}
+    comments = [*comments, *_not_by_param_load(sections)]
+    head = "".join(f"# {line}\n" for comment in comments for line in comment.splitlines())
+    return head + yaml.dump(trees, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110)
+
+
+def _one_by_one(values: Values) -> list[str]:
+    """Names in an order in which a node with its defaults can take them one after the other.
+
+    A model is complete before it is chosen, and never has more zeros than its poles allow.
+    """
+    ranks = {"denominator": 0, "numerator": 1}
+    groups = list(dict.fromkeys(name.rpartition(".")[0] for name in values))
+
+    def place(name: str) -> tuple[int, int]:
+        group, _, last = name.rpartition(".")
+        return groups.index(group), ranks.get(last, 2)
+
+    return sorted(values, key=place)
+
+
+def _not_by_param_load(sections: Mapping[str, Values]) -> list[str]:
+    """Comment on a file that `ros2 param load` cannot load, and why; none for others."""
+    words = [name for values in sections.values() for name, value in values.items() if _turns(value)]
+    if len(sections) > 1:
+        reason = "it gives a node the sections of all nodes"
+    elif words:
+        reason = f"it changes {', '.join(words)}"
+    else:
+        return []
+    return [f"ros2 param load cannot load this file: {reason}. Use --params-file or ~/load_parameters."]
+
+
+def _turns(value: Value) -> bool:
+    """Whether `ros2 param load` makes something else of ``value``: it reads each value of a file twice.
+
+    The second time as the text that Python has for it, which is 2 for "2", a number. Of 1.0e-05 it makes the
+    word 1e-05, which the nodes take for the number.
+    """
+    try:
+        again = inputs.from_yaml(str(value), of_python=True)
+    except ValueError:
+        return True
+    again = "" if again is None else again
+    if isinstance(value, float):
+        again = _number(again)
+    if isinstance(value, list) and isinstance(again, list):
+        again = [_number(a) if isinstance(v, float) else a for a, v in zip(again, value, strict=False)]
+        return again != value or [type(entry) for entry in again] != [type(entry) for entry in value]
+    return again != value or type(again) is not type(value)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes YAML as the parser of ROS 2 takes it: no anchors; quoted words, so that "2" and "y" stay so."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """True: what occurs twice is written twice."""
+        return True
+
+    def represent_float(self, data: float) -> yaml.ScalarNode:
+        """Write a subnormal number, which the parser takes for a word, as 0.0."""
+        subnormal = 0.0 < abs(data) < sys.float_info.min
+        return super().represent_float(math.copysign(0.0, data) if subnormal else data)
+
+
+class _Word(str):
+    """A value that is a string, written in quotes; names are not."""
+
+
+_Dumper.add_representer(float, _Dumper.represent_float)
+
+_Dumper.add_representer(
+    _Word, lambda dumper, word: dumper.represent_scalar("tag:yaml.org,2002:str", word, style='"')
+)
+
+
+def _written(value: Value) -> Any:
+    if isinstance(value, list):
+        return [_Word(v) if isinstance(v, str) else v for v in value]
+    return _Word(value) if isinstance(value, str) else value
+
+
+class Section(NamedTuple):
+    """What a parameter file has for one node, or for all whose full names match a pattern."""
+
+    pattern: str  # such as /controller, /**/controller or /**
+    values: dict[str, Any]  # by the parameters' full names, not yet checked
+
+    @property
+    def node(self) -> str:
+        """The node's name without namespace; it has an asterisk if it stands for several."""
+        return self.pattern.rsplit("/", 1)[-1]
+
+
+def sections(path: str) -> list[Section]:
+    """Sections of a ROS 2 parameter file in their order. Raises ParameterError."""
+    inputs.check(path, "parameter file")
+    file = inputs.expanded(path, "parameter file")
+    try:
+        tree = inputs.from_yaml(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParameterError(
+            f"parameter file {path} cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from error
+    except ValueError as error:
+        raise ParameterError(f"parameter file {path} is not YAML: {error}") from error
+    if not isinstance(tree, dict) or not tree:
+        raise ParameterError(f"parameter file {path} must hold 'node: ros__parameters: …' sections")
+    try:
+        return list(_sections(path, tree, ""))
+    except RecursionError as error:
+        raise ParameterError(f"parameter file {path} has an alias of a part within that part") from error
+
+
+def _sections(path: str, tree: dict[Any, Any], above: str) -> Iterator[Section]:
+    for key, content in tree.items():
+        pattern = f"{above}/{str(key).lstrip('/')}"
+        if not isinstance(content, dict):
+            raise ParameterError(f"section '{pattern}' of {path} has no 'ros__parameters:' below it")
+        if "ros__parameters" not in content:
+            yield from _sections(path, content, pattern)
+            continue
+        values = content["ros__parameters"]
+        if not isinstance(values, dict):
+            raise ParameterError(f"section '{pattern}' of {path} has no parameters below 'ros__parameters:'")
+        yield Section(pattern, _flat(values))
+
+
+def as_text(value: Value) -> str:
+    """``value`` as YAML would have it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return "[" + ", ".join(str(v) for v in value) + "]"
+    return f'"{value}"' if value == "" else str(value)

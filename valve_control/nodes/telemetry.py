@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Topics of a controller about itself: samples on ~/state and ~/terms, journal and snapshots."""
+
+import math
+import time
+from collections.abc import Sequence
+from struct import pack
+from typing import Any
+
+from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
+
+from valve_control.control.supervision.journal import Journal
+from valve_control.control.supervision.supervisor import Supervisor
+from valve_control.nodes.adapter import SAMPLES, encoded, head
+
+MOST_ROWS = 500  # of the journal at once
+GREETING = 20  # parts of the journal with an account, since who comes does not hear everything at once
+
+
+class Telemetry:
+    """Publishes every n-th sample on ~/state, and chosen numbers of it on ~/terms/NAME."""
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+        self._labels: tuple[str, ...] = ()
+        self._head = b""  # of a serialized ~/state, before its numbers
+        self._chosen: Sequence[str] = ()
+        self._every = 0
+        self._samples: list[list[float]] = []  # to be published
+        self._states: Any = None
+        self.terms: dict[str, Any] = {}  # publishers, by name
+        self._named: list[tuple[int, Any]] = []  # place in a sample, publisher
+
+    def apply(self, labels: tuple[str, ...], chosen: Sequence[str], every: int) -> None:
+        """Numbers with the ``labels`` follow, the ``chosen`` ones on topics of their own; 0: none of them."""
+        self._chosen, self._every = chosen, every
+        if self._labels != labels:
+            self._labels = labels
+            dim = [MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
+            self._head = head(Float64MultiArray(layout=MultiArrayLayout(dim=dim)), len(labels))
+        if self._states is not None:
+            self._name()
+
+    def open(self) -> None:
+        """Create the publishers."""
+        self._states = self._node.create_publisher(Float64MultiArray, "~/state", SAMPLES)
+        self._name()
+
+    def close(self) -> None:
+        """Destroy the publishers."""
+        for publisher in (self._states, *self.terms.values()):
+            self._node.destroy_publisher(publisher)
+        self._states = None
+        self.terms.clear()
+        self._named = []
+
+    def _name(self) -> None:
+        """Have a publisher for each chosen term, and know where the law in force has it."""
+        for name in self.terms.keys() - set(self._chosen):
+            self._node.destroy_publisher(self.terms.pop(name))
+        for name in self._chosen:
+            if name not in self.terms:
+                self.terms[name] = self._node.create_publisher(Float64, f"~/terms/{name}", SAMPLES)
+        self._named = [(self._labels.index(n), p) for n, p in self.terms.items() if n in self._labels]
+
+    def note(self, supervisor: Supervisor) -> None:
+        """Take in the sample that ``supervisor`` has answered, if it is one of those that are published."""
+        if self._every > 0 and supervisor.samples % self._every == 0:
+            self._samples.append(supervisor.telemetry())
+
+    def publish(self) -> None:
+        """Publish what has been taken in."""
+        for numbers in self._samples:
+            self._states.publish(self._head + pack(f"<{len(numbers)}d", *numbers))
+            for at, publisher in self._named:
+                if not math.isnan(numbers[at]):
+                    publisher.publish(encoded(numbers[at]))
+        self._samples.clear()
+
+
+class JournalTopics:
+    """Publishes the rows of a journal, and now and then a snapshot of all that its supervisor remembers."""
+
+    def __init__(self, node: Any, journal: Journal) -> None:
+        self._node = node
+        self._journal = journal
+        self._message = Float64MultiArray()
+        self._period = 0.0  # s  of the snapshots; 0.0: nothing is published
+        self._accounted = -math.inf  # s, last snapshot
+        self._readers = 0
+        self._greeting = 0  # parts of the journal that still bring a snapshot
+        self._memories: Any = None
+        self.publisher: Any = None  # of the rows, None while the node is not configured
+
+    def apply(self, period: float) -> None:
+        """Take the ``period`` [s] of the snapshots into use."""
+        self._period = period
+
+    def open(self) -> None:
+        """Create the publishers."""
+        self._memories = self._node.create_publisher(String, "~/memory", SAMPLES)
+        self.publisher = self._node.create_publisher(Float64MultiArray, "~/journal", SAMPLES)
+        self._readers = self._greeting = 0
+
+    def close(self) -> None:
+        """Destroy the publishers."""
+        for publisher in (self._memories, self.publisher):
+            self._node.destroy_publisher(publisher)
+        self._memories = self.publisher = None
+
+    def _count_readers(self) -> int:
+        return int(self.publisher.get_subscription_count() + self._memories.get_subscription_count())
+
+    def look(self) -> None:
+        """Publish what waits, for a while with snapshots if a reader has come."""
+        readers = self._count_readers()
+        if readers > self._readers:
+            self._greeting = GREETING
+        self._readers = readers
+        if self._greeting > 0:
+            self._greeting -= 1
+            self._accounted = -math.inf
+        self.publish()
+
+    def publish_many(self) -> None:
+        """Publish if many rows wait."""
+        if len(self._journal) >= MOST_ROWS:
+            self.publish()
+
+    def publish(self) -> None:
+        """Publish the waiting rows, and a snapshot when its time has come."""
+        if self.publisher is None:
+            return
+        rows = self._journal.take()
+        if self._period == 0.0 or self._count_readers() == 0:
+            return
+        if rows:
+            self._message.data = rows
+            self.publisher.publish(self._message)
+        now = time.monotonic()
+        if self._journal.owes_account or now - self._accounted >= self._period:
+            self._accounted = now
+            self._memories.publish(String(data=self._journal.account()))
