@@ -248,6 +248,16 @@ def test_a_leap_is_seen_in_a_reading_that_comes_late(late):
     assert course(late, 0.5 * 20000.0 * (0.001 + late) ** 2) == lvdt.SOUND
 
 
+@pytest.mark.parametrize(("leap", "text"), [(-0.3, ", or are late by 10 ms"), (0.3, ""), (-3.0, "")])
+def test_readings_that_jump_back_along_their_course_may_be_late(leap, text):
+    """At 30 V/s 10 ms are 0.3 V; 3 V would be 100 ms."""
+    p, s = lvdt.Params(11.0, 500.0, 0.1, 0, 0.5, 0.001, 0.0, 0.0, 0.0, 0.0), lvdt.NOTHING
+    for k in range(220):
+        fault, s = lvdt.step(p, s, 0.03 * k + (leap if k >= 200 else 0.0), 0, 0.0, False, 0.001)
+        assert (fault == "jump") == (k >= 200)
+    assert lvdt.lateness(s) == text
+
+
 def first_alarm(p, judge, readings, voltages):
     """Number of the reading after which the watch finds the LVDT wrong, 0: never."""
     s, a = plausibility.initial(p, readings[0], 0.0, 0.0), answer.NOTHING

@@ -38,7 +38,7 @@ NOTHING = State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 def step(s: State, time: float, difference: float) -> State:
     """Take in the ``difference`` [s] of a message that came at ``time`` [s], in time or not."""
-    elapsed = max(0.0, time - s.time)
+    elapsed = time - s.time if time > s.time else 0.0
     line = s.offset + s.drift * elapsed
     innovation = difference - line
     if s.messages == 0.0 or innovation > LEAP or innovation < -EARLY or elapsed > OFFSET:

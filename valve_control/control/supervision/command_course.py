@@ -113,7 +113,7 @@ def design(values: Values) -> Params:
 
 def begun(p: Params, command: float, sent: float, stamp: float) -> State:
     """A ``command`` [V] at rest, the first of a course."""
-    rest = Course(command, 0.0, 0.0, 0.0, 0.0, 0.0)
+    rest = resting(command)
     return State(command, sent, stamp, p.period, 0.0, 1, False, rest, rest, rest, LEAST, LEAST, LEAST, LEAST)
 
 
@@ -138,9 +138,10 @@ def taken(p: Params, s: State | None, command: float, sent: float, stamp: float)
     smooth, quick, exact = after(s.smooth, elapsed), after(s.quick, elapsed), after(s.exact, elapsed)
     held = command - s.command
     rough, near, fine = command - smooth.position, command - quick.position, command - exact.position
-    least = min(abs(held), abs(rough), abs(near), abs(fine))
+    far, off, aside, beyond = abs(held), abs(rough), abs(near), abs(fine)
+    least = min(far, off, aside, beyond)
     usual = math.sqrt(min(s.held_error, s.smooth_error, s.quick_error, s.exact_error))
-    leaps = least > STEP * usual and least > PART * max(abs(held), abs(s.change))
+    leaps = least > STEP * usual and least > PART * max(far, abs(s.change))
     leapt, known, common = leaps and not s.leapt, s.known, 0.0
     span = max(elapsed, 0.5 * interval)
     if leapt:
@@ -160,13 +161,18 @@ def taken(p: Params, s: State | None, command: float, sent: float, stamp: float)
             quick = corrected(quick, near, span, QUICK_X, QUICK_V, QUICK_A, QUICK_J, QUICK_S, QUICK_C)
             exact = corrected(exact, fine, span, EXACT_X, EXACT_V, EXACT_A, EXACT_J, EXACT_S, EXACT_C)
     worst = 4.0 * p.limit * p.limit
-    held_error = faded(s.held_error, abs(held) - common, worst)
-    smooth_error = faded(s.smooth_error, abs(rough) - common, worst)
-    quick_error = faded(s.quick_error, abs(near) - common, worst)
-    exact_error = faded(s.exact_error, abs(fine) - common, worst)
-    smooth = bounded(smooth, command, smooth_error, worst)
-    quick = bounded(quick, command, quick_error, worst)
-    exact = bounded(exact, command, exact_error, worst)
+    held_error = faded(s.held_error, far - common, worst)
+    smooth_error = faded(s.smooth_error, off - common, worst)
+    quick_error = faded(s.quick_error, aside - common, worst)
+    exact_error = faded(s.exact_error, beyond - common, worst)
+    # A course that misses commands by more than a motion can begins at rest: the gains are those of even
+    # intervals, and with others the polynomial through six commands may be unstable.
+    if smooth_error >= worst:
+        smooth = resting(command)
+    if quick_error >= worst:
+        quick = resting(command)
+    if exact_error >= worst:
+        exact = resting(command)
     return State(
         command, sent, stamp, interval, held, known, leapt, smooth, quick, exact,
         held_error, smooth_error, quick_error, exact_error,
@@ -187,12 +193,9 @@ def faded(error: float, missed: float, worst: float) -> float:
     return after_it if after_it < worst else worst
 
 
-def bounded(c: Course, command: float, error: float, worst: float) -> Course:
-    """The course ``c``, or rest at ``command`` [V] where it misses commands by more than a motion can.
-
-    Its gains are those of even intervals. With others the polynomial through six commands may be unstable.
-    """
-    return c if error < worst else Course(command, 0.0, 0.0, 0.0, 0.0, 0.0)
+def resting(command: float) -> Course:
+    """Rest at ``command`` [V]."""
+    return Course(command, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 # Predictors
@@ -282,7 +285,9 @@ def value(p: Params, s: State, now: float) -> float:
     time = now - p.lag - s.sent
     if time == 0.0:
         return saturate(s.command, p.limit)
-    ahead = horizon(p.bridge, s.interval, time).time
+    ahead = time
+    if time < -LONGEST or time > LATE * s.interval + p.bridge:  # else quicker than ``horizon``
+        ahead = horizon(p.bridge, s.interval, time).time
     if ahead == 0.0:
         return saturate(s.command, p.limit)
     one = PREFERENCE / (s.held_error * s.held_error)

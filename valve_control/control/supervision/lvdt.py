@@ -133,10 +133,13 @@ def followed(p: Params, s: Standing, step: float, rate: float, age: float) -> St
 
     ``rate`` [V/s]: speed before it.
     """
-    difference = step / max(1.0, math.floor(age / p.period + 0.5))
+    samples = age / p.period + 0.5
+    difference = step if samples < 2.0 else step / math.floor(samples)
     second = difference - s.difference
     most = MOST * s.grain * s.grain
-    product = max(-most, min(most, -second * s.second))
+    product = -second * s.second
+    if abs(product) > most:
+        product = math.copysign(most, product)
     scatter = s.scatter
     if difference != 0.0 or s.difference != 0.0 or s.second != 0.0:  # else readings stand, and tell nothing
         scatter += min(1.0, p.period / RECALL) * (product - scatter)

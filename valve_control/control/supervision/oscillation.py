@@ -81,7 +81,7 @@ def step(p: Params, s: State, time: float, voltage: float, command: float) -> St
             s.rising, voltage, s.start, s.maximum_time, s.fall, s.cycles, s.since, s.length, s.height,
             command, moving, command_rising, command_extreme, turns, departures,
         )  # fmt: skip
-    if beyond >= -max(p.amplitude, p.back):
+    if beyond >= -(p.back if p.back > p.amplitude else p.amplitude):
         if command == s.command and moving == s.moving:
             return s
         return State(
