@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 from said import sentences
 
-from valve_control.cli import streams
-
 sys.path.insert(0, str(Path(__file__).parent / "recordings"))
 from made import Run, write
 
@@ -154,7 +152,6 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
             ["tune", "--controller", "pid", "--set", "pid.kp=3", "--json", "-"],
             ["the search chooses"],
         ),
-        (["simulate", "--command", "c.csv", "--command", "d.csv"], ["c.csv", "d.csv", "contradict"]),
         (["simulate", "--scenario", "sine", "--set", "frequency=500.0"], ["500 Hz", "Nyquist"]),
         (["compare", "--scenario", "triangle", "--set", "frequency=600.0"], ["600 Hz", "Nyquist"]),
         (
@@ -284,32 +281,6 @@ def test_closed_streams_are_no_traceback(text, status):
     done = shell(text)
     assert done.returncode == status and "Traceback" not in done.stderr
     assert len(done.stderr.splitlines()) == (1 if status and "2>&-" not in text else 0)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("valve-control parameters arc", ["Gamma", "theta"]),
-        (f"cd {ROOT}; {sys.executable} -m research.theorems --help", ["usage"]),
-        ("valve-control study --box", ["0.8 ... 1.25"]),
-        ("valve-control simulate --map µ → Δ", ["unrecognized"]),
-    ],
-)
-def test_terminals_of_ascii_read_other_characters_spelled(text, words):
-    done = shell(text, PYTHONIOENCODING="ascii")
-    assert "Traceback" not in done.stderr and "?" not in done.stdout
-    for word in words:
-        assert word in done.stdout + done.stderr, done.stdout
-
-
-def test_every_character_that_is_printed_can_be_spelled():
-    used = {
-        c
-        for path in (ROOT / "valve_control").rglob("*.py")
-        for c in path.read_text(encoding="utf-8")
-        if not c.isascii()
-    }
-    assert len(used) > 20 and not [c for c in used if "?" in streams.spelled(c)]
 
 
 def test_the_box_of_a_study_as_json(run):

@@ -43,19 +43,6 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
-class Once(argparse.Action):
-    """An option that is refused the second time, of which the last one would count without a word."""
-
-    def __call__(
-        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: Any = None
-    ) -> None:
-        """Keep ``values``, or exit with status 2."""
-        before = getattr(namespace, self.dest, None)
-        if before is not None:
-            parser.error(f"{option} {before} and {option} {values} contradict each other; give one of them")
-        setattr(namespace, self.dest, values)
-
-
 INPUTS = ("params_file", "command", "source", "table", "bag", "bags", "config")  # options that name files
 
 

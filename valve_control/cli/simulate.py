@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
 from valve_control.cli.common import (
-    Once,
     Parser,
     check_outputs,
     clock_option,
@@ -59,7 +58,7 @@ def setup_options(several: bool = False) -> Parser:
     group.add_argument(
         "--command",
         metavar="FILE",
-        action="append" if several else Once,
+        action="append" if several else "store",
         help="command from a CSV or NPY array, one number per sample period"
         + ("; again for more" if several else ""),
     )
