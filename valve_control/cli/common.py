@@ -4,7 +4,6 @@
 
 import argparse
 import contextlib
-import difflib
 import json
 import os
 import sys
@@ -36,10 +35,6 @@ class Parser(argparse.ArgumentParser):
         for name, sentence in LEFT_OUT.items():
             if f"invalid choice: '{name}'" in message:
                 self.exit(2, f"{self.prog}: {sentence}\n")
-        head, _, unknown = message.partition("unrecognized arguments: ")
-        if unknown and not head:
-            near = difflib.get_close_matches(unknown.split()[0], self._option_string_actions, n=1)
-            message += f"; did you mean {near[0]}?" if near else ""
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
