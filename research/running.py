@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Sequence
 
 from valve_control import interrupts
-from valve_control.cli import streams
 from valve_control.cli.common import Parser, ended
 
 
@@ -26,7 +25,6 @@ def run(
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if argv is not None:
         return ended(parser.prog, parser.prog, lambda: work(parser.parse_args(argv)))
-    streams.prepare()
     interrupts.watch()
     status = ended(parser.prog, parser.prog, lambda: work(parser.parse_args()))
     interrupts.ignore()

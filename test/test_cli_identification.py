@@ -271,11 +271,6 @@ def test_bad_input_of_identify_is_one_sentence(run, tmp_path, arguments, words):
         (["--sample-period", "1"], "sample_period"),
         (["--from", "none.yaml"], "none.yaml cannot be read"),
         (["--numerator", "1e-300", "--denominator", "1", "50", "1500"], "no valve's"),
-        (["--paper", "--keep-zeros"], "takes no --keep-zeros"),
-        (["--paper", "--amplitude", "0"], "takes no --amplitude"),
-        (["--paper", "--u-max", "0"], "takes no --u-max"),
-        (["--paper", "--bandwidth", "0"], "takes no --bandwidth"),
-        (["--paper", "--order", "0"], "takes no --order"),
     ],
 )
 def test_bad_input_of_compensator_is_one_sentence(run, tmp_path, arguments, words):
@@ -288,12 +283,6 @@ def test_bad_input_of_compensator_is_one_sentence(run, tmp_path, arguments, word
 def test_file_without_a_model(run, config):
     status, _, err = run("compensator", "--from", config / "arc.yaml")
     assert status == 2 and "has no valve model" in err
-
-
-def test_paper_shows_what_agrees(run):
-    status, out, _ = run("compensator", "--paper")
-    assert status == 0
-    assert "157 rad/s with damping 0.8, twice, and 250 rad/s" in out and "13.14 Hz" in out
 
 
 def test_friction_comes_from_a_triangle_and_goes_into_simulate(run, tmp_path):

@@ -57,3 +57,22 @@ def test_laws_are_imported_without_what_they_do_not_need(module):
     script = f"import sys, {module}; print([name for name in {HEAVY!r} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+MOST = 16_400  # lines; the goal is 12,000
+
+
+def test_a_controller_imports_what_it_needs():
+    """Neither the axis nor simulations nor bags; lines of this package are counted as they are."""
+    script = (
+        "import sys, valve_control.nodes.controller\n"
+        "for name, module in sorted(sys.modules.items()):\n"
+        "    if name.startswith('valve_control'):\n"
+        "        print(name, len(open(module.__file__, 'rb').read().splitlines()))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    lines = {name: int(count) for name, count in map(str.split, done.stdout.splitlines())}
+    rooms = {".".join(name.split(".")[1:3]) for name in lines}
+    others = {f"control.{room}" for room in ("axis", "motion", "simulation", "analysis")}
+    assert not rooms & (others | {"recordings", "design", "dashboard", "export", "cli"})
+    assert sum(lines.values()) <= MOST

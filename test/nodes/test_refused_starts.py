@@ -43,7 +43,6 @@ LINES = (  # node, its command line, words of the sentence
     ("controller", ["--params-file", "boom.yaml"], "unrecognized arguments: --params-file boom.yaml"),
     ("controller", ["--ros-args", "--params-file", "."], "Couldn't parse params file"),
     ("valve_simulator", ["--ros-args", "--params-file", "gone.yaml"], "Couldn't parse params file"),
-    ("command_source", ["scenario:=sine"], "unrecognized arguments: scenario:=sine"),
     ("manifold", ["--ros-args", "-p", "valves:=[a,b]", "--params-file", "a.yaml"],
      "/b/controller has no parameter driver"),
     ("axis_simulator", ["--ros-args", "--params-file", BENCH, "-p", "axis_simulator:cylinder.stroke:=-0.5"],

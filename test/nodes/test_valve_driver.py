@@ -291,7 +291,7 @@ def test_the_dry_run_tells_rate_noise_and_losses_and_writes_nothing(ros):
     card = serial_card.Card(lvdt__noise=0.01)
     child = subprocess.Popen(
         [sys.executable, "-m", "valve_control.nodes.valve_driver", "--check", "--ros-args",
-         "-p", f"serial.port:={card.port}", "-p", "position.scale:=*2+1"],
+         "-p", f"serial.port:={card.port}", "-p", "position.scale:='*2+1'"],
         stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     sent = 0

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the `valve-control` command."""
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -19,10 +20,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         return command.run(argv)
     interrupts.watch()
+    for name in ("stdout", "stderr"):  # a stream may be closed, or without letters such as Θ
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        getattr(sys, name).reconfigure(errors="replace")
     try:
-        from valve_control.cli import command, streams
+        from valve_control.cli import command
 
-        streams.prepare()
         status = command.run(sys.argv[1:], alone=True)
     except BaseException:
         interrupts.ignore()

@@ -4,7 +4,6 @@
 
 import argparse
 import contextlib
-import difflib
 import json
 import os
 import sys
@@ -32,24 +31,7 @@ class Parser(argparse.ArgumentParser):
         for name, sentence in LEFT_OUT.items():
             if f"invalid choice: '{name}'" in message:
                 self.exit(2, f"{self.prog}: {sentence}\n")
-        head, _, unknown = message.partition("unrecognized arguments: ")
-        if unknown and not head:
-            near = difflib.get_close_matches(unknown.split()[0], self._option_string_actions, n=1)
-            message += f"; did you mean {near[0]}?" if near else ""
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
-class Once(argparse.Action):
-    """An option that is refused the second time, of which the last one would count without a word."""
-
-    def __call__(
-        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: Any = None
-    ) -> None:
-        """Keep ``values``, or exit with status 2."""
-        before = getattr(namespace, self.dest, None)
-        if before is not None:
-            parser.error(f"{option} {before} and {option} {values} contradict each other; give one of them")
-        setattr(namespace, self.dest, values)
 
 
 INPUTS = ("params_file", "command", "source", "table", "bag", "bags", "config")  # options that name files

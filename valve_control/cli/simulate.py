@@ -3,7 +3,6 @@
 """Defines the sub-commands `simulate`, `compare` and `parameters`."""
 
 import argparse
-import difflib
 import io
 import math
 import sys
@@ -14,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from valve_control import outputs
 from valve_control.axis.tables import ROS_NODES
 from valve_control.cli.common import (
-    Once,
     Parser,
     check_outputs,
     clock_option,
@@ -59,7 +57,7 @@ def setup_options(several: bool = False) -> Parser:
     group.add_argument(
         "--command",
         metavar="FILE",
-        action="append" if several else Once,
+        action="append" if several else "store",
         help="command from a CSV or NPY array, one number per sample period"
         + ("; again for more" if several else ""),
     )
@@ -337,10 +335,7 @@ def _of_the_paper(settings: Mapping[str, Values]) -> bool:
 def _parameters(arguments: argparse.Namespace) -> None:
     names = [parameter.name for table in ROS_NODES.values() for parameter in table]
     if not any(arguments.match in name for name in names):
-        words = sorted({word for name in names for word in (name, *name.split("."))})
-        near = difflib.get_close_matches(arguments.match, words, n=3)
-        meant = f"; did you mean {', '.join(near)}?" if near else ""
-        raise ParameterError(f"no parameter has '{arguments.match}' in its name{meant}")
+        raise ParameterError(f"no parameter has '{arguments.match}' in its name")
     for node, table in ROS_NODES.items():
         for parameter in table:
             if arguments.match in parameter.name:

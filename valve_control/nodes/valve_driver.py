@@ -34,7 +34,7 @@ from valve_control.nodes.adapter import (
     encoded,
 )
 from valve_control.nodes.device_node import LEVELS, MOST_MISSING, DeviceNode
-from valve_control.nodes.loop import run
+from valve_control.nodes.loop import first_line, run
 from valve_control.nodes.timing import WINDOW, of_periods, spread
 from valve_control.parameter import ParameterError, Values, number, word
 
@@ -297,6 +297,10 @@ def check(arguments: Sequence[str]) -> int:
     """Dry run with the parameters of a command line; returns the exit status."""
     try:
         rclpy.init(args=["valve_driver", *arguments])
+    except Exception as error:  # rclpy has no public type for bad --ros-args
+        print(f"valve_driver: {first_line(error)}", file=sys.stderr)
+        return 2
+    try:
         node = Node("valve_driver", enable_rosout=False, start_parameter_services=False)
         values = ParameterSet(node, VALVE_DRIVER, drivers.sides, lambda values, sides: None).values
         device = drivers.device(values)
@@ -304,6 +308,8 @@ def check(arguments: Sequence[str]) -> int:
     except (ParameterError, DriverError) as error:
         print(f"valve_driver: {error}", file=sys.stderr)
         return 2
+    finally:
+        rclpy.try_shutdown()
     print("\n".join(trial.told(tried, device, number(values, "sample_period"))))
     return 0 if tried.volts else 1
 

@@ -22,7 +22,8 @@ def check(arguments: Sequence[str], nodes: Mapping[str, Table]) -> list[str]:
     that has something for a node of the same name elsewhere only.
     """
     warnings = []
-    for option, word in pairwise(arguments):
+    first = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
+    for option, word in pairwise(arguments[first:]):
         if option in ("-p", "--param"):
             node, _, name = word.partition(":=")[0].rpartition(":")
             reached = [table for full, table in nodes.items() if not node or matches(node, full)]

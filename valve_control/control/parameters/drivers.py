@@ -10,9 +10,9 @@ from valve_control.control.drivers.registry import KINDS, LEFT_OUT
 from valve_control.control.drivers.scaling import Scale, ScaleError, parse
 from valve_control.control.drivers.simulated import SimulatedValve
 from valve_control.control.laws.common import SAMPLE_PERIOD
-from valve_control.control.parameters import build
 from valve_control.control.parameters.controller import AUTOSTART, REALTIME
 from valve_control.control.parameters.valve import VALVE
+from valve_control.control.plant import registry
 from valve_control.parameter import Parameter, ParameterError, Table, Values, defaults, number, word
 
 SCALE = (
@@ -37,7 +37,9 @@ def _simulated(values: Values, period: float, off: float) -> Driver:
     own = {p.name.removeprefix("simulated."): values[p.name] for p in SIMULATED}
     plant = {**defaults(VALVE), **own, "sample_period": period}
     del plant["paced"]
-    return SimulatedValve(build.valve_params(plant), int(number(plant, "seed")), own["paced"] is True)
+    return SimulatedValve(
+        registry.chosen(plant).build(plant), int(number(plant, "seed")), own["paced"] is True
+    )
 
 
 DRIVERS: dict[str, Kind] = {

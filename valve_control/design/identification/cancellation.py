@@ -3,7 +3,7 @@
 """Designs pole-zero compensators (section 3.3) for any model, and checks sampling and voltage they need."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from valve_control.arrays import Floats
 from valve_control.control.laws import biquads, design
 from valve_control.control.laws.signals import Start
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.plant.models import TransferFunction
 from valve_control.design.identification import bode
 from valve_control.design.identification.bode import Corners, Root
 from valve_control.parameter import ParameterError
@@ -23,8 +23,6 @@ FAITHFUL = 0.2  # of Nyquist's frequency, up to which the sampled compensator is
 NEAR = 0.05  # of the wanted bandwidth, by which -3 dB may miss it
 LEAST, MOST = 1e-6, 1e9  # rad/s of a valve's poles and zeros, and V/V of its gain
 RESPONSE_TIME = 2.0  # s of the step response
-# (12) was made from this model, not from (2).
-PAPER_SECOND_ORDER = TransferFunction((1455.97,), (1.0, 54.05, 1561.22))
 
 
 class Sampling(NamedTuple):
@@ -223,80 +221,6 @@ def mismatch(root: Root) -> float:
 
     wrong = [np.abs(20.0 * np.log10(np.abs(pair(x, 1.0) / pair(x, 1.0 + d)))) for d in (-WRONG, WRONG)]
     return float(np.max(wrong))
-
-
-class Agreement(NamedTuple):
-    """A printed compensator compared with the model and the poles that it was made from."""
-
-    name: str
-    printed: TransferFunction
-    model: TransferFunction  # whose poles are its zeros
-    target: TransferFunction  # its poles, as we found them
-    words: str  # the same in words
-    again: TransferFunction  # designed again from model and target, static gain 1 with the model
-    numerator_errors: tuple[float, ...]  # relative, printed over designed again, both with leading 1
-    denominator_errors: tuple[float, ...]  # likewise
-    static_gain: float  # V/V, of what is printed, together with the model
-    printed_on_second_order: Corners  # with (2)
-    printed_on_fourth_order: Corners  # with (3)
-    again_on_fourth_order: Corners
-
-
-def printed() -> list[Agreement]:
-    """The printed compensators (12) and (13), compared with the models and poles that they were made from.
-
-    The poles were found by factoring the print: (12) is exactly 25 Hz with damping 0.7 and 250 rad/s; (13) is
-    157 rad/s with damping 0.8, twice, and 250 rad/s, but for its coefficient of s⁴, 753 for 752.4.
-    """
-    slow = 50.0 * math.pi
-    pair = [1.0, 1.4 * slow, slow**2]
-    double = np.polymul([1.0, 1.6 * 157.0, 157.0**2], [1.0, 1.6 * 157.0, 157.0**2])
-    return [
-        _agreement(
-            "(12)",
-            design.PRINTED_SECOND_ORDER,
-            PAPER_SECOND_ORDER,
-            np.polymul(pair, [1.0, 250.0]),
-            "25 Hz with damping 0.7, and 250 rad/s",
-        ),
-        _agreement(
-            "(13)",
-            design.PRINTED_FOURTH_ORDER,
-            FOURTH_ORDER,
-            np.polymul(double, [1.0, 250.0]),
-            "157 rad/s with damping 0.8, twice, and 250 rad/s",
-        ),
-    ]
-
-
-def _agreement(
-    name: str, printed: TransferFunction, model: TransferFunction, poles: npt.NDArray[Any], words: str
-) -> Agreement:
-    gain = float(poles[-1]) / model.denominator[-1] / model.static_gain
-    again = TransferFunction(tuple(gain * c for c in model.denominator), tuple(map(float, poles)))
-    first = printed.numerator[0]
-
-    def together(c: TransferFunction, valve: TransferFunction) -> Corners:
-        return bode.corners(lambda f: bode.response(valve, f) * bode.response(c, f))
-
-    return Agreement(
-        name=name,
-        printed=printed,
-        model=model,
-        target=TransferFunction((float(poles[-1]),), tuple(map(float, poles))),
-        words=words,
-        again=again,
-        numerator_errors=_errors(tuple(c / first for c in printed.numerator), model.denominator),
-        denominator_errors=_errors(printed.denominator, again.denominator),
-        static_gain=printed.static_gain * model.static_gain,
-        printed_on_second_order=together(printed, SECOND_ORDER),
-        printed_on_fourth_order=together(printed, FOURTH_ORDER),
-        again_on_fourth_order=together(again, FOURTH_ORDER),
-    )
-
-
-def _errors(printed: tuple[float, ...], exact: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(a / b - 1.0 for a, b in zip(printed, exact, strict=True))
 
 
 def bode_figure(made: Compensator, path: str) -> bytes:
