@@ -6,12 +6,13 @@ import json
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from valve_control.control.laws.law import FIELDS
+from valve_control.control.laws.registry import LAWS
 
 LAYOUTS = Path(__file__).resolve().parents[2] / "config" / "layouts"
 # Of the terms those that each law has, so that the layouts show something whatever the law is.
 TOPICS = {"/spool_command", "/spool_position", "/valve_voltage"}
-TOPICS |= {f"/controller/terms/{name}" for name in FIELDS["Terms"]}
+TERMS = set.intersection(*(set(law.term_labels) for law in LAWS.values()))
+TOPICS |= {f"/controller/terms/{name}" for name in TERMS}
 
 
 def test_plotjuggler_subscribes_to_the_topics_of_its_curves():
