@@ -29,6 +29,7 @@ SHOWN = 10  # measurements of the history
 # What computes, judges and sends the voltage: supervision, laws and drivers, and the node around them.
 CORE = (
     *(f"valve_control/control/{room}/*.py" for room in ("supervision", "laws", "drivers")),
+    *("valve_control/axis/axis_supervisor.py", "valve_control/axis/axis_watch.py"),
     *("valve_control/nodes/controller*.py", "valve_control/nodes/device_controller.py"),
     *(f"valve_control/nodes/{name}.py" for name in ("adapter", "lifecycle", "loop", "pairing", "services")),
     *(f"valve_control/nodes/{name}.py" for name in ("rclpy_internals", "realtime", "transport")),
@@ -64,7 +65,7 @@ def tests(room: str, letters: str) -> list[str]:
 
 
 PARTS = {
-    "conditions": tests("supervision", "a-m"),
+    "conditions": ["test/axis/test_axis_supervisor.py", *tests("supervision", "a-m")],
     "supervisor": tests("supervision", "n-z"),
     "laws": tests("laws", "a-c"),
     "dcarc": [

@@ -31,6 +31,12 @@ from valve_control.parameter import (
 GRAVITY = 9.80665  # m/s²
 CONSTANT_VOLUME = 1e9  # m³; a supply so large that no flow changes its pressure
 
+
+def of_node(*parameters: Parameter) -> Table:
+    """``parameters`` that only a node reads."""
+    return tuple(parameter._replace(node_only=True) for parameter in parameters)
+
+
 AXIS: Table = (
     SAMPLE_PERIOD,
     Parameter(
@@ -149,31 +155,25 @@ AXIS: Table = (
     Parameter("pressure.delay", 0.0, "s", "dead time of the pressure sensors", 0.0, 1.0),
     Parameter("seed", 1, "", "seed of the noise of all sensors", 0, 2**31 - 1),
     Parameter("integration.steps", 4, "", "integration steps in a sample period", 1, 1000),
-    Parameter("joint", "axis", "", "node: name of the joint on joint_states", node_only=True),
-    Parameter(
-        "listeners",
-        1,
-        "",
-        "node, lockstep: number of subscriptions of joint_states to wait for",
-        0,
-        100,
-        node_only=True,
-    ),
-    Parameter(
-        "fault.position",
-        "none",
-        "",
-        "node: injected fault of the position sensor",
-        choices=("none", "silent", "frozen", "jump", "out_of_range", "not_finite"),
-        node_only=True,
-    ),
-    Parameter(
-        "fault.pressure",
-        "none",
-        "",
-        "node: injected fault of both pressure sensors",
-        choices=("none", "silent", "jump", "not_finite"),
-        node_only=True,
+    *of_node(
+        Parameter("joint", "axis", "", "node: name of the joint on joint_states"),
+        Parameter(
+            "listeners", 1, "", "node, lockstep: number of subscriptions of joint_states to wait for", 0, 100
+        ),
+        Parameter(
+            "fault.position",
+            "none",
+            "",
+            "node: injected fault of the position sensor",
+            choices=("none", "silent", "frozen", "jump", "out_of_range", "not_finite"),
+        ),
+        Parameter(
+            "fault.pressure",
+            "none",
+            "",
+            "node: injected fault of both pressure sensors",
+            choices=("none", "silent", "jump", "not_finite"),
+        ),
     ),
 )
 NOMINAL = 70e5  # Pa  pressure difference of relief.flow
@@ -207,113 +207,80 @@ AXIS_CONTROLLER: Table = (
     Parameter("max_acceleration", 2.0, "m/s²", "largest acceleration of the course", 1e-4, 1e4),
     Parameter("max_jerk", 40.0, "m/s³", "largest jerk of the course", 1e-3, 1e7),
     Parameter(
-        "machine",
-        "",
-        "",
-        "node: data of the machine, for stroke and velocity gains: name of a file in config/axis, or "
-        "path of a parameter file",
-        node_only=True,
-    ),
-    Parameter(
-        "joint", "axis", "", "node: name of the joint on joint_states and in trajectories", node_only=True
-    ),
-    Parameter(
         "message",
         "command",
         "",
         "command: numbers on spool_command; trajectory: points with derivatives on spool_trajectory",
         choices=("command", "trajectory"),
     ),
-    Parameter(
-        "lockstep", False, "", "node: answer each reading when all listeners are there", node_only=True
-    ),
-    Parameter(
-        "start_tolerance",
-        0.002,
-        "m",
-        "node: largest distance from the present goal to the start of a trajectory",
-        0.0,
-        50.0,
-        node_only=True,
-    ),
-    Parameter(
-        "error_limit",
-        0.05,
-        "m",
-        "node: position error at which the axis is stopped; 0: none",
-        0.0,
-        50.0,
-        node_only=True,
-    ),
-    Parameter(
-        "sensor.timeout",
-        0.05,
-        "s",
-        "node: silence of a sensor at which the axis is stopped",
-        0.001,
-        100.0,
-        node_only=True,
-    ),
-    Parameter(
-        "sensor.tolerance",
-        0.002,
-        "m",
-        "node: tolerance of a position beyond stroke or speed",
-        0.0,
-        10.0,
-        node_only=True,
-    ),
-    Parameter(
-        "sensor.max_speed",
-        2.0,
-        "m/s",
-        "node: highest speed of a position that is not a jump",
-        1e-3,
-        1e3,
-        node_only=True,
-    ),
-    Parameter(
-        "sensor.pressure_high",
-        4e7,
-        "Pa",
-        "node: highest pressure that a pressure sensor can show",
-        1e5,
-        1e9,
-        node_only=True,
-    ),
-    Parameter(
-        "sensor.pressure_jump",
-        2e7,
-        "Pa",
-        "node: change of a pressure between two readings that counts as a jump",
-        1e4,
-        1e9,
-        node_only=True,
-    ),
-    Parameter(
-        "sensor.hold_samples",
-        3,
-        "",
-        "node: number of wrong readings in a row that is bridged",
-        0,
-        1000,
-        node_only=True,
-    ),
-    Parameter(
-        "stop.controller",
-        "controller",
-        "",
-        "node: valve controller that a stop deactivates, which gives 0 V; empty: none",
-        node_only=True,
-    ),
-    Parameter(
-        "stop.delay",
-        0.2,
-        "s",
-        "node: time from the command of 0 V, which centres the spool, to this deactivation",
-        0.0,
-        100.0,
-        node_only=True,
+    *of_node(
+        Parameter(
+            "machine",
+            "",
+            "",
+            "node: data of the machine, for stroke and velocity gains: name of a file in config/axis, or "
+            "path of a parameter file",
+        ),
+        Parameter("joint", "axis", "", "node: name of the joint on joint_states and in trajectories"),
+        Parameter("lockstep", False, "", "node: answer each reading when all listeners are there"),
+        Parameter(
+            "start_tolerance",
+            0.002,
+            "m",
+            "node: largest distance from the present goal to the start of a trajectory",
+            0.0,
+            50.0,
+        ),
+        Parameter(
+            "error_limit", 0.05, "m", "node: position error at which the axis is stopped; 0: none", 0.0, 50.0
+        ),
+        Parameter(
+            "sensor.timeout",
+            0.05,
+            "s",
+            "node: silence of a sensor at which the axis is stopped",
+            0.001,
+            100.0,
+        ),
+        Parameter(
+            "sensor.tolerance", 0.002, "m", "node: tolerance of a position beyond stroke or speed", 0.0, 10.0
+        ),
+        Parameter(
+            "sensor.max_speed", 2.0, "m/s", "node: highest speed of a position that is not a jump", 1e-3, 1e3
+        ),
+        Parameter(
+            "sensor.pressure_high",
+            4e7,
+            "Pa",
+            "node: highest pressure that a pressure sensor can show",
+            1e5,
+            1e9,
+        ),
+        Parameter(
+            "sensor.pressure_jump",
+            2e7,
+            "Pa",
+            "node: change of a pressure between two readings that counts as a jump",
+            1e4,
+            1e9,
+        ),
+        Parameter(
+            "sensor.hold_samples", 3, "", "node: number of wrong readings in a row that is bridged", 0, 1000
+        ),
+        Parameter(
+            "stop.controller",
+            "controller",
+            "",
+            "node: valve controller that a stop deactivates, which gives 0 V; empty: none",
+        ),
+        Parameter(
+            "stop.delay",
+            0.2,
+            "s",
+            "node: time from the command of 0 V, which centres the spool, to this deactivation",
+            0.0,
+            100.0,
+        ),
     ),
     AUTOSTART,
 )

@@ -3,6 +3,7 @@
 """Courses of an axis: where it is to be at each sample, with velocity and acceleration."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,22 +28,29 @@ class MotionLimits(NamedTuple):
     jerk: float  # m/s³
 
 
-def planned(wanted: Any) -> Any:
-    """Trajectory of ruckig for its input ``wanted``, None if there is none.
+def planned(begin: Goal, target: float, limits: MotionLimits) -> Any:
+    """Trajectory of ruckig from ``begin`` to rest at ``target`` [m] (Berscheid and Kröger 2021).
 
     ruckig raises an error where a profile is the limit of two kinds, such as a distance in which the
-    acceleration just reaches its limit. With a limit less by a millionth it is one of them.
+    acceleration just reaches its limit. With a limit less by a millionth it is one of them. Raises
+    ParameterError if there is no motion.
     """
-    import ruckig
-
+    try:
+        import ruckig
+    except ImportError as error:
+        raise ParameterError("goals need the package ruckig: pip install ruckig") from error
+    wanted = ruckig.InputParameter(1)
+    wanted.current_position, wanted.target_position = [begin.position], [target]
+    wanted.current_velocity, wanted.current_acceleration = [begin.velocity], [begin.acceleration]
+    wanted.max_velocity, wanted.max_jerk = [limits.velocity], [limits.jerk]
     for share in (1.0, 1.0 - 1e-6):
-        wanted.max_acceleration = [share * limit for limit in wanted.max_acceleration]
+        wanted.max_acceleration = [share * limits.acceleration]
         path = ruckig.Trajectory(1)
-        try:
-            return path if ruckig.Ruckig(1).calculate(wanted, path) >= 0 else None
-        except ruckig.RuckigError:
-            continue
-    return None
+        with suppress(ruckig.RuckigError):
+            if ruckig.Ruckig(1).calculate(wanted, path) >= 0:
+                return path
+            break
+    raise ParameterError(f"there is no motion from {begin.position:g} m to {target:g} m within the limits")
 
 
 def point_to_point(
@@ -50,11 +58,9 @@ def point_to_point(
 ) -> Floats:
     """Jerk-limited motions from ``start`` to one of ``goals`` [m] after the other, each as fast as it can.
 
-    Before each there is a ``pause`` [s]. Returns rows of Goal, one a ``period`` [s] over ``duration`` [s]; by
-    ruckig (Berscheid and Kröger 2021). Raises ParameterError for motions that take longer than that.
+    Before each there is a ``pause`` [s]. Returns rows of Goal, one a ``period`` [s] over ``duration`` [s].
+    Raises ParameterError for motions that take longer than that.
     """
-    import ruckig
-
     n = max(1, round(duration / period))
     rows = np.zeros((n, 3))
     rows[:, 0] = start
@@ -62,13 +68,7 @@ def point_to_point(
     at = start
     for goal in goals:
         begun += pause
-        wanted = ruckig.InputParameter(1)
-        wanted.current_position, wanted.target_position = [at], [goal]
-        wanted.max_velocity, wanted.max_acceleration = [limits.velocity], [limits.acceleration]
-        wanted.max_jerk = [limits.jerk]
-        path = planned(wanted)
-        if path is None:
-            raise ParameterError(f"there is no motion from {at:g} m to {goal:g} m within the limits")
+        path = planned(Goal(at, 0.0, 0.0), goal, limits)
         first = int(np.ceil(begun / period - 1e-9))
         last = int(np.floor((begun + path.duration) / period + 1e-9))
         if last >= n:

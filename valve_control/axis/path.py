@@ -237,12 +237,8 @@ def _check(low: float, high: float, slowest: float, fastest: float, able: Range,
 def towards(target: float, present: Goal, limits: MotionLimits, able: Range) -> Path:
     """Path from the ``present`` goal, also in motion, to rest at ``target`` [m] as fast as ``limits`` allow.
 
-    By ruckig (Berscheid and Kröger 2021). Raises ParameterError for a target that cannot be reached.
+    Raises ParameterError for a target that cannot be reached.
     """
-    try:
-        import ruckig
-    except ImportError as error:
-        raise ParameterError("goals need the package ruckig: pip install ruckig") from error
     if not np.isfinite(target):
         raise ParameterError(f"the goal is {target}; it must be finite")
     if not able.low <= target <= able.high:
@@ -250,16 +246,7 @@ def towards(target: float, present: Goal, limits: MotionLimits, able: Range) -> 
             f"the goal {target:g} m is outside the stroke from {able.low:g} m to {able.high:g} m"
         )
     speed = min(limits.velocity, able.speed_out, able.speed_in)
-    wanted = ruckig.InputParameter(1)
-    wanted.current_position, wanted.target_position = [present.position], [target]
-    wanted.current_velocity, wanted.current_acceleration = [present.velocity], [present.acceleration]
-    wanted.max_velocity, wanted.max_acceleration = [speed], [limits.acceleration]
-    wanted.max_jerk = [limits.jerk]
-    found = planned(wanted)
-    if found is None:
-        raise ParameterError(
-            f"there is no motion from {present.position:g} m to {target:g} m within the limits"
-        )
+    found = planned(present, target, limits._replace(velocity=speed))
     extremes = found.position_extrema[0]
     inside = able._replace(speed_out=np.inf, speed_in=np.inf)
     _check(extremes.min, extremes.max, 0.0, 0.0, inside, f"the motion to {target:g} m")
