@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from valve_control.arrays import Floats
 from valve_control.control.compiling import bind, compile_function
+from valve_control.control.laws.places import law_step
 from valve_control.control.plant import registry
 
 SIGNALS = ("position", "measurement", "voltage")
@@ -42,11 +43,6 @@ def next_command(params: Any, state: Any, given: float) -> Any:
 
 def read(params: Any, state: Any, noise: float) -> Any:
     """Placeholder for the plant's sensors; returns the reading. ``noise``: a standard normal number."""
-    raise NotImplementedError
-
-
-def law_step(params: Any, state: Any, command: Any, reading: Any, offset: float) -> Any:
-    """Placeholder for the law's step; returns (voltage, state, terms)."""
     raise NotImplementedError
 
 

@@ -17,6 +17,38 @@ from valve_control.export.terms import ARGUMENTS, LIBRARY, Function
 from valve_control.parameter import ParameterError
 
 WIDTH = 110
+_HELPERS = {
+    "least": """/* min of Python: the first unless b < a. */
+static {real} {prefix}_least({real} a, {real} b)
+{{
+    return b < a ? b : a;
+}}""",
+    "most": """/* max of Python: the first unless b > a. */
+static {real} {prefix}_most({real} a, {real} b)
+{{
+    return b > a ? b : a;
+}}""",
+    "modulo": """/* % of Python. */
+static {real} {prefix}_modulo({real} a, {real} b)
+{{
+    {real} rest = fmod{f}(a, b);
+    if (rest == {zero})
+        return copysign{f}({zero}, b);
+    return (b < {zero}) != (rest < {zero}) ? rest + b : rest;
+}}""",
+    "int_modulo": """/* % of Python. */
+static int64_t {prefix}_int_modulo(int64_t a, int64_t b)
+{{
+    int64_t rest = a % b;
+    return rest != 0 && (b < 0) != (rest < 0) ? rest + b : rest;
+}}""",
+    "int_quotient": """/* // of Python. */
+static int64_t {prefix}_int_quotient(int64_t a, int64_t b)
+{{
+    int64_t quotient = a / b;
+    return a % b != 0 && (b < 0) != (a < 0) ? quotient - 1 : quotient;
+}}""",
+}
 
 
 class Program:
@@ -189,33 +221,8 @@ class Program:
                 f"static {real} {self.prefix}_{name}({given})\n"
                 f"{{\n    {copies}\n    return {name}{f}({called});\n}}"
             )
-        for name, sign in (("least", "<"), ("most", ">")):
-            if name in self.used:
-                made.append(
-                    f"/* {'min' if name == 'least' else 'max'} of Python: the first unless b {sign} a. */\n"
-                    f"static {real} {self.prefix}_{name}({real} a, {real} b)\n"
-                    f"{{\n    return b {sign} a ? b : a;\n}}"
-                )
-        if "modulo" in self.used:
-            zero = self.number(0.0)
-            made.append(
-                f"/* % of Python. */\nstatic {real} {self.prefix}_modulo({real} a, {real} b)\n{{\n"
-                f"    {real} rest = fmod{f}(a, b);\n"
-                f"    if (rest == {zero})\n        return copysign{f}({zero}, b);\n"
-                f"    return (b < {zero}) != (rest < {zero}) ? rest + b : rest;\n}}"
-            )
-        if "int_modulo" in self.used:
-            made.append(
-                f"/* % of Python. */\nstatic int64_t {self.prefix}_int_modulo(int64_t a, int64_t b)\n{{\n"
-                "    int64_t rest = a % b;\n"
-                "    return rest != 0 && (b < 0) != (rest < 0) ? rest + b : rest;\n}"
-            )
-        if "int_quotient" in self.used:
-            made.append(
-                f"/* // of Python. */\nstatic int64_t {self.prefix}_int_quotient(int64_t a, int64_t b)\n{{\n"
-                "    int64_t quotient = a / b;\n"
-                "    return a % b != 0 && (b < 0) != (a < 0) ? quotient - 1 : quotient;\n}"
-            )
+        names = {"real": real, "f": f, "prefix": self.prefix, "zero": self.number(0.0)}
+        made += [text.format(**names) for name, text in _HELPERS.items() if name in self.used]
         return made
 
 

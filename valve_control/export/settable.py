@@ -15,8 +15,7 @@ from valve_control.parameter import Parameter, ParameterError, Value
 
 COMPUTED = "other numbers are computed from it"
 DEPENDS = "its range depends on other parameters"
-NO_NUMBER = "it is no number"
-WHOLE = "it is a whole number"
+NO_NUMBER = "it is no real number"
 FORM = "it chooses what is computed"
 LEAST = 1e-9  # lowest value where 0 is a form of its own
 WITHOUT = "it has no effect in this export"
@@ -34,7 +33,7 @@ class Settable(NamedTuple):
     """Which parameters C can set, and which not, with the reason."""
 
     setters: list[Setter]
-    others: dict[str, str]  # by name; without those that have no effect
+    others: dict[str, str]  # by name; without numbers that have no effect
 
 
 def find(unit: Unit, done: Callable[[], object] = lambda: None) -> Settable:
@@ -47,7 +46,10 @@ def find(unit: Unit, done: Callable[[], object] = lambda: None) -> Settable:
         if parameter.name == "sample_period":
             others[parameter.name] = COMPUTED
             continue
-        for entry, low, high, now in _numbers(parameter, unit.values[parameter.name]):
+        numbers = list(_numbers(parameter, unit.values[parameter.name]))
+        if not numbers:
+            others[parameter.name] = NO_NUMBER
+        for entry, low, high, now in numbers:
             inner = {high, *_between(low, high, now)}
             reason = _trial(unit, parameter, entry, base, sorted({low, *inner}))
             if reason == FORM and low == 0.0 < now:  # which turns it off; what is on stays so
@@ -58,9 +60,6 @@ def find(unit: Unit, done: Callable[[], object] = lambda: None) -> Settable:
             elif reason != WITHOUT:
                 others[parameter.name] = reason
                 break
-        if any(_differs(unit, parameter, other) for other in _alternatives(parameter)):
-            whole = type(parameter.default) is int
-            others[parameter.name] = WHOLE if whole else NO_NUMBER
     setters = [setter for setter in setters if setter.parameter.name not in others]
     taken = [setter.path for setter in setters]
     return Settable([setter for setter in setters if taken.count(setter.path) == 1], others)
@@ -113,28 +112,3 @@ def _trial(
         if len(paths) > 1:
             return COMPUTED
     return Setter(parameter, entry, paths.pop()) if paths else WITHOUT
-
-
-def _alternatives(parameter: Parameter) -> list[Value]:
-    """Some values of a parameter that is no number."""
-    if isinstance(parameter.default, bool):
-        return [True, False]
-    if isinstance(parameter.default, int):
-        return [int(parameter.low), int(parameter.low) + 1]
-    if (
-        isinstance(parameter.default, list)
-        and not parameter.length
-        and isinstance(parameter.default[0], float)
-    ):
-        return [[2.0 * float(entry) for entry in parameter.default]]
-    return list(parameter.choices)
-
-
-def _differs(unit: Unit, parameter: Parameter, value: Value) -> bool:
-    """Whether Params are others with ``value``, or cannot be built with it."""
-    if value == unit.values[parameter.name]:
-        return False
-    try:
-        return bool(unit.build({**unit.values, parameter.name: value}) != unit.params)
-    except (ParameterError, ArithmeticError, ValueError):
-        return True

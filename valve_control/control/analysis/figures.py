@@ -51,6 +51,34 @@ class Plot(NamedTuple):
     logarithmic: bool = False
 
 
+def _subplots(rows: int, columns: int, height: float) -> tuple[Any, Any]:
+    """Figure and its axes (rows×columns) with a grid; the axes of a column share their horizontal one."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    size = (9.0 * columns, height)
+    figure, axes = plt.subplots(rows, columns, figsize=size, sharex="col", squeeze=False)
+    for axis in axes.flat:
+        axis.grid(True, which="both", alpha=0.3)
+    return figure, axes
+
+
+def _trace_plots(traces: Mapping[str, Trace], own_commands: bool) -> list[Plot]:
+    """Command and position, error, and voltage over time; a colour per run."""
+    top, middle, bottom = [], [], []
+    for i, (label, trace) in enumerate(traces.items()):
+        colour = COLOURS[i % len(COLOURS)]
+        if i == 0 or own_commands:
+            name, black = ("command", "black") if i == 0 else (f"command of {label}", colour)
+            top.append(Line(name, trace.time, trace.command, black, dashed=i > 0))
+        top.append(Line(label, trace.time, trace.position, colour))
+        middle.append(Line(label, trace.time, trace.position - trace.command, colour))
+        bottom.append(Line(label, trace.time, trace.voltage, colour))
+    return [Plot("spool position [V]", top), Plot("error [V]", middle), Plot("solenoid voltage [V]", bottom)]
+
+
 def draw_traces(
     path: Path,
     groups: Mapping[str, Mapping[str, Trace]],
@@ -62,44 +90,8 @@ def draw_traces(
 
     ``own_commands``: the runs need not have one command. Raises OSError if ``path`` cannot be written.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(3, len(groups), figsize=(9.0 * len(groups), 8.5), sharex="col", squeeze=False)
-    for column, (name, traces) in enumerate(groups.items()):
-        _draw_column(axes[:, column], traces, own_commands)
-        for band in bands:
-            for axis in axes[:, column] if band.plot is None else [axes[band.plot, column]]:
-                # Without its edge a band narrower than a pixel would not be seen.
-                axis.axvspan(
-                    band.start, band.end, band.low, band.high, color=band.colour, alpha=band.opacity, lw=0.5
-                )
-        axes[0, column].set_title(name)
-    figure.suptitle(title)
-    figure.tight_layout()
-    outputs.write(str(path), outputs.figure_bytes(figure, str(path)))
-
-
-def _draw_column(axes: Sequence[Any], traces: Mapping[str, Trace], own_commands: bool) -> None:
-    top, middle, bottom = axes
-    for i, (label, trace) in enumerate(traces.items()):
-        colour = COLOURS[i % len(COLOURS)]
-        if i == 0:
-            top.plot(trace.time, trace.command, color="black", lw=1.2, label="command")
-        elif own_commands:
-            top.plot(trace.time, trace.command, color=colour, lw=1.0, ls="--")
-        top.plot(trace.time, trace.position, color=colour, lw=1.0, label=label)
-        middle.plot(trace.time, trace.position - trace.command, color=colour, lw=0.8, label=label)
-        bottom.plot(trace.time, trace.voltage, color=colour, lw=0.8, label=label)
-    top.set_ylabel("spool position [V]")
-    middle.set_ylabel("error [V]")
-    bottom.set_ylabel("solenoid voltage [V]")
-    bottom.set_xlabel("time [s]")
-    top.legend(loc="upper right")
-    for axis in axes:
-        axis.grid(True, alpha=0.3)
+    columns = {name: _trace_plots(traces, own_commands) for name, traces in groups.items()}
+    _draw([path], columns, "time [s]", title, bands)
 
 
 def draw_plots(
@@ -109,35 +101,40 @@ def draw_plots(
 
     Raises OSError if a path cannot be written.
     """
-    import matplotlib
+    _draw(paths, {"": plots}, x_title, title, logarithmic_x=logarithmic_x)
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
 
-    height = 1.2 + 2.4 * len(plots)
-    figure, axes = plt.subplots(len(plots), 1, figsize=(9.0, height), sharex=True, squeeze=False)
-    told: set[str] = set()  # lines that a legend above explains
-    for axis, plot in zip(axes[:, 0], plots, strict=True):
-        for i, line in enumerate(plot.lines):
-            axis.plot(
-                line.x,
-                line.y,
-                color=line.colour or COLOURS[i % len(COLOURS)],
-                ls="--" if line.dashed else "-",
-                lw=1.0,
-                label=line.label,
-            )
-        axis.set_ylabel(plot.title)
-        axis.grid(True, which="both", alpha=0.3)
-        if plot.logarithmic:
-            axis.set_yscale("log")
-        if logarithmic_x:
-            axis.set_xscale("log")
-        labels = {line.label for line in plot.lines}
-        if len(plot.lines) > 1 and not labels <= told:
-            axis.legend(fontsize="small", ncols=2)
-            told |= labels
-    axes[-1, 0].set_xlabel(x_title)
+def _draw(
+    paths: Sequence[Path],
+    columns: Mapping[str, Sequence[Plot]],
+    x_title: str,
+    title: str,
+    bands: Sequence[Band] = (),
+    logarithmic_x: bool = False,
+) -> None:
+    rows = max(len(plots) for plots in columns.values())
+    figure, axes = _subplots(rows, len(columns), 1.2 + 2.4 * rows)
+    for column, (name, plots) in zip(axes.T, columns.items(), strict=True):
+        told: set[str] = set()  # lines that a legend above explains
+        for axis, plot in zip(column, plots, strict=True):
+            for i, line in enumerate(plot.lines):
+                colour, style = line.colour or COLOURS[i % len(COLOURS)], "--" if line.dashed else "-"
+                axis.plot(line.x, line.y, color=colour, ls=style, lw=1.0, label=line.label)
+            axis.set_ylabel(plot.title)
+            axis.set_yscale("log" if plot.logarithmic else "linear")
+            axis.set_xscale("log" if logarithmic_x else "linear")
+            labels = {line.label for line in plot.lines}
+            if len(plot.lines) > 1 and not labels <= told:
+                axis.legend(fontsize="small", ncols=2)
+                told |= labels
+        for band in bands:
+            for axis in column if band.plot is None else [column[band.plot]]:
+                # Without its edge a band narrower than a pixel would not be seen.
+                axis.axvspan(
+                    band.start, band.end, band.low, band.high, color=band.colour, alpha=band.opacity, lw=0.5
+                )
+        column[0].set_title(name)
+        column[-1].set_xlabel(x_title)
     figure.suptitle(title)
     figure.tight_layout()
     for path in paths:
@@ -146,16 +143,10 @@ def draw_plots(
 
 def bode_axes(title: str, gain_title: str) -> tuple[Any, Any, Any]:
     """Figure with axes for gain [dB] and phase [°] over frequency [Hz], one above the other."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(9.0, 8.0), sharex=True)
+    figure, axes = _subplots(2, 1, 8.0)
+    top, bottom = axes[:, 0]
     top.set_ylabel(gain_title)
     bottom.set_ylabel("phase [°]")
     bottom.set_xlabel("frequency [Hz]")
-    for axis in (top, bottom):
-        axis.grid(True, which="both", alpha=0.3)
     figure.suptitle(title)
     return figure, top, bottom

@@ -154,6 +154,4 @@ def command(shape: Shape, time: float) -> float:
         return shape.offset + a * math.sin(phase)
     if shape.scenario == "stepped_sine":
         return shape.offset + a * stepped_sine(steps_of(shape), t)
-    if shape.scenario == "point_to_point":
-        return shape.offset + there_and_back(shape, t)
-    raise ValueError(f"scenario '{shape.scenario}' is not one of {', '.join(SCENARIOS)}")
+    return shape.offset + there_and_back(shape, t)

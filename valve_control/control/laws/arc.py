@@ -12,7 +12,7 @@ from valve_control.control.laws.law import Law
 from valve_control.control.laws.projection import Theta
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant.amplifier import saturate
-from valve_control.parameter import Parameter, Table, Values, number, numbers
+from valve_control.parameter import Parameter, Table, Values, number
 
 
 class Params(NamedTuple):
@@ -168,28 +168,17 @@ PARAMETERS: Table = (
 
 def build(values: Values) -> Params:
     """ARC's Params from the controller's values. Raises ParameterError."""
-    period = number(values, "sample_period")
-    start, lower, upper = estimates.bounds(values, "arc")
+    shared = estimates.params(values, "arc")
     k1, k2 = number(values, "arc.k1"), number(values, "arc.k2")
-    cutoff = number(values, "arc.velocity_cutoff")
-    robust = estimates.robust(values, "arc")
+    cutoff, period = number(values, "arc.velocity_cutoff"), number(values, "sample_period")
+    decay = 2.0 * min(k1, k2) if shared["robust"] > 0.0 else min(2.0 * k1, k2)
     return Params(
         k1=k1,
         k2=k2,
-        gamma=Theta(*numbers(values, "arc.gamma")),
-        theta_initial=start,
-        theta_min=lower,
-        theta_max=upper,
-        robust=robust,
         epsilon=number(values, "arc.epsilon"),
-        disturbance_bound=number(values, "arc.disturbance_bound"),
-        u_max=number(values, "u_max"),
-        period=period,
-        reshaping=reshaping.build(values),
         velocity=velocity.design(cutoff, period),
-        lyapunov_bound=lyapunov_bound.design(
-            2.0 * min(k1, k2) if robust > 0.0 else min(2.0 * k1, k2), period, 0.5 / (math.pi * cutoff)
-        ),
+        lyapunov_bound=lyapunov_bound.design(decay, period, 0.5 / (math.pi * cutoff)),
+        **shared,
     )
 
 

@@ -4,9 +4,10 @@
 
 from typing import Any
 
+from valve_control.control.laws import reshaping
 from valve_control.control.laws.free import Free
 from valve_control.control.laws.projection import Theta
-from valve_control.parameter import Parameter, ParameterError, Table, Values, numbers
+from valve_control.parameter import Parameter, ParameterError, Table, Values, number, numbers
 
 NAMES = ("a1", "a0", "b0", "b0·dn")
 UNITS = "[a1 1/s, a0 1/s², b0 1/s², b0·dn V/s²]"
@@ -65,9 +66,23 @@ def bounds(values: Values, law: str) -> tuple[Theta, Theta, Theta]:
     return Theta(*start), Theta(*lower), Theta(*upper)
 
 
-def robust(values: Values, law: str) -> float:
-    """1.0 with the quadratic robust term, 0.0 without."""
-    return 1.0 if values[f"{law}.robust_term"] == "quadratic" else 0.0
+def params(values: Values, law: str) -> dict[str, Any]:
+    """Fields that the Params of ARC and OARC share; ``robust`` is 1.0 with the quadratic robust term.
+
+    Raises ParameterError.
+    """
+    start, lower, upper = bounds(values, law)
+    return {
+        "gamma": Theta(*numbers(values, f"{law}.gamma")),
+        "theta_initial": start,
+        "theta_min": lower,
+        "theta_max": upper,
+        "robust": 1.0 if values[f"{law}.robust_term"] == "quadratic" else 0.0,
+        "disturbance_bound": number(values, f"{law}.disturbance_bound"),
+        "u_max": number(values, "u_max"),
+        "period": number(values, "sample_period"),
+        "reshaping": reshaping.build(values),
+    }
 
 
 def model(p: Any) -> tuple[float, float, float]:

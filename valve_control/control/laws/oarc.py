@@ -17,7 +17,7 @@ from valve_control.control.laws.law import Law
 from valve_control.control.laws.projection import Theta
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant.amplifier import saturate
-from valve_control.parameter import Parameter, Table, Values, number, numbers
+from valve_control.parameter import Parameter, Table, Values, number
 
 
 class Pair(NamedTuple):
@@ -344,30 +344,22 @@ def k_filter(k1: float, k2: float, period: float) -> Filter:
 
 def build(values: Values) -> Params:
     """OARC's Params from the controller's values. Raises ParameterError."""
-    period = number(values, "sample_period")
-    start, lower, upper = estimates.bounds(values, "oarc")
+    shared = estimates.params(values, "oarc")
     k1, k2 = number(values, "oarc.k1"), number(values, "oarc.k2")
     ks1, ks2 = number(values, "oarc.ks1"), number(values, "oarc.ks2")
-    robust = estimates.robust(values, "oarc")
+    period = number(values, "sample_period")
+    decay = (2.0 if shared["robust"] > 0.0 else 1.0) * min(ks1, ks2)
     return Params(
         k1=k1,
         k2=k2,
         ks1=ks1,
         ks2=ks2,
         z2_weight=number(values, "oarc.z2_weight"),
-        gamma=Theta(*numbers(values, "oarc.gamma")),
-        theta_initial=start,
-        theta_min=lower,
-        theta_max=upper,
-        robust=robust,
         epsilon1=number(values, "oarc.epsilon1"),
         epsilon2=number(values, "oarc.epsilon2"),
-        disturbance_bound=number(values, "oarc.disturbance_bound"),
-        u_max=number(values, "u_max"),
-        period=period,
         filter=k_filter(k1, k2, period),
-        reshaping=reshaping.build(values),
-        lyapunov_bound=lyapunov_bound.design((2.0 if robust > 0.0 else 1.0) * min(ks1, ks2), period),
+        lyapunov_bound=lyapunov_bound.design(decay, period),
+        **shared,
     )
 
 

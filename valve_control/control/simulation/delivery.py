@@ -145,10 +145,8 @@ def unreshaped(p: reshaping.Params, wanted: Floats) -> Floats:
     if p.braking > 0.0:
         rows = zip(wanted[:-2].tolist(), rate[:-1].tolist(), accel.tolist(), strict=True)
         return np.array([reshaping.command_of(p, x, v - 0.5 * p.period * a, a) for x, v, a in rows])
-    made: Floats = (
-        wanted[:-2] + 2.0 * p.damping / p.natural_frequency * rate[:-1] + accel / p.natural_frequency**2
-    )
-    return made
+    lag = 2.0 * p.damping / p.natural_frequency
+    return np.asarray(wanted[:-2] + lag * rate[:-1] + accel / p.natural_frequency**2)
 
 
 def led(
