@@ -79,9 +79,6 @@ def test_damaged_folder_is_said_in_one_sentence(tmp_path, monkeypatch):
     part.write_bytes(part.read_bytes()[:300])
     with pytest.raises(ParameterError, match="valves_00000000.npz is damaged; delete it"):
         robustness.run(small(8), tmp_path, lambda valves: None)
-    (tmp_path / "study.json").write_text("{")
-    with pytest.raises(ParameterError, match=r"study.json is damaged"):
-        robustness.run(small(8), tmp_path, lambda valves: None)
 
 
 def test_fixed_quantities_keep_their_values_also_in_parts():
@@ -180,7 +177,6 @@ def test_ctrl_c_ends_a_study_at_once_and_loses_nothing(tmp_path):
     assert process.returncode == 130
     last = printed.splitlines()[-1]
     files = list(tmp_path.glob("kept/*"))
-    assert last.startswith(
-        f"stopped; {robustness.CHUNK * (len(files) - 1)} of 1000000 valves are in kept;"
-    ), printed
-    assert all(path.suffix in (".npz", ".json") for path in files)
+    done = robustness.CHUNK * len(files)
+    assert last.startswith(f"stopped; {done} of 1000000 valves are in kept;"), printed
+    assert all(path.suffix == ".npz" for path in files)

@@ -10,14 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.control.commands import arrays
 from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import files
-from valve_control.control.parameters.table import CONTROLLER
 from valve_control.design.tuning import pauses, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
-from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001
 GAINS = GainSet({}, 0.0)  # as they are
@@ -129,13 +125,3 @@ def test_what_is_not_reshaped_and_what_is_known_ahead_is_not_looked_at():
     none = problem(wanted, **settings)
     none = none._replace(limits=trial.USUAL._replace(pause_s=0.0))
     assert pauses.unborne(LAWS["dcarc"], none, [GAINS]) == [math.inf]
-
-
-@pytest.mark.parametrize("valve", ["d3fxe", "d3fxe_experiment"])
-@pytest.mark.parametrize("law", ["dcarc", "oarc", "arc", "pid"])
-def test_shipped_gains_bear_pauses_on_their_commands(valve, law, config):
-    values = files.load(str(config / "tuned" / f"{valve}_{law}.yaml"))["controller"]
-    names = ("fast_strokes", "sines", "slow_strokes")
-    motions = [TuningMotion(name, arrays.read(str(config / "commands" / f"{name}.csv"))) for name in names]
-    there = Problem(updated(CONTROLLER, defaults(CONTROLLER), values), motions, [], [], trial.USUAL, False, 1)
-    assert math.isinf(pauses.shortest(LAWS[law], there, GAINS))

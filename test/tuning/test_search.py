@@ -51,14 +51,6 @@ def test_all_that_may_be_chosen_can_be_built(law):
                 assert there != values or present(free, values) == present(free, there)
 
 
-@given(free=st.sampled_from(FREE), share=st.floats(0.0, 1.0))
-def test_shares_and_numbers_belong_together(free, share):
-    number = free.from_share(share)
-    assert free.low * 0.9995 <= number <= free.high * 1.0005
-    again = free.from_share(free.to_share(number))
-    assert again == pytest.approx(number, rel=2e-4, abs=1e-12)
-
-
 @given(st.lists(st.tuples(st.floats(1e-3, 1.0), st.floats(1e-3, 1.0)), min_size=1, max_size=30))
 def test_front_is_what_no_other_point_beats(pairs):
     points = [EvaluatedGains((), GainSet({}, 0.0), error, chatter, 0.0) for error, chatter in pairs]

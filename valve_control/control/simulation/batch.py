@@ -30,7 +30,7 @@ from valve_control.control.linear import linear_loop
 from valve_control.control.plant import registry, sensor, valve
 from valve_control.control.plant.plant import Plant
 from valve_control.control.simulation import measures, singly
-from valve_control.control.simulation.measures import INDICES, Measures
+from valve_control.control.simulation.measures import Results, Tally
 
 Valves = npt.NDArray[np.int64]
 Records = npt.NDArray[np.void]  # one row a valve, fields as in the NamedTuple, all float64
@@ -56,7 +56,7 @@ class Work(NamedTuple):
     true_position: float  # V
     voltage: float  # V
     level: float  # V  of friction
-    tally: Any  # what is measured
+    tally: Tally
     motion: SpoolState
     law: Any
 
@@ -88,7 +88,6 @@ class Batch(NamedTuple):
     valve_params: Records | Any  # N rows, or one for all: Params of any plant
     seeds: Sequence[int] | npt.NDArray[np.int64]  # of the LVDTs' noise
     commands: Floats
-    measures: Measures = INDICES
     led: Floats | None = None  # V, of the same shape: with the lead of ``command_lead``; None: ``commands``
 
 
@@ -107,11 +106,6 @@ def fill(generators: Any, noise: Floats) -> None:
     raise NotImplementedError
 
 
-def count(tally: Any, now: measures.Now) -> Any:
-    """Placeholder for the update of the measures."""
-    raise NotImplementedError
-
-
 def one_sample(p: Any, source: Any, law: Any, plant: Any, measure: Any, given: float, noise: float) -> Any:
     """Placeholder for ``closed_loop.sample``."""
     raise NotImplementedError
@@ -122,12 +116,12 @@ def read_delayed(p: valve.Params, position: float, noise: float) -> float:
     return sensor.reading(p.lvdt, position, noise)
 
 
-def counted(p: measures.Now, tally: Any, now: closed_loop.Sample, position: float) -> tuple[Any, bool]:
+def counted(p: measures.Now, tally: Tally, now: closed_loop.Sample, position: float) -> tuple[Tally, bool]:
     """Update the measures with this sample; ``p`` has what ``now`` lacks."""
     here = measures.Now(
         p.command, now.reading, p.position, now.voltage, p.first, p.final, p.time, p.u_max, p.period
     )
-    return count(tally, here), False
+    return measures.count(tally, here), False
 
 
 def begin(like: Lane, block: Floats, noise: Floats) -> None:
@@ -220,7 +214,7 @@ def run_block(
 
 
 @cache
-def _compiled(law: types.ModuleType, chosen: Measures) -> Callable[..., None]:
+def _compiled(law: types.ModuleType) -> Callable[..., None]:
     from valve_control.control import simd_layout
     from valve_control.control.simulation import noise
 
@@ -230,7 +224,7 @@ def _compiled(law: types.ModuleType, chosen: Measures) -> Callable[..., None]:
         "next_command": compile_function(closed_loop.command_given),
         "read": compile_function(read_delayed),
         "law_step": compile_function(law.step),
-        "measured": compile_function(counted, {"count": compile_function(chosen.update)}),
+        "measured": compile_function(counted),
     }
     one = compile_function(closed_loop.sample, parts)
     return compile_function(
@@ -310,7 +304,6 @@ class Prepared(NamedTuple):
     plant: Plant
     width: int  # numbers of a lane
     law: types.ModuleType
-    measures: Measures
     law_rows: Floats
     valve_rows: Floats
     seeds: Valves
@@ -345,7 +338,7 @@ def _prepared(batch: Batch) -> Prepared:
     if led.shape != commands.shape:
         raise ValueError(f"commands have shape {commands.shape}, with their lead {led.shape}")
     samples = commands.shape[-1]
-    states = (template(batch.measures.tally), template(SpoolState), template(law.State))
+    states = (template(Tally), template(SpoolState), template(law.State))
     plant = _plant(batch.valve_params)
     like = Lane(Work._make([*HANDED_OVER, *states]), like_law, template(plant.module.Params))
     law_rows = _rows("law_params", batch.law_params, like.law, count)
@@ -364,7 +357,6 @@ def _prepared(batch: Batch) -> Prepared:
         plant=plant,
         width=width,
         law=law,
-        measures=batch.measures,
         law_rows=law_rows,
         valve_rows=valve_rows,
         seeds=seeds,
@@ -387,7 +379,7 @@ def _run_lanes(ready: Prepared, start: int, traces: Floats) -> Floats:
     block[ready.width - rows.shape[1] :] = rows.T
     from valve_control.control.simulation import noise
 
-    _compiled(ready.law, ready.measures)(
+    _compiled(ready.law)(
         like=ready.like,
         block=block.ravel(),
         generators=noise.seeded(ready.seeds[valves]),
@@ -401,7 +393,7 @@ def _run_lanes(ready: Prepared, start: int, traces: Floats) -> Floats:
         traces=traces,
     )
     at = Work._fields.index("tally")
-    return block[at : at + len(ready.measures.tally._fields)].T[: len(ready.seeds) - start]
+    return block[at : at + len(Tally._fields)].T[: len(ready.seeds) - start]
 
 
 def _run_singly(ready: Prepared, valves: Valves, traces: Floats) -> Floats:
@@ -421,9 +413,7 @@ def _run_singly(ready: Prepared, valves: Valves, traces: Floats) -> Floats:
             _last_begin(ready),
         )
         signals = traces[i] if len(traces) else np.empty((samples, len(closed_loop.SIGNALS)))
-        tallies.append(
-            linear_loop.flatten(singly.simulate(run, ready.measures, ready.like.work.tally, signals))
-        )
+        tallies.append(linear_loop.flatten(singly.simulate(run, signals)))
     return np.array(tallies)
 
 
@@ -432,7 +422,7 @@ def _last_begin(ready: Prepared) -> int:
     return ready.samples - max(1, min(ready.samples, round(2.0 / ready.period) + 1))
 
 
-def simulate(batch: Batch, threads: int | None = None, traces: Floats | None = None) -> Any:
+def simulate(batch: Batch, threads: int | None = None, traces: Floats | None = None) -> Results:
     """Simulate every valve of ``batch`` on ``threads`` threads (default: all cores).
 
     ``traces`` (N×n×3) takes position, measurement and voltage [V] of each valve; without it memory does not
@@ -456,4 +446,4 @@ def simulate(batch: Batch, threads: int | None = None, traces: Floats | None = N
         tallies = np.concatenate(list(pool.map(lambda start: _run_lanes(ready, start, traces), starts)))
     finally:
         pool.shutdown(cancel_futures=True)
-    return batch.measures.results(tallies.T, ready.samples)
+    return measures.results(tallies.T, ready.samples)

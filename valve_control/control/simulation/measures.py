@@ -1,13 +1,8 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Computes what is measured of each valve of a batch: sums updated at every sample, and results from them.
+"""Computes what is measured of each valve of a batch: sums updated at every sample, and results from them."""
 
-A set of measures is a NamedTuple of floats that are all 0.0 at the beginning, a function that takes in one
-sample, and one that makes results of the sums. ``batch.simulate`` takes any.
-"""
-
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,14 +23,6 @@ class Now(NamedTuple):
     time: float  # s
     u_max: float  # V
     period: float  # s
-
-
-class Measures(NamedTuple):
-    """One set of measures: type of its sums, their update at a sample, and the results."""
-
-    tally: Any  # type of what is kept up
-    update: Callable[[Any, Now], Any]
-    results: Callable[[Floats, int], Any]  # of tallies (fields×N) and the number of samples
 
 
 class Tally(NamedTuple):
@@ -100,6 +87,3 @@ def results(tallies: Floats, samples: int) -> Results:
             t.saturated / samples,
         )
     return Results._make([*(np.where(finite, column, np.nan) for column in numbers), finite])
-
-
-INDICES = Measures(Tally, count, results)

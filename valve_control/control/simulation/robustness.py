@@ -3,7 +3,7 @@
 """Simulates one law on many valves drawn from a box: plants, drifts, noises, periods, delays (robustness).
 
 Valve number i is point i of a scrambled Sobol sequence and has its own seed, so that it is the same in a
-study of any length and can be run again alone. Results are kept in chunks, each a file that is either whole
+study of any length and can be run again alone. Results are stored in chunks, each a file that is either whole
 or absent: a study that was stopped goes on where it was, unless the package has changed since.
 """
 
@@ -41,6 +41,7 @@ MOST_SEED = int(lookup(NODES["valve_simulator"], "seed").high)
 LIMIT = 0.15  # V  e_F beyond which a loop at rest is unstable: few lie between 0.1 V and the limit cycles
 FOLLOWING = 2.0  # times the following error of the valve that nothing was varied on, which motion adds to it
 AT_REST = 1e-6  # V by which the command of a loop at rest moves
+PARTS = ("points", "period", "rows")  # of a file: quantities, sample periods [s] and results of its valves
 PERCENTS = (1, 5, 25, 50, 75, 95, 99)
 
 
@@ -212,46 +213,24 @@ def _results(rows: Any) -> measures.Results:
     return measures.Results._make([*rows.T[:-1], rows.T[-1] == 1.0])
 
 
-def _described(study: Study) -> dict[str, Any]:
-    """Everything that determines the results, for JSON. Raises ParameterError for a command file."""
+def _digest(study: Study) -> str:
+    """Hash of everything that determines the results. Raises ParameterError for a command file."""
     source = study.settings["command_source"]
-    array = b""
-    if source["scenario"] == "array":
-        array = arrays.read(word(source, "command_file")).tobytes()
-    return {
+    array = arrays.read(word(source, "command_file")).tobytes() if source["scenario"] == "array" else b""
+    described = {
         "settings": {node: dict(values) for node, values in study.settings.items()},
         "seed": study.seed,
         "box": [list(q) for q in study.box],
         "periods": list(study.periods),
-        "command_array": hashlib.sha256(array).hexdigest() if array else "",
+        "command_array": hashlib.sha256(array).hexdigest(),
         "sources": sources_digest(),
     }
+    return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
 
 
 def folder_name(study: Study) -> str:
     """Name of the study's folder, the same for any number of valves. Raises ParameterError."""
-    text = json.dumps(_described(study), sort_keys=True)
-    controller = word(study.settings["controller"], "controller")
-    return f"study-{controller}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
-
-
-def open_folder(study: Study, folder: Path) -> None:
-    """Create ``folder`` for ``study``, or check that it belongs to it. Raises ParameterError and OSError."""
-    folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(_described(study), indent=2, sort_keys=True)
-    path = folder / "study.json"
-    if not path.exists():
-        outputs.write(str(path), text)
-        return
-    try:
-        same = json.loads(path.read_text(encoding="utf-8")) == json.loads(text)
-    except ValueError as error:
-        raise ParameterError(f"{path} is damaged; choose another folder") from error
-    if not same:
-        raise ParameterError(
-            f"{folder} holds a study with other parameters, or of another version of this package; "
-            "choose another folder"
-        )
+    return f"study-{word(study.settings['controller'], 'controller')}-{_digest(study)[:8]}"
 
 
 def chunk_of(study: Study) -> int:
@@ -265,42 +244,44 @@ def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> S
     """Simulate the valves whose results ``folder`` lacks, chunk by chunk; returns all results.
 
     ``told`` is called once before the work, and after each chunk. Ctrl-C loses the chunk that is running, no
-    more. Raises ParameterError, and OSError if the folder cannot be written.
+    more. Raises ParameterError, also for the folder of another study, and OSError if it cannot be written.
     """
     check_numbers(study, 0, study.valves)
-    open_folder(study, folder)
-    chunk = chunk_of(study)
+    folder.mkdir(parents=True, exist_ok=True)
+    digest, chunk = _digest(study), chunk_of(study)
     paths = {first: folder / f"valves_{first:08d}.npz" for first in range(0, study.valves, chunk)}
-    missing = [first for first, path in paths.items() if not path.exists()]
-    left = sum(min(chunk, study.valves - first) for first in missing)
+    parts = {first: _read(path, study, digest, chunk) for first, path in paths.items() if path.exists()}
+    left = sum(min(chunk, study.valves - first) for first in paths if first not in parts)
     told(study.valves - left)
-    for first in missing:
+    for first in sorted(paths.keys() - parts.keys()):
         found = run_chunk(study, first, chunk, threads)
-        stream = io.BytesIO()
-        rows = np.stack(found.results, axis=1)
-        np.savez(stream, points=found.points, period=found.period, rows=rows)
+        points, period, rows = found.points, found.period, np.stack(found.results, axis=1)
+        parts[first], stream = (points, period, rows), io.BytesIO()
+        np.savez(stream, points=points, period=period, rows=rows, study=np.array(digest))
         outputs.write(str(paths[first]), stream.getvalue())
         left -= min(chunk, study.valves - first)
         told(study.valves - left)
-    parts = [_kept(path, (chunk, len(study.box))) for path in paths.values()]
-    points, period, rows = (np.concatenate(part)[: study.valves] for part in zip(*parts, strict=True))
+    each = zip(*(parts[first] for first in paths), strict=True)
+    points, period, rows = (np.concatenate(part)[: study.valves] for part in each)
     return StudyResult(points, period, _results(rows))
 
 
-def _kept(path: Path, shape: tuple[int, int]) -> tuple[Floats, Floats, Floats]:
-    """Points (of ``shape``), periods [s] and results of one file. Raises ParameterError."""
+def _read(path: Path, study: Study, digest: str, chunk: int) -> tuple[Floats, ...]:
+    """The PARTS of one file of a ``study``, whose ``digest`` it must have. Raises ParameterError."""
+    shapes = ((chunk, len(study.box)), (chunk,), (chunk, len(measures.Results._fields)))
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            points, period, rows = kept["points"], kept["period"], kept["rows"]
-        if (points.shape, len(period), rows.shape) != (
-            shape,
-            shape[0],
-            (shape[0], len(measures.Results._fields)),
-        ):
+        with np.load(path, allow_pickle=False) as stored:
+            parts, other = tuple(stored[name] for name in PARTS), str(stored["study"])
+        if other == digest and tuple(part.shape for part in parts) != shapes:
             raise ValueError("shape")
     except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise ParameterError(f"{path} is damaged; delete it, and the same command makes it again") from error
-    return points, period, rows
+    if other != digest:
+        raise ParameterError(
+            f"{path.parent} holds a study with other parameters, or of another version of this package; "
+            "choose another folder"
+        )
+    return parts
 
 
 def worst(found: StudyResult, index: str, count: int) -> list[int]:
@@ -311,27 +292,19 @@ def worst(found: StudyResult, index: str, count: int) -> list[int]:
 
 def summary(found: StudyResult, limit: float = LIMIT, count: int = 10) -> dict[str, Any]:
     """Percentiles of the indices, share of unstable loops by ``limit`` [V], and worst valves, for JSON."""
-    finite = found.results.finite
-    names = [name for name in measures.Results._fields if name != "finite"]
-    unstable = found.unstable(limit)
+    finite, unstable = found.results.finite, found.unstable(limit)
+    names = [name for name in measures.Results._fields if name != "finite" and np.any(finite)]
+
+    def percentiles(name: str) -> dict[str, float]:
+        values = np.percentile(getattr(found.results, name)[finite], PERCENTS).tolist()
+        return dict(zip(map(str, PERCENTS), values, strict=True))
+
+    by_period = {f"{p:g}": float(np.mean(unstable[found.period == p])) for p in np.unique(found.period)}
     return {
         "valves": len(finite),
         "limit": limit,
         "unstable": float(np.mean(unstable)),
-        "unstable_by_period": {
-            f"{period:g}": float(np.mean(unstable[found.period == period]))
-            for period in np.unique(found.period)
-        },
-        "percentiles": {
-            name: dict(
-                zip(
-                    map(str, PERCENTS),
-                    np.percentile(getattr(found.results, name)[finite], PERCENTS).tolist(),
-                    strict=True,
-                )
-            )
-            for name in names
-            if np.any(finite)
-        },
+        "unstable_by_period": by_period,
+        "percentiles": {name: percentiles(name) for name in names},
         "worst": {name: worst(found, name, count) for name in ("e_rms", "e_M", "e_F")},
     }

@@ -14,7 +14,7 @@ from valve_control.control import closed_loop
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws.signals import Start
 from valve_control.control.simulation import measures
-from valve_control.control.simulation.measures import Measures
+from valve_control.control.simulation.measures import Tally
 
 
 class Run(NamedTuple):
@@ -44,12 +44,7 @@ class Seen(NamedTuple):
 
     samples: int
     time: float  # s
-    tally: Any
-
-
-def count(tally: Any, now: measures.Now) -> Any:
-    """Placeholder for the update of the measures."""
-    raise NotImplementedError
+    tally: Tally
 
 
 def counted(p: Known, seen: Seen, now: closed_loop.Sample, plant: Any) -> tuple[Seen, bool]:
@@ -66,31 +61,32 @@ def counted(p: Known, seen: Seen, now: closed_loop.Sample, plant: Any) -> tuple[
         p.u_max,
         p.period,
     )
-    return Seen(k + 1, seen.time + p.period, count(seen.tally, here)), False
+    return Seen(k + 1, seen.time + p.period, measures.count(seen.tally, here)), False
 
 
 @cache
-def _compiled(law: types.ModuleType, plant: types.ModuleType, chosen: Measures) -> Callable[..., Any]:
+def _compiled(law: types.ModuleType, plant: types.ModuleType) -> Callable[..., Any]:
     functions = {
         "next_command": closed_loop.command_given,
         "read": plant.read,
         "law_step": law.step,
-        "measured": compile_function(counted, {"count": compile_function(chosen.update)}),
+        "measured": compile_function(counted),
         "plant_step": plant.step,
         "shown": closed_loop.valve_signals,
     }
     return closed_loop.build(functions, nogil=True)
 
 
-def simulate(run: Run, chosen: Measures, tally: Any, signals: Floats) -> Any:
-    """Tally of one valve, from ``tally`` on; ``signals`` (n×3) receives ``closed_loop.SIGNALS`` [V]."""
+def simulate(run: Run, signals: Floats) -> Tally:
+    """Tally of one valve; ``signals`` (n×3) receives ``closed_loop.SIGNALS`` [V]."""
     noise = np.random.default_rng(run.seed).standard_normal(len(signals))
     state = run.plant.initial(run.plant_params)
     first = run.plant.read(run.plant_params, state, float(noise[0]))
     begun = run.law.initial(run.law_params, Start(first, 0.0, first, 0.0, 0.0))
     known = Known(run.commands, run.last_begin, run.plant_params.u_max, run.plant_params.period)
     p = closed_loop.Parts(0.0, run.law_params, run.plant_params, known)
-    begin = closed_loop.Parts(0.0, begun, state, Seen(0, 0.0, tally))
-    loop = _compiled(run.law, run.plant, chosen)
+    begin = closed_loop.Parts(0.0, begun, state, Seen(0, 0.0, Tally._make([0.0] * len(Tally._fields))))
+    loop = _compiled(run.law, run.plant)
     end = loop(p, begin, run.led, noise, signals, np.empty((0, len(run.law.Terms._fields))))
-    return end.measure.tally
+    tally: Tally = end.measure.tally
+    return tally
