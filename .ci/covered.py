@@ -31,7 +31,8 @@ CORE = (
     *(f"valve_control/control/{room}/*.py" for room in ("supervision", "laws", "drivers")),
     *("valve_control/nodes/controller*.py", "valve_control/nodes/device_controller.py"),
     *(f"valve_control/nodes/{name}.py" for name in ("adapter", "lifecycle", "loop", "pairing", "services")),
-    *(f"valve_control/nodes/{name}.py" for name in ("rclpy_internals", "realtime", "transport")),
+    *(f"valve_control/nodes/{name}.py" for name in ("device_node", "lockstep", "right_of_way", "telemetry")),
+    *(f"valve_control/nodes/{name}.py" for name in ("rclpy_internals", "realtime", "timing", "transport")),
     *("valve_control/nodes/valve_driver.py", "valve_control/parameter.py"),
 )
 CONTROLLER = (
