@@ -32,7 +32,8 @@ CORE = (
     *("valve_control/axis/axis_supervisor.py", "valve_control/axis/axis_watch.py"),
     *("valve_control/nodes/controller*.py", "valve_control/nodes/device_controller.py"),
     *(f"valve_control/nodes/{name}.py" for name in ("adapter", "lifecycle", "loop", "pairing", "services")),
-    *(f"valve_control/nodes/{name}.py" for name in ("rclpy_internals", "realtime", "transport")),
+    *(f"valve_control/nodes/{name}.py" for name in ("device_node", "lockstep", "right_of_way", "telemetry")),
+    *(f"valve_control/nodes/{name}.py" for name in ("rclpy_internals", "realtime", "timing", "transport")),
     *("valve_control/nodes/valve_driver.py", "valve_control/parameter.py"),
 )
 CONTROLLER = (

@@ -119,17 +119,17 @@ class Entity(NamedTuple):
     qos: str
 
 
+PARTS = {"controller": ("telemetry", "right_of_way")}  # files with topics of a node
+
+
 def entities() -> Iterator[Entity]:
     """Publishers, subscriptions and services that the sources of the nodes make by name."""
     for node in ROS_NODES:
         nodes = PACKAGE / "nodes"  # where a node has a file of its own beside its entry point, in that
         path = next(p for name in (f"{node}_node", node) for p in sorted(nodes.rglob(f"{name}.py")))
-        seen = set()
-        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            found = _entity(node, call)
-            if found is not None and found not in seen:
-                seen.add(found)
-                yield found
+        paths = [path, *(nodes / f"{part}.py" for part in PARTS.get(node, ()))]
+        calls = [call for one in paths for call in ast.walk(ast.parse(one.read_text(encoding="utf-8")))]
+        yield from dict.fromkeys(found for call in calls if (found := _entity(node, call)) is not None)
 
 
 def _entity(node: str, call: ast.AST) -> Entity | None:

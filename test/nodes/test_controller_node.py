@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import rclpy
 from bench import LIMIT, wait_for_message
-from rclpy.exceptions import ParameterNotDeclaredException
 from std_msgs.msg import Float64, Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectoryPoint
 
@@ -219,43 +218,3 @@ def test_lockstep_without_numbers_ends_in_one_sentence(ros):
         upper.node._lockstep.waiting = (0.0, unnumbered)
         with pytest.raises(Failure, match="lockstep needs a middleware that numbers messages"):
             upper.node.work()
-
-
-def test_a_controller_that_does_not_start_by_itself_tells_each_of_its_states(ros, monkeypatch):
-    node = Controller(cli_args=["--ros-args", "-p", "autostart:=false"])
-    try:
-        assert node._status()[1] == "unconfigured" and not node.work() and node.inputs() == ()
-        node._journal_topics.publish()
-        node.trigger_configure()
-        assert node._status()[1] == "inactive"
-        monkeypatch.setattr(controller_node, "REFUSED", ("law x of package y is left out",))
-        node.trigger_activate()
-        assert node._status()[1] == "no LVDT reading yet" and node.work() is False
-        node.report()
-        assert "samples" in node._figures() and "saturation_share" not in node._figures()
-    finally:
-        node.destroy_node()
-
-
-def test_changes_of_parameters_are_checked_as_a_whole_and_told_once(ros):
-    made = rclpy.parameter.Parameter
-    with controller(ros) as upper:
-        node = upper.node
-
-        def put(**values):
-            wanted = [made(name.replace("__", "."), value=value) for name, value in values.items()]
-            return node.set_parameters_atomically(wanted)
-
-        assert put(arc__k1="7.5e+01").successful and node._supervisor.values["arc.k1"] == 75.0
-        assert not put(arc__k1="fast").successful and not put(arc__k1=-1.0, u_max=5.0).successful
-        assert put(arc__k1=75.0).successful and node._supervisor.values["u_max"] == 10.0
-        with pytest.raises(
-            ParameterNotDeclaredException, match="there is no parameter 'arc.k11'; did you mean"
-        ):
-            put(arc__k11=1.0)
-        journal = len(node._journal)
-        assert put(arc__k1=75.0).successful and len(node._journal) == journal, "nothing has changed"
-        settings = node._settings
-        settings._told = -math.inf
-        assert put(u_max=9.0).successful and not settings._untold
-        assert put(u_max=8.0, arc__k2=90.0).successful and settings._untold == {"u_max", "arc.k2"}

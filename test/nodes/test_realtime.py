@@ -7,11 +7,8 @@ import resource
 import threading
 from contextlib import contextmanager
 
-import pytest
-
 from valve_control.nodes import realtime
 from valve_control.nodes.realtime import Request
-from valve_control.parameter import ParameterError
 
 NOBODY = 65534
 
@@ -67,19 +64,6 @@ def test_a_thread_that_has_ended_meanwhile_does_not_keep_the_others_from_theirs(
 
     realtime.for_each(threads, ask)
     assert asked == threads[1:]
-
-
-@pytest.mark.parametrize(
-    ("cpus", "said"),
-    [("first", "'first'; it must be CPU numbers such as 2 or 2,3"),
-     ("0,-1", "names CPU -1; this machine has 0"),
-     ("4096", "names CPU 4096; this machine has 0 to ")],
-)  # fmt: skip
-def test_cpus_that_are_not_there_are_refused(cpus, said):
-    values = {"realtime.cpus": cpus, "realtime.lock_memory": False, "realtime.priority": 0}
-    with pytest.raises(ParameterError) as error:
-        realtime.request(values)
-    assert said in str(error.value)
 
 
 def test_the_request_is_that_of_the_parameters():

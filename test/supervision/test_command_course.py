@@ -190,6 +190,22 @@ def test_lost_readings_leave_the_course_where_it_belongs():
     assert found[0] == pytest.approx(found[1], abs=2e-4) and abs(found[0]) > 0.1
 
 
+def test_a_driver_that_stood_still_beside_a_spool_at_rest_leaves_the_course_where_it_belongs():
+    """For 10 ms no reading comes, and no number is missing: within 50 ms commands count at the right time."""
+    values = settings(controller="arc", lvdt__disturbance=0.0)
+    supervisor = Supervisor()
+    supervisor.apply(values, build.law_params(values))
+    number, last = 0, 1999
+    for k in range(2060):
+        stands = last < k < last + 10
+        since = 0.0005 + PERIOD * max(0, min(k, last + 10) - last - 1) * (k <= last + 10)
+        supervisor.command(math.sin(9.0 * k * PERIOD), 1.0 + k * PERIOD, since)
+        if not stands:
+            number += 1
+            supervisor.sample(0.001 * (k % 3), number, 0.01 if k == last + 10 else PERIOD)
+    assert supervisor.command_in_force == pytest.approx(math.sin(9.0 * (k + 0.5) * PERIOD), abs=0.03)
+
+
 @grid("drift, jitter", [0.0, 1e-4, 1e-3], [0.0, 0.0005])
 def test_two_clocks_are_joined_over_the_supervisor(drift, jitter):
     """Times of readings that jitter too; the command in force beside the motion at the time of the sample."""

@@ -58,6 +58,7 @@ from valve_control.parameter import Values, number, word
 
 BOTH = "spool_command is ignored while spool_trajectory commands"
 OVERDUE = 2.5  # periods since the last reading, from which the driver may have stood still
+CATCH_UP = 0.25  # of a period for each reading, by which such a time is made up for without a kink
 NOISE = 0.25  # of ``lvdt.tolerance``, way of the spool that may be noise
 PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
 TOLD = (
@@ -326,6 +327,8 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     expected = m.now + p.lvdt.period
     m.now += (1 + min(lost, p.lvdt.hold_samples)) * p.lvdt.period
     m.clock += elapsed if elapsed > 0.0 else (1 + lost) * p.lvdt.period
+    if is_behind(p, m, elapsed):
+        m.pulse = m.pulse._replace(offset=m.pulse.offset + CATCH_UP * p.lvdt.period)
     m.pulse = clock.NOTHING if unpaced else clock.step(m.pulse, m.clock, m.clock - m.now)
     if lost > 0 and m.course is not None and m.course.stamp == expected == m.course.sent:
         m.course = command_course.postponed(m.course, m.now)  # what came without a time meanwhile is of now
@@ -374,12 +377,25 @@ def overdue(p: Params, m: Memory, reading: float, lost: int, elapsed: float) -> 
     at its heels, it has moved for one period. The way that it has gone tells which of both.
     """
     periods = elapsed / p.lvdt.period
-    if lost > 0 or periods < OVERDUE or p.lvdt.pace.limit >= rate.ANY or m.law is None:
+    most = p.lvdt.hold_samples + 1.5
+    if lost > 0 or not OVERDUE <= periods < most or p.lvdt.pace.limit >= rate.ANY or m.law is None:
         return 0
     way = m.velocity.velocity * p.lvdt.period
     if not abs(reading - m.measurement - way) > 0.5 * abs(way) + NOISE * p.lvdt.judge.tolerance:
         return 0
-    return int(min(periods, p.lvdt.hold_samples + 2.0) - 0.5)
+    return int(periods - 0.5)
+
+
+def is_behind(p: Params, m: Memory, elapsed: float) -> bool:
+    """Whether the clock of the samples lacks a time in which the driver stood still, and the spool rested.
+
+    Readings that came late in a burst make good what they lack; this one came in time, ``elapsed`` [s] after
+    the one before.
+    """
+    if m.pulse.messages == 0.0 or elapsed < rate.QUICK * p.lvdt.period:
+        return False
+    behind = m.clock - m.now - m.pulse.offset
+    return elapsed < OVERDUE * p.lvdt.period < behind
 
 
 def sent(p: Params, m: Memory) -> float:
