@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Defines the sub-command `compensator`: designs a pole-zero compensator, or checks the paper's."""
+"""Defines the sub-command `compensator`: designs a pole-zero compensator."""
 
 import argparse
 import sys
@@ -14,19 +14,7 @@ from valve_control.parameter import ParameterError, Values, lookup
 if TYPE_CHECKING:
     from valve_control.control.plant.models import TransferFunction
     from valve_control.design.identification.bode import Corners
-    from valve_control.design.identification.cancellation import Agreement, Compensator
-
-DESIGNED = (
-    "source",
-    "model",
-    "numerator",
-    "denominator",
-    "keep_zeros",
-    "order",
-    "amplitude",
-    "output",
-    "figure",
-)
+    from valve_control.design.identification.cancellation import Compensator
 
 
 def add_commands(commands: Any) -> None:
@@ -60,7 +48,6 @@ def add_commands(commands: Any) -> None:
     group.add_argument(
         "--amplitude", type=float, metavar="V", help="amplitude of the command, to predict saturation"
     )
-    group.add_argument("--paper", action="store_true", help="factorise (12) and (13)")
     output = options.add_argument_group("output")
     output.add_argument("--output", metavar="FILE", help="ROS 2 parameter file for the controller")
     output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
@@ -72,8 +59,6 @@ def _compensator(arguments: argparse.Namespace) -> int:
     from valve_control.design.identification import cancellation, result
 
     check_outputs(arguments, [arguments.output], [arguments.figure])
-    if arguments.paper:
-        return _paper(arguments)
     numbers = {
         "compensator.bandwidth": 25.0 if arguments.bandwidth is None else arguments.bandwidth,
         "compensator.order": arguments.order or 0,
@@ -191,7 +176,6 @@ def _text(made: "Compensator") -> str:
     from valve_control.design.identification.result import polynomial, roots_text
 
     c = made.transfer_function
-    s = made.sampling
     return "\n".join(
         [
             f"valve: ({polynomial(made.model.numerator)}) / ({polynomial(made.model.denominator)})",
@@ -205,8 +189,6 @@ def _text(made: "Compensator") -> str:
             f"valve alone:            {_corners(made.valve)}",
             f"with the compensator:   {_corners(made.compensated)}",
             f"sampled every {1e3 * made.period:g} ms:     {_corners(made.sampled)}",
-            f"bilinear transform: up to {s.up_to:g} Hz within {100.0 * s.gain_error:.2g} % and "
-            f"{s.phase_error:.2g}° of the continuous compensator",
         ]
     )
 
@@ -234,46 +216,6 @@ def _dict(made: "Compensator") -> dict[str, Any]:
         "valve": corners(made.valve),
         "compensated": corners(made.compensated),
         "sampled": corners(made.sampled),
-        "sampling": made.sampling._asdict(),
         "sections": [list(s) for s in (made.sections.first, made.sections.second, made.sections.third)],
         "warnings": list(made.warnings),
     }
-
-
-def _paper(arguments: argparse.Namespace) -> int:
-    from valve_control.design.identification import cancellation
-
-    designed = (*DESIGNED, "bandwidth", "sample_period", "u_max")
-    wrong = [name for name in designed if not any(getattr(arguments, name) is left for left in (None, False))]
-    if wrong:
-        option = {"source": "from"}.get(wrong[0], wrong[0]).replace("_", "-")
-        raise ParameterError(f"compensator --paper takes no --{option}")
-    found = cancellation.printed()
-    about = [
-        {name: value._asdict() if hasattr(value, "_asdict") else value for name, value in a._asdict().items()}
-        for a in found
-    ]
-    _tell(arguments, "\n".join(_agreement_text(a) for a in found), about, [])
-    return 0
-
-
-def _agreement_text(a: "Agreement") -> str:
-    from valve_control.design.identification.result import polynomial
-
-    def told(errors: tuple[float, ...]) -> str:
-        return ", ".join(f"{100.0 * error:.2g} %" if abs(error) > 1e-6 else "0" for error in errors[1:])
-
-    return "\n".join(
-        [
-            f"{a.name} as printed: ({polynomial(a.printed.numerator)})",
-            f"  / ({polynomial(a.printed.denominator)})",
-            f"  made from ({polynomial(a.model.numerator)}) / ({polynomial(a.model.denominator)})",
-            f"  zeros: that model's poles; print off by {told(a.numerator_errors)}",
-            f"  poles: {a.words}; print off by {told(a.denominator_errors)}",
-            f"  static gain with that model {a.static_gain:.4f}; for 1 its leading coefficient would be "
-            f"{a.again.numerator[0]:.7g} instead of {a.printed.numerator[0]:.7g}",
-            f"  on (2) as printed:     {_corners(a.printed_on_second_order)}",
-            f"  on (3) as printed:     {_corners(a.printed_on_fourth_order)}",
-            f"  on (3) designed again: {_corners(a.again_on_fourth_order)}",
-        ]
-    )
